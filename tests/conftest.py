@@ -1,0 +1,65 @@
+"""Settings and fixtures of every test."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Before the first import of JAX or Warp, and inherited by the commands that tests start.
+os.environ["XLA_FLAGS"] = " ".join(
+    [os.environ.get("XLA_FLAGS", ""), "--xla_force_host_platform_device_count=2"]
+).strip()
+os.environ["JAX_NUMPY_DTYPE_PROMOTION"] = "strict"
+os.environ["JAX_NUMPY_RANK_PROMOTION"] = "raise"
+os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".cache" / "warp"))
+
+hypothesis.settings.register_profile("jaxdet", derandomize=True, database=None, deadline=None)
+hypothesis.settings.load_profile("jaxdet")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quiet_warp() -> None:
+    """Warp reports warnings and errors only."""
+    import warp
+
+    warp.config.log_level = warp.LOG_WARNING
+
+
+def present_devices() -> list:
+    """The kinds of device that JAX finds here, as parameters; CUDA's is marked ``gpu``."""
+    import jax
+
+    try:
+        jax.devices("cuda")
+    except RuntimeError:
+        return ["cpu"]
+    return ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "device" in metafunc.fixturenames:
+        metafunc.parametrize("device", present_devices(), indirect=True)
+
+
+@pytest.fixture
+def device(request: pytest.FixtureRequest) -> Iterator[Any]:
+    """One device of each kind that is present, as JAX's default while the test runs."""
+    import jax
+
+    chosen = jax.devices(request.param)[0]
+    with jax.default_device(chosen):
+        yield chosen
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of recorded logs beside the repository; skips where it is absent."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("no folder shared/data beside the repository")
+    return folder
