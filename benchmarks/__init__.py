@@ -1,0 +1,1 @@
+"""Benchmarks of the five stages; ``python -m benchmarks --help``."""
