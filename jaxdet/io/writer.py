@@ -1,0 +1,181 @@
+"""Writing ROS 2 logs: MCAP files with CDR messages, as ``realsense2_camera`` 4.x records them.
+
+Frame names, topics and the direction of each transform are the caller's; see
+:mod:`jaxdet.sim.record` for a log like a RealSense's.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from jaxdet.io.writer_cdr import encode_cdr, schema_text
+from jaxdet.types import Distortion, Extrinsics, Intrinsics
+
+Compression = Literal["zstd", "lz4", "none"]
+
+
+class Transform(NamedTuple):
+    """A transform of the TF tree: ``T_parent_child``."""
+
+    parent: str
+    child: str
+    T: np.ndarray
+    """``(4, 4)`` float64 [m]."""
+
+
+def quaternion(R: np.ndarray) -> dict[str, float]:
+    """The unit quaternion of a rotation ``(3, 3)``, the largest component positive."""
+    m = np.asarray(R, np.float64)
+    # Each row is 4 q_i (qx, qy, qz, qw); the row of the largest component is the most exact.
+    rows = np.array([
+        [1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
+        [m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
+        [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2], m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + np.trace(m)],
+    ])  # fmt: skip
+    row = rows[np.argmax(np.diag(rows))]
+    return dict(zip("xyzw", (row / np.linalg.norm(row)).tolist(), strict=True))
+
+
+def _xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
+    return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
+
+
+def _header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
+    sec, nanosec = divmod(int(stamp_ns), 10**9)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
+
+
+class Ros2LogWriter:
+    """Writes one MCAP file with the ``ros2`` profile; a context manager.
+
+    Args:
+        path: The file to write; an existing one is replaced.
+        compression: How the chunks are compressed.
+    """
+
+    def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
+        self._stream = Path(path).open("wb")  # noqa: SIM115 closed by close()
+        kind = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4}
+        self._writer = McapWriter(
+            self._stream, compression=kind.get(compression, CompressionType.ZSTD)
+        )
+        self._writer.start(profile="ros2", library="jaxdet")
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._counts: dict[str, int] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Write the summary and close the file; safe to call twice."""
+        if not self._stream.closed:
+            self._writer.finish()
+            self._stream.close()
+
+    def write(self, topic: str, stamp_ns: int, type_name: str, message: Mapping[str, Any]) -> None:
+        """Write one message, with ``stamp_ns`` as its log and publish time."""
+        if topic not in self._channels:
+            if type_name not in self._schemas:
+                name = type_name.replace("/", "/msg/")
+                text = schema_text(type_name).encode()
+                self._schemas[type_name] = self._writer.register_schema(name, "ros2msg", text)
+            self._channels[topic] = self._writer.register_channel(
+                topic, "cdr", self._schemas[type_name]
+            )
+        count = self._counts[topic] = self._counts.get(topic, -1) + 1
+        data = encode_cdr(type_name, message)
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
+
+    def write_image(
+        self, topic: str, stamp_ns: int, frame_id: str, array: np.ndarray, encoding: str
+    ) -> None:
+        """Write a ``sensor_msgs/Image``.
+
+        Args:
+            topic: The topic.
+            stamp_ns: Header stamp [ns].
+            frame_id: Optical frame.
+            array: ``(H, W)`` or ``(H, W, C)``; uint8, uint16 or float32.
+            encoding: Its ROS name, such as ``rgb8``, ``16UC1``, ``32FC1``.
+        """
+        pixels = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        message = {
+            "header": _header(stamp_ns, frame_id), "height": array.shape[0],
+            "width": array.shape[1], "encoding": encoding, "is_bigendian": 0,
+            "step": pixels.nbytes // array.shape[0], "data": pixels.tobytes(),
+        }  # fmt: skip
+        self.write(topic, stamp_ns, "sensor_msgs/Image", message)
+
+    def write_camera_info(
+        self, topic: str, stamp_ns: int, frame_id: str, camera: Intrinsics
+    ) -> None:
+        """Write a ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
+        plain = camera.distortion is Distortion.NONE
+        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+        message = {
+            "header": _header(stamp_ns, frame_id), "height": camera.height, "width": camera.width,
+            "distortion_model": "plumb_bob" if plain else str(camera.distortion),
+            "d": (0.0,) * 5 if plain else camera.coefficients,
+            "k": (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
+            "r": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+            "p": (fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
+            "binning_x": 0, "binning_y": 0,
+            "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+        }  # fmt: skip
+        self.write(topic, stamp_ns, "sensor_msgs/CameraInfo", message)
+
+    def write_transforms(
+        self, stamp_ns: int, transforms: Sequence[Transform], *, static: bool = False
+    ) -> None:
+        """Write a ``tf2_msgs/TFMessage`` on ``/tf_static`` or ``/tf``."""
+        stamped = [
+            {
+                "header": _header(stamp_ns, parent), "child_frame_id": child,
+                "transform": {"translation": _xyz(T[:3, 3]), "rotation": quaternion(T[:3, :3])},
+            }
+            for parent, child, T in transforms
+        ]  # fmt: skip
+        topic = "/tf_static" if static else "/tf"
+        self.write(topic, stamp_ns, "tf2_msgs/TFMessage", {"transforms": stamped})
+
+    def write_odometry(
+        self, topic: str, stamp_ns: int, pose: Transform, velocity: tuple[float, float]
+    ) -> None:
+        """Write a ``nav_msgs/Odometry``.
+
+        Args:
+            topic: The topic.
+            stamp_ns: Header stamp [ns].
+            pose: The base in the odometry frame.
+            velocity: Forward speed [m/s] and turn rate to the left [rad/s], in the base's frame.
+        """
+        T = pose.T
+        place = {"position": _xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}
+        twist = {"linear": _xyz((velocity[0], 0, 0)), "angular": _xyz((0, 0, velocity[1]))}
+        message = {
+            "header": _header(stamp_ns, pose.parent), "child_frame_id": pose.child,
+            "pose": {"pose": place, "covariance": (0.0,) * 36},
+            "twist": {"twist": twist, "covariance": (0.0,) * 36},
+        }  # fmt: skip
+        self.write(topic, stamp_ns, "nav_msgs/Odometry", message)
+
+    def write_extrinsics(self, topic: str, stamp_ns: int, extrinsics: Extrinsics) -> None:
+        """Write a ``realsense2_camera_msgs/Extrinsics``, whose rotation is column-major."""
+        rotation = np.reshape(extrinsics.rotation, (3, 3)).T.ravel().tolist()
+        message = {"rotation": rotation, "translation": extrinsics.translation}
+        self.write(topic, stamp_ns, "realsense2_camera_msgs/Extrinsics", message)

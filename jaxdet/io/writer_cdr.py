@@ -1,0 +1,113 @@
+"""Encoding ROS 2 messages as CDR, from the definitions that also go into a log as schemas.
+
+Messages are plain dictionaries; since one table of definitions makes both the schema text and
+the bytes, the two cannot disagree.
+"""
+
+import struct
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, NamedTuple
+
+# Field lists of ROS 2 Jazzy's common_interfaces, geometry2 and realsense-ros; one line a field.
+_DEFINITIONS = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "sensor_msgs/Image": "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
+    "uint8 is_bigendian\nuint32 step\nuint8[] data",
+    "sensor_msgs/RegionOfInterest": "uint32 x_offset\nuint32 y_offset\nuint32 height\n"
+    "uint32 width\nbool do_rectify",
+    "sensor_msgs/CameraInfo": "std_msgs/Header header\nuint32 height\nuint32 width\n"
+    "string distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n"
+    "uint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
+    "geometry_msgs/Quaternion rotation",
+    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/Transform transform",
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
+    "nav_msgs/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
+    "realsense2_camera_msgs/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
+}
+_FORMATS = {"bool": "?", "uint8": "B", "int32": "i", "uint32": "I", "float64": "d"}
+
+
+class _Field(NamedTuple):
+    type: str
+    name: str
+    length: int | None
+    """None: a single value; 0: a sequence; else a fixed array of that many."""
+
+
+@cache
+def _fields(type_name: str) -> tuple[_Field, ...]:
+    fields: list[_Field] = []
+    for line in _DEFINITIONS[type_name].splitlines():
+        kind, name = line.split()
+        base, bracket, rest = kind.partition("[")
+        fields.append(_Field(base, name, int(rest[:-1] or 0) if bracket else None))
+    return tuple(fields)
+
+
+@cache
+def schema_text(type_name: str) -> str:
+    """The definition followed by those of the types inside it, as ROS 2 concatenates them."""
+    order = [type_name]
+    for name in order:
+        order += [f.type for f in _fields(name) if f.type in _DEFINITIONS and f.type not in order]
+    parts = [_DEFINITIONS[type_name] + "\n"]
+    parts += [f"{'=' * 80}\nMSG: {name}\n{_DEFINITIONS[name]}\n" for name in order[1:]]
+    return "".join(parts)
+
+
+def _append(out: bytearray, kind: str, value: Any) -> None:
+    """Append one value, aligned to its size after the 4-byte header as CDR asks."""
+    if kind in _DEFINITIONS:
+        for field in _fields(kind):
+            _append_field(out, field, value[field.name])
+    elif kind == "string":
+        text = value.encode() + b"\0"
+        _append(out, "uint32", len(text))
+        out += text
+    else:
+        form = _FORMATS[kind]
+        out += bytes(-(len(out) - 4) % struct.calcsize(form))
+        out += struct.pack("<" + form, value)
+
+
+def _append_field(out: bytearray, field: _Field, value: Any) -> None:
+    if field.length is None:
+        _append(out, field.type, value)
+        return
+    if field.length == 0:
+        _append(out, "uint32", len(value))
+    elif len(value) != field.length:
+        raise ValueError(f"{field.name} has {len(value)} values, not {field.length}")
+    if isinstance(value, bytes | memoryview):
+        out += value
+        return
+    for item in value:
+        _append(out, field.type, item)
+
+
+def encode_cdr(type_name: str, message: Mapping[str, Any]) -> bytes:
+    """Encode a message as little-endian plain CDR (OMG DDSI-RTPS, XCDR1).
+
+    Args:
+        type_name: A type of this module, such as ``"sensor_msgs/Image"``.
+        message: Its fields by name, nested types as dictionaries, ``uint8[]`` as bytes.
+
+    Raises:
+        KeyError: The type is unknown or a field is missing.
+        ValueError: A fixed array has the wrong length.
+    """
+    out = bytearray(b"\0\1\0\0")
+    _append(out, type_name, message)
+    return bytes(out)
