@@ -1,0 +1,88 @@
+"""Obstacles from RGB-D camera logs: ``open_log`` reads, ``detect`` finds.
+
+Names are loaded when they are first used, so ``import jaxdet`` alone loads no heavy package.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxdet.config import PRESETS, Config, preset
+    from jaxdet.errors import FrameStatus, JaxdetError
+    from jaxdet.estimate import estimate_plane
+    from jaxdet.io import LogOptions, find_logs, open_log
+    from jaxdet.metric import extents, rectangles, to_world
+    from jaxdet.pipeline import detect
+    from jaxdet.types import (
+        Calibration,
+        Detections,
+        Distortion,
+        Extrinsics,
+        Features,
+        Frames,
+        GroundPlane,
+        Intrinsics,
+        Labels,
+        Obstacles,
+    )
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "jaxdet.config": ("PRESETS", "Config", "preset"),
+    "jaxdet.errors": ("FrameStatus", "JaxdetError"),
+    "jaxdet.estimate": ("estimate_plane",),
+    "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
+    "jaxdet.metric": ("extents", "rectangles", "to_world"),
+    "jaxdet.pipeline": ("detect",),
+    "jaxdet.types": (
+        "Calibration",
+        "Detections",
+        "Distortion",
+        "Extrinsics",
+        "Features",
+        "Frames",
+        "GroundPlane",
+        "Intrinsics",
+        "Labels",
+        "Obstacles",
+    ),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "PRESETS",
+    "Calibration",
+    "Config",
+    "Detections",
+    "Distortion",
+    "Extrinsics",
+    "Features",
+    "FrameStatus",
+    "Frames",
+    "GroundPlane",
+    "Intrinsics",
+    "JaxdetError",
+    "Labels",
+    "LogOptions",
+    "Obstacles",
+    "__version__",
+    "detect",
+    "estimate_plane",
+    "extents",
+    "find_logs",
+    "open_log",
+    "preset",
+    "rectangles",
+    "to_world",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'jaxdet' has no attribute {name!r}")
+    return getattr(import_module(_HOME_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,218 @@
+"""The results folder: two Parquet tables, the configuration and a summary.
+
+The bytes of the tables are a function of their rows alone: rows are buffered into row groups
+of a fixed size whatever the batch, and the writer's settings are fixed here. Everything is
+written into a hidden folder inside the output folder and moved to its final name at the end,
+so a final name never holds half a file.
+"""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jaxdet.errors import ConfigError, InputError
+
+ROWS_PER_GROUP = 65536
+"""Rows in a row group; part of the format, as it decides the bytes."""
+
+_NAMES = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
+_GENERATED = ("pictures/*.png", "map_*.npz", "map_*.png")
+
+
+def _schema(columns: Mapping[str, pa.DataType], nullable: tuple[str, ...]) -> pa.Schema:
+    return pa.schema([pa.field(n, t, nullable=n in nullable) for n, t in columns.items()])
+
+
+_CORNERS = pa.list_(pa.field("item", pa.float32(), nullable=False), 8)
+_METRES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "x", "y", "z")
+
+FRAMES_SCHEMA = _schema(
+    {
+        "log": pa.string(),
+        "frame": pa.int64(),
+        "stamp_ns": pa.int64(),
+        "depth_stamp_ns": pa.int64(),
+        "status": pa.string(),
+        "num_features": pa.int32(),
+        "num_kept": pa.int32(),
+        "num_obstacles": pa.int32(),
+        "overflow": pa.bool_(),
+        "camera_height_m": pa.float32(),
+        "camera_pitch_rad": pa.float32(),
+        "camera_roll_rad": pa.float32(),
+    },
+    ("depth_stamp_ns", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
+)
+"""``frames.parquet``: one row for each colour frame of each log, none lost."""
+
+OBSTACLES_SCHEMA = _schema(
+    {
+        "log": pa.string(),
+        "frame": pa.int64(),
+        "stamp_ns": pa.int64(),
+        "obstacle": pa.int32(),
+        "num_points": pa.int32(),
+        **dict.fromkeys(("u_min", "u_max", "v_min", "v_max"), pa.int32()),
+        **dict.fromkeys(_METRES, pa.float32()),
+        "vertices": pa.int8(),
+        "corners_ground": _CORNERS,
+        "corners_world": _CORNERS,
+    },
+    ("corners_world",),
+)
+"""``obstacles.parquet``: one row for each obstacle."""
+
+
+def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
+    """Rows as an Arrow table.
+
+    Args:
+        columns: One array for each field: ``(R,)``, or ``(R, 8)`` for the corners. Nullable
+            fields take a NumPy masked array, or floats with NaN, for null.
+        schema: :data:`FRAMES_SCHEMA` or :data:`OBSTACLES_SCHEMA`.
+
+    Returns:
+        A table of R rows.
+    """
+    return pa.Table.from_arrays([_array(columns[f.name], f) for f in schema], schema=schema)
+
+
+def _array(values: Any, field: pa.Field) -> pa.Array:
+    mask = None
+    if field.nullable:
+        mask = np.ma.getmaskarray(values)
+        if np.issubdtype(np.ma.getdata(values).dtype, np.floating):
+            mask = mask | np.isnan(np.ma.getdata(values))
+        values = np.where(mask, 0, np.ma.getdata(values))
+    if not pa.types.is_fixed_size_list(field.type):
+        return pa.array(values, field.type, mask=mask)
+    flat = pa.array(np.asarray(values, np.float32).reshape(-1))
+    rows = None if mask is None else pa.array(mask.any(axis=1))
+    return pa.FixedSizeListArray.from_arrays(flat, type=field.type, mask=rows)
+
+
+class _Table:
+    """A Parquet file in row groups of a fixed size."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self.path, self.schema = path, schema
+        self.pending: list[pa.Table] = []
+        self.rows = 0
+        self.writer = pq.ParquetWriter(
+            path,
+            schema,
+            compression="zstd",
+            compression_level=3,
+            write_page_checksum=True,
+            use_dictionary=["log", "status"],
+        )
+
+    def add(self, table: pa.Table) -> None:
+        self.pending.append(table)
+        self.rows += table.num_rows
+        while self.rows >= ROWS_PER_GROUP:
+            self._write_group()
+
+    def _write_group(self) -> None:
+        table = pa.concat_tables(self.pending)
+        group, rest = table.slice(0, ROWS_PER_GROUP), table.slice(ROWS_PER_GROUP)
+        self.writer.write_table(group.combine_chunks(), row_group_size=ROWS_PER_GROUP)
+        self.pending, self.rows = [rest], rest.num_rows
+
+    def close(self) -> None:
+        if self.rows:
+            self._write_group()
+        self.writer.close()
+
+
+class ResultWriter:
+    """Writes a results folder; a context manager that leaves nothing behind on an error.
+
+    Args:
+        directory: The output folder; made when missing.
+        overwrite: Replace results that are there.
+
+    Raises:
+        ConfigError: The folder holds results and ``overwrite`` is off, or it is a file.
+        InputError: The folder can't be written to.
+    """
+
+    def __init__(self, directory: Path, *, overwrite: bool = False) -> None:
+        self.directory = Path(directory)
+        _check(self.directory, overwrite)
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            self.staging = Path(tempfile.mkdtemp(prefix=".jaxdet-", dir=self.directory))
+        except OSError as error:
+            raise InputError(
+                f"can't be written to ({error.strerror})", path=str(directory)
+            ) from error
+        self._frames = _Table(self.staging / "frames.parquet", FRAMES_SCHEMA)
+        self._obstacles = _Table(self.staging / "obstacles.parquet", OBSTACLES_SCHEMA)
+
+    def __enter__(self) -> "ResultWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for table in (self._frames, self._obstacles):
+            table.writer.close()
+        shutil.rmtree(self.staging, ignore_errors=True)
+
+    def add(self, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
+        """Appends rows, in order; see :func:`to_table` for the columns."""
+        self._frames.add(to_table(frames, FRAMES_SCHEMA))
+        self._obstacles.add(to_table(obstacles, OBSTACLES_SCHEMA))
+
+    def path(self, name: str) -> Path:
+        """Where to write a further file that shall end as ``name`` in the output folder."""
+        path = self.staging / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def commit(self, config: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
+        """Writes the JSON files and moves everything to its final name, the summary last."""
+        self._frames.close()
+        self._obstacles.close()
+        self.path("config.json").write_text(to_json(config), encoding="utf-8")
+        self.path("summary.json").write_text(to_json(summary), encoding="utf-8")
+        for old in [p for pattern in _GENERATED for p in self.directory.glob(pattern)]:
+            old.unlink()
+        files = [p.relative_to(self.staging) for p in self.staging.rglob("*") if p.is_file()]
+        for name in sorted(files, key=lambda p: (str(p) == "summary.json", str(p))):
+            _sync(self.staging / name)
+            (self.directory / name).parent.mkdir(exist_ok=True)
+            os.replace(self.staging / name, self.directory / name)
+        _sync(self.directory)
+
+
+def to_json(value: Mapping[str, Any]) -> str:
+    """A mapping as indented JSON with a final newline; paths and enums become strings."""
+    return json.dumps(value, indent=2, ensure_ascii=False, default=str, allow_nan=False) + "\n"
+
+
+def _check(directory: Path, overwrite: bool) -> None:
+    if directory.exists() and not directory.is_dir():
+        raise ConfigError("is a file", path=str(directory), remedy="give --output a folder")
+    found = [name for name in _NAMES if (directory / name).exists()]
+    if found and not overwrite:
+        raise ConfigError(
+            f"holds results already ({found[0]})",
+            path=str(directory),
+            remedy="give another --output, or --overwrite to replace them",
+        )
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,126 @@
+"""From integers to metres, once, on the host, for all backends.
+
+The stages return integers in depth units; the metric values are computed from them here in
+NumPy float64, so that the numbers of the results do not depend on the backend, the batch or
+the device. This is also the one place where Eq. 8-9 and the ROS yaw meet, see
+:func:`world_angle`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.config import FootprintConfig
+from jaxdet.types import Obstacles
+
+
+class Extents(NamedTuple):
+    """Boxes and centroids in the colour optical frame; empty slots are zero."""
+
+    minimum: np.ndarray
+    """``(B, M, 3)`` float32, x y z [m]."""
+    maximum: np.ndarray
+    """``(B, M, 3)`` float32, x y z [m]."""
+    centroid: np.ndarray
+    """``(B, M, 3)`` float32, x y z [m]."""
+
+
+def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
+    """The boxes and centroids of a batch of obstacles.
+
+    Args:
+        obstacles: Integer outlines, ``(B, M)`` slots.
+        depth_unit: Metres in one depth unit.
+
+    Returns:
+        The same in metres, computed in float64 and rounded once.
+    """
+    points = np.maximum(np.asarray(obstacles.num_points), 1).astype(np.float64)
+    centroid = np.asarray(obstacles.xyz_sum).astype(np.float64) / points[..., None]
+    return Extents(
+        *(
+            (np.asarray(a).astype(np.float64) * depth_unit).astype(np.float32)
+            for a in (obstacles.xyz_min, obstacles.xyz_max, centroid)
+        )
+    )
+
+
+def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
+    """The outline of each obstacle on the floor (Section 3.5, Eq. 7).
+
+    AB is one edge. Without a vertex it is extended backward, away from the camera, by the
+    fixed ``extension_m``. With one, the opposite edge lies on the parallel to AB through C,
+    cut by the perpendiculars through A and B.
+
+    Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
+    forward it has no side away from the camera; the normal that points away from the camera's
+    own line of sight is taken (to the right on that line).
+
+    Args:
+        obstacles: Integer outlines, ``(B, M)`` slots; ``a b c has_vertex`` are used.
+        depth_unit: Metres in one depth unit.
+        config: The fixed extension.
+
+    Returns:
+        ``(B, M, 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
+        corner beyond B, the corner beyond A.
+    """
+    a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
+    normal = _backward_normal(a, b)
+    reach = np.sum((c - a) * normal, axis=-1) * depth_unit
+    reach = np.where(np.asarray(obstacles.has_vertex), reach, config.extension_m)
+    offset = normal * reach[..., None]
+    a, b = a * depth_unit, b * depth_unit
+    return np.stack([a, b, b + offset, a + offset], axis=-2)
+
+
+def _backward_normal(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The unit normals of the edges AB that point away from the camera, ``(..., 2)``."""
+    edge = b - a
+    length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
+    normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1)
+    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    normal = np.where(length > 0, normal, [0.0, 1.0])
+    sideways = np.where(a[..., 0] >= 0, 1.0, -1.0) * normal[..., 0]
+    outward = np.where(normal[..., 1] != 0, normal[..., 1], sideways)
+    return np.where(outward[..., None] < 0, -normal, normal)
+
+
+def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The angle θ of Eq. 8-9 as its sine and cosine.
+
+    θ is the clockwise angle, seen from above, from the world's Y axis to the camera's forward
+    direction: the optical axis laid on the world's xy plane (for a camera that looks straight
+    down or up, the image's up direction). ROS measures yaw counter-clockwise from the X axis
+    (REP 103), so θ = π/2 - yaw of the forward direction.
+
+    Args:
+        T_world_camera: ``(..., 4, 4)`` float64, colour optical frame to world; world z is up.
+
+    Returns:
+        ``sin θ`` and ``cos θ``, each ``(...)`` float64, NaN where the pose is.
+    """
+    optical, up = T_world_camera[..., :2, 2], -T_world_camera[..., :2, 1]
+    length = np.sqrt(np.sum(optical * optical, axis=-1, keepdims=True))
+    forward = np.where(length < 1e-9, up, optical)
+    forward = forward / np.sqrt(np.sum(forward * forward, axis=-1, keepdims=True))
+    return forward[..., 0], forward[..., 1]
+
+
+def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
+    """Ground-frame corners in the world (Eq. 8-9).
+
+    ``X = y sin θ + x cos θ + X0`` and ``Y = y cos θ - x sin θ + Y0`` with θ of
+    :func:`world_angle` and the camera at ``(X0, Y0)``.
+
+    Args:
+        corners: ``(B, M, 4, 2)`` float64, ground frame, right and forward [m].
+        T_world_camera: ``(B, 4, 4)`` float64, NaN where the pose is unknown.
+
+    Returns:
+        ``(B, M, 4, 2)`` float64, world X and Y [m]; NaN where the pose is unknown.
+    """
+    sin, cos = (a[:, None, None] for a in world_angle(T_world_camera))
+    x, y = corners[..., 0], corners[..., 1]
+    X0, Y0 = (T_world_camera[:, i, 3][:, None, None] for i in (0, 1))
+    return np.stack([y * sin + x * cos + X0, y * cos - x * sin + Y0], axis=-1)

@@ -1,0 +1,111 @@
+"""Integers to metres: rectangles by hand, Eq. 8-9 against a plain transform."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxdet import metric
+from jaxdet.config import FootprintConfig
+from jaxdet.plane import down_vector, ground_axes
+from jaxdet.types import GroundPlane, Obstacles
+
+CONFIG = FootprintConfig(extension_m=0.2)
+
+
+def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles:
+    """One obstacle with these points, one point in it."""
+    point = np.array([[[3, -6, 9]]], np.int32)
+    uv = np.zeros((1, 1, 2), np.int32)
+    abc = (np.array([[p]], np.int32) for p in (a, b, c))
+    count = np.ones((1, 1), np.int32)
+    vertex = np.array([[has_vertex]])
+    return Obstacles(count, uv, uv, point, point, point, *abc, vertex)
+
+
+def corners(*args: object) -> np.ndarray:
+    return metric.rectangles(outline(*args), 0.001, CONFIG)[0, 0]
+
+
+def test_centroid_is_sum_over_points() -> None:
+    one = outline((0, 0), (0, 0), (0, 0))
+    found = metric.extents(one._replace(num_points=np.array([[2]], np.int32)), 0.001)
+    assert found.centroid.dtype == np.float32
+    np.testing.assert_array_equal(found.centroid[0, 0], np.float32([0.0015, -0.003, 0.0045]))
+    np.testing.assert_array_equal(found.minimum[0, 0], np.float32([0.003, -0.006, 0.009]))
+
+
+def test_no_vertex_extends_away_from_the_camera() -> None:
+    found = corners((-300, 1000), (300, 1000), (0, 990))
+    np.testing.assert_allclose(found, [[-0.3, 1], [0.3, 1], [0.3, 1.2], [-0.3, 1.2]])
+
+
+def test_slanted_edge_extends_along_its_normal() -> None:
+    found = corners((0, 2000), (300, 1600), (300, 1600))
+    np.testing.assert_allclose(found[3] - found[0], [0.16, 0.12])
+    np.testing.assert_allclose(found[2] - found[1], found[3] - found[0])
+
+
+def test_vertex_gives_the_parallel_through_c() -> None:
+    found = corners((-300, 1200), (300, 1200), (50, 1000), True)
+    np.testing.assert_allclose(found, [[-0.3, 1.2], [0.3, 1.2], [0.3, 1.0], [-0.3, 1.0]])
+
+
+def test_single_point_extends_forward() -> None:
+    found = corners((100, 1000), (100, 1000), (100, 1000))
+    np.testing.assert_allclose(found, [[0.1, 1], [0.1, 1], [0.1, 1.2], [0.1, 1.2]])
+
+
+@pytest.mark.parametrize(("x", "side"), [(-500, -0.2), (500, 0.2), (0, 0.2)])
+def test_edge_along_forward_extends_away_from_the_axis(x: int, side: float) -> None:
+    found = corners((x, 1000), (x, 1500), (x, 1000))
+    np.testing.assert_allclose(found[3] - found[0], [side, 0])
+
+
+@given(*[st.tuples(st.integers(-4000, 4000), st.integers(0, 4000)) for _ in range(3)])
+def test_rectangles_are_rectangles(a: tuple, b: tuple, c: tuple) -> None:
+    for vertex in (False, True):
+        p = corners(a, b, c, vertex)
+        np.testing.assert_allclose(p[0] + p[2], p[1] + p[3], atol=1e-12)
+        assert abs(np.dot(p[1] - p[0], p[3] - p[0])) < 1e-9
+        if not vertex:
+            assert np.isclose(np.linalg.norm(p[3] - p[0]), 0.2)
+            assert p[3, 1] >= p[0, 1]
+
+
+def pose(yaw: float, pitch: float, roll: float, position: tuple) -> np.ndarray:
+    """A camera whose forward direction has this ROS yaw, tilted down and rolled."""
+    down = down_vector(np.array([pitch]), np.array([roll]))
+    plane = GroundPlane(np.ones(1), np.array([pitch]), np.array([roll]), np.ones(1, bool))
+    right, forward = ground_axes(plane)[0] / 8192
+    T = np.eye(4)
+    c, s = np.cos(yaw), np.sin(yaw)
+    axes = np.array([[s, c, 0], [-c, s, 0], [0, 0, -1.0]])  # columns: right, forward, down
+    T[:3, :3] = axes @ np.stack([right, forward, down[0]])
+    T[:3, 3] = position
+    return T
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, np.pi / 2, -2.0, np.pi])
+@pytest.mark.parametrize(("pitch", "roll"), [(0, 0), (0.33, -0.17)])
+def test_world_is_the_rigid_transform(yaw: float, pitch: float, roll: float) -> None:
+    T = pose(yaw, pitch, roll, (2.0, -1.0, 0.6))
+    sin, cos = metric.world_angle(T)
+    theta = np.pi / 2 - yaw
+    np.testing.assert_allclose([sin, cos], [np.sin(theta), np.cos(theta)], atol=1e-3)
+    x, y = 0.4, 1.5
+    found = metric.to_world(np.full((1, 1, 4, 2), (x, y)), T[None])[0, 0, 0]
+    forward, right = (np.cos(yaw), np.sin(yaw)), (np.sin(yaw), -np.cos(yaw))
+    expected = np.array([2.0, -1.0]) + x * np.array(right) + y * np.array(forward)
+    np.testing.assert_allclose(found, expected, atol=3e-3)
+
+
+def test_straight_down_uses_the_image_up() -> None:
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]  # image up is world +X
+    assert metric.world_angle(T) == (1.0, 0.0)
+
+
+def test_unknown_pose_is_nan() -> None:
+    found = metric.to_world(np.zeros((1, 2, 4, 2)), np.full((1, 4, 4), np.nan))
+    assert np.isnan(found).all()

@@ -1,0 +1,105 @@
+"""The results folder: schema, nulls, bytes that do not depend on the batch, nothing half."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.errors import ConfigError
+from jaxdet.io import results
+from jaxdet.io.results import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter
+
+
+def frame_rows(start: int, stop: int) -> dict:
+    n = np.arange(start, stop)
+    count = n.astype(np.int32)
+    return {
+        "log": np.full(n.size, "a", object),
+        "frame": n,
+        "stamp_ns": n * 10,
+        "depth_stamp_ns": np.ma.masked_equal(np.where(n % 2, n * 10, -1), -1),
+        "status": np.where(n % 2, "ok", "unpaired").astype(object),
+        "num_features": count,
+        "num_kept": count,
+        "num_obstacles": count,
+        "overflow": n % 3 == 0,
+        "camera_height_m": np.where(n % 5, 0.6, np.nan),
+        "camera_pitch_rad": np.where(n % 5, 0.3, np.nan),
+        "camera_roll_rad": np.where(n % 5, -0.1, np.nan),
+    }
+
+
+def obstacle_rows(start: int, stop: int) -> dict:
+    n = np.arange(start, stop)
+    rows: dict = {name: n.astype(np.float32) for name in OBSTACLES_SCHEMA.names}
+    for name in ("obstacle", "num_points", "u_min", "u_max", "v_min", "v_max"):
+        rows[name] = n.astype(np.int32)
+    corners = np.repeat(n[:, None], 8, axis=1).astype(np.float32)
+    world = np.where(n[:, None] % 2, corners, np.nan)
+    rows |= {"log": np.full(n.size, "a", object), "frame": n, "stamp_ns": n}
+    return rows | {
+        "vertices": (n % 2).astype(np.int8),
+        "corners_ground": corners,
+        "corners_world": world,
+    }
+
+
+def write(folder: Path, batch: int, rows: int = 50, **kwargs: bool) -> None:
+    with ResultWriter(folder, **kwargs) as writer:
+        for start in range(0, rows, batch):
+            stop = min(start + batch, rows)
+            writer.add(frame_rows(start, stop), obstacle_rows(start, stop))
+        writer.commit({"a": 1}, {"b": "é"})
+
+
+def test_round_trip_with_nulls(tmp_path: Path) -> None:
+    write(tmp_path, 7)
+    frames = pq.read_table(tmp_path / "frames.parquet", page_checksum_verification=True)
+    obstacles = pq.read_table(tmp_path / "obstacles.parquet", page_checksum_verification=True)
+    assert frames.schema.equals(FRAMES_SCHEMA)
+    assert obstacles.schema.equals(OBSTACLES_SCHEMA)
+    assert frames["depth_stamp_ns"].to_pylist()[:4] == [None, 10, None, 30]
+    assert frames["camera_height_m"].to_pylist()[:2] == [None, pytest.approx(0.6)]
+    assert obstacles["corners_world"].to_pylist()[:2] == [None, [1.0] * 8]
+    assert obstacles["corners_ground"].to_pylist()[2] == [2.0] * 8
+    assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == {"b": "é"}
+
+
+def test_bytes_do_not_depend_on_the_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "ROWS_PER_GROUP", 16)
+    for batch in (1, 7, 16, 50):
+        write(tmp_path / str(batch), batch)
+    for name in ("frames.parquet", "obstacles.parquet"):
+        assert len({(tmp_path / str(b) / name).read_bytes() for b in (1, 7, 16, 50)}) == 1
+        assert pq.ParquetFile(tmp_path / "1" / name).num_row_groups == 4
+
+
+def test_no_rows_still_give_tables(tmp_path: Path) -> None:
+    write(tmp_path, 5, rows=0)
+    assert pq.read_table(tmp_path / "obstacles.parquet").num_rows == 0
+
+
+def test_existing_results_are_refused(tmp_path: Path) -> None:
+    write(tmp_path, 7)
+    (tmp_path / "pictures").mkdir()
+    stale = tmp_path / "pictures" / "old.png"
+    stale.write_bytes(b"")
+    with pytest.raises(ConfigError, match="--overwrite"):
+        ResultWriter(tmp_path)
+    write(tmp_path, 7, overwrite=True)
+    assert not stale.exists()
+
+
+def test_an_error_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), ResultWriter(tmp_path) as writer:
+        writer.path("pictures/a.png").write_bytes(b"")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_that_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "f").write_bytes(b"")
+    with pytest.raises(ConfigError, match="is a file"):
+        ResultWriter(tmp_path / "f")
