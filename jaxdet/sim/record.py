@@ -1,0 +1,121 @@
+"""Writing a simulated log: topics and frames as ``realsense2_camera`` 4.x names them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxdet.io.writer import Ros2LogWriter, Transform
+from jaxdet.sim.config import SimConfig, calibration_of
+from jaxdet.sim.frames import SimFrame, simulate_frame
+from jaxdet.sim.robot import OPTICAL, WHEEL_RADIUS_M, drifted, mount, pose_at, velocity_at
+from jaxdet.sim.scene import Scene
+from jaxdet.sim.scenes import load_scene
+from jaxdet.sim.truth import Truth, TruthWriter, truth_path
+from jaxdet.types import Calibration, Intrinsics
+
+NAMESPACE = "/camera/camera"
+COLOR_FRAME = "camera_color_optical_frame"
+DEPTH_FRAME = "camera_depth_optical_frame"
+
+
+def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
+    """Simulate a log and write it as a ROS 2 MCAP file, with its truth beside it.
+
+    Args:
+        path: The log; the truth goes to ``<path>.truth.npz`` (:mod:`jaxdet.sim.truth`).
+        config: What to simulate.
+
+    Returns:
+        The truth.
+
+    Raises:
+        ConfigError: The scene is not known.
+        InputError: The scene's file can't be read.
+    """
+    config = config or SimConfig()
+    scene, calibration = load_scene(config.scene), calibration_of(config)
+    truth = TruthWriter(truth_path(path), config, scene)
+    with Ros2LogWriter(path, config.compression) as writer:
+        _write_static(writer, config, calibration)
+        odometry = _odometry_times(config)
+        for index in range(config.frames):
+            frame = simulate_frame(config, scene, index)
+            while odometry and odometry[0] <= index / config.rate_hz:
+                _write_odometry(writer, config, scene, odometry.pop(0))
+            _write_frame(writer, config, calibration, frame)
+            truth.add(frame)
+        for time_s in odometry:
+            _write_odometry(writer, config, scene, time_s)
+    return truth.finish()
+
+
+def _odometry_times(config: SimConfig) -> list[float]:
+    """Times from before the first frame to after the last, off the frames' beat."""
+    if config.odometry_hz == 0:
+        return []
+    step = 1 / config.odometry_hz
+    end = (config.frames - 1) / config.rate_hz + max(config.depth_delay_s, 0.0) + step
+    return [*np.arange(-0.3 * step, end, step).tolist()]
+
+
+def _write_odometry(writer: Ros2LogWriter, config: SimConfig, scene: Scene, time_s: float) -> None:
+    stamp_ns = config.start_ns + round(time_s * 1e9)
+    pose = drifted(pose_at(scene.path, time_s), config.odometry_drift)
+    transform = Transform("odom", "base_footprint", pose.T)
+    writer.write_odometry("/odom", stamp_ns, transform, velocity_at(scene.path, time_s))
+    writer.write_transforms(stamp_ns, [transform])
+
+
+def static_transforms(config: SimConfig, calibration: Calibration) -> list[Transform]:
+    """The frames that don't move: the driver's, and above them the mount's if it is told."""
+    optical = np.eye(4)
+    optical[:3, :3] = OPTICAL
+    assert calibration.color_from_depth is not None
+    T_depth_color = np.linalg.inv(calibration.color_from_depth.T)
+    tree = [Transform("camera_link", "camera_depth_frame", np.eye(4))]
+    tree += [Transform("camera_depth_frame", DEPTH_FRAME, optical)]
+    tree += [Transform("camera_color_frame", COLOR_FRAME, optical)]
+    if config.extrinsics in ("tf", "both"):
+        T_link_color = optical @ T_depth_color @ np.linalg.inv(optical)
+        tree.append(Transform("camera_link", "camera_color_frame", T_link_color))
+    if config.mount_tf:
+        height, pitch, roll = (
+            config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad,
+        )  # fmt: skip
+        base = np.eye(4)
+        base[2, 3] = WHEEL_RADIUS_M
+        T_foot_color = mount(height, pitch, roll)
+        T_foot_link = T_foot_color @ np.linalg.inv(optical @ T_depth_color)
+        tree.append(Transform("base_footprint", "base_link", base))
+        tree.append(Transform("base_link", "camera_link", np.linalg.inv(base) @ T_foot_link))
+    return tree
+
+
+def _write_static(writer: Ros2LogWriter, config: SimConfig, calibration: Calibration) -> None:
+    writer.write_transforms(config.start_ns, static_transforms(config, calibration), static=True)
+    if config.extrinsics in ("topic", "both") and calibration.color_from_depth is not None:
+        topic = f"{NAMESPACE}/extrinsics/depth_to_color"
+        writer.write_extrinsics(topic, config.start_ns, calibration.color_from_depth)
+
+
+def _write_frame(
+    writer: Ros2LogWriter, config: SimConfig, calibration: Calibration, frame: SimFrame
+) -> None:
+    def put(
+        name: str, stamp_ns: int, frame_id: str, camera: Intrinsics, image: np.ndarray, form: str
+    ) -> None:
+        topic = f"{NAMESPACE}/{name}"
+        info = f"{topic.rpartition('/')[0]}/camera_info"
+        writer.write_image(topic, stamp_ns, frame_id, image, form)
+        writer.write_camera_info(info, stamp_ns, frame_id, camera)
+
+    stamp, delayed = frame.stamp_ns, frame.depth_stamp_ns
+    put("color/image_raw", stamp, COLOR_FRAME, calibration.color, frame.color, "rgb8")
+    if frame.depth is not None and calibration.depth is not None:
+        metres = config.depth_form == "metres"
+        image = frame.depth * np.float32(0.001) if metres else frame.depth
+        form = "32FC1" if metres else "16UC1"
+        put("depth/image_rect_raw", delayed, DEPTH_FRAME, calibration.depth, image, form)
+    if frame.aligned is not None:
+        name = "aligned_depth_to_color/image_raw"
+        put(name, delayed, COLOR_FRAME, calibration.color, frame.aligned, "16UC1")
