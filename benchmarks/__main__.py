@@ -51,10 +51,11 @@ def main(
         json_file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if gate is None:
         return 0
-    worse = regressions(metrics, [Metric(**row) for row in json.loads(gate.read_text("utf-8"))])
+    baseline = [Metric(**row) for row in json.loads(gate.read_text("utf-8"))]
+    worse = regressions(metrics, [old for old in baseline if old.key.split(".")[0] in only])
     print("\n".join(worse) or "gate: passed")
     return int(bool(worse))
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    sys.exit(tyro.cli(main, prog="python -m benchmarks"))

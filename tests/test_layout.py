@@ -69,7 +69,7 @@ def test_each_stage_has_its_files_config_and_exports() -> None:
 
 def test_a_missing_stage_file_is_found(tmp_path: Path) -> None:
     for top in ("jaxdet", "kernels", "tests", "benchmarks"):
-        skip = shutil.ignore_patterns("__pycache__", "data", "golden")
+        skip = shutil.ignore_patterns("__pycache__", "goldens")
         shutil.copytree(ROOT / top, tmp_path / top, ignore=skip)
     for lost in [file for stage in STAGES for file in stage_files(stage)]:
         (tmp_path / lost).rename(tmp_path / "lost")

@@ -1,0 +1,94 @@
+"""What the stages are timed on: the simulator's demo room, seen by a D435-like camera."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet import reference
+from jaxdet.config import Config
+from jaxdet.plane import repeat_plane
+from jaxdet.sim.render import render
+from jaxdet.sim.scenes import load_scene
+from jaxdet.sim.sensor import DepthSensor, expose_color, measure_depth
+from jaxdet.types import (
+    AlignedDepth,
+    Array,
+    Calibration,
+    Extrinsics,
+    Features,
+    GroundPlane,
+    Intrinsics,
+    Labels,
+)
+
+BATCH = 8
+HEIGHT_M = 0.35
+PITCH_RAD = 0.15
+BASELINE_M = 0.015
+CONFIG = Config()
+CALIBRATIONS = {
+    "640x480": Calibration(
+        Intrinsics(640, 480, 610.0, 610.0, 319.5, 239.5),
+        Intrinsics(640, 480, 380.0, 380.0, 319.5, 239.5),
+        Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
+    ),
+    "1280x720": Calibration(
+        Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
+        Intrinsics(848, 480, 422.0, 422.0, 423.5, 239.5),
+        Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
+    ),
+}
+"""By the colour image's size."""
+
+
+class Inputs(NamedTuple):
+    """What each stage gets, by the reference."""
+
+    calibration: Calibration
+    color: np.ndarray
+    depth: np.ndarray
+    plane: GroundPlane
+    aligned: AlignedDepth
+    keep: Array
+    features: Features
+    labels: Labels
+
+
+def _pose(x: float, right: float) -> np.ndarray:
+    """``T_world_camera`` ``(4, 4)`` of a camera that looks along x, slightly down."""
+    sin, cos = np.sin(PITCH_RAD), np.cos(PITCH_RAD)
+    T = np.eye(4)
+    T[:3, :3] = [[0.0, -sin, cos], [-1.0, 0.0, 0.0], [0.0, -cos, -sin]]
+    T[:3, 3] = x, -right, HEIGHT_M
+    return T
+
+
+@cache
+def inputs(size: str) -> Inputs:
+    """The inputs of all stages for a batch of ``BATCH`` frames, a few centimetres apart.
+
+    Args:
+        size: A key of ``CALIBRATIONS``.
+
+    Returns:
+        NumPy arrays; the same on every machine and at every call.
+    """
+    calibration = CALIBRATIONS[size]
+    assert calibration.depth is not None
+    room, rng = load_scene("demo"), np.random.default_rng(0)
+    color, depth = [], []
+    for frame in range(BATCH):
+        # T_color_depth shifts points to the right, so the colour camera sits to the left.
+        ideal = render(room, calibration.color, _pose(0.05 * frame, -BASELINE_M))
+        color.append(expose_color(ideal.color, rng))
+        z = render(room, calibration.depth, _pose(0.05 * frame, 0.0)).depth
+        depth.append(measure_depth(z, calibration.depth, DepthSensor(), rng))
+    one = GroundPlane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0, True)))
+    plane = repeat_plane(one, BATCH)
+    colors, depths = np.stack(color), np.stack(depth)
+    aligned = reference.align(depths, calibration)
+    keep = reference.ground(aligned, plane, calibration, CONFIG)
+    features = reference.features(colors, aligned, keep, calibration, CONFIG.features)
+    labels = reference.cluster(features, calibration.depth_unit, CONFIG)
+    return Inputs(calibration, colors, depths, plane, aligned, keep, features, labels)
