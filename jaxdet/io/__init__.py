@@ -1,0 +1,1 @@
+"""Logs of depth cameras: MCAP files to arrays, and arrays to files."""

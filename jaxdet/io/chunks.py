@@ -1,0 +1,121 @@
+"""Chunks of an MCAP file: decompression within bounds, and the records inside.
+
+``mcap``'s own chunk reader trusts declared sizes and returns short data for a message that
+overruns its chunk; here every length is checked before it is used.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.opcode import Opcode
+
+RECORD_HEAD = struct.Struct("<BQ")
+"""Opcode and length, before every record."""
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Channel, sequence, log time [ns], publish time [ns]; the payload follows."""
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_MAX_ODD_RECORDS = 1000
+
+
+class DamageError(Exception):
+    """A part of a file can't be used; the text says why."""
+
+
+class ChunkHead(NamedTuple):
+    """What a chunk record says of itself; none of it is checked yet."""
+
+    start_ns: int
+    """Log time of its first message."""
+    end_ns: int
+    uncompressed_size: int
+    crc: int
+    """0 = none."""
+    compression: str
+    data_offset: int
+    """Where its data begin, from the start of the record's content."""
+    data_size: int
+
+
+class Record(NamedTuple):
+    """A record inside a chunk."""
+
+    opcode: int
+    offset: int
+    """Where its content begins in the decompressed chunk."""
+    size: int
+
+
+def read_chunk_head(content: bytes, length: int) -> ChunkHead:
+    """The head of a chunk record whose content is ``length`` bytes long and begins so.
+
+    Raises:
+        DamageError: It doesn't fit.
+    """
+    try:
+        start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(content)
+        if name_size > 64:
+            raise DamageError("chunk head is damaged")
+        offset = _CHUNK_HEAD.size + name_size
+        name = content[_CHUNK_HEAD.size : offset].decode("utf-8", "replace")
+        (data_size,) = struct.unpack_from("<Q", content, offset)
+    except struct.error as error:
+        raise DamageError("chunk head is damaged") from error
+    offset += 8
+    if offset + data_size > length:
+        raise DamageError("chunk data overrun the chunk")
+    return ChunkHead(start, end, size, crc, name, offset, data_size)
+
+
+def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
+    """The records of a chunk, at most ``max_bytes``, checked against its CRC where it has one.
+
+    Raises:
+        DamageError: Unknown compression, a size other than declared, or a wrong CRC.
+    """
+    if max(head.uncompressed_size, head.data_size) > max_bytes:
+        raise DamageError("chunk is larger than --log.max-chunk-mib")
+    size = head.uncompressed_size
+    try:
+        if head.compression == "zstd":
+            reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
+            records = reader.read(size + 1)
+        elif head.compression == "lz4":
+            records = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        elif head.compression in ("", "none"):
+            records = data
+        else:
+            raise DamageError(f"chunk compression {head.compression!a} is unknown")
+    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as error:
+        raise DamageError("chunk can't be decompressed") from error
+    if len(records) != size:
+        raise DamageError("chunk has another size than declared")
+    if head.crc and zlib.crc32(records) != head.crc:
+        raise DamageError("chunk has a wrong CRC")
+    return records
+
+
+def chunk_records(records: bytes) -> Iterator[Record]:
+    """The records of a decompressed chunk in order.
+
+    Raises:
+        DamageError: A record overruns the chunk or can't be one; those before it are good.
+    """
+    position, odd = 0, 0
+    while position < len(records):
+        if position + RECORD_HEAD.size > len(records):
+            raise DamageError("chunk ends inside a record")
+        opcode, size = RECORD_HEAD.unpack_from(records, position)
+        position += RECORD_HEAD.size
+        if position + size > len(records):
+            raise DamageError("message is longer than its chunk")
+        useful = opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA)
+        odd += not useful or size == 0
+        if opcode == 0 or odd > _MAX_ODD_RECORDS:
+            raise DamageError("chunk holds what is no record")
+        if useful:
+            yield Record(opcode, position, size)
+        position += size

@@ -1,0 +1,113 @@
+"""CDR, protobuf and JSON to the messages of :mod:`jaxdet.io.messages`.
+
+All three are decoded by the schema that stands in the log, never by offsets known beforehand.
+"""
+
+import json
+import re
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from mcap.records import Schema
+from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
+from mcap_ros2.decoder import DecoderFactory as Ros2Factory
+
+from jaxdet.errors import FrameError, FrameStatus
+from jaxdet.io.message_fields import nanoseconds, parse
+from jaxdet.io.messages import Kind, Message, kind_of, plain_schema_name
+from jaxdet.io.scan import ChannelInfo
+
+_HEADER_FIRST = re.compile(r"\s*std_msgs/(msg/)?Header\s+header\s*")
+_STAMP_FIRST = re.compile(r"\s*builtin_interfaces/(msg/)?Time\s+stamp\s*")
+
+
+class MessageDecoder:
+    """Decodes the messages of one channel.
+
+    Raises:
+        ValueError: The encoding or the schema is not supported; the text says which.
+    """
+
+    def __init__(self, channel: ChannelInfo) -> None:
+        kind = kind_of(channel.schema_name)
+        if kind is None:
+            raise ValueError(f"schema {channel.schema_name!r} is of no use here")
+        self.kind: Kind = kind
+        self._name = plain_schema_name(channel.schema_name)
+        self._raw = _raw_decoder(channel)
+        self._peek = channel.message_encoding == "cdr" and _stamp_leads(channel.schema_text)
+
+    def decode(self, payload: bytes | memoryview) -> Message:
+        """The message in a payload.
+
+        Raises:
+            FrameError: It can't be decoded.
+        """
+        try:
+            return parse(self.kind, self._raw(bytes(payload)), self._name)
+        except MemoryError:
+            raise
+        except Exception as error:  # the decoders raise what they like
+            problem = f"{self.kind.value} message can't be decoded ({_short(error)})"
+            raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
+
+    def stamp_ns(self, payload: memoryview) -> int:
+        """The header stamp [ns], by the schema's first field where that is the header.
+
+        Raises:
+            FrameError: It can't be decoded.
+        """
+        if self._peek and len(payload) >= 12 and payload[1] in (0, 1):
+            order = "little" if payload[1] else "big"
+            sec = int.from_bytes(payload[4:8], order, signed=True)
+            return nanoseconds(sec, int.from_bytes(payload[8:12], order))
+        return int(getattr(self.decode(payload), "stamp_ns", 0))
+
+
+def _short(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text[:120]}" if text else type(error).__name__
+
+
+def _raw_decoder(channel: ChannelInfo) -> Callable[[bytes], Any]:
+    if channel.message_encoding == "json":
+        return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
+    schema = Schema(
+        id=1,
+        data=channel.schema_data,
+        encoding=channel.schema_encoding,
+        name=channel.schema_name,
+    )
+    factories = {"cdr": Ros2Factory, "protobuf": ProtobufFactory}
+    decode = None
+    try:
+        if channel.message_encoding in factories:
+            decode = factories[channel.message_encoding]().decoder_for(
+                channel.message_encoding, schema
+            )
+    except Exception as error:  # parsers of foreign text raise what they like
+        raise ValueError(f"its schema can't be read ({_short(error)})") from error
+    if decode is None:
+        what = f"{channel.message_encoding} with {channel.schema_encoding} schema"
+        raise ValueError(
+            f"encoding {what} is not supported (only cdr with ros2msg, protobuf, json)"
+        )
+    return decode
+
+
+def _stamp_leads(schema_text: str) -> bool:
+    """Whether the definition begins with a header that begins with its stamp."""
+    sections = re.split(r"^=+\s*$", schema_text, flags=re.MULTILINE)
+    if not _HEADER_FIRST.fullmatch(_first_field(sections[0])):
+        return False
+    for section in sections[1:]:
+        name, _, body = section.strip().partition("\n")
+        if re.fullmatch(r"MSG:\s+std_msgs/(msg/)?Header\s*", name):
+            return bool(_STAMP_FIRST.fullmatch(_first_field(body)))
+    return False
+
+
+def _first_field(definition: str) -> str:
+    lines = (line.partition("#")[0].strip() for line in definition.splitlines())
+    return next((line for line in lines if line), "")

@@ -1,0 +1,60 @@
+"""What a file's own checks say about it."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+
+class FileIntegrity(NamedTuple):
+    """What was read of a file, and what was lost."""
+
+    path: Path
+    messages: int
+    """Messages read."""
+    declared_messages: int | None
+    """Messages the file's statistics speak of; None without."""
+    chunks: int
+    chunks_with_crc: int
+    has_end: bool
+    """Whether the data end and the file's closing magic are there."""
+    lost: dict[str, int]
+    """How many records or chunks were rejected, by reason."""
+    lost_bytes: int
+    lost_spans_ns: tuple[tuple[int, int], ...]
+    """Log times of the rejected chunks, by their own word."""
+    last_log_time_ns: int
+    """Of the messages read."""
+
+    @property
+    def recovered(self) -> bool:
+        """Whether something is missing."""
+        declared = self.declared_messages
+        return bool(self.lost) or not self.has_end or declared not in (None, self.messages)
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        crc = f"CRC checked in {self.chunks_with_crc} of {self.chunks} chunks"
+        if not self.recovered:
+            return crc if self.chunks_with_crc else "not checkable (no CRC in file)"
+        parts = [f"{self.messages} messages"]
+        if self.declared_messages not in (None, self.messages):
+            parts[0] += f" of the {self.declared_messages} declared"
+        if self.lost:
+            reasons = ", ".join(f"{reason} ({count})" for reason, count in self.lost.items())
+            parts.append(f"{self.lost_bytes} bytes lost: {reasons}")
+        for start, end in self.lost_spans_ns[:3]:
+            parts.append(f"log time {_utc(start)} to {_utc(end)} lost")
+        if not self.has_end:
+            parts.append(f"no end of file; data up to {_utc(self.last_log_time_ns)}")
+        parts.append(crc if self.chunks_with_crc else "not checkable (no CRC in file)")
+        return "recovered: " + "; ".join(parts)
+
+
+def _utc(stamp_ns: int) -> str:
+    whole, rest = divmod(stamp_ns, 1_000_000_000)
+    try:
+        text = datetime.fromtimestamp(whole, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    except (OverflowError, ValueError, OSError):
+        return f"{stamp_ns} ns"
+    return f"{text}.{rest // 1_000_000:03d}Z"

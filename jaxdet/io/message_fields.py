@@ -1,0 +1,171 @@
+"""From the fields of ROS 2 and Foxglove messages to the messages of :mod:`jaxdet.io.messages`.
+
+The two families name their fields differently; what was a CDR, protobuf or JSON message comes
+here as an object with attributes.
+"""
+
+import base64
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from jaxdet.errors import FrameError, FrameStatus
+from jaxdet.io.messages import (
+    CameraInfoMessage,
+    CompressedImageMessage,
+    ExtrinsicsMessage,
+    ImageMessage,
+    Kind,
+    Message,
+    RgbdMessage,
+    TransformMessage,
+)
+
+_MAX_STAMP_S = 9_000_000_000
+
+
+def nanoseconds(sec: int, nanosec: int) -> int:
+    """A stamp in nanoseconds.
+
+    Raises:
+        FrameError: It is negative or beyond what int64 nanoseconds hold.
+    """
+    if not (0 <= sec <= _MAX_STAMP_S and 0 <= nanosec < 1 << 32):
+        raise FrameError("header stamp is out of range", status=FrameStatus.DECODE_ERROR)
+    return sec * 1_000_000_000 + nanosec
+
+
+def parse(kind: Kind, message: Any, schema_name: str) -> Message:
+    """The message of ours in a decoded ROS 2 or Foxglove message.
+
+    Args:
+        kind: What the schema holds.
+        message: An object with the schema's fields as attributes.
+        schema_name: As :func:`jaxdet.io.messages.plain_schema_name` gives it.
+
+    Raises:
+        Exception: A field is missing or has another type.
+    """
+    return _PARSE[kind](message, schema_name)
+
+
+def _head(message: Any) -> tuple[int, str]:
+    """Stamp [ns] and frame of a ROS header, a Foxglove protobuf or a Foxglove JSON message."""
+    if hasattr(message, "header"):
+        stamp = message.header.stamp
+        return nanoseconds(stamp.sec, stamp.nanosec), message.header.frame_id.lstrip("/")
+    stamp = message.timestamp
+    if hasattr(stamp, "seconds"):
+        ns = nanoseconds(stamp.seconds, stamp.nanos)
+    else:
+        ns = nanoseconds(int(stamp.sec), int(stamp.nsec))
+    return ns, getattr(message, "frame_id", "").lstrip("/")
+
+
+def _bytes(data: Any) -> bytes:
+    return base64.b64decode(data, validate=True) if isinstance(data, str) else bytes(data)
+
+
+def _image(message: Any, name: str) -> ImageMessage:
+    stamp, frame = _head(message)
+    return ImageMessage(
+        stamp,
+        frame,
+        int(message.width),
+        int(message.height),
+        str(message.encoding),
+        int(message.step),
+        bool(getattr(message, "is_bigendian", 0)),
+        _bytes(message.data),
+    )
+
+
+def _compressed(message: Any, name: str) -> CompressedImageMessage:
+    return CompressedImageMessage(*_head(message), str(message.format), _bytes(message.data))
+
+
+def _info(message: Any, name: str) -> CameraInfoMessage:
+    stamp, frame = _head(message)
+    lower = hasattr(message, "k")
+    D, K, P = (
+        tuple(float(value) for value in getattr(message, key.lower() if lower else key, ()))
+        for key in "DKP"
+    )
+    size = int(message.width), int(message.height)
+    return CameraInfoMessage(stamp, frame, *size, str(message.distortion_model), D, K, P)
+
+
+def _rgbd(message: Any, name: str) -> RgbdMessage:
+    return RgbdMessage(
+        _head(message)[0],
+        _image(message.rgb, name),
+        _image(message.depth, name),
+        _info(message.rgb_camera_info, name),
+        _info(message.depth_camera_info, name),
+    )
+
+
+def _motion(stamp: int, parent: str, child: str, t: Any, q: Any) -> TransformMessage:
+    translation = np.array([t.x, t.y, t.z], np.float64)
+    rotation = np.array([q.x, q.y, q.z, q.w], np.float64)
+    norm = float(np.linalg.norm(rotation))
+    if not (np.isfinite(translation).all() and 0.5 < norm < 2.0):
+        raise ValueError("pose is not a rigid motion")
+    tx, ty, tz = (float(value) for value in translation)
+    qx, qy, qz, qw = (float(value) for value in rotation / norm)
+    return TransformMessage(stamp, parent, child, (tx, ty, tz), (qx, qy, qz, qw))
+
+
+def _transforms(message: Any, name: str) -> tuple[TransformMessage, ...]:
+    if not name.startswith("foxglove."):
+        return tuple(
+            _motion(
+                *_head(item),
+                item.child_frame_id.lstrip("/"),
+                item.transform.translation,
+                item.transform.rotation,
+            )
+            for item in message.transforms
+        )
+    items: Iterable[Any] = message.transforms if name.endswith("FrameTransforms") else [message]
+    return tuple(
+        _motion(
+            _head(item)[0],
+            item.parent_frame_id.lstrip("/"),
+            item.child_frame_id.lstrip("/"),
+            item.translation,
+            item.rotation,
+        )
+        for item in items
+    )
+
+
+def _odometry(message: Any, name: str) -> tuple[TransformMessage, ...]:
+    pose = message.pose.pose
+    child = message.child_frame_id.lstrip("/")
+    return (_motion(*_head(message), child, pose.position, pose.orientation),)
+
+
+def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
+    return (_motion(*_head(message), "", message.pose.position, message.pose.orientation),)
+
+
+def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
+    rotation = np.array(message.rotation, np.float64).reshape(3, 3).T
+    x, y, z = (float(value) for value in message.translation)
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        raise ValueError("rotation is not orthonormal")
+    return ExtrinsicsMessage(rotation, (x, y, z))
+
+
+_PARSE: dict[Kind, Callable[[Any, str], Message]] = {
+    Kind.IMAGE: _image,
+    Kind.COMPRESSED: _compressed,
+    Kind.RGBD: _rgbd,
+    Kind.INFO: _info,
+    Kind.TRANSFORM: _transforms,
+    Kind.ODOMETRY: _odometry,
+    Kind.POSE: _pose,
+    Kind.EXTRINSICS: _extrinsics,
+}

@@ -1,0 +1,131 @@
+"""The few messages the program understands, whatever they were written with."""
+
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Kind(Enum):
+    """What a schema holds."""
+
+    IMAGE = "image"
+    COMPRESSED = "compressed image"
+    RGBD = "colour and depth image"
+    INFO = "camera calibration"
+    TRANSFORM = "transforms"
+    ODOMETRY = "odometry"
+    POSE = "pose"
+    EXTRINSICS = "extrinsics"
+
+
+IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED, Kind.RGBD)
+
+_KINDS = {
+    "sensor_msgs/Image": Kind.IMAGE,
+    "foxglove.RawImage": Kind.IMAGE,
+    "sensor_msgs/CompressedImage": Kind.COMPRESSED,
+    "foxglove.CompressedImage": Kind.COMPRESSED,
+    "realsense2_camera_msgs/RGBD": Kind.RGBD,
+    "sensor_msgs/CameraInfo": Kind.INFO,
+    "foxglove.CameraCalibration": Kind.INFO,
+    "tf2_msgs/TFMessage": Kind.TRANSFORM,
+    "foxglove.FrameTransform": Kind.TRANSFORM,
+    "foxglove.FrameTransforms": Kind.TRANSFORM,
+    "nav_msgs/Odometry": Kind.ODOMETRY,
+    "geometry_msgs/PoseStamped": Kind.POSE,
+    "foxglove.PoseInFrame": Kind.POSE,
+    "realsense2_camera_msgs/Extrinsics": Kind.EXTRINSICS,
+}
+
+
+def plain_schema_name(name: str) -> str:
+    """A schema's name without ROS 2's ``/msg/``; Foxglove's ROS package counts as Foxglove."""
+    plain = name.replace("/msg/", "/")
+    return plain.replace("foxglove_msgs/", "foxglove.", 1)
+
+
+def kind_of(schema_name: str) -> Kind | None:
+    """What a schema of this name holds; None when it is of no use here."""
+    return _KINDS.get(plain_schema_name(schema_name))
+
+
+class ImageMessage(NamedTuple):
+    """An image as rows of bytes."""
+
+    stamp_ns: int
+    frame_id: str
+    width: int
+    height: int
+    encoding: str
+    step: int
+    """Bytes in a row, padding included."""
+    big_endian: bool
+    data: bytes
+
+
+class CompressedImageMessage(NamedTuple):
+    """An image in a file format (JPEG, PNG, ROS's compressedDepth)."""
+
+    stamp_ns: int
+    frame_id: str
+    format: str
+    data: bytes
+
+
+class CameraInfoMessage(NamedTuple):
+    """A camera's calibration as it stands in the log."""
+
+    stamp_ns: int
+    frame_id: str
+    width: int
+    height: int
+    model: str
+    D: tuple[float, ...]
+    K: tuple[float, ...]
+    """Nine numbers, row-major."""
+    P: tuple[float, ...]
+    """Twelve numbers, row-major: the projection of the rectified image; may be empty."""
+
+
+class RgbdMessage(NamedTuple):
+    """Colour, depth and both calibrations in one message."""
+
+    stamp_ns: int
+    color: ImageMessage
+    depth: ImageMessage
+    color_info: CameraInfoMessage
+    depth_info: CameraInfoMessage
+
+
+class TransformMessage(NamedTuple):
+    """``T_parent_child`` at a time; also a robot's pose (child in parent)."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    """Empty where the message doesn't say what the pose is of."""
+    translation: tuple[float, float, float]
+    """Metres."""
+    rotation: tuple[float, float, float, float]
+    """Unit quaternion x y z w."""
+
+
+class ExtrinsicsMessage(NamedTuple):
+    """RealSense's ``depth_to_color``: takes depth-camera points to the colour camera."""
+
+    rotation: np.ndarray
+    """``(3, 3)`` float64 (column-major in the message)."""
+    translation: tuple[float, float, float]
+    """Metres."""
+
+
+Message = (
+    ImageMessage
+    | CompressedImageMessage
+    | CameraInfoMessage
+    | RgbdMessage
+    | ExtrinsicsMessage
+    | tuple[TransformMessage, ...]
+)
+"""What :class:`jaxdet.io.decode_messages.MessageDecoder` returns."""

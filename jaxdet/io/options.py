@@ -1,0 +1,76 @@
+"""What a user can say about a log; every field is a flag ``--log.*`` and a TOML key."""
+
+from dataclasses import dataclass
+
+from jaxdet.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """How to read a log. Everything is found in the log itself unless it is given here."""
+
+    color: str | None = None
+    """Topic of the colour images; unset: found by schema, encoding and name."""
+    depth: str | None = None
+    """Topic of the depth images; unset: found likewise, aligned depth preferred."""
+    color_info: str | None = None
+    """Topic of the colour camera's calibration; unset: the one beside the colour images."""
+    depth_info: str | None = None
+    """Topic of the depth camera's calibration; unset: the one beside the depth images."""
+    tf: bool = True
+    """Use the log's transforms (extrinsics, floor, poses)."""
+    odom: str | None = None
+    """Topic with the robot's pose (Odometry, PoseStamped, PoseInFrame); unset: TF, else the
+    only Odometry or PoseInFrame topic."""
+    pair_tolerance_s: float = 0.15
+    """Greatest difference of the header stamps of a colour and its depth frame [s]. Pairs are
+    mutual nearest neighbours, so a generous tolerance doesn't pair the wrong ones; 0.15 s
+    allows for the long exposures of a dim room (0.10 s on a real D435)."""
+    depth_unit_m: float | None = None
+    """Metres in one unit of a 16-bit depth image; unset: 0.001. 32FC1 is in metres always and
+    is rounded to this unit."""
+    color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
+    """T_color_depth as tx ty tz qx qy qz qw [m]: takes depth-camera points to the colour
+    camera; goes before what the log says."""
+    color_intrinsics: tuple[float, float, float, float] | None = None
+    """fx fy cx cy of the colour camera [pixel]; goes before what the log says."""
+    depth_intrinsics: tuple[float, float, float, float] | None = None
+    """fx fy cx cy of the depth camera [pixel]; goes before what the log says."""
+    color_distortion: str | None = None
+    """Lens model of the colour camera: none, plumb_bob, rational_polynomial, equidistant,
+    inverse_brown_conrady; the coefficients are the log's."""
+    depth_distortion: str | None = None
+    """Lens model of the depth camera, one of the same names."""
+    depth_aligned: bool | None = None
+    """Whether the depth images are aligned to colour; unset: by topic name, frame and
+    calibration."""
+    camera_frame: str | None = None
+    """TF frame of the colour camera (optical); unset: the one in the colour image's header."""
+    base_frame: str | None = None
+    """TF frame of the robot, whose z = 0 is the floor; unset: base_footprint, else base_link."""
+    world_frame: str | None = None
+    """TF frame of the world; unset: map, else odom."""
+    max_chunk_mib: int = 256
+    """Largest chunk or message read [MiB], before and after decompression; larger ones are
+    rejected, which bounds memory and stops decompression bombs."""
+    max_pixels: int = 1 << 25
+    """Largest image decoded [pixel]; a larger one is a bad frame."""
+
+    def __post_init__(self) -> None:
+        _require(0 <= self.pair_tolerance_s < 1e6, "pair-tolerance-s", "at least 0")
+        unit = self.depth_unit_m
+        _require(unit is None or 0 < unit < 1, "depth-unit-m", "between 0 and 1 m")
+        _require(1 <= self.max_chunk_mib <= 1 << 20, "max-chunk-mib", "at least 1")
+        _require(self.max_pixels >= 1, "max-pixels", "at least 1")
+        for name in ("color_intrinsics", "depth_intrinsics"):
+            value = getattr(self, name)
+            flag = name.replace("_", "-")
+            _require(value is None or min(value[:2]) > 0, flag, "fx fy cx cy with fx, fy above 0")
+        rotation = self.color_from_depth[3:] if self.color_from_depth else (0, 0, 0, 1)
+        norm = sum(part * part for part in rotation)
+        _require(0.98 < norm < 1.02, "color-from-depth", "tx ty tz qx qy qz qw, a unit quaternion")
+
+
+def _require(condition: bool, flag: str, rule: str) -> None:
+    if not condition:
+        raise ConfigError(f"log.{flag} must be {rule}", remedy=f"see --log.{flag} in --help")
