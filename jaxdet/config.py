@@ -1,0 +1,177 @@
+"""Configuration: one frozen dataclass for each stage, and presets.
+
+Every field is a command-line flag (``--cluster.depth-gap-m``) and a TOML key
+(``[cluster] depth_gap_m``). All are hashable, so JAX can take them as static arguments.
+"""
+
+from dataclasses import dataclass, field, replace
+
+from jaxdet.errors import ConfigError
+
+STAGES = ("align", "ground", "features", "cluster", "footprint")
+"""The names of the stages, in order; one name for a stage everywhere."""
+
+
+def _require(condition: bool, field_name: str, rule: str) -> None:
+    if not condition:
+        raise ConfigError(f"{field_name} must be {rule}", remedy=f"see --{field_name} in --help")
+
+
+@dataclass(frozen=True)
+class AlignConfig:
+    """Depth to colour (Eq. 1-4). The rule has no free parameters beside the calibration."""
+
+
+@dataclass(frozen=True)
+class GroundConfig:
+    """Range and floor (Section 3.3, Eq. 5)."""
+
+    min_depth_m: float = 0.15
+    """Nearest depth used [m]."""
+    max_depth_m: float = 4.0
+    """Farthest depth used [m]."""
+    step_height_m: float = 0.05
+    """What the wheels can climb [m]: lower points are floor."""
+    camera_height_m: float | None = None
+    """Optical centre above the floor [m]; unset: from the log's TF, else estimated."""
+    camera_pitch_rad: float = 0.0
+    """Downward tilt [rad], used with camera_height_m."""
+    camera_roll_rad: float = 0.0
+    """Clockwise roll seen from behind the camera [rad], used with camera_height_m."""
+    source: str = "auto"
+    """Where the plane comes from: auto (flags, then tf, then estimate), flags, tf, estimate,
+    none."""
+    sample_frames: int = 24
+    """Frames the estimate looks at, evenly spaced over the log or the window."""
+    window_s: float = 0.0
+    """Length of the fixed time windows with a plane each [s]; 0: one plane for the log."""
+
+    def __post_init__(self) -> None:
+        _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
+        _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
+        _require(self.step_height_m >= 0, "ground.step-height-m", "at least 0")
+        _require(
+            self.camera_height_m is None or 0 < self.camera_height_m < 20,
+            "ground.camera-height-m",
+            "between 0 and 20 m",
+        )
+        sources = ("auto", "flags", "tf", "estimate", "none")
+        _require(self.source in sources, "ground.source", "one of " + ", ".join(sources))
+        _require(
+            self.source != "flags" or self.camera_height_m is not None,
+            "ground.camera-height-m",
+            "given with --ground.source flags",
+        )
+        _require(self.sample_frames >= 1, "ground.sample-frames", "at least 1")
+        _require(self.window_s >= 0, "ground.window-s", "at least 0")
+
+
+@dataclass(frozen=True)
+class FeaturesConfig:
+    """Canny, then Shi-Tomasi on the edge image (Section 3.2)."""
+
+    canny: bool = True
+    """Look for corners on the Canny edge image; off: on the grey image (Fig. 2a)."""
+    canny_low: float = 100.0
+    """Lower hysteresis bound [grey levels of the L1 gradient]."""
+    canny_high: float = 200.0
+    """Upper hysteresis bound [grey levels of the L1 gradient]."""
+    max_corners: int = 1024
+    """Feature slots N: the strongest corners that are used."""
+    quality_level: float = 0.01
+    """Weakest corner used, as a share of the strongest one's minimum eigenvalue."""
+    min_distance: float = 5.0
+    """Least distance between two corners [pixel]; below 1: none."""
+    block_size: int = 3
+    """Side of the window summed for the minimum eigenvalue [pixel]: 3 or 5."""
+    use_mask: bool = True
+    """Take corners only where the ground stage keeps the pixel; off: drop points afterwards."""
+
+    def __post_init__(self) -> None:
+        _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
+        _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
+        _require(self.min_distance >= 0, "features.min-distance", "at least 0")
+        _require(self.block_size in (3, 5), "features.block-size", "3 or 5")
+
+
+@dataclass(frozen=True)
+class ClusterConfig:
+    """Gaps in depth, then sideways (Section 3.4, Eq. 6)."""
+
+    depth_gap_m: float = 0.10
+    """d_z [m]: a larger gap between neighbours in depth starts a new set."""
+    lateral_gap_m: float = 0.40
+    """d_x [m], the robot's width: a larger sideways gap starts a new set."""
+    min_points: int = 10
+    """N: sets of this many points or fewer are dropped."""
+
+    def __post_init__(self) -> None:
+        _require(self.depth_gap_m >= 0, "cluster.depth-gap-m", "at least 0")
+        _require(self.lateral_gap_m >= 0, "cluster.lateral-gap-m", "at least 0")
+        _require(self.min_points >= 0, "cluster.min-points", "at least 0")
+
+
+@dataclass(frozen=True)
+class FootprintConfig:
+    """Outline on the floor (Section 3.5, Eq. 7-9)."""
+
+    vertex_threshold_m: float = 0.03
+    """d_threshold of Eq. 7 [m], about the sensor's error: C must be this much nearer than A
+    and B to count as a vertex."""
+    extension_m: float = 0.20
+    """How far the edge AB is extended backward when there is no vertex [m]."""
+
+    def __post_init__(self) -> None:
+        _require(self.vertex_threshold_m >= 0, "footprint.vertex-threshold-m", "at least 0")
+        _require(self.extension_m > 0, "footprint.extension-m", "above 0")
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole method."""
+
+    align: AlignConfig = field(default_factory=AlignConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
+    features: FeaturesConfig = field(default_factory=FeaturesConfig)
+    cluster: ClusterConfig = field(default_factory=ClusterConfig)
+    footprint: FootprintConfig = field(default_factory=FootprintConfig)
+
+    @property
+    def num_obstacle_slots(self) -> int:
+        """M: as many obstacles as N features can make, so the slots never overflow."""
+        return max(1, self.features.max_corners // (self.cluster.min_points + 1))
+
+
+def _with(ground: dict[str, float], footprint: dict[str, float] | None = None) -> Config:
+    return Config(
+        ground=replace(GroundConfig(), **ground),
+        footprint=replace(FootprintConfig(), **(footprint or {})),
+    )
+
+
+PRESETS: dict[str, Config] = {
+    "wheeled": Config(),
+    "paper": Config(
+        ground=GroundConfig(max_depth_m=3.0),
+        features=FeaturesConfig(use_mask=False),
+    ),
+    "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),
+    "d455": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
+    "oak-d": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
+    "zed": _with({"min_depth_m": 0.30, "max_depth_m": 8.0}, {"vertex_threshold_m": 0.05}),
+    "azure-kinect": _with({"min_depth_m": 0.30, "max_depth_m": 5.0}, {"vertex_threshold_m": 0.02}),
+    "orbbec": _with({"min_depth_m": 0.25, "max_depth_m": 5.0}),
+}
+"""Presets: ``wheeled`` (the default robot), ``paper`` (the paper's setting: no mask, points
+dropped after the selection), and depth ranges of common cameras, by their data sheets."""
+
+
+def preset(name: str) -> Config:
+    """The configuration called ``name``.
+
+    Raises:
+        ConfigError: There is no such preset.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"no preset {name!r}", remedy=f"use one of {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -1,0 +1,61 @@
+"""The errors a user can meet: each names the input, what is wrong and what to do."""
+
+from enum import StrEnum
+
+
+class JaxdetError(Exception):
+    """Base of every error raised on purpose; its text is one line for the user.
+
+    Args:
+        problem: What is wrong, in one clause.
+        path: The file or folder it is about.
+        topic: The topic it is about.
+        remedy: What the user can do, for instance the flag that supplies what is missing.
+    """
+
+    def __init__(
+        self, problem: str, *, path: str = "", topic: str = "", remedy: str = ""
+    ) -> None:
+        self.problem, self.path, self.topic, self.remedy = problem, path, topic, remedy
+        where = ": ".join(part for part in (path, topic) if part)
+        text = f"{where}: {problem}" if where else problem
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+
+
+class InputError(JaxdetError):
+    """A log or file can't be read or is not what it should be."""
+
+
+class TopicError(JaxdetError):
+    """The topics that the job needs are missing or ambiguous."""
+
+
+class CalibrationError(JaxdetError):
+    """A calibration is missing, unknown or contradicts itself."""
+
+
+class ConfigError(JaxdetError):
+    """A configuration value is out of its range or unknown."""
+
+
+class FrameError(JaxdetError):
+    """One frame can't be used; the run goes on and the frame gets ``status``."""
+
+    def __init__(self, problem: str, *, status: "FrameStatus", **where: str) -> None:
+        super().__init__(problem, **where)
+        self.status = status
+
+
+class FrameStatus(StrEnum):
+    """What became of a colour frame (the ``status`` column of the results)."""
+
+    OK = "ok"
+    """Detected; the obstacle rows are complete."""
+    NO_DEPTH = "no_depth"
+    """The paired depth image has no measurement in range, so nothing can be said."""
+    UNPAIRED = "unpaired"
+    """No depth image lies within the pairing tolerance."""
+    DECODE_ERROR = "decode_error"
+    """The colour or depth image could not be decoded."""
+    BAD_CALIBRATION = "bad_calibration"
+    """The image size or the calibration of this frame contradicts the log's calibration."""

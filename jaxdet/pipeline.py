@@ -1,0 +1,133 @@
+"""``detect``: the paper's five steps over a batch of frames, on either backend."""
+
+from importlib import import_module
+from typing import Literal, Protocol, cast
+
+import numpy as np
+
+from jaxdet.config import Config, FeaturesConfig
+from jaxdet.errors import ConfigError
+from jaxdet.floor import PlaneEstimate, fit_floor
+from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
+from jaxdet.types import (
+    AlignedDepth,
+    Calibration,
+    Detections,
+    Features,
+    Frames,
+    GroundPlane,
+    Keep,
+    Labels,
+    Obstacles,
+)
+
+BackendName = Literal["reference", "jax"]
+
+
+class Backend(Protocol):
+    """The five stages; :mod:`jaxdet.reference` and :mod:`jaxdet.stages` both are one."""
+
+    def align(self, depth: np.ndarray, calibration: Calibration) -> AlignedDepth: ...
+    def ground(
+        self, aligned: AlignedDepth, plane: GroundPlane, calibration: Calibration, config: Config
+    ) -> Keep: ...
+    def features(
+        self,
+        color: np.ndarray,
+        aligned: AlignedDepth,
+        keep: Keep,
+        calibration: Calibration,
+        config: FeaturesConfig,
+    ) -> Features: ...
+    def cluster(self, features: Features, depth_unit: float, config: Config) -> Labels: ...
+    def footprint(
+        self,
+        features: Features,
+        labels: Labels,
+        plane: GroundPlane,
+        depth_unit: float,
+        config: Config,
+    ) -> Obstacles: ...
+
+
+def load_backend(name: BackendName) -> Backend:
+    """The module that implements the stages.
+
+    Raises:
+        ConfigError: There is no such backend.
+    """
+    modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
+    if name not in modules:
+        raise ConfigError(f"no backend {name!r}", remedy=f"use one of {', '.join(modules)}")
+    return cast(Backend, import_module(modules[name]))
+
+
+def detect(
+    frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
+) -> Detections:
+    """Finds the obstacles in a batch of frames.
+
+    The floor of each frame is ``frames.plane``; where that is None, the configuration's camera
+    height, pitch and roll; where those are unset, an estimate from these frames' depth
+    (:func:`estimate_plane`), unless ``config.ground.source`` is ``none``.
+
+    Args:
+        frames: ``B`` frames, see :class:`jaxdet.types.Frames`.
+        config: The method's parameters; by default the preset ``wheeled``.
+        backend: ``jax`` for the jitted stages or ``reference`` for plain NumPy; both return
+            equal arrays.
+
+    Returns:
+        Features, labels and obstacles of each frame, see :class:`jaxdet.types.Detections`; with
+        ``jax`` they are JAX arrays, perhaps still being computed.
+
+    Raises:
+        CalibrationError: The calibration can't be used.
+        ConfigError: The backend is unknown.
+    """
+    config = config or Config()
+    stages = load_backend(backend)
+    calibration, unit = frames.calibration, frames.calibration.depth_unit
+
+    aligned = stages.align(frames.depth, calibration)
+    plane = _plane_of(frames, aligned, config)
+    keep = stages.ground(aligned, plane, calibration, config)
+    features = stages.features(frames.color, aligned, keep, calibration, config.features)
+    labels = stages.cluster(features, unit, config)
+    obstacles = stages.footprint(features, labels, plane, unit, config)
+
+    return Detections(features, labels, obstacles, keep.has_depth)
+
+
+def _plane_of(frames: Frames, aligned: AlignedDepth, config: Config) -> GroundPlane:
+    """The floor of each frame: given, from the configuration, or estimated."""
+    if frames.plane is not None:
+        return frames.plane
+    batch = len(frames.depth)
+    if config.ground.camera_height_m is not None:
+        return repeat_plane(flagged_plane(config.ground), batch)
+    if config.ground.source == "none":
+        return unknown_plane(batch)
+    return repeat_plane(_fit(frames, aligned, config).plane, batch)
+
+
+def estimate_plane(
+    frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
+) -> PlaneEstimate:
+    """Estimates the one floor that all these frames see, from their depth alone.
+
+    Args:
+        frames: ``B`` frames of one camera that keeps its place on the robot.
+        config: For the depth range of its ground part.
+        backend: Which stages align the depth; the estimate is the same.
+
+    Returns:
+        The plane, not valid where no floor was found, see :func:`jaxdet.floor.fit_floor`.
+    """
+    aligned = load_backend(backend).align(frames.depth, frames.calibration)
+    return _fit(frames, aligned, config or Config())
+
+
+def _fit(frames: Frames, aligned: AlignedDepth, config: Config) -> PlaneEstimate:
+    z = np.asarray(aligned.z)[np.asarray(frames.valid)]
+    return fit_floor(z, frames.calibration, config.ground)

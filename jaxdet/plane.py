@@ -1,0 +1,133 @@
+"""The floor plane on the host: its directions, and the depth at which a pixel becomes floor.
+
+With pitch ``p`` and roll ``r`` (see :class:`jaxdet.types.GroundPlane`) the direction *down* in
+the camera optical frame is ``(sin r cos p, cos r cos p, sin p)``.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from jaxdet.camera import pixel_rays
+from jaxdet.config import GroundConfig
+from jaxdet.types import GroundPlane, Intrinsics
+
+GROUND_BITS = 13
+"""Fraction bits of the ground frame's axes."""
+
+
+def down_vector(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """The direction of gravity in the camera optical frame.
+
+    Args:
+        pitch: ``(B,)`` float64 [rad], positive looks down.
+        roll: ``(B,)`` float64 [rad], positive clockwise seen from behind.
+
+    Returns:
+        ``(B, 3)`` float64 unit vectors.
+    """
+    return np.stack(
+        [np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch), np.sin(pitch)], axis=-1
+    )
+
+
+def plane_from_down(down: np.ndarray, height: np.ndarray) -> GroundPlane:
+    """The plane with these unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
+    pitch = np.arctan2(down[:, 2], np.hypot(down[:, 0], down[:, 1]))
+    roll = np.arctan2(down[:, 0], down[:, 1])
+    return GroundPlane(np.asarray(height, np.float64), pitch, roll, np.isfinite(height))
+
+
+def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
+    """The plane of a camera mounted at ``T_base_camera`` ``(4, 4)`` on a base whose z = 0 is floor.
+
+    Returns:
+        A :class:`GroundPlane` with ``B = 1``.
+    """
+    down = T_base_camera[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+    return plane_from_down(down[None], T_base_camera[2:3, 3])
+
+
+def flagged_plane(config: GroundConfig) -> GroundPlane:
+    """The plane that the configuration states, ``B = 1``; its camera height must be set."""
+    assert config.camera_height_m is not None
+    return GroundPlane(
+        np.array([config.camera_height_m], np.float64),
+        np.array([config.camera_pitch_rad], np.float64),
+        np.array([config.camera_roll_rad], np.float64),
+        np.array([True]),
+    )
+
+
+def unknown_plane(batch: int) -> GroundPlane:
+    """``batch`` frames whose floor is not known: level, and nothing is dropped as floor."""
+    zeros = np.zeros(batch)
+    return GroundPlane(zeros, zeros, zeros, np.zeros(batch, bool))
+
+
+def repeat_plane(plane: GroundPlane, batch: int) -> GroundPlane:
+    """One plane (``B = 1``) for each of ``batch`` frames."""
+    return GroundPlane(*(np.repeat(a, batch) for a in plane))
+
+
+def floor_limits(
+    camera: Intrinsics, plane: GroundPlane, step_height_m: float, depth_unit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The deepest z at which each colour pixel is still above the floor (Eq. 5, any tilt).
+
+    A point ``z (x, y, 1)`` is floor when its height above the plane is below the step height:
+    ``z s >= h - step`` with ``s = down . (x, y, 1)``. At zero tilt and roll this is Eq. 5,
+    ``v - c_y >= f (h - step) / z``. So for a pixel with ``s > 0`` the floor begins at
+    ``ceil((h - step) / (s unit))`` depth units, and the limit is one less.
+
+    Args:
+        camera: The colour camera.
+        plane: ``B`` planes.
+        step_height_m: Height below which a point is floor [m].
+        depth_unit: Metres in one depth unit.
+
+    Returns:
+        ``limits`` ``(P, H, W)`` uint16, depth units, for the P different planes, and ``which``
+        ``(B,)`` int32, the plane of each frame. A depth above the limit is floor.
+    """
+    rows = np.stack([plane.height, plane.pitch, plane.roll, plane.valid.astype(float)], axis=1)
+    unique, which = np.unique(rows, axis=0, return_inverse=True)
+    limits = [_floor_limit(camera, tuple(r), step_height_m, depth_unit) for r in unique.tolist()]
+    return np.stack(limits), which.reshape(-1).astype(np.int32)
+
+
+@lru_cache(maxsize=64)
+def _floor_limit(
+    camera: Intrinsics, row: tuple[float, ...], step_height_m: float, depth_unit: float
+) -> np.ndarray:
+    height, pitch, roll, valid = row
+    limit = np.full((camera.height, camera.width), 65535, np.uint16)
+    if not valid:
+        return limit
+    x, y = pixel_rays(camera)
+    down = down_vector(np.array([pitch]), np.array([roll]))[0]
+    slope = down[0] * x + down[1] * y + down[2]
+    drop = max(height - step_height_m, 0.0) / depth_unit
+    first = np.divide(drop, slope, out=np.full_like(slope, np.inf), where=slope > 0)
+    # A true tie is floor: the nudge undoes the rounding of the operations above.
+    first = np.ceil(first * (1 - 1e-12)) - 1
+    return np.clip(first, 0, 65535).astype(np.uint16)
+
+
+def ground_axes(plane: GroundPlane) -> np.ndarray:
+    """The ground frame's axes, right and forward, in the camera optical frame.
+
+    Forward is the optical axis laid on the floor (for a camera that looks straight down, the
+    image's up direction).
+
+    Returns:
+        ``(B, 2, 3)`` int32 with ``GROUND_BITS`` fraction bits; for an unknown plane those of a
+        level camera.
+    """
+    down = down_vector(plane.pitch, plane.roll)
+    down[~plane.valid] = (0.0, 1.0, 0.0)
+    axis = np.where(np.abs(down[:, 2:]) > 1 - 1e-9, [[0.0, -1.0, 0.0]], [[0.0, 0.0, 1.0]])
+    forward = axis - down * np.sum(axis * down, axis=1, keepdims=True)
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    right = np.cross(down, forward)
+    return np.rint(np.stack([right, forward], axis=1) * (1 << GROUND_BITS)).astype(np.int32)

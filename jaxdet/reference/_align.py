@@ -1,0 +1,110 @@
+"""Stage 1, align: depth to colour (Eq. 1-4)."""
+
+import numpy as np
+
+from jaxdet.camera import SplatParameters, corner_rays, splat_parameters
+from jaxdet.reference._lens import project
+from jaxdet.types import AlignedDepth, Calibration
+
+NOTHING = np.uint32(0xFFFFFFFF)
+
+
+def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
+    """Moves each depth pixel into the colour image; the nearest wins (Eq. 1-4).
+
+    Every depth pixel with a measurement ``Z`` is back-projected with the ray of its corner
+    (Eq. 1), moved by ``T_color_depth`` (Eq. 2, 3) and projected (Eq. 4):
+
+        P_dc = Z K_d^-1 P_uv,   P_cc = R P_dc + t,   P_uv^c = K_c (P_cc / Z_cc)
+
+    in float32, every operation rounded on its own, so that the pixels equal ``rs.align`` of
+    librealsense 2.59. Where colour is finer than depth, the pixel covers the rectangle between
+    the projections of its upper left and lower right corners; else the upper left one only. A
+    point behind the colour camera is dropped.
+
+    Args:
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        calibration: The log's calibration. Depth that is already aligned is passed through.
+
+    Returns:
+        Depth of the nearest hit in the depth camera and, of that hit, z in the colour camera
+        (on a tie of depths the smaller z), both 0 where nothing hits.
+
+    Example:
+        >>> from jaxdet.types import Extrinsics, Intrinsics
+        >>> camera = Intrinsics(4, 3, 2.0, 2.0, 1.5, 1.0)
+        >>> still = Extrinsics((1, 0, 0, 0, 1, 0, 0, 0, 1), (0.0, 0.0, 0.0))
+        >>> depth = np.zeros((1, 3, 4), np.uint16)
+        >>> depth[0, 1, 1:3] = 900, 700
+        >>> align(depth, Calibration(camera, camera, still)).depth[0].tolist()
+        [[0, 0, 0, 0], [0, 900, 700, 0], [0, 0, 0, 0]]
+    """
+    if calibration.is_aligned:
+        return AlignedDepth(depth, depth)
+    keys = np.stack([_align_frame(image, calibration) for image in depth])
+    keys = np.where(keys == NOTHING, np.uint32(0), keys)
+    return AlignedDepth((keys >> 16).astype(np.uint16), (keys & 0xFFFF).astype(np.uint16))
+
+
+def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
+    """One frame as keys ``depth << 16 | z``; ``(H, W)`` uint32, the smallest key of each pixel."""
+    splat = splat_parameters(calibration)
+    color = calibration.color
+    x, y = corner_rays(calibration.depth)
+    v, u = np.nonzero(depth)
+    units = depth[v, u]
+    left, top, z, seen = _project(x[v, u], y[v, u], units, splat)
+    right, bottom = left, top
+    if splat.fills_corners:
+        right, bottom, _, seen_1 = _project(x[v + 1, u + 1], y[v + 1, u + 1], units, splat)
+        seen &= seen_1
+    seen &= (right >= 0) & (bottom >= 0) & (left < color.width) & (top < color.height)
+    key = (units.astype(np.uint32) << 16) | z
+    keys = np.full((color.height, color.width), NOTHING)
+    spans = left, right, top, bottom, key
+    _splat(keys, *(a[seen] for a in spans))
+    return keys
+
+
+def _project(
+    x: np.ndarray, y: np.ndarray, units: np.ndarray, splat: SplatParameters
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rays and depths ``(n,)`` to colour column, row and z (all integers), and a valid mask."""
+    f32, r, t = np.float32, splat.rotation, splat.translation
+    depth = units.astype(f32) * splat.depth_unit
+    px, py = depth * x, depth * y
+    cx, cy, cz = (
+        r[3 * i] * px + (r[3 * i + 1] * py + (r[3 * i + 2] * depth + t[i])) for i in range(3)
+    )
+    ahead = cz > 0
+    cz = np.where(ahead, cz, f32(1))
+    px, py, inside = project(cx / cz, cy / cz, splat)
+    fx, fy, ppx, ppy = splat.pinhole
+    column, fits_u = _to_int(px * fx + ppx + f32(0.5))
+    row, fits_v = _to_int(py * fy + ppy + f32(0.5))
+    z = np.minimum(cz / splat.depth_unit + f32(0.5), f32(65535)).astype(np.uint32)
+    return column, row, z, ahead & inside & fits_u & fits_v
+
+
+def _to_int(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rounds towards zero; False where the value is too large to be near any image."""
+    fits = np.abs(value) < np.float32(1 << 20)
+    return np.where(fits, value, np.float32(0)).astype(np.int32), fits
+
+
+def _splat(
+    keys: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    top: np.ndarray,
+    bottom: np.ndarray,
+    key: np.ndarray,
+) -> None:
+    """Lowers ``keys`` to ``key`` in each rectangle, edges included, clipped to the image."""
+    height, width = keys.shape
+    left, top = np.maximum(left, 0), np.maximum(top, 0)
+    right, bottom = np.minimum(right, width - 1), np.minimum(bottom, height - 1)
+    for dv in range(int((bottom - top).max(initial=-1)) + 1):
+        for du in range(int((right - left).max(initial=-1)) + 1):
+            hit = (top + dv <= bottom) & (left + du <= right)
+            np.minimum.at(keys, (top[hit] + dv, left[hit] + du), key[hit])

@@ -1,0 +1,72 @@
+"""Stage 5, footprint: each obstacle's extent and outline on the floor (Section 3.5)."""
+
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.plane import GROUND_BITS, ground_axes
+from jaxdet.types import Features, GroundPlane, Labels, Obstacles
+
+
+def footprint(
+    features: Features, labels: Labels, plane: GroundPlane, depth_unit: float, config: Config
+) -> Obstacles:
+    """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
+
+    The points are laid on the floor (:func:`to_ground`). A is the leftmost, B the rightmost, C
+    the nearest; ties go to the nearer, for C to the one further left. C is a vertex unless
+
+        min(d_A, d_B) - d_C < d_threshold
+
+    with d the distance forward. :func:`jaxdet.metric.rectangles` draws the rectangle.
+
+    Args:
+        features: ``(B, N)`` points.
+        labels: Their obstacles.
+        plane: The floor of each frame, for the ground frame's axes.
+        depth_unit: Metres in one depth unit.
+        config: ``vertex_threshold_m`` of its footprint part, and the number of slots ``M``.
+
+    Returns:
+        ``(B, M)`` obstacles in the order of their labels.
+    """
+    batch, m = len(labels.labels), config.num_obstacle_slots
+    threshold = round(config.footprint.vertex_threshold_m / depth_unit)
+    shapes = {"num_points": (m,), "has_vertex": (m,)}
+    shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c"), (m, 2))
+    shapes |= dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (m, 3))
+    out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
+    floor = to_ground(features, plane)
+    uv = np.stack([features.u, features.v], axis=-1)
+    xyz = np.stack([features.x, features.y, features.z], axis=-1)
+    for b in range(batch):
+        for label in range(int(labels.num_obstacles[b])):
+            own = labels.labels[b] == label
+            out.num_points[b, label] = own.sum()
+            out.uv_min[b, label], out.uv_max[b, label] = uv[b, own].min(0), uv[b, own].max(0)
+            out.xyz_min[b, label], out.xyz_max[b, label] = xyz[b, own].min(0), xyz[b, own].max(0)
+            out.xyz_sum[b, label] = xyz[b, own].sum(0)
+            a_b_c = _outline(floor[b, own])
+            out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
+            (_, d_a), (_, d_b), (_, d_c) = a_b_c
+            out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
+    return out._replace(has_vertex=out.has_vertex.astype(bool))
+
+
+def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
+    """The points in the ground frame, in whole depth units.
+
+    Returns:
+        ``(B, N, 2)`` int32: right and forward.
+    """
+    xyz = np.stack([features.x, features.y, features.z], axis=-1).astype(np.int64)
+    along = np.einsum("bnk,bak->bna", xyz, ground_axes(plane).astype(np.int64))
+    return ((along + (1 << (GROUND_BITS - 1))) >> GROUND_BITS).astype(np.int32)
+
+
+def _outline(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B and C of an obstacle's points ``(n, 2)``."""
+    right, forward = points.T
+    a = points[np.lexsort((forward, right))[0]]
+    b = points[np.lexsort((forward, -right))[0]]
+    c = points[np.lexsort((right, forward))[0]]
+    return a, b, c

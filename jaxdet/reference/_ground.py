@@ -1,0 +1,40 @@
+"""Stage 2, ground: which pixels are in range and above the floor (Section 3.3)."""
+
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.plane import floor_limits
+from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep
+
+
+def ground(
+    aligned: AlignedDepth, plane: GroundPlane, calibration: Calibration, config: Config
+) -> Keep:
+    """Keeps pixels whose depth is in range and whose height is above the step height.
+
+    A pixel is floor when its image row lies below the row of the plane at height
+    ``h_0 = h - step``: for a level camera ``v - c_y >= f h_0 / z`` (Eq. 5), and for any tilt
+    and roll when its height above the plane is less than the step height
+    (:func:`jaxdet.plane.floor_limits`). A frame whose plane is unknown loses no floor.
+
+    Args:
+        aligned: Depth at the colour pixels; ``z`` is used.
+        plane: The floor of each of the ``B`` frames.
+        calibration: For the colour camera and the depth unit.
+        config: ``min_depth_m``, ``max_depth_m`` and ``step_height_m`` of its ground part.
+
+    Returns:
+        The mask, True where the pixel may belong to an obstacle, and whether a frame has any
+        depth in range.
+    """
+    settings, unit = config.ground, calibration.depth_unit
+    nearest, farthest = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
+    limits, which = floor_limits(calibration.color, plane, settings.step_height_m, unit)
+    in_range = (aligned.z >= nearest) & (aligned.z <= farthest)
+    return Keep(in_range & (aligned.z <= limits[which]), in_range.any(axis=(1, 2)))
+
+
+def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tuple[int, int]:
+    """The range in whole depth units, each bound rounded to the nearest, at least 1."""
+    nearest, farthest = round(min_depth_m / depth_unit), round(max_depth_m / depth_unit)
+    return max(1, nearest), min(65535, farthest)

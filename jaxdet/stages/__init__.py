@@ -1,0 +1,9 @@
+"""The fast stages: the five functions of :mod:`jaxdet.reference` over batches, in JAX and Warp."""
+
+from jaxdet.stages._align import align
+from jaxdet.stages._cluster import cluster
+from jaxdet.stages._features import features
+from jaxdet.stages._footprint import footprint
+from jaxdet.stages._ground import ground
+
+__all__ = ["align", "cluster", "features", "footprint", "ground"]

@@ -1,0 +1,108 @@
+"""Stage 5, footprint: segment reductions."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.plane import ground_axes
+from jaxdet.types import Features, GroundPlane, Labels, Obstacles
+
+LAST = jnp.iinfo(jnp.int32).max
+
+
+def footprint(
+    features: Features, labels: Labels, plane: GroundPlane, depth_unit: float, config: Config
+) -> Obstacles:
+    """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
+
+    Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label.
+
+    Args:
+        features: ``(B, N)`` points.
+        labels: Their obstacles.
+        plane: The floor of each frame, for the ground frame's axes.
+        depth_unit: Metres in one depth unit.
+        config: ``vertex_threshold_m`` of its footprint part, and the number of slots ``M``.
+
+    Returns:
+        ``(B, M)`` obstacles in the order of their labels.
+    """
+    threshold = round(config.footprint.vertex_threshold_m / depth_unit)
+    axes = jnp.asarray(np.asarray(ground_axes(plane)))
+    return _footprint(features, labels.labels, axes, threshold, config.num_obstacle_slots)
+
+
+@partial(jax.jit, static_argnames=("threshold", "m"))
+def _footprint(
+    features: Features, labels: jax.Array, axes: jax.Array, threshold: int, m: int
+) -> Obstacles:
+    with jax.named_scope("footprint"):
+        uv = jnp.stack([features.u, features.v], axis=-1)
+        xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
+        floor = to_ground(xyz, axes)
+        return jax.vmap(partial(_measure, threshold=threshold, m=m))(labels, uv, xyz, floor)
+
+
+def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
+    """``(xyz . axis + half) >> GROUND_BITS`` without leaving 32 bits.
+
+    The coordinates are split at ten bits; the floors nest as in ``lateral``.
+
+    Args:
+        xyz: ``(B, N, 3)`` int32 [depth units].
+        axes: ``(B, 2, 3)`` int32 with ``GROUND_BITS = 13`` fraction bits.
+
+    Returns:
+        ``(B, N, 2)`` int32: right and forward [depth units].
+    """
+
+    def along(values: jax.Array) -> jax.Array:
+        return jnp.sum(values[:, :, None, :] * axes[:, None, :, :], axis=-1, dtype=jnp.int32)
+
+    high, low = along(xyz >> 10), along(xyz & 1023)
+    return (high + ((low + 4096) >> 10)) >> 3
+
+
+def _measure(
+    labels: jax.Array, uv: jax.Array, xyz: jax.Array, floor: jax.Array, threshold: int, m: int
+) -> Obstacles:
+    """One frame: ``labels (N,)`` and points ``(N, k)`` to ``(M, ...)``."""
+    own = jnp.where(labels >= 0, labels, m)
+
+    def reduce(operation: str, values: jax.Array, start: int) -> jax.Array:
+        empty = jnp.full((m, *values.shape[1:]), start, jnp.int32)
+        return getattr(empty.at[own], operation)(values, mode="drop")
+
+    points = reduce("add", jnp.ones_like(labels), 0)
+    some = points > 0
+
+    def extreme(operation: str, values: jax.Array) -> jax.Array:
+        start = LAST if operation == "min" else -LAST
+        out = reduce(operation, values, start)
+        return jnp.where(some.reshape(-1, *[1] * (out.ndim - 1)), out, 0)
+
+    def first_by(primary: jax.Array, secondary: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The smallest ``primary``, and of those the smallest ``secondary``."""
+        best = extreme("min", primary)
+        tied = primary == best[jnp.minimum(own, m - 1)]
+        return best, extreme("min", jnp.where(tied, secondary, LAST))
+
+    right, forward = floor[:, 0], floor[:, 1]
+    a_right, a_forward = first_by(right, forward)
+    b_left, b_forward = first_by(-right, forward)
+    c_forward, c_right = first_by(forward, right)
+    return Obstacles(
+        num_points=points,
+        uv_min=extreme("min", uv),
+        uv_max=extreme("max", uv),
+        xyz_min=extreme("min", xyz),
+        xyz_max=extreme("max", xyz),
+        xyz_sum=reduce("add", xyz, 0),
+        a=jnp.stack([a_right, a_forward], axis=-1),
+        b=jnp.stack([-b_left, b_forward], axis=-1),
+        c=jnp.stack([c_right, c_forward], axis=-1),
+        has_vertex=some & (jnp.minimum(a_forward, b_forward) - c_forward >= threshold),
+    )

@@ -1,0 +1,217 @@
+"""The arrays that flow through the pipeline.
+
+Axes, used everywhere: ``B`` frames in a batch, ``H W`` colour image, ``Hd Wd`` depth image,
+``N`` feature slots a frame, ``M`` obstacle slots a frame. A variable count is a padded axis
+plus a mask or a count.
+
+Frames of reference: the *camera optical frame* has x right, y down, z forward. The *ground
+frame* of a camera is its optical centre dropped on the floor, x right, y forward. The *world*
+is the log's map or odom frame. ``T_a_b`` takes points of ``b`` to ``a``.
+
+Units: metres, radians and nanoseconds, but every *decision* is made on integers in *depth
+units* (the unit of the depth image, 1 mm by default), so that all implementations agree to
+the bit. The metric results are computed from these integers once, in :mod:`jaxdet.metric`.
+Arrays are NumPy arrays in :mod:`jaxdet.reference` and JAX arrays in :mod:`jaxdet.stages`.
+"""
+
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Array = Any
+"""A NumPy or a JAX array."""
+
+
+class Distortion(StrEnum):
+    """Lens distortion models; the values are the names ROS and Foxglove use."""
+
+    NONE = "none"
+    PLUMB_BOB = "plumb_bob"
+    """Brown-Conrady, OpenCV's ``k1 k2 p1 p2 k3``."""
+    RATIONAL = "rational_polynomial"
+    """OpenCV's ``k1 k2 p1 p2 k3 k4 k5 k6``."""
+    EQUIDISTANT = "equidistant"
+    """Kannala-Brandt, OpenCV's fisheye ``k1 k2 k3 k4``."""
+    INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
+    """RealSense's depth-side model, ``k1 k2 p1 p2 k3``."""
+
+
+class Intrinsics(NamedTuple):
+    """A camera's image size, matrix and lens; hashable, so derived tables can be cached."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Distortion = Distortion.NONE
+    coefficients: tuple[float, ...] = ()
+
+    @property
+    def K(self) -> np.ndarray:
+        """The camera matrix ``(3, 3)`` float64, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+class Extrinsics(NamedTuple):
+    """A rigid motion ``T_target_source``, hashable."""
+
+    rotation: tuple[float, ...]
+    """Nine numbers, row-major."""
+    translation: tuple[float, float, float]
+    """Metres."""
+
+    @property
+    def T(self) -> np.ndarray:
+        """The matrix ``(4, 4)`` float64."""
+        T = np.eye(4)
+        T[:3, :3] = np.reshape(self.rotation, (3, 3))
+        T[:3, 3] = self.translation
+        return T
+
+
+class Calibration(NamedTuple):
+    """What relates depth pixels to colour pixels; one for a log, hashable."""
+
+    color: Intrinsics
+    depth: Intrinsics | None = None
+    """None where the depth image is already aligned to colour."""
+    color_from_depth: Extrinsics | None = None
+    """``T_color_depth``; None where the depth image is already aligned to colour."""
+    depth_unit: float = 0.001
+    """Metres in one depth unit."""
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether depth comes already aligned to colour."""
+        return self.depth is None
+
+
+class GroundPlane(NamedTuple):
+    """The floor seen from each camera frame.
+
+    ``pitch`` is the camera's downward tilt and ``roll`` its clockwise turn about the optical
+    axis as seen from behind the camera (a camera rolled clockwise sees the world turned
+    counter-clockwise). ``valid`` is False where the floor is unknown: then nothing is dropped
+    as floor and the camera is taken as level.
+    """
+
+    height: np.ndarray
+    """``(B,)`` float64, optical centre above the floor [m]."""
+    pitch: np.ndarray
+    """``(B,)`` float64 [rad], positive looks down."""
+    roll: np.ndarray
+    """``(B,)`` float64 [rad], positive clockwise."""
+    valid: np.ndarray
+    """``(B,)`` bool."""
+
+
+class Frames(NamedTuple):
+    """A batch of paired colour and depth images on the host, with all that is known of them."""
+
+    color: np.ndarray
+    """``(B, H, W, 3)`` uint8, RGB."""
+    depth: np.ndarray
+    """``(B, Hd, Wd)`` uint16, depth units, 0 = no measurement."""
+    calibration: Calibration
+    index: np.ndarray
+    """``(B,)`` int64, the colour frame's 0-based number in its log."""
+    stamp_ns: np.ndarray
+    """``(B,)`` int64, colour header stamp."""
+    depth_stamp_ns: np.ndarray
+    """``(B,)`` int64, depth header stamp."""
+    valid: np.ndarray
+    """``(B,)`` bool; False marks padding, whose results are dropped."""
+    T_world_camera: np.ndarray | None = None
+    """``(B, 4, 4)`` float64, colour optical frame to world, NaN where unknown; None without."""
+    plane: GroundPlane | None = None
+    """The floor of each frame; None leaves it to the configuration or to an estimate."""
+
+
+class AlignedDepth(NamedTuple):
+    """Depth at each colour pixel (Eq. 1-4)."""
+
+    depth: Array
+    """``(B, H, W)`` uint16, z in the *depth* camera [depth units]; equals ``rs.align``."""
+    z: Array
+    """``(B, H, W)`` uint16, z in the *colour* camera (Eq. 3) [depth units]; 0 = none."""
+
+
+class Keep(NamedTuple):
+    """Where obstacles can be (Section 3.3)."""
+
+    mask: Array
+    """``(B, H, W)`` bool, the depth is in range and above the floor."""
+    has_depth: Array
+    """``(B,)`` bool, some pixel of the frame has a depth in range."""
+
+
+class Features(NamedTuple):
+    """Corner features with depth, strongest first (Sections 3.2, 3.3)."""
+
+    u: Array
+    """``(B, N)`` int32, column [pixel]."""
+    v: Array
+    """``(B, N)`` int32, row [pixel]."""
+    x: Array
+    """``(B, N)`` int32, right of the optical axis [depth units]."""
+    y: Array
+    """``(B, N)`` int32, below the optical axis [depth units]."""
+    z: Array
+    """``(B, N)`` int32, along the optical axis [depth units]."""
+    valid: Array
+    """``(B, N)`` bool, the slot holds a feature."""
+    kept: Array
+    """``(B, N)`` bool, its depth is in range and above the floor."""
+    overflow: Array
+    """``(B,)`` bool, more corners qualified than there are slots."""
+
+
+class Labels(NamedTuple):
+    """Obstacle number of each feature (Section 3.4)."""
+
+    labels: Array
+    """``(B, N)`` int32, -1 = none; numbered by nearest z, then smallest x."""
+    num_obstacles: Array
+    """``(B,)`` int32."""
+
+
+class Obstacles(NamedTuple):
+    """Each obstacle's extent and outline on the floor, in integers (Section 3.5).
+
+    Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
+    ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward.
+    """
+
+    num_points: Array
+    """``(B, M)`` int32."""
+    uv_min: Array
+    """``(B, M, 2)`` int32, column and row [pixel]."""
+    uv_max: Array
+    """``(B, M, 2)`` int32, column and row [pixel]."""
+    xyz_min: Array
+    """``(B, M, 3)`` int32, camera optical frame [depth units]."""
+    xyz_max: Array
+    """``(B, M, 3)`` int32, camera optical frame [depth units]."""
+    xyz_sum: Array
+    """``(B, M, 3)`` int32, camera optical frame [depth units]; the centroid is sum / points."""
+    a: Array
+    """``(B, M, 2)`` int32, the leftmost point (of those, the nearest) [depth units]."""
+    b: Array
+    """``(B, M, 2)`` int32, the rightmost point (of those, the nearest) [depth units]."""
+    c: Array
+    """``(B, M, 2)`` int32, the nearest point (of those, the leftmost) [depth units]."""
+    has_vertex: Array
+    """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
+
+
+class Detections(NamedTuple):
+    """All that the five stages return for a batch."""
+
+    features: Features
+    labels: Labels
+    obstacles: Obstacles
+    has_depth: Array
+    """``(B,)`` bool, some pixel of the frame has a depth in range."""

@@ -1,0 +1,1 @@
+"""Warp kernels, one file a stage; they import Warp and nothing of jaxdet."""
