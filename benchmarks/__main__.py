@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import jax
 import tyro
+import warp as wp
 
 from benchmarks.run import Case, Metric, copy_rate, metrics_of, regressions
 from jaxdet.config import STAGES
@@ -37,6 +38,7 @@ def main(
     Returns:
         The exit code: 1 where the gate failed.
     """
+    wp.config.log_level = wp.LOG_WARNING
     metrics: list[Metric] = []
     with jax.default_device(jax.devices(device)[0]):
         rate = copy_rate(seconds)

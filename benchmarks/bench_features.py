@@ -18,7 +18,7 @@ def opencv(given: Inputs) -> list[np.ndarray]:
     """Grey, Canny, Shi-Tomasi under the mask: corners without their depth."""
     config = CONFIG.features
     found = []
-    for color, keep in zip(given.color, given.keep, strict=True):
+    for color, keep in zip(given.color, given.keep.mask, strict=True):
         grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
         edges = cv2.Canny(grey, config.canny_low, config.canny_high)
         corners = cv2.goodFeaturesToTrack(

@@ -21,5 +21,5 @@ def _case(size: str) -> Case:
         frames=BATCH,
         peer=lambda: reference.ground(given.aligned, given.plane, given.calibration, CONFIG),
         equal=True,
-        bytes_moved=given.aligned.z.nbytes + given.keep.nbytes,
+        bytes_moved=given.aligned.z.nbytes + given.keep.mask.nbytes,
     )

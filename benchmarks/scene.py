@@ -13,12 +13,12 @@ from jaxdet.sim.scenes import load_scene
 from jaxdet.sim.sensor import DepthSensor, expose_color, measure_depth
 from jaxdet.types import (
     AlignedDepth,
-    Array,
     Calibration,
     Extrinsics,
     Features,
     GroundPlane,
     Intrinsics,
+    Keep,
     Labels,
 )
 
@@ -50,7 +50,7 @@ class Inputs(NamedTuple):
     depth: np.ndarray
     plane: GroundPlane
     aligned: AlignedDepth
-    keep: Array
+    keep: Keep
     features: Features
     labels: Labels
 

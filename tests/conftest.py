@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import hypothesis
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -17,6 +16,9 @@ os.environ["XLA_FLAGS"] = " ".join(
 os.environ["JAX_NUMPY_DTYPE_PROMOTION"] = "strict"
 os.environ["JAX_NUMPY_RANK_PROMOTION"] = "raise"
 os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".cache" / "warp"))
+os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(ROOT / ".cache" / "hypothesis"))
+
+import hypothesis  # noqa: E402  (it reads its folder when it is imported)
 
 hypothesis.settings.register_profile("jaxdet", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("jaxdet")

@@ -13,7 +13,7 @@ STAGES = ("align", "ground", "features", "cluster", "footprint")
 STAGES_WITH_KERNELS = ("align",)
 MAX_LINES = 300
 HEAVY = ("cv2", "jax", "matplotlib", "mcap", "numba", "pyarrow", "warp")
-SKIPPED_FOLDERS = {".git", ".venv", ".cache", ".gpu", ".warp", "__pycache__", "out", "dist"}
+SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
 
 
 def stage_files(stage: str) -> list[str]:
@@ -58,7 +58,8 @@ def tree(root: Path) -> list[Path]:
     """Every file of the working tree but caches and outputs; needs no git."""
     files = []
     for folder, names, leaves in os.walk(root):
-        names[:] = [n for n in names if n not in SKIPPED_FOLDERS and not n.endswith("_cache")]
+        hidden = {name for name in names if name.startswith(".") and name != ".ci"}
+        names[:] = set(names) - hidden - SKIPPED_FOLDERS
         files += [Path(folder, leaf) for leaf in leaves]
     return sorted(files)
 
