@@ -1,0 +1,100 @@
+"""The map of a whole log: how many obstacle outlines cover each cell of the floor."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from jaxdet.render import MapImage
+
+CELL_M = 0.05
+"""Side of a cell [m]; cells are counted from the world's origin."""
+TILE = 256
+"""Side of a tile [cell]; only tiles that something touches exist."""
+MAX_CELLS = 1 << 26
+MAX_OUTLINE_CELLS = 1 << 22
+
+_SHIFT = 6
+_UNITS = 1 << _SHIFT
+
+
+class OccupancyMap:
+    """Integer counts on tiles, so neither the order of the frames nor the path's length matters.
+
+    An outline that has no place on the map (further than a 32-bit cell number, or absurdly
+    large) is counted in ``skipped``.
+    """
+
+    def __init__(self) -> None:
+        self.tiles: dict[tuple[int, int], np.ndarray] = {}
+        self.path: list[np.ndarray] = []
+        self.skipped = 0
+
+    def add_path(self, T_world_camera: np.ndarray | None) -> None:
+        """Appends the cameras' positions of poses ``(B, 4, 4)``; unknown ones are left out."""
+        if T_world_camera is not None:
+            xy = T_world_camera[:, :2, 3]
+            self.path.append(xy[np.isfinite(xy).all(axis=1)])
+
+    def add(self, corners: np.ndarray) -> None:
+        """Counts outlines ``(R, 8)`` float32, world X and Y [m]; NaN ones are left out."""
+        for polygon in corners[np.isfinite(corners).all(axis=1)].reshape(-1, 4, 2):
+            self._add_one(polygon.astype(np.float64) / CELL_M - 0.5)
+
+    def _add_one(self, polygon: np.ndarray) -> None:
+        low = np.floor(polygon.min(axis=0)).astype(np.int64)
+        size = np.ceil(polygon.max(axis=0)).astype(np.int64) - low + 1
+        if np.abs(low).max() > 1 << 30 or int(size[0]) * int(size[1]) > MAX_OUTLINE_CELLS:
+            self.skipped += 1
+            return
+        mask = np.zeros((int(size[1]), int(size[0])), np.uint8)
+        points = np.rint((polygon - low) * _UNITS).astype(np.int32)
+        cv2.fillConvexPoly(mask, points, 1, cv2.LINE_8, _SHIFT)
+        first, last = low // TILE, (low + size - 1) // TILE
+        for row in range(int(first[1]), int(last[1]) + 1):
+            for column in range(int(first[0]), int(last[0]) + 1):
+                self._add_to_tile(mask, low, row, column)
+
+    def _add_to_tile(self, mask: np.ndarray, low: np.ndarray, row: int, column: int) -> None:
+        tile = self.tiles.setdefault((row, column), np.zeros((TILE, TILE), np.int32))
+        x, y = int(low[0]) - column * TILE, int(low[1]) - row * TILE
+        part = mask[max(0, -y) : TILE - y, max(0, -x) : TILE - x]
+        x, y = max(x, 0), max(y, 0)
+        tile[y : y + part.shape[0], x : x + part.shape[1]] += part
+
+    def image(self) -> MapImage | None:
+        """The map as one array, or None when nothing is on it or it would be too large."""
+        path = np.concatenate(self.path) if self.path else np.zeros((0, 2))
+        if not self.tiles:
+            return None
+        keys = np.array(list(self.tiles))
+        low = keys.min(axis=0)
+        shape = (keys.max(axis=0) - low + 1) * TILE
+        if int(shape[0]) * int(shape[1]) > MAX_CELLS:
+            return None
+        counts = np.zeros((int(shape[0]), int(shape[1])), np.int32)
+        for (row, column), tile in self.tiles.items():
+            top, left = (row - int(low[0])) * TILE, (column - int(low[1])) * TILE
+            counts[top : top + TILE, left : left + TILE] = tile
+        origin = (float(low[1]) * TILE * CELL_M, float(low[0]) * TILE * CELL_M)
+        return _cropped(MapImage(counts, origin, CELL_M, path))
+
+
+def save_map(path: Path, image: MapImage) -> None:
+    """Writes ``counts`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path`` (F, 2) as npz."""
+    np.savez_compressed(
+        path,
+        counts=image.counts,
+        origin=np.array(image.origin),
+        cell_m=np.array(image.cell_m),
+        path=image.path,
+    )
+
+
+def _cropped(image: MapImage) -> MapImage:
+    rows = np.flatnonzero(image.counts.any(axis=1))
+    columns = np.flatnonzero(image.counts.any(axis=0))
+    counts = image.counts[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    x, y = image.origin
+    origin = (x + float(columns[0]) * CELL_M, y + float(rows[0]) * CELL_M)
+    return MapImage(np.ascontiguousarray(counts), origin, CELL_M, image.path)

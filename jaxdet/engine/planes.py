@@ -1,0 +1,167 @@
+"""Which floor each frame has: the user's, the robot's (TF), an estimate, or none.
+
+The plane is decided before the frames of a log (or of a fixed time window of it) are looked
+at, and never carried from frame to frame, so results do not depend on how a run is split.
+"""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxdet.config import Config, GroundConfig
+from jaxdet.errors import InputError
+from jaxdet.pipeline import estimate_plane
+from jaxdet.pipeline import BackendName, load_backend
+from jaxdet.plane import flagged_plane, plane_from_transform, repeat_plane, unknown_plane
+from jaxdet.types import GroundPlane
+
+if TYPE_CHECKING:
+    from jaxdet.io import Log
+
+MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
+"""Camera heights that a TF tree is believed for; a base frame in the camera has none."""
+
+
+@dataclass(frozen=True)
+class GroundRecord:
+    """A plane and where it comes from, for the summary."""
+
+    source: str
+    """``flags``, ``tf``, ``estimate`` or ``none``."""
+    window_start_ns: int | None = None
+    """First stamp of the time window; None: the whole log."""
+    height_m: float | None = None
+    pitch_rad: float | None = None
+    roll_rad: float | None = None
+    height_spread_m: float | None = None
+    """How much the height differs between the sampled frames (estimate) [m]."""
+    inlier_share: float | None = None
+    """Share of the sampled points that lie on the floor (estimate)."""
+    frames_used: int | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The planes of a log."""
+
+    records: tuple[GroundRecord, ...]
+    windows: dict[int, GroundPlane]
+    """Window number to plane (``B = 1``); one window, 0, for the whole log."""
+    window_ns: int = 0
+    """Length of the windows; 0: the whole log."""
+    warnings: tuple[str, ...] = ()
+    _unknown: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
+
+    def of(self, stamp_ns: np.ndarray) -> GroundPlane:
+        """The plane of each frame with these stamps ``(B,)`` int64."""
+        if not self.window_ns:
+            return repeat_plane(self.windows[0], stamp_ns.size)
+        keys = (stamp_ns // self.window_ns).tolist()
+        each = [self.windows.get(key, self._unknown) for key in keys]
+        return GroundPlane(*(np.concatenate(values) for values in zip(*each, strict=True)))
+
+
+def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
+    """The floor of a log, in the order flags, TF, estimate, none.
+
+    Args:
+        log: An open log.
+        config: ``config.ground`` says which source is wanted.
+        backend: Backend that aligns the sampled depth images.
+
+    Returns:
+        The planes, with records and warnings for the summary.
+
+    Raises:
+        InputError: ``ground.source`` is tf and the log has no usable transform.
+    """
+    ground = config.ground
+    if ground.source == "none":
+        return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
+    if ground.camera_height_m is not None and ground.source in ("auto", "flags"):
+        return _whole_log("flags", flagged_plane(ground))
+    warnings: tuple[str, ...] = ()
+    if ground.source in ("auto", "tf"):
+        plane, problem = _plane_from_tf(log)
+        if plane is not None:
+            return _whole_log("tf", plane, f"{log.base_frame} to the colour camera")
+        if ground.source == "tf":
+            raise InputError(problem, path=log.name, remedy="give --ground.camera-height-m")
+        warnings = (problem,) if log.T_base_camera is not None else ()
+    return _estimated(log, config, backend, warnings)
+
+
+def _whole_log(source: str, plane: GroundPlane, message: str = "") -> Planes:
+    angles = (float(plane.height[0]), float(plane.pitch[0]), float(plane.roll[0]))
+    return Planes((GroundRecord(source, None, *angles, message=message),), {0: plane})
+
+
+def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
+    if log.T_base_camera is None:
+        return None, "no transform from the robot's base to the colour camera"
+    plane = plane_from_transform(log.T_base_camera)
+    height = float(plane.height[0])
+    if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+        return None, f"the TF camera height of {height:.3f} m above {log.base_frame} is not used"
+    return plane, ""
+
+
+def _estimated(
+    log: "Log", config: Config, backend: BackendName, warnings: tuple[str, ...]
+) -> Planes:
+    paired = np.flatnonzero(np.asarray(log.depth_stamp_ns) >= 0)
+    window_ns = round(config.ground.window_s * 1e9)
+    numbers = np.asarray(log.stamps_ns)[paired] // window_ns if window_ns else 0 * paired
+    windows: dict[int, GroundPlane] = {0: unknown_plane(1)} if not window_ns else {}
+    records = []
+    for number in np.unique(numbers).tolist():
+        sample = evenly(paired[numbers == number], config.ground.sample_frames)
+        record, windows[number] = _estimate(log, sample, config, backend)
+        start = number * window_ns if window_ns else None
+        records.append(GroundRecord(**{**vars(record), "window_start_ns": start}))
+    unknown = sum(record.source == "none" for record in records)
+    if unknown or not records:
+        where = f" in {unknown} of {len(records)} time windows" if window_ns else ""
+        reason = next((r.message for r in records if r.source == "none"), "no frame has depth")
+        problem = f"no floor was found{where} ({reason}): nothing is dropped as floor there"
+        warnings = (*warnings, f"{problem}; give --ground.camera-height-m")
+    return Planes(
+        tuple(records) or (GroundRecord("none", message="no frame has depth"),),
+        windows,
+        window_ns,
+        warnings,
+    )
+
+
+def _estimate(
+    log: "Log", sample: np.ndarray, config: Config, backend: BackendName
+) -> tuple[GroundRecord, GroundPlane]:
+    frames = log.read(sample.tolist()).frames
+    if not frames.valid.any():
+        return GroundRecord("none", message="no sampled frame could be read"), unknown_plane(1)
+    aligned = load_backend(backend).align(frames.depth[frames.valid], frames.calibration)
+    found = estimate_plane(np.asarray(aligned.z), frames.calibration, config.ground)
+    if not found.plane.valid[0]:
+        record = GroundRecord("none", frames_used=found.frames_used, message=found.message)
+        return record, unknown_plane(1)
+    record = GroundRecord(
+        "estimate",
+        None,
+        float(found.plane.height[0]),
+        float(found.plane.pitch[0]),
+        float(found.plane.roll[0]),
+        float(found.height_spread_m),
+        float(found.inlier_share),
+        int(found.frames_used),
+        found.message,
+    )
+    return record, found.plane
+
+
+def evenly(values: np.ndarray, count: int) -> np.ndarray:
+    """At most ``count`` of ``values``, evenly spaced, the first and the last among them."""
+    if values.size <= count:
+        return values
+    return values[np.linspace(0, values.size - 1, count).round().astype(np.int64)]

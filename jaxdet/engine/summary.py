@@ -1,0 +1,141 @@
+"""What a run reports beside its tables: ``summary.json`` and ``config.json``."""
+
+import dataclasses
+import math
+import platform
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxdet.errors import FrameStatus
+
+PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
+
+
+@dataclass
+class LogSummary:
+    """One log of a run."""
+
+    log: str
+    paths: tuple[str, ...]
+    frames: int = 0
+    """Rows written; of a log that failed on the way, those before the failure."""
+    status: Counter[str] = field(default_factory=Counter)
+    features: int = 0
+    obstacles: int = 0
+    overflow_frames: int = 0
+    seconds: float = 0.0
+    """From the first batch asked for to the last row [s]."""
+    first_batch_s: float = 0.0
+    """Until the first batch was through, compilation included [s]."""
+    frames_per_s: float | None = None
+    """Without the first batch; None when there was only one."""
+    ground: tuple[Any, ...] = ()
+    """The planes used and their sources, see ``jaxdet.engine.planes.GroundRecord``."""
+    calibration: Any = None
+    description: Any = None
+    """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
+    map: str | None = None
+    pictures: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    frame_errors: list[str] = field(default_factory=list)
+    """The first few frames that could not be used, with the reason."""
+    error: str | None = None
+    """Why the log failed as a whole."""
+
+    def count(self, rows: dict[str, Any]) -> None:
+        """Adds the columns of ``frames.parquet`` of a batch."""
+        self.frames += len(rows["status"])
+        self.status.update(rows["status"].tolist())
+        self.features += int(rows["num_features"].sum())
+        self.obstacles += int(rows["num_obstacles"].sum())
+        self.overflow_frames += int(rows["overflow"].sum())
+
+    @property
+    def num_bad(self) -> int:
+        """Frames that are not ok."""
+        return self.frames - self.status[FrameStatus.OK]
+
+
+@dataclass
+class Summary:
+    """A whole run."""
+
+    backend: str
+    batch_size: int
+    logs: list[LogSummary] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def frames(self) -> int:
+        """Rows of ``frames.parquet``."""
+        return sum(log.frames for log in self.logs)
+
+    @property
+    def obstacles(self) -> int:
+        """Rows of ``obstacles.parquet``."""
+        return sum(log.obstacles for log in self.logs)
+
+    @property
+    def failed(self) -> list[LogSummary]:
+        """The logs that failed as a whole."""
+        return [log for log in self.logs if log.error]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``summary.json``: strings, numbers, lists, mappings and null only."""
+        status = Counter({str(s): 0 for s in FrameStatus})
+        for log in self.logs:
+            status.update(log.status)
+        return {
+            "jaxdet": _version("jaxdet"),
+            "backend": self.backend,
+            "batch_size": self.batch_size,
+            "frames": self.frames,
+            "status": dict(status),
+            "obstacles": self.obstacles,
+            "overflow_frames": sum(log.overflow_frames for log in self.logs),
+            "failed_logs": len(self.failed),
+            "seconds": round(self.seconds, 3),
+            "logs": [plain(log) for log in self.logs],
+            "versions": versions(),
+        }
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of Python and of the packages that results depend on; None: not installed."""
+    found = {name: _version(name) for name in PACKAGES}
+    return {"python": platform.python_version(), **found}
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        import jaxdet
+
+        return jaxdet.__version__ if name == "jaxdet" else None
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: dataclasses and named tuples become mappings, NaN becomes null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        pairs = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+        return {k: plain(v) for k, v in pairs.items() if not k.startswith("_")}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return {k: plain(v) for k, v in value._asdict().items()}  # pyright: ignore
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Enum | Path):
+        return str(value)
+    return value

@@ -1,0 +1,7 @@
+"""Pictures of frames and logs, with OpenCV and NumPy only."""
+
+from jaxdet.render.canvas import write_png
+from jaxdet.render.frame import draw_frame
+from jaxdet.render.map import MapImage, draw_map
+
+__all__ = ["MapImage", "draw_frame", "draw_map", "write_png"]

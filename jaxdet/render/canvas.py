@@ -1,0 +1,111 @@
+"""Drawing primitives with sub-pixel positions, and the colours of all pictures (RGB)."""
+
+import os
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+Color = tuple[int, int, int]
+
+BACKGROUND: Color = (18, 22, 28)
+PANEL: Color = (26, 31, 39)
+GRID: Color = (52, 60, 72)
+TEXT: Color = (226, 231, 238)
+FAINT: Color = (138, 148, 162)
+DROPPED: Color = (128, 132, 138)
+LOOSE: Color = (240, 240, 240)
+
+PALETTE: tuple[Color, ...] = (
+    (255, 92, 92),
+    (64, 180, 255),
+    (255, 200, 40),
+    (80, 214, 120),
+    (196, 130, 255),
+    (255, 142, 60),
+    (40, 204, 184),
+    (255, 118, 190),
+    (172, 216, 40),
+    (128, 150, 255),
+)
+"""Colours of the obstacles, by label."""
+
+_SHIFT = 4
+
+
+def color_of(label: int) -> Color:
+    """The colour of an obstacle in every picture."""
+    return PALETTE[label % len(PALETTE)]
+
+
+def canvas(height: int, width: int, color: Color = BACKGROUND) -> np.ndarray:
+    """An empty picture ``(height, width, 3)`` uint8 RGB."""
+    return np.full((height, width, 3), color, np.uint8)
+
+
+def fixed(points: np.ndarray) -> np.ndarray:
+    """Points in pixels as the fixed-point integers of OpenCV's drawing functions."""
+    clipped = np.clip(np.asarray(points, np.float64), -30000, 30000)
+    return np.rint(clipped * (1 << _SHIFT)).astype(np.int32)
+
+
+def line(image: np.ndarray, points: np.ndarray, color: Color, width: int = 1) -> None:
+    """An open line through ``points`` ``(P, 2)`` pixels."""
+    cv2.polylines(image, [fixed(points)], False, color, width, cv2.LINE_AA, _SHIFT)
+
+
+def polygon(
+    image: np.ndarray, points: np.ndarray, color: Color, fill: float = 0.0, width: int = 2
+) -> None:
+    """A convex outline through ``points`` ``(P, 2)`` pixels, its inside at opacity ``fill``."""
+    if fill > 0:
+        layer = image.copy()
+        cv2.fillConvexPoly(layer, fixed(points), color, cv2.LINE_AA, _SHIFT)
+        cv2.addWeighted(layer, fill, image, 1 - fill, 0, dst=image)
+    if width:
+        cv2.polylines(image, [fixed(points)], True, color, width, cv2.LINE_AA, _SHIFT)
+
+
+def dots(image: np.ndarray, points: np.ndarray, color: Color, radius: float) -> None:
+    """Filled discs at ``points`` ``(P, 2)`` pixels, with a thin dark rim."""
+    r = round(radius * (1 << _SHIFT))
+    for center in fixed(points).tolist():
+        cv2.circle(image, center, r + (1 << _SHIFT), (0, 0, 0), -1, cv2.LINE_AA, _SHIFT)
+    for center in fixed(points).tolist():
+        cv2.circle(image, center, r, color, -1, cv2.LINE_AA, _SHIFT)
+
+
+@cache
+def _font() -> cv2.FontFace:
+    return cv2.FontFace("sans")
+
+
+def text_size(text: str, size: int, bold: bool = False) -> tuple[int, int]:
+    """Width and height of the capitals of ``text`` [pixel]."""
+    weight = 700 if bold else 400
+    box = cv2.getTextSize((0, 0), text, (0, 0), _font(), size, weight)
+    return int(box[2]), round(size * 0.72)
+
+
+def write(
+    image: np.ndarray,
+    text: str,
+    at: tuple[float, float],
+    color: Color = TEXT,
+    size: int = 15,
+    *,
+    bold: bool = False,
+    align: str = "left",
+) -> None:
+    """Text whose baseline starts, ends (``right``) or is centred (``center``) at ``at``."""
+    width, _ = text_size(text, size, bold)
+    x = at[0] - {"left": 0.0, "center": width / 2, "right": width}[align]
+    weight = 700 if bold else 400
+    cv2.putText(image, text, (round(x), round(at[1])), color, _font(), size, weight)
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Writes an RGB picture."""
+    encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]
+    Path(os.fspath(path)).write_bytes(encoded.tobytes())

@@ -1,0 +1,144 @@
+"""The picture of a whole log: outline counts, the robot's path, a scale bar."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxdet.render import canvas
+
+LONG_SIDE = 1000
+HEADER, FOOTER, MARGIN = 46, 46, 24
+PATH: canvas.Color = (64, 180, 255)
+START: canvas.Color = (80, 214, 120)
+END: canvas.Color = (255, 92, 92)
+
+
+class MapImage(NamedTuple):
+    """An occupancy map; row 0 is the lowest Y."""
+
+    counts: np.ndarray
+    """``(rows, columns)`` int32, outlines that cover each cell."""
+    origin: tuple[float, float]
+    """World X and Y of the outer corner of cell (0, 0) [m]."""
+    cell_m: float
+    """Side of a cell [m]."""
+    path: np.ndarray
+    """``(F, 2)`` float64, world X and Y of the camera, in frame order [m]."""
+
+
+def draw_map(image: MapImage, title: str) -> np.ndarray:
+    """A picture of a map, X to the right and Y up.
+
+    Args:
+        image: The map.
+        title: Heads the picture.
+
+    Returns:
+        ``(h, w, 3)`` uint8, RGB.
+    """
+    low, high = _bounds(image)
+    scale = min(LONG_SIDE / max(float((high - low).max()), 1e-6), 400.0)
+    width, height = (max(round(float(v)), 240) for v in (high - low) * scale)
+    panel = canvas.canvas(height, width, canvas.PANEL)
+
+    def pixels(points: np.ndarray) -> np.ndarray:
+        return np.stack(
+            [(points[..., 0] - low[0]) * scale, height - (points[..., 1] - low[1]) * scale], axis=-1
+        )
+
+    _paint_counts(panel, image, low, scale)
+    step = _round_length(90 / scale)
+    _draw_grid(panel, low, scale, step)
+    if len(image.path):
+        path = pixels(image.path)
+        canvas.line(panel, path, (8, 10, 14), 5)
+        canvas.line(panel, path, PATH, 2)
+        canvas.dots(panel, path[:1], START, 6.0)
+        canvas.dots(panel, path[-1:], END, 6.0)
+    return _framed(panel, image, title, scale, step)
+
+
+def _bounds(image: MapImage) -> tuple[np.ndarray, np.ndarray]:
+    """World corners of the picture: all cells and the path, and a margin."""
+    low = np.array(image.origin)
+    high = low + np.array(image.counts.shape[::-1]) * image.cell_m
+    if len(image.path):
+        low = np.minimum(low, image.path.min(axis=0))
+        high = np.maximum(high, image.path.max(axis=0))
+    margin = 0.04 * float((high - low).max()) + 0.2
+    return low - margin, high + margin
+
+
+def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: float) -> None:
+    """Each pixel shows the cell under its centre."""
+    height, width = panel.shape[:2]
+    x = low[0] + (np.arange(width) + 0.5) / scale
+    y = low[1] + (height - np.arange(height) - 0.5) / scale
+    column = np.floor((x - image.origin[0]) / image.cell_m).astype(np.int64)
+    row = np.floor((y - image.origin[1]) / image.cell_m).astype(np.int64)
+    rows, columns = image.counts.shape
+    inside = ((row >= 0) & (row < rows))[:, None] & ((column >= 0) & (column < columns))
+    counts = image.counts[np.clip(row, 0, rows - 1)[:, None], np.clip(column, 0, columns - 1)]
+    shown = inside & (counts > 0)
+    panel[shown] = _heat(counts, int(image.counts.max()))[shown]
+
+
+def _heat(counts: np.ndarray, most: int) -> np.ndarray:
+    """Counts as colours, logarithmic, dark purple to yellow."""
+    share = np.log1p(np.maximum(counts - 1, 0)) / max(np.log1p(most - 1), 1e-9)
+    level = (70 + 170 * np.clip(share, 0, 1)).astype(np.uint8)
+    return cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1]
+
+
+def _draw_grid(panel: np.ndarray, low: np.ndarray, scale: float, step: float) -> None:
+    height, width = panel.shape[:2]
+    layer = panel.copy()
+    for i in range(int(np.ceil(low[0] / step)), int((low[0] + width / scale) / step) + 1):
+        x = (i * step - low[0]) * scale
+        canvas.line(layer, np.array([[x, 0], [x, height]]), canvas.FAINT)
+    for i in range(int(np.ceil(low[1] / step)), int((low[1] + height / scale) / step) + 1):
+        y = height - (i * step - low[1]) * scale
+        canvas.line(layer, np.array([[0, y], [width, y]]), canvas.FAINT)
+    cv2.addWeighted(layer, 0.25, panel, 0.75, 0, dst=panel)
+
+
+def _round_length(metres: float) -> float:
+    """The first of 0.1, 0.2, 0.5, 1, 2, 5, ... that is not shorter."""
+    lengths = [base * 10.0**power for power in range(-1, 7) for base in (1, 2, 5)]
+    return next((length for length in lengths if length >= metres), lengths[-1])
+
+
+def _framed(
+    panel: np.ndarray, image: MapImage, title: str, scale: float, step: float
+) -> np.ndarray:
+    height, width = panel.shape[:2]
+    total = max(width, 640) + 2 * MARGIN
+    framed = canvas.canvas(height + HEADER + FOOTER, total)
+    left = (total - width) // 2
+    framed[HEADER : HEADER + height, left : left + width] = panel
+    canvas.write(framed, f"{title}   map", (MARGIN, 30), size=19, bold=True)
+    length = float(np.sum(np.linalg.norm(np.diff(image.path, axis=0), axis=1)))
+    about = f"path {length:.1f} m, cells of {image.cell_m:g} m, X right, Y up"
+    canvas.write(framed, about, (total - MARGIN, 30), canvas.FAINT, align="right")
+    y = height + HEADER + 28
+    bar = np.array([[0, -6], [0, 0], [step * scale, 0], [step * scale, -6]]) + (MARGIN, y)
+    canvas.line(framed, bar, canvas.TEXT, 2)
+    canvas.write(framed, f"{step:g} m", (MARGIN + step * scale + 8, y + 2))
+    _draw_legend(framed, image, total - MARGIN, y)
+    return framed
+
+
+def _draw_legend(framed: np.ndarray, image: MapImage, right: int, y: int) -> None:
+    most = max(int(image.counts.max()), 1)
+    canvas.write(framed, f"{most} outlines on a cell", (right, y + 2), canvas.FAINT, align="right")
+    right -= canvas.text_size(f"{most} outlines on a cell", 15)[0] + 8
+    ramp = np.rint(np.expm1(np.linspace(0, np.log1p(most - 1), 110)) + 1).astype(np.int64)
+    framed[y - 10 : y + 2, right - 110 : right] = _heat(ramp[None], most)
+    canvas.write(framed, "1", (right - 116, y + 2), canvas.FAINT, align="right")
+    x = right - 150.0
+    for color, text in ((END, "end"), (START, "start")):
+        x -= canvas.text_size(text, 15)[0]
+        canvas.write(framed, text, (x, y + 2), canvas.FAINT)
+        canvas.dots(framed, np.array([[x - 10, y - 4]]), color, 4.0)
+        x -= 34

@@ -1,0 +1,122 @@
+"""The top view of one frame: points and outlines in the ground frame, in metres."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.plane import GROUND_BITS, ground_axes
+from jaxdet.render import canvas
+from jaxdet.types import Calibration, Detections, Features, GroundPlane
+
+_MARGIN = 34
+
+
+class View(NamedTuple):
+    """From the ground frame to pixels."""
+
+    center: float
+    bottom: float
+    scale: float
+    """Pixels in a metre."""
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Points ``(..., 2)`` right and forward [m] as pixels."""
+        x, y = points[..., 0], points[..., 1]
+        return np.stack([self.center + x * self.scale, self.bottom - y * self.scale], axis=-1)
+
+
+def top_view(
+    size: tuple[int, int],
+    found: Detections,
+    corners: np.ndarray,
+    row: int,
+    plane: GroundPlane,
+    calibration: Calibration,
+    max_depth_m: float,
+) -> np.ndarray:
+    """The ground in front of the camera, which stands at the bottom.
+
+    Args:
+        size: Height and width of the picture [pixel].
+        found: The batch's detections, as NumPy arrays.
+        corners: ``(B, M, 4, 2)`` float64, outlines in the ground frame [m].
+        row: The frame's row in them.
+        plane: ``(B,)`` planes.
+        calibration: For the field of view and the depth unit.
+        max_depth_m: Farthest depth used [m]; the view reaches that far.
+
+    Returns:
+        ``size + (3,)`` uint8, RGB.
+    """
+    height, width = size
+    image = canvas.canvas(height, width, canvas.PANEL)
+    camera = calibration.color
+    left, right = camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
+    wide = 2 * max(left, right) * max_depth_m
+    scale = min((height - 2 * _MARGIN) / max_depth_m, (width - _MARGIN) / wide)
+    view = View(width / 2, height - _MARGIN, scale)
+    wedge = np.array(
+        [[0, 0], [-left * max_depth_m, max_depth_m], [right * max_depth_m, max_depth_m]]
+    )
+    canvas.polygon(image, view.pixels(wedge), (44, 54, 68), fill=0.75, width=0)
+    _draw_grid(image, view)
+    canvas.line(image, view.pixels(wedge[[1, 0, 2]]), (84, 100, 122))
+    _draw_points(image, view, found, row, plane, calibration.depth_unit)
+    _draw_outlines(image, view, found, corners, row, calibration.depth_unit)
+    body = view.pixels(np.zeros(2)) + np.array([[-9.0, 14], [9, 14], [5, 0], [-5, 0]])
+    canvas.polygon(image, body, canvas.TEXT, fill=1.0, width=1)
+    return image
+
+
+def ground_points(features: Features, row: int, plane: GroundPlane, unit: float) -> np.ndarray:
+    """The features of a frame on the ground, ``(N, 2)`` float64, right and forward [m]."""
+    xyz = np.stack([features.x[row], features.y[row], features.z[row]], axis=1).astype(np.float64)
+    return xyz @ ground_axes(plane)[row].T.astype(np.float64) / (1 << GROUND_BITS) * unit
+
+
+def _draw_grid(image: np.ndarray, view: View) -> None:
+    height, width = image.shape[:2]
+    reach_x, reach_y = view.center / view.scale, view.bottom / view.scale
+    step = next(s for s in (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0) if s * view.scale > 60 or s == 20)
+    for i in range(int(reach_y / step) + 1):
+        y = float(view.pixels(np.array([0, i * step]))[1])
+        canvas.line(image, np.array([[0, y], [width, y]]), canvas.GRID)
+        if i:
+            canvas.write(image, f"{i * step:g} m", (8, y - 5), canvas.FAINT, 13)
+    for i in range(-int(reach_x / step), int(reach_x / step) + 1):
+        x = float(view.pixels(np.array([i * step, 0]))[0])
+        canvas.line(image, np.array([[x, 0], [x, height]]), canvas.GRID)
+        label = f"{i * step:+g}" if i else "0"
+        canvas.write(image, label, (x, height - 7), canvas.FAINT, 13, align="center")
+
+
+def _draw_points(
+    image: np.ndarray, view: View, found: Detections, row: int, plane: GroundPlane, unit: float
+) -> None:
+    points = view.pixels(ground_points(found.features, row, plane, unit))
+    labels = found.labels.labels[row]
+    loose = found.features.valid[row] & found.features.kept[row] & (labels < 0)
+    canvas.dots(image, points[loose], canvas.DROPPED, 1.5)
+    for label in reversed(range(int(found.labels.num_obstacles[row]))):
+        canvas.dots(image, points[labels == label], canvas.color_of(label), 2.5)
+
+
+def _draw_outlines(
+    image: np.ndarray, view: View, found: Detections, corners: np.ndarray, row: int, unit: float
+) -> None:
+    obstacles = found.obstacles
+    order = list(reversed(range(int(found.labels.num_obstacles[row]))))
+    for label in order:
+        outline = view.pixels(corners[row, label])
+        canvas.polygon(image, outline, canvas.color_of(label), fill=0.30)
+    for label in order:
+        marks = np.stack(
+            [obstacles.a[row, label], obstacles.b[row, label], obstacles.c[row, label]]
+        )
+        spots = view.pixels(marks * unit)
+        canvas.dots(image, spots, canvas.color_of(label), 3.5)
+        # Letters where they stay apart: A to the left of the outline, B right, C below.
+        aligned = ("right", (-7, 4)), ("left", (7, 4)), ("center", (0, 18))
+        for name, at, (align, shift) in zip("ABC", spots.tolist(), aligned, strict=True):
+            place = (at[0] + shift[0], at[1] + shift[1])
+            canvas.write(image, name, place, canvas.color_of(label), 13, bold=True, align=align)
