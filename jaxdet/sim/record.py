@@ -1,5 +1,6 @@
 """Writing a simulated log: topics and frames as ``realsense2_camera`` 4.x names them."""
 
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
         for index in range(config.frames):
             frame = simulate_frame(config, scene, index)
             while odometry and odometry[0] <= index / config.rate_hz:
-                _write_odometry(writer, config, scene, odometry.pop(0))
+                _write_odometry(writer, config, scene, odometry.popleft())
             _write_frame(writer, config, calibration, frame)
             truth.add(frame)
         for time_s in odometry:
@@ -49,13 +50,13 @@ def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
     return truth.finish()
 
 
-def _odometry_times(config: SimConfig) -> list[float]:
+def _odometry_times(config: SimConfig) -> deque[float]:
     """Times from before the first frame to after the last, off the frames' beat."""
     if config.odometry_hz == 0:
-        return []
+        return deque()
     step = 1 / config.odometry_hz
     end = (config.frames - 1) / config.rate_hz + max(config.depth_delay_s, 0.0) + step
-    return [*np.arange(-0.3 * step, end, step).tolist()]
+    return deque(np.arange(-0.3 * step, end, step).tolist())
 
 
 def _write_odometry(writer: Ros2LogWriter, config: SimConfig, scene: Scene, time_s: float) -> None:

@@ -61,7 +61,7 @@ def truth_path(log: str | Path) -> Path:
 
 
 class TruthWriter:
-    """Writes the truth frame by frame, so memory stays small; a context manager's inside.
+    """Writes the truth frame by frame, so memory stays small.
 
     Args:
         path: The file to write.
