@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxdet.config import PRESETS, Config, preset
     from jaxdet.errors import FrameStatus, JaxdetError
-    from jaxdet.estimate import estimate_plane
     from jaxdet.io import LogOptions, find_logs, open_log
     from jaxdet.metric import extents, rectangles, to_world
-    from jaxdet.pipeline import detect
+    from jaxdet.pipeline import detect, estimate_plane
     from jaxdet.types import (
         Calibration,
         Detections,
@@ -31,10 +30,9 @@ __version__ = "0.1.0"
 _HOMES = {
     "jaxdet.config": ("PRESETS", "Config", "preset"),
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
-    "jaxdet.estimate": ("estimate_plane",),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.metric": ("extents", "rectangles", "to_world"),
-    "jaxdet.pipeline": ("detect",),
+    "jaxdet.pipeline": ("detect", "estimate_plane"),
     "jaxdet.types": (
         "Calibration",
         "Detections",

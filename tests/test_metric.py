@@ -1,5 +1,7 @@
 """Integers to metres: rectangles by hand, Eq. 8-9 against a plain transform."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,13 +19,13 @@ def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles
     """One obstacle with these points, one point in it."""
     point = np.array([[[3, -6, 9]]], np.int32)
     uv = np.zeros((1, 1, 2), np.int32)
-    abc = (np.array([[p]], np.int32) for p in (a, b, c))
+    pa, pb, pc = (np.array([[p]], np.int32) for p in (a, b, c))
     count = np.ones((1, 1), np.int32)
     vertex = np.array([[has_vertex]])
-    return Obstacles(count, uv, uv, point, point, point, *abc, vertex)
+    return Obstacles(count, uv, uv, point, point, point, pa, pb, pc, vertex)
 
 
-def corners(*args: object) -> np.ndarray:
+def corners(*args: Any) -> np.ndarray:
     return metric.rectangles(outline(*args), 0.001, CONFIG)[0, 0]
 
 

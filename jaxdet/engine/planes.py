@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxdet.config import Config, GroundConfig
+from jaxdet.config import Config
 from jaxdet.errors import InputError
-from jaxdet.pipeline import estimate_plane
-from jaxdet.pipeline import BackendName, load_backend
+from jaxdet.pipeline import BackendName, estimate_plane
 from jaxdet.plane import flagged_plane, plane_from_transform, repeat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
@@ -141,8 +140,7 @@ def _estimate(
     frames = log.read(sample.tolist()).frames
     if not frames.valid.any():
         return GroundRecord("none", message="no sampled frame could be read"), unknown_plane(1)
-    aligned = load_backend(backend).align(frames.depth[frames.valid], frames.calibration)
-    found = estimate_plane(np.asarray(aligned.z), frames.calibration, config.ground)
+    found = estimate_plane(frames, config, backend=backend)
     if not found.plane.valid[0]:
         record = GroundRecord("none", frames_used=found.frames_used, message=found.message)
         return record, unknown_plane(1)

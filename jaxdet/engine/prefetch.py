@@ -1,7 +1,7 @@
 """Reading ahead: batches are decoded in a thread while earlier ones are computed."""
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from queue import Empty, Full, Queue
 from typing import TypeVar
 
@@ -10,7 +10,7 @@ Item = TypeVar("Item")
 _END = object()
 
 
-def prefetch(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
+def prefetch(items: Iterable[Item], depth: int = 2) -> Generator[Item, None, None]:
     """Yields ``items`` in order, up to ``depth`` of them read ahead in a thread.
 
     An exception of the iterable is raised here, after the items before it. Closing the
@@ -42,7 +42,7 @@ def prefetch(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
     thread.start()
     try:
         while (item := queue.get()) is not _END:
-            yield item  # pyright: ignore[reportReturnType]
+            yield item
         if failure:
             raise failure[0]
     finally:

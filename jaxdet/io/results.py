@@ -112,7 +112,7 @@ class _Table:
             compression="zstd",
             compression_level=3,
             write_page_checksum=True,
-            use_dictionary=["log", "status"],
+            use_dictionary=["log", "status"],  # pyright: ignore[reportArgumentType]
         )
 
     def add(self, table: pa.Table) -> None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxdet.render import canvas
+import jaxdet.render.canvas as canvas
 from jaxdet.types import Detections
 
 Box = tuple[float, float, float, float]
@@ -81,12 +81,12 @@ def _chips(boxes: list[Box], texts: list[str], width: int, height: int) -> list[
         wide = canvas.text_size(text, _CHIP_TEXT, bold=True)[0] + 16
         left = min(max(box[0] - 1, 0), width - wide)
         top = max(box[1] - _CHIP_HEIGHT, 0)
-        for _ in range(len(boxes) + 1):
-            spot = (left, top, left + wide, top + _CHIP_HEIGHT)
-            hit = next((c for c in placed if _overlap(c.box, spot)), None)
-            if hit is None or hit.box[3] + _CHIP_HEIGHT > height:
-                break
+        spot = (left, top, left + wide, top + _CHIP_HEIGHT)
+        while hit := next((c for c in placed if _overlap(c.box, spot)), None):
             top = hit.box[3] + 2
+            if top + _CHIP_HEIGHT > height:
+                break
+            spot = (left, top, left + wide, top + _CHIP_HEIGHT)
         placed.append(Chip(spot, text, label))
     return placed
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxdet.render import canvas
+import jaxdet.render.canvas as canvas
 
 LONG_SIDE = 1000
 HEADER, FOOTER, MARGIN = 46, 46, 24

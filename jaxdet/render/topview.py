@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+import jaxdet.render.canvas as canvas
 from jaxdet.plane import GROUND_BITS, ground_axes
-from jaxdet.render import canvas
 from jaxdet.types import Calibration, Detections, Features, GroundPlane
 
 _MARGIN = 34
