@@ -30,6 +30,11 @@ def is_compressed_depth(format_text: str, topic: str) -> bool:
     return encoding in ("16uc1", "mono16", "32fc1")
 
 
+def is_png16(data: bytes) -> bool:
+    """Whether a file is a 16-bit grey PNG, by its head."""
+    return data.startswith(_PNG) and len(data) > 25 and data[24] == 16 and data[25] == 0
+
+
 def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     """Width and height [pixel] by the file's own head, without decoding.
 

@@ -35,8 +35,11 @@ class MessageDecoder:
             raise ValueError(f"schema {channel.schema_name!r} is of no use here")
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)
+        self.is_foxglove: bool = self._name.startswith("foxglove.")
         self._raw = _raw_decoder(channel)
-        self._peek = channel.message_encoding == "cdr" and _stamp_leads(channel.schema_text)
+        self.stamp_leads: bool = channel.message_encoding == "cdr" and _stamp_leads(
+            channel.schema_text
+        )
 
     def decode(self, payload: bytes | memoryview) -> Message:
         """The message in a payload.
@@ -58,7 +61,7 @@ class MessageDecoder:
         Raises:
             FrameError: It can't be decoded.
         """
-        if self._peek and len(payload) >= 12 and payload[1] in (0, 1):
+        if self.stamp_leads and len(payload) >= 12 and payload[1] in (0, 1):
             order = "little" if payload[1] else "big"
             sec = int.from_bytes(payload[4:8], order, signed=True)
             return nanoseconds(sec, int.from_bytes(payload[8:12], order))

@@ -1,0 +1,189 @@
+"""The calibration of the chosen topics, each part with where it comes from."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import CalibrationError
+from jaxdet.io.extrinsics import find_extrinsics
+from jaxdet.io.index import LogIndex
+from jaxdet.io.intrinsics import CameraSource, find_intrinsics
+from jaxdet.io.messages import CameraInfoMessage, Kind
+from jaxdet.io.options import LogOptions
+from jaxdet.io.streams import ImageSize, ImageStream, first_image, image_sizes
+from jaxdet.io.topics import Choice, affinity, printable
+from jaxdet.types import Calibration, Intrinsics
+
+DEPTH_UNIT_M = 0.001
+"""Metres in one depth unit, where nothing else is said."""
+
+
+class Calibrated(NamedTuple):
+    """A log's calibration and how it was found."""
+
+    calibration: Calibration
+    color_frame: str
+    """TF frame of the colour camera."""
+    depth_size: ImageSize
+    """Of the depth images."""
+    origins: tuple[str, ...]
+    """Sentences."""
+    extrinsics_source: str
+    warnings: tuple[str, ...]
+
+
+def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -> Calibrated:
+    """The calibration for the chosen topics.
+
+    Raises:
+        CalibrationError: A part is missing, unknown or contradicts another; the text names the
+            flag that supplies it.
+    """
+    color_stream, depth_stream = index.streams[choice.color], index.streams[choice.depth]
+    color_frame = options.camera_frame or _frame(color_stream, False)
+    depth_frame = _frame(depth_stream, True)
+    color = find_intrinsics(_source(index, color_stream, False, options, path))
+    depth_source = _source(index, depth_stream, True, options, path)
+    unit = options.depth_unit_m or DEPTH_UNIT_M
+    origins = [_line("colour", color.intrinsics, color.origin)]
+    warnings = list(color.warnings)
+    same_frame = bool(color_frame) and _frame(color_stream, False) == depth_frame
+    aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
+    if aligned:
+        size = ImageSize(color.intrinsics.width, color.intrinsics.height)
+        if depth_source.size is not None and depth_source.size != size:
+            problem = f"aligned depth is {depth_source.size[0]}x{depth_source.size[1]} but colour"
+            problem += f" is {size.width}x{size.height}"
+            remedy = "say --log.no-depth-aligned or choose another --log.depth"
+            raise CalibrationError(problem, path=path, topic=choice.depth, remedy=remedy)
+        warnings += _aligned_doubts(depth_source, color.intrinsics)
+        calibration = Calibration(color.intrinsics, None, None, unit)
+        extrinsics_source = f"not needed: depth is aligned to colour ({why})"
+    else:
+        depth = find_intrinsics(depth_source)
+        found = find_extrinsics(index, options, choice.depth, color_frame, depth_frame, path)
+        origins.append(_line("depth", depth.intrinsics, depth.origin))
+        warnings += [*depth.warnings, *found.warnings]
+        calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
+        extrinsics_source = found.origin
+        size = ImageSize(depth.intrinsics.width, depth.intrinsics.height)
+    given = "--log.depth-unit-m" if options.depth_unit_m else "the default"
+    origins.append(f"depth unit: {unit:g} m, {given}")
+    warnings += _changes(index, (choice.color, choice.depth))
+    return Calibrated(
+        calibration, color_frame, size, tuple(origins), extrinsics_source, tuple(warnings)
+    )
+
+
+def _frame(stream: ImageStream, depth: bool) -> str:
+    image = first_image(stream, depth)
+    return image.frame_id if image is not None else ""
+
+
+def _aligned(
+    color: Intrinsics,
+    depth: CameraSource,
+    choice: Choice,
+    same_frame: bool,
+    options: LogOptions,
+) -> tuple[bool, str]:
+    if options.depth_aligned is not None:
+        flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
+        return options.depth_aligned, f"given by {flag}"
+    if options.color_from_depth is not None or options.depth_intrinsics is not None:
+        return False, "depth's own calibration is given"
+    if choice.aligned_by_name:
+        return True, "by the topic's name"
+    if not same_frame or depth.size != (color.width, color.height):
+        return False, ""
+    if depth.info is None:
+        return True, "same frame and size as colour"
+    try:
+        own = find_intrinsics(depth).intrinsics
+    except CalibrationError:
+        return False, ""
+    same = np.allclose(own[2:6], color[2:6], rtol=0, atol=1e-3)
+    return bool(same), "same frame, size and camera matrix as colour"
+
+
+def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
+    if depth.info is None or len(depth.info.K) != 9:
+        return []
+    K = depth.info.K
+    own = (K[0], K[4], K[2], K[5])
+    if np.allclose(own, color[2:6], rtol=0, atol=0.5):
+        return []
+    return [f"{depth.topic}: depth counts as aligned but has another camera matrix than colour"]
+
+
+def _source(
+    index: LogIndex, stream: ImageStream, depth: bool, options: LogOptions, path: str
+) -> CameraSource:
+    name = "depth" if depth else "color"
+    override = options.depth_info if depth else options.color_info
+    topic = _info_topic(index, stream, depth, override, path)
+    info = index.calibrations[topic].first if topic else None
+    sizes = image_sizes(stream, depth).most_common(1)
+    return CameraSource(
+        name=name,
+        topic=printable(topic),
+        info=info,
+        size=sizes[0][0] if sizes else None,
+        rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
+        matrix=options.depth_intrinsics if depth else options.color_intrinsics,
+        model=options.depth_distortion if depth else options.color_distortion,
+        path=path,
+    )
+
+
+def _info_topic(
+    index: LogIndex, stream: ImageStream, depth: bool, override: str | None, path: str
+) -> str:
+    """The flag's topic, else the one beside the images, else the only one of their frame."""
+    known = index.calibrations
+    if override:
+        if override not in known:
+            flag = "--log.depth-info" if depth else "--log.color-info"
+            names = ", ".join(printable(name) for name in sorted(known)[:12]) or "none"
+            raise CalibrationError(
+                "no calibration on this topic",
+                path=path,
+                topic=printable(override),
+                remedy=f"{flag} can be: {names}",
+            )
+        return override
+    if stream.kind is Kind.RGBD:
+        topic = f"{stream.topic} ({'depth' if depth else 'rgb'})"
+        return topic if topic in known else ""
+    parts = stream.topic.split("/")
+    for end in range(len(parts) - 1, max(len(parts) - 3, 0), -1):
+        topic = "/".join([*parts[:end], "camera_info"])
+        if topic in known:
+            return topic
+    frame = _frame(stream, depth)
+    same = [name for name, item in known.items() if frame and _frame_of(item.first) == frame]
+    best = max((affinity(name, stream.topic) for name in same), default=0)
+    nearest = [name for name in same if affinity(name, stream.topic) == best]
+    return nearest[0] if len(nearest) == 1 else ""
+
+
+def _frame_of(info: CameraInfoMessage | None) -> str:
+    return info.frame_id if info else ""
+
+
+def _changes(index: LogIndex, topics: Sequence[str]) -> list[str]:
+    return [
+        f"{printable(name)} has several calibrations; the first valid one is used throughout"
+        for name, item in sorted(index.calibrations.items())
+        if len(item.distinct) > 1
+        and any(affinity(name, topic) >= name.strip("/").count("/") for topic in topics)
+    ]
+
+
+def _line(name: str, value: Intrinsics, origin: str) -> str:
+    matrix = f"fx {value.fx:.6g} fy {value.fy:.6g} cx {value.cx:.6g} cy {value.cy:.6g}"
+    lens = value.distortion.value
+    if value.coefficients:
+        lens += " " + " ".join(f"{item:.6g}" for item in value.coefficients)
+    return f"{name}: {value.width}x{value.height}, {matrix}, distortion {lens}; from {origin}"

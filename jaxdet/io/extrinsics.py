@@ -1,0 +1,82 @@
+"""Where the depth camera stands to the colour camera: flags, extrinsics topic, or TF."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import CalibrationError
+from jaxdet.io.index import LogIndex
+from jaxdet.io.motion import difference, motion_matrix
+from jaxdet.io.options import LogOptions
+from jaxdet.io.topics import affinity, printable
+from jaxdet.types import Extrinsics
+
+_AGREE_M, _AGREE_RAD = 0.001, 0.002
+
+
+class FoundExtrinsics(NamedTuple):
+    """``T_color_depth``, where it comes from, and what contradicts it."""
+
+    extrinsics: Extrinsics
+    origin: str
+    warnings: tuple[str, ...]
+
+
+def find_extrinsics(
+    index: LogIndex,
+    options: LogOptions,
+    depth_topic: str,
+    color_frame: str,
+    depth_frame: str,
+    path: str,
+) -> FoundExtrinsics:
+    """``T_color_depth`` from the flag, else the extrinsics topic, else TF.
+
+    Two images in one and the same frame have none between them. A difference between topic and
+    TF is a warning; never is a missing motion taken for none.
+
+    Raises:
+        CalibrationError: Nothing in the log tells it, or the transforms form a cycle.
+    """
+    given = options.color_from_depth
+    if given is not None:
+        T = motion_matrix(np.array(given[:3]), np.array(given[3:]))
+        return FoundExtrinsics(_extrinsics(T), "--log.color-from-depth", ())
+    topic = _topic(index, depth_topic)
+    tf = index.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
+    if topic:
+        message = index.extrinsics[topic]
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = message.rotation, message.translation
+        warnings = _contradiction(T, tf, topic) if color_frame != depth_frame else ()
+        return FoundExtrinsics(_extrinsics(T), f"topic {printable(topic)}", warnings)
+    if tf is None:
+        frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
+        problem = f"no transform from depth to colour (frames {frames})"
+        remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
+        raise CalibrationError(problem, path=path, topic=printable(depth_topic), remedy=remedy)
+    if color_frame == depth_frame:
+        return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
+    origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"
+    return FoundExtrinsics(_extrinsics(tf), origin, ())
+
+
+def _topic(index: LogIndex, depth_topic: str) -> str:
+    """The ``depth_to_color`` topic that shares most of its name with the depth images'."""
+    names = [name for name in index.extrinsics if "depth_to_color" in name.lower()]
+    return max(sorted(names), key=lambda name: affinity(name, depth_topic), default="")
+
+
+def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:
+    if tf is None:
+        return ()
+    metres, radians = difference(T, tf)
+    if metres <= _AGREE_M and radians <= _AGREE_RAD:
+        return ()
+    text = f"differs from TF by {metres * 1000:.1f} mm and {np.degrees(radians):.2f} degrees"
+    return (f"{printable(topic)} {text}; the topic is used",)
+
+
+def _extrinsics(T: np.ndarray) -> Extrinsics:
+    x, y, z = (float(value) for value in T[:3, 3])
+    return Extrinsics(tuple(float(value) for value in T[:3, :3].reshape(-1)), (x, y, z))

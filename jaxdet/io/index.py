@@ -1,0 +1,215 @@
+"""One pass over a log: where each image lies, and everything small.
+
+An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; image data are
+never held. So a log of a million images takes about 64 MB.
+"""
+
+from jaxdet.errors import FrameError
+from jaxdet.io.container import Location
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.messages import (
+    IMAGE_KINDS,
+    CameraInfoMessage,
+    CompressedImageMessage,
+    ExtrinsicsMessage,
+    ImageMessage,
+    Kind,
+    RgbdMessage,
+    TransformMessage,
+    kind_of,
+)
+from jaxdet.io.motion import MotionSamples
+from jaxdet.io.scan import ChannelInfo
+from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageStream
+from jaxdet.io.transforms import TransformTree
+
+_MAX_DISTINCT = 8
+
+
+class TopicInfo:
+    """What is known of any topic."""
+
+    def __init__(self, channel: ChannelInfo) -> None:
+        self.channel = channel
+        self.count = 0
+        self.first_ns = (1 << 63) - 1
+        self.last_ns = 0
+        self.undecodable = 0
+        self.problem = ""
+        """Why its messages can't be used; empty when they can."""
+
+
+class CalibrationTopic:
+    """The calibrations on one topic."""
+
+    def __init__(self) -> None:
+        self.first: CameraInfoMessage | None = None
+        """The first that is calibrated (K[0] is not 0), else the first of all."""
+        self.distinct: set[tuple[object, ...]] = set()
+        self.last_payload = b""
+
+    def add(self, info: CameraInfoMessage) -> None:
+        """Adds a calibration."""
+        if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
+            self.first = info
+        if len(self.distinct) < _MAX_DISTINCT:
+            self.distinct.add(info[2:])
+
+
+class PoseTrack:
+    """The robot's poses on one topic."""
+
+    def __init__(self, first: TransformMessage) -> None:
+        self.parent, self.child = first.parent, first.child
+        self.samples = MotionSamples()
+
+
+class LogIndex:
+    """What one pass over a log's files collects."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, TopicInfo] = {}
+        self.streams: dict[str, ImageStream] = {}
+        self.calibrations: dict[str, CalibrationTopic] = {}
+        self.extrinsics: dict[str, ExtrinsicsMessage] = {}
+        self.poses: dict[str, PoseTrack] = {}
+        self.tree = TransformTree()
+        self.integrity: list[FileIntegrity] = []
+        self.warnings: list[str] = []
+
+
+class IndexBuilder:
+    """Takes in the messages of one file after the other; ``add`` is a scan's handler.
+
+    Args:
+        index: Where they go.
+        use_tf: Whether transforms are read.
+        images: Whether images are recorded and topics counted; off for the sibling files of a
+            log, of which only calibration and static transforms are wanted.
+    """
+
+    def __init__(self, index: LogIndex, use_tf: bool, images: bool = True) -> None:
+        self.index, self.use_tf, self.images = index, use_tf, images
+        self.file_number = -1
+        self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
+
+    def next_file(self) -> None:
+        """Call before each file's scan."""
+        self.file_number += 1
+
+    def add(
+        self, channel: ChannelInfo, log_ns: int, payload: memoryview, location: Location
+    ) -> None:
+        """Takes in a message."""
+        topic = self._topic(channel)
+        if self.images:
+            topic.count += 1
+            topic.first_ns = min(topic.first_ns, log_ns)
+            topic.last_ns = max(topic.last_ns, log_ns)
+        decoder = self._decoders[channel] if channel in self._decoders else self._decoder(channel)
+        if decoder is None:
+            return
+        try:
+            if decoder.kind in IMAGE_KINDS:
+                if self.images:
+                    self._image(channel.topic, decoder, log_ns, payload, location)
+            else:
+                self._small(channel.topic, decoder, payload)
+        except FrameError:
+            topic.undecodable += 1
+
+    def _topic(self, channel: ChannelInfo) -> TopicInfo:
+        topics = self.index.topics
+        if channel.topic not in topics:
+            topics[channel.topic] = TopicInfo(channel)
+        return topics[channel.topic]
+
+    def _decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
+        decoder = None
+        if kind_of(channel.schema_name) is not None:
+            try:
+                decoder = MessageDecoder(channel)
+            except ValueError as error:
+                self.index.topics[channel.topic].problem = str(error)
+        self._decoders[channel] = decoder
+        return decoder
+
+    def _image(
+        self,
+        topic: str,
+        decoder: MessageDecoder,
+        log_ns: int,
+        payload: memoryview,
+        location: Location,
+    ) -> None:
+        stream = self.index.streams.get(topic)
+        if stream is None:
+            stream = self.index.streams[topic] = ImageStream(topic, decoder.kind)
+        if decoder not in stream.decoders:
+            stream.decoders.append(decoder)
+        # What can't be decoded stays a frame, at its log time, and fails when it is read.
+        stamp = depth_stamp = log_ns
+        try:
+            stamp = depth_stamp = decoder.stamp_ns(payload)
+            if len(stream.probes) < NUM_PROBES or decoder.kind is Kind.RGBD:
+                stamp, depth_stamp = self._probe(stream, decoder, payload)
+        finally:
+            number = stream.decoders.index(decoder)
+            where = (self.file_number, number, *location)
+            stream.add((stamp, depth_stamp, log_ns, *where))
+
+    def _probe(
+        self, stream: ImageStream, decoder: MessageDecoder, payload: memoryview
+    ) -> tuple[int, int]:
+        message = decoder.decode(payload)
+        probe = len(stream.probes) < NUM_PROBES
+        if isinstance(message, RgbdMessage):
+            color, depth = message.color, message.depth
+            for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
+                self._calibration(f"{stream.topic} ({name})", info)
+            if probe:
+                bare = message._replace(
+                    color=color._replace(data=b""), depth=depth._replace(data=b"")
+                )
+                stream.probes.append(bare)
+            return color.stamp_ns, depth.stamp_ns
+        assert isinstance(message, ImageMessage | CompressedImageMessage)
+        if probe:
+            head = (
+                message.data[:PROBE_BYTES] if isinstance(message, CompressedImageMessage) else b""
+            )
+            stream.probes.append(message._replace(data=head))
+        return message.stamp_ns, message.stamp_ns
+
+    def _calibration(self, topic: str, info: CameraInfoMessage) -> None:
+        self.index.calibrations.setdefault(topic, CalibrationTopic()).add(info)
+
+    def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
+        if decoder.kind is Kind.INFO:
+            known = self.index.calibrations.setdefault(topic, CalibrationTopic())
+            rest = bytes(payload[12:] if decoder.stamp_leads else payload)
+            if rest != known.last_payload:
+                message = decoder.decode(payload)
+                assert isinstance(message, CameraInfoMessage)
+                known.add(message)
+                known.last_payload = rest
+        elif decoder.kind is Kind.EXTRINSICS:
+            message = decoder.decode(payload)
+            assert isinstance(message, ExtrinsicsMessage)
+            self.index.extrinsics.setdefault(topic, message)
+        elif self.use_tf or decoder.kind is not Kind.TRANSFORM:
+            self._motions(topic, decoder, payload)
+
+    def _motions(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
+        messages = decoder.decode(payload)
+        assert isinstance(messages, tuple)
+        motions = [item for item in messages if isinstance(item, TransformMessage)]
+        if decoder.kind is Kind.TRANSFORM:
+            static = topic.rstrip("/").endswith("tf_static")
+            if static or self.images:
+                self.index.tree.add(motions, static, once_is_static=decoder.is_foxglove)
+        elif self.images:
+            for item in motions:
+                track = self.index.poses.setdefault(topic, PoseTrack(item))
+                track.samples.add(item.stamp_ns, item.translation, item.rotation)

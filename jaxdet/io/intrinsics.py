@@ -1,0 +1,148 @@
+"""CameraInfo and CameraCalibration messages to :class:`jaxdet.types.Intrinsics`."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import CalibrationError
+from jaxdet.io.messages import CameraInfoMessage
+from jaxdet.io.streams import ImageSize
+from jaxdet.types import Distortion, Intrinsics
+
+_ALIASES = {
+    "": Distortion.PLUMB_BOB,
+    "brown_conrady": Distortion.PLUMB_BOB,
+    "fisheye": Distortion.EQUIDISTANT,
+    "kannala_brandt": Distortion.EQUIDISTANT,
+    "kannala_brandt4": Distortion.EQUIDISTANT,
+}
+_COUNTS = {
+    Distortion.NONE: 0,
+    Distortion.PLUMB_BOB: 5,
+    Distortion.RATIONAL: 8,
+    Distortion.EQUIDISTANT: 4,
+    Distortion.INVERSE_BROWN_CONRADY: 5,
+}
+
+
+class CameraSource(NamedTuple):
+    """What is known of one camera before its calibration is settled."""
+
+    name: str
+    """``color`` or ``depth``, as in the flags."""
+    topic: str
+    """Of the calibration; empty when there is none."""
+    info: CameraInfoMessage | None
+    size: ImageSize | None
+    """Of the images; None when none could be decoded."""
+    rectified: bool
+    """The image topic's name says that the images are rectified."""
+    matrix: tuple[float, float, float, float] | None
+    """fx fy cx cy given by a flag."""
+    model: str | None
+    """Distortion model given by a flag."""
+    path: str
+
+    def error(self, problem: str, remedy: str) -> CalibrationError:
+        """A CalibrationError about this camera."""
+        return CalibrationError(problem, path=self.path, topic=self.topic, remedy=remedy)
+
+
+class Found(NamedTuple):
+    """Intrinsics, where they come from, and what is odd about them."""
+
+    intrinsics: Intrinsics
+    origin: str
+    warnings: tuple[str, ...]
+
+
+def find_intrinsics(source: CameraSource) -> Found:
+    """A camera's intrinsics from its flags and its message.
+
+    A flag goes before the message. Images that their topic calls rectified, with a message that
+    has distortion coefficients, are described by the projection matrix P without distortion.
+
+    Raises:
+        CalibrationError: There is no calibration, it is no camera matrix, its size contradicts
+            the images', or its distortion can't be understood; the text names the flag.
+    """
+    info, flag = source.info, f"--log.{source.name}-intrinsics"
+    if info is None and source.matrix is None:
+        problem = f"no calibration of the {source.name} camera"
+        raise source.error(problem, f"name its topic with --log.{source.name}-info or give {flag}")
+    warnings: list[str] = []
+    size = _size(source, flag, warnings)
+    use_p = info is not None and source.rectified and source.model is None and any(info.D)
+    use_p = use_p and info is not None and len(info.P) == 12 and info.P[0] > 0
+    origin = f"topic {source.topic}"
+    if source.matrix is not None:
+        fx, fy, cx, cy = source.matrix
+        origin = flag + (f", distortion of topic {source.topic}" if info else "")
+    elif info is not None and use_p:
+        fx, fy, cx, cy = info.P[0], info.P[5], info.P[2], info.P[6]
+        origin += ", P, since the images are rectified"
+    elif info is not None and len(info.K) == 9:
+        fx, fy, cx, cy = info.K[0], info.K[4], info.K[2], info.K[5]
+    else:
+        raise source.error("K does not have nine numbers", f"give {flag}")
+    values = np.array([fx, fy, cx, cy])
+    if not np.isfinite(values).all() or fx <= 0 or fy <= 0:
+        problem = f"the {source.name} camera is not calibrated (fx {fx:g}, fy {fy:g})"
+        raise source.error(problem, f"give {flag} fx fy cx cy")
+    if not (-size.width <= cx <= 2 * size.width and -size.height <= cy <= 2 * size.height):
+        problem = f"the optical centre ({cx:g}, {cy:g}) is far outside the image"
+        raise source.error(problem, f"give {flag}")
+    model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
+    found = Intrinsics(size.width, size.height, fx, fy, cx, cy, model, coefficients)
+    return Found(found, origin, tuple(warnings))
+
+
+def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
+    info = source.info
+    declared = ImageSize(info.width, info.height) if info else ImageSize(0, 0)
+    if source.size is None and (not info or 0 in declared):
+        raise source.error("neither images nor calibration tell the image size", "record it again")
+    if source.size is None:
+        return declared
+    if info and 0 in declared:
+        warnings.append(f"{source.topic} has no image size; the images' is taken")
+    elif info and declared != source.size and source.matrix is None:
+        sizes = f"{source.size.width}x{source.size.height}, its calibration for "
+        problem = f"the {source.name} images are {sizes}{declared.width}x{declared.height}"
+        raise source.error(problem, f"name the right topic with --log.{source.name}-info or {flag}")
+    return source.size
+
+
+def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, tuple[float, ...]]:
+    flag = f"--log.{source.name}-distortion"
+    D = source.info.D if source.info else ()
+    named = source.model if source.model is not None else source.info.model if source.info else ""
+    if not np.isfinite(D).all():
+        raise source.error("a distortion coefficient is not a number", f"give {flag} none")
+    if not any(D) and source.model in (None, Distortion.NONE):
+        if not D and source.info and source.info.model:
+            warnings.append(f"{source.topic} has no distortion coefficients; none is assumed")
+        return Distortion.NONE, ()
+    model = _model(source, named.strip().lower().replace(" ", "_"), flag)
+    if model is Distortion.PLUMB_BOB and len(D) == 8 and any(D[5:]) and source.model is None:
+        text = "says plumb_bob with eight coefficients; they are read as rational_polynomial"
+        warnings.append(f"{source.topic} {text}")
+        model = Distortion.RATIONAL
+    count = _COUNTS[model]
+    if model is Distortion.PLUMB_BOB and len(D) == 4:
+        D = (*D, 0.0)
+    if len(D) < count or any(D[count:]):
+        problem = f"{len(D)} distortion coefficients don't fit {model.value} ({count})"
+        raise source.error(problem, f"give the right model with {flag}")
+    return model, tuple(D[:count])
+
+
+def _model(source: CameraSource, name: str, flag: str) -> Distortion:
+    if name in _ALIASES and source.model is None:
+        return _ALIASES[name]
+    try:
+        return Distortion(name)
+    except ValueError as error:
+        known = ", ".join(model.value for model in Distortion)
+        problem = f"distortion model {name[:60]!a} is unknown"
+        raise source.error(problem, f"give {flag}, one of {known}") from error

@@ -1,0 +1,132 @@
+"""Rigid motions over time: quaternions to matrices, and interpolation between samples."""
+
+from array import array
+
+import numpy as np
+
+MARGIN_S = 0.05
+"""How far before the first and after the last sample the nearest one is held [s]."""
+MAX_GAP_S = 1.0
+"""Between samples farther apart than this the motion is unknown [s]."""
+
+
+class MotionSamples:
+    """Timed motions of one frame in another: 64 bytes a sample, any order of arrival."""
+
+    def __init__(self) -> None:
+        self._stamps = array("q")
+        self._values = array("d")
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def add(
+        self,
+        stamp_ns: int,
+        translation: tuple[float, float, float],
+        rotation: tuple[float, float, float, float],
+    ) -> None:
+        """Adds a sample: metres, and a unit quaternion x y z w."""
+        self._stamps.append(stamp_ns)
+        self._values.extend(translation)
+        self._values.extend(rotation)
+
+    @property
+    def values(self) -> np.ndarray:
+        """``(N, 7)`` float64, tx ty tz qx qy qz qw in order of arrival."""
+        return np.array(self._values, np.float64).reshape(-1, 7)
+
+    def is_constant(self) -> bool:
+        """Whether there are two samples or more, and all are the same motion."""
+        values = self.values
+        return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
+
+    def at(self, stamps_ns: np.ndarray) -> np.ndarray:
+        """The motion at each stamp, see :func:`interpolate`; of equal stamps the last counts."""
+        stamps = np.array(self._stamps, np.int64)
+        order = np.argsort(stamps, kind="stable")
+        last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
+        kept = order[last]
+        return interpolate(stamps_ns, stamps[kept], self.values[kept])
+
+
+def interpolate(stamps_ns: np.ndarray, sample_ns: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Motions between timed samples: translation linear, rotation on the shortest arc (slerp).
+
+    Never extrapolated: up to ``MARGIN_S`` beyond the ends the nearest sample is held, farther
+    out, and between samples more than ``MAX_GAP_S`` apart, the motion is unknown.
+
+    Args:
+        stamps_ns: ``(F,)`` int64, where the motion is wanted [ns].
+        sample_ns: ``(N,)`` int64, strictly increasing [ns].
+        samples: ``(N, 7)`` float64, tx ty tz [m] and unit quaternion qx qy qz qw.
+
+    Returns:
+        ``(F, 4, 4)`` float64; NaN where unknown.
+    """
+    if not len(sample_ns):
+        return np.full((len(stamps_ns), 4, 4), np.nan)
+    margin = round(MARGIN_S * 1e9)
+    known = (stamps_ns >= sample_ns[0] - margin) & (stamps_ns <= sample_ns[-1] + margin)
+    wanted = np.clip(stamps_ns, sample_ns[0], sample_ns[-1])
+    after = np.clip(np.searchsorted(sample_ns, wanted), 0, len(sample_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    before = np.where(sample_ns[after] == wanted, after, before)
+    span = sample_ns[after] - sample_ns[before]
+    known &= span <= round(MAX_GAP_S * 1e9)
+    share = (wanted - sample_ns[before]) / np.maximum(span, 1)
+    first, second = samples[before], samples[after]
+    translation = first[:, :3] + share[:, None] * (second[:, :3] - first[:, :3])
+    rotation = _slerp(first[:, 3:], second[:, 3:], share)
+    T = motion_matrix(translation, rotation)
+    T[~known] = np.nan
+    return T
+
+
+def motion_matrix(translation: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """``(..., 4, 4)`` float64 of translations ``(..., 3)`` [m] and quaternions ``(..., 4)``.
+
+    The quaternions are x y z w and need not have exactly unit length.
+    """
+    translation, q = np.asarray(translation, np.float64), np.asarray(quaternion, np.float64)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    T = np.zeros((*q.shape[:-1], 4, 4))
+    T[..., :3, :3] = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    T[..., :3, 3] = translation
+    T[..., 3, 3] = 1
+    return T
+
+
+def inverse(T: np.ndarray) -> np.ndarray:
+    """The inverse of rigid motions ``(..., 4, 4)``."""
+    rotation = np.swapaxes(T[..., :3, :3], -1, -2)
+    result = np.zeros_like(T)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, T[..., :3, 3])
+    result[..., 3, 3] = T[..., 3, 3]
+    return result
+
+
+def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """How far two rigid motions ``(4, 4)`` are apart: metres and radians."""
+    delta = inverse(first) @ second
+    skew = delta[:3, :3] - delta[:3, :3].T
+    sine = np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
+    angle = np.arctan2(sine, (np.trace(delta[:3, :3]) - 1) / 2)
+    return float(np.linalg.norm(first[:3, 3] - second[:3, 3])), float(angle)
+
+
+def _slerp(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+    cosine = np.sum(first * second, axis=1)
+    second = np.where(cosine[:, None] < 0, -second, second)
+    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
+    sine = np.sin(angle)
+    safe = np.where(sine > 1e-6, sine, 1.0)
+    weight_first = np.where(sine > 1e-6, np.sin((1 - share) * angle) / safe, 1 - share)
+    weight_second = np.where(sine > 1e-6, np.sin(share * angle) / safe, share)
+    return weight_first[:, None] * first + weight_second[:, None] * second

@@ -1,0 +1,214 @@
+"""Which topics are colour and depth: by schema, by encoding, then by name.
+
+Names are matched by their parts, never as a whole, since drivers put any namespace before
+them (RealSense old and new, OAK-D, ZED, Azure Kinect, Orbbec).
+"""
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jaxdet.errors import TopicError
+from jaxdet.io.compressed import is_compressed_depth, is_png16
+from jaxdet.io.images import is_color_encoding, is_depth_encoding
+from jaxdet.io.index import LogIndex
+from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind
+from jaxdet.io.options import LogOptions
+from jaxdet.io.streams import ImageStream, first_image
+
+_ALIGNED = ("aligned_depth", "depth_to_rgb", "depth_to_color", "depth_registered")
+_COLOR_WORDS = {"color", "colour", "rgb"}
+_DEPTH_WORDS = {"depth", "stereo"}
+_NOT_COLOR = {"depth", "disparity", "confidence", "ir", "infra", "infra1", "infra2", "mask"}
+_NOT_DEPTH = {"confidence", "disparity", "ir", "infra", "infra1", "infra2", "amplitude"}
+_MAX_LISTED = 12
+
+
+class Candidate(NamedTuple):
+    """A topic that may be used; the smallest ``rank`` goes first."""
+
+    topic: str
+    rank: tuple[int, int, int]
+    why: str
+
+
+class Choice(NamedTuple):
+    """The topics used, and why."""
+
+    color: str
+    depth: str
+    aligned_by_name: bool
+    reasons: tuple[str, ...]
+
+
+def printable(text: str, limit: int = 160) -> str:
+    """A name from a file, fit for one line."""
+    return "".join(char if char.isprintable() else "?" for char in text)[:limit]
+
+
+def choose_topics(index: LogIndex, options: LogOptions, path: str) -> Choice:
+    """The colour and the depth topic.
+
+    Depth that its name says is aligned to colour goes before other depth, raw images before
+    compressed ones, separate images before RGBD messages. Among several cameras the one that
+    shares its namespace with the other image is taken; if that leaves several, nothing is
+    guessed.
+
+    Raises:
+        TopicError: None or several qualify; the text lists them.
+    """
+    depths = _candidates(index, options.depth, True, path)
+    prefer_rect = any("depth_registered" in item.topic for item in depths)
+    colors = _candidates(index, options.color, False, path, prefer_rect)
+    if not colors or not depths:
+        what = "colour and no depth" if not colors and not depths else "depth"
+        raise _missing(index, what if not depths else "colour", path)
+    color_best, depth_best = _best(colors), _best(depths)
+    if len(color_best) > 1 and len(depth_best) == 1:
+        color_best = _nearest(color_best, depth_best[0].topic)
+    elif len(depth_best) > 1 and len(color_best) == 1:
+        depth_best = _nearest(depth_best, color_best[0].topic)
+    _require_one(color_best, "colour", path)
+    _require_one(depth_best, "depth", path)
+    color, depth = color_best[0], depth_best[0]
+    if index.streams[depth.topic].kind is Kind.RGBD and not options.color:
+        color = Candidate(depth.topic, depth.rank, "in the same message as depth")
+    reasons = (
+        f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}",
+        f"depth: {printable(depth.topic)}, {depth.why}{_others(depths, depth)}",
+    )
+    return Choice(color.topic, depth.topic, _says_aligned(depth.topic), reasons)
+
+
+def encoding_of(stream: ImageStream, depth: bool) -> str:
+    """A stream's encoding or format, by its first image; empty when unknown."""
+    image = first_image(stream, depth)
+    if image is None:
+        return ""
+    return image.format if isinstance(image, CompressedImageMessage) else image.encoding
+
+
+def affinity(first: str, second: str) -> int:
+    """How many leading parts two topic names share."""
+    pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
+    count = 0
+    for one, other in pairs:
+        if one != other:
+            break
+        count += 1
+    return count
+
+
+def _words(topic: str) -> set[str]:
+    return set(re.split(r"[/_]", topic.lower()))
+
+
+def _says_aligned(topic: str) -> bool:
+    return any(name in topic.lower() for name in _ALIGNED)
+
+
+def _candidates(
+    index: LogIndex, override: str | None, depth: bool, path: str, prefer_rect: bool = False
+) -> list[Candidate]:
+    if override:
+        return [_overridden(index, override, depth, path)]
+    make = _depth_candidate if depth else _color_candidate
+    found = [
+        candidate
+        for stream in index.streams.values()
+        if (candidate := make(stream, prefer_rect)) is not None
+    ]
+    return sorted(found, key=lambda item: (item.rank, item.topic))
+
+
+def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidate:
+    what, flag = ("depth", "--log.depth") if depth else ("colour", "--log.color")
+    stream = index.streams.get(topic)
+    if stream is None:
+        known = index.topics.get(topic)
+        reason = known.problem if known and known.problem else "there are no images on the topic"
+        names = _listed(sorted(index.streams)) or "no images at all"
+        remedy = f"{flag} can be: {names}"
+        raise TopicError(printable(reason), path=path, topic=printable(topic), remedy=remedy)
+    if stream.probes and not _is_kind(stream, depth):
+        encoding = printable(encoding_of(stream, depth))
+        problem = f"encoding {encoding!r} is not a {what} image that can be read"
+        raise TopicError(problem, path=path, topic=printable(topic), remedy=f"change {flag}")
+    return Candidate(topic, (0, 0, 0), f"given by {flag}")
+
+
+def _is_kind(stream: ImageStream, depth: bool) -> bool:
+    image = first_image(stream, depth)
+    if stream.kind is Kind.RGBD:
+        return True
+    if isinstance(image, ImageMessage):
+        return is_depth_encoding(image.encoding) if depth else is_color_encoding(image.encoding)
+    if image is None:
+        return False
+    return depth == (is_compressed_depth(image.format, stream.topic) or is_png16(image.data))
+
+
+def _depth_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None:
+    words = _words(stream.topic)
+    named = bool(words & _DEPTH_WORDS)
+    if not _is_kind(stream, True) or (words & _NOT_DEPTH and not named) or "confidence" in words:
+        return None
+    if stream.kind is Kind.RGBD:
+        return Candidate(stream.topic, (2, 0, 0), "an RGBD message")
+    aligned = _says_aligned(stream.topic)
+    rank = (0 if aligned else 1, 0 if named else 1, int(stream.kind is Kind.COMPRESSED))
+    encoding = printable(encoding_of(stream, True))
+    why = "its name says that it is aligned to colour" if aligned else "its encoding is depth's"
+    return Candidate(stream.topic, rank, f"{why} ({encoding})")
+
+
+def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None:
+    words = _words(stream.topic)
+    if stream.kind is Kind.RGBD:
+        return Candidate(stream.topic, (3, 0, 0), "an RGBD message")
+    if not _is_kind(stream, False) or words & _NOT_COLOR:
+        return None
+    encoding = encoding_of(stream, False)
+    named = bool(words & _COLOR_WORDS)
+    grey = encoding.lower() in ("mono8", "8uc1")
+    tier = 2 if grey else 0 if named else 1
+    rank = (tier, int(stream.kind is Kind.COMPRESSED), int(("rect" in words) != prefer_rect))
+    why = "its name says colour" if named else "its encoding is colour's"
+    return Candidate(stream.topic, rank, f"{why} ({printable(encoding)})")
+
+
+def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
+    return [item for item in candidates if item.rank == candidates[0].rank]
+
+
+def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
+    best = max(affinity(item.topic, topic) for item in candidates)
+    return [item for item in candidates if affinity(item.topic, topic) == best]
+
+
+def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
+    if len(candidates) > 1:
+        names = _listed([item.topic for item in candidates])
+        flag = "--log.color" if what == "colour" else "--log.depth"
+        problem = f"several topics can be {what}: {names}"
+        raise TopicError(problem, path=path, remedy=f"choose one with {flag}")
+
+
+def _missing(index: LogIndex, what: str, path: str) -> TopicError:
+    names = [
+        f"{name} ({info.problem or info.channel.schema_name or 'no schema'})"
+        for name, info in sorted(index.topics.items())
+    ]
+    listed = f"its topics are {_listed(names)}" if names else "it has no messages"
+    remedy = "record a colour and a depth image topic, or name them with --log.color, --log.depth"
+    return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
+
+
+def _others(candidates: Sequence[Candidate], chosen: Candidate) -> str:
+    names = [item.topic for item in candidates if item.topic != chosen.topic]
+    return f"; goes before {_listed(names)}" if names else ""

@@ -1,0 +1,158 @@
+"""The tree of a log's transforms, and the motion between any two of its frames."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxdet.errors import CalibrationError
+from jaxdet.io.messages import TransformMessage
+from jaxdet.io.motion import MotionSamples, difference, inverse, motion_matrix
+
+_REMEDY = "give --log.color-from-depth and --log.no-tf, or repair the transforms"
+
+
+class _Edge:
+    """A frame's motion in its parent."""
+
+    def __init__(self, parent: str) -> None:
+        self.parent = parent
+        self.fixed: np.ndarray | None = None
+        self.samples = MotionSamples()
+        self.once_is_static = False
+
+
+class TransformTree:
+    """Static and moving transforms; each frame has one parent, the first that is seen.
+
+    A static transform goes before moving ones of the same frame. What contradicts is not
+    used and noted in ``warnings``.
+    """
+
+    def __init__(self) -> None:
+        self._edges: dict[str, _Edge] = {}
+        self._warned: set[str] = set()
+        self.warnings: list[str] = []
+
+    @property
+    def frames(self) -> set[str]:
+        """All frames."""
+        return set(self._edges) | {edge.parent for edge in self._edges.values()}
+
+    @property
+    def has_static(self) -> bool:
+        """Whether a static transform was seen."""
+        return any(edge.fixed is not None for edge in self._edges.values())
+
+    def add(
+        self, messages: Sequence[TransformMessage], static: bool, once_is_static: bool = False
+    ) -> None:
+        """Adds transforms.
+
+        Args:
+            messages: The transforms.
+            static: They hold at all times (``/tf_static``).
+            once_is_static: A frame that gets one transform only has a static one (Foxglove,
+                which doesn't tell them apart).
+        """
+        for message in messages:
+            edge = self._edge(message, static)
+            if edge is None:
+                continue
+            if not static:
+                edge.once_is_static |= once_is_static
+                edge.samples.add(message.stamp_ns, message.translation, message.rotation)
+                continue
+            T = motion_matrix(np.array(message.translation), np.array(message.rotation))
+            if edge.fixed is None:
+                edge.fixed = T
+            elif max(difference(edge.fixed, T)) > 1e-6:
+                self._warn(message.child, "has two static transforms; the first is used")
+
+    def settle(self) -> None:
+        """Call when all is added: a transform that never changes counts as static."""
+        for edge in self._edges.values():
+            once = edge.once_is_static and len(edge.samples) == 1
+            if edge.fixed is None and (once or edge.samples.is_constant()):
+                value = edge.samples.values[0]
+                edge.fixed = motion_matrix(value[:3], value[3:])
+
+    def fixed(self, target: str, source: str) -> np.ndarray | None:
+        """``T_target_source`` ``(4, 4)`` of static transforms; None where there is none.
+
+        Raises:
+            CalibrationError: The transforms form a cycle.
+        """
+        paths = self._paths(target, source)
+        if paths is None:
+            return None
+        up, down = (self._fixed_product(path) for path in paths)
+        return None if up is None or down is None else inverse(up) @ down
+
+    def at(self, target: str, source: str, stamps_ns: np.ndarray) -> np.ndarray | None:
+        """``T_target_source`` at each stamp ``(F, 4, 4)``, NaN where unknown.
+
+        None where no chain of transforms, static or moving, joins the frames.
+
+        Raises:
+            CalibrationError: The transforms form a cycle.
+        """
+        paths = self._paths(target, source)
+        if paths is None:
+            return None
+        up, down = (self._product_at(path, stamps_ns) for path in paths)
+        return inverse(up) @ down
+
+    def _edge(self, message: TransformMessage, static: bool) -> _Edge | None:
+        """The edge a transform belongs to; None where it contradicts the one there is."""
+        edge = self._edges.setdefault(message.child, _Edge(message.parent))
+        if edge.parent == message.parent:
+            return edge
+        used = edge.parent
+        if static and edge.fixed is None:
+            used = message.parent
+            self._edges[message.child] = _Edge(used)
+        parents = f"{edge.parent!r} and {message.parent!r}"
+        self._warn(message.child, f"has two parents, {parents}; {used!r} is used")
+        return self._edges[message.child] if used == message.parent else None
+
+    def _paths(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
+        """The frames from each of the two up to, and without, their common ancestor."""
+        above_target, above_source = self._ancestors(target), self._ancestors(source)
+        common = next((frame for frame in above_target if frame in above_source), None)
+        if common is None:
+            return None
+        return (
+            above_target[: above_target.index(common)],
+            above_source[: above_source.index(common)],
+        )
+
+    def _ancestors(self, frame: str) -> list[str]:
+        path = [frame]
+        while frame in self._edges:
+            frame = self._edges[frame].parent
+            if frame in path:
+                problem = f"the transforms form a cycle through frame {frame!r}"
+                raise CalibrationError(problem, remedy=_REMEDY)
+            path.append(frame)
+        return path
+
+    def _fixed_product(self, path: Sequence[str]) -> np.ndarray | None:
+        T = np.eye(4)
+        for frame in path:
+            fixed = self._edges[frame].fixed
+            if fixed is None:
+                return None
+            T = fixed @ T
+        return T
+
+    def _product_at(self, path: Sequence[str], stamps_ns: np.ndarray) -> np.ndarray:
+        T = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4))
+        for frame in path:
+            edge = self._edges[frame]
+            T = (edge.samples.at(stamps_ns) if edge.fixed is None else edge.fixed) @ T
+        return T
+
+    def _warn(self, frame: str, problem: str) -> None:
+        if frame not in self._warned:
+            self._warned.add(frame)
+            self.warnings.append(f"TF frame {frame!r} {problem}")
