@@ -15,6 +15,7 @@ from jaxdet.engine.occupancy import OccupancyMap, save_map
 from jaxdet.engine.planes import Planes, decide_planes, evenly
 from jaxdet.engine.prefetch import prefetch
 from jaxdet.engine.rows import Rows, batch_rows
+from jaxdet.engine.scoring import Scorer
 from jaxdet.engine.summary import LogSummary, Summary, plain
 from jaxdet.errors import JaxdetError
 from jaxdet.io import open_log
@@ -39,6 +40,8 @@ class RunOptions:
     pictures: int = 8
     """Pictures of frames of each log."""
     overwrite: bool = False
+    truth: Path | None = None
+    """A simulated log whose truth the results are compared with."""
     preset: str | None = None
     """Name of the preset the configuration started from, for config.json."""
 
@@ -84,7 +87,7 @@ def run(
 
     Raises:
         ConfigError: The output folder holds results already.
-        InputError: The output folder can't be written to.
+        InputError: The output folder can't be written to, or the truth can't be read.
     """
     start = time.perf_counter()
     summary = Summary(options.backend, options.batch_size)
@@ -159,6 +162,7 @@ class _LogJob:
         part.ground = planes.records
         part.warnings += planes.warnings
         sample = self._sample(log)
+        scorer = Scorer(self.options.truth, self.config) if self.options.truth else None
         occupancy = OccupancyMap()
         start = time.perf_counter()
         for work in self._one_behind(log, planes):
@@ -168,7 +172,10 @@ class _LogJob:
             occupancy.add_path(work.batch.frames.T_world_camera)
             occupancy.add(rows.obstacles["corners_world"])
             self._draw(work, rows, sample)
+            if scorer:
+                scorer.add(work.batch, rows.detections)
             self.report(log.num_frames)
+        part.score = scorer.result() if scorer else None
         self._write_map(occupancy)
 
     def _one_behind(self, log: "Log", planes: Planes) -> Iterator[_Work]:
@@ -192,10 +199,11 @@ class _LogJob:
             part.first_batch_s, self.first = seconds, count
         elif seconds > part.first_batch_s:
             rest = part.frames + count - self.first
-            part.frames_per_s = round(rest / (seconds - part.first_batch_s), 2)
+            if rest >= 2 * self.first:
+                part.frames_per_s = round(rest / (seconds - part.first_batch_s), 2)
         part.count(rows.frames)
         part.seconds = seconds
-        for index, error in zip(batch.frames.index.tolist(), batch.errors, strict=False):
+        for index, error in zip(batch.frames.number.tolist(), batch.errors, strict=False):
             if error and len(part.frame_errors) < MAX_FRAME_ERRORS:
                 part.frame_errors.append(f"frame {index}: {error}")
 
@@ -207,7 +215,7 @@ class _LogJob:
 
     def _draw(self, work: _Work, rows: Rows, sample: set[int]) -> None:
         frames = work.batch.frames
-        for row, index in enumerate(frames.index[: len(work.batch.status)].tolist()):
+        for row, index in enumerate(frames.number[: len(work.batch.status)].tolist()):
             if index in sample and frames.valid[row]:
                 name = f"pictures/{self.file_name}_{index:06d}.png"
                 one = work.batch.frames._replace(plane=work.plane)

@@ -82,7 +82,7 @@ def _frame_columns(
 
     return {
         "log": np.full(n, log, object),
-        "frame": frames.index[:n],
+        "frame": frames.number[:n],
         "stamp_ns": frames.stamp_ns[:n],
         "depth_stamp_ns": np.ma.masked_less(frames.depth_stamp_ns[:n], 0),
         "num_features": counted(found.features.valid.sum(axis=1)),
@@ -105,7 +105,7 @@ def _obstacle_columns(
     box = extents(obstacles, frames.calibration.depth_unit)
     columns: dict[str, Any] = {
         "log": np.full(row.size, log, object),
-        "frame": frames.index[row],
+        "frame": frames.number[row],
         "stamp_ns": frames.stamp_ns[row],
         "obstacle": slot.astype(np.int32),
         "num_points": obstacles.num_points[row, slot],

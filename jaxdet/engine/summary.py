@@ -34,7 +34,7 @@ class LogSummary:
     first_batch_s: float = 0.0
     """Until the first batch was through, compilation included [s]."""
     frames_per_s: float | None = None
-    """Without the first batch; None when there was only one."""
+    """Without the first batch; None when there is too little after it to say."""
     ground: tuple[Any, ...] = ()
     """The planes used and their sources, see ``jaxdet.engine.planes.GroundRecord``."""
     calibration: Any = None
@@ -42,6 +42,8 @@ class LogSummary:
     """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
     map: str | None = None
     pictures: list[str] = field(default_factory=list)
+    score: dict[str, Any] | None = None
+    """Comparison with the truth of a simulated log."""
     warnings: list[str] = field(default_factory=list)
     frame_errors: list[str] = field(default_factory=list)
     """The first few frames that could not be used, with the reason."""

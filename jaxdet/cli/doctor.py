@@ -1,0 +1,116 @@
+"""``jaxdet doctor``: versions, devices, and whether both backends agree on a small case."""
+
+import sys
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+import jaxdet
+from jaxdet.cli.settings import quiet_warp
+
+DESCRIPTION = """\
+Checks this installation: versions, the devices that JAX and Warp find, and whether the jitted
+stages give the same arrays as the NumPy reference on a small built-in case.
+"""
+
+
+@dataclass(frozen=True)
+class DoctorCommand:
+    """What ``jaxdet doctor`` takes."""
+
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print JSON."""
+
+
+def main(args: list[str]) -> int:
+    """Runs the command; returns 0 when all checks pass, else 1."""
+    command = tyro.cli(DoctorCommand, args=args, prog="jaxdet doctor", description=DESCRIPTION)
+    from jaxdet.engine import versions
+    from jaxdet.io.results import to_json
+
+    quiet_warp()
+    about = {"jaxdet": jaxdet.__version__, **versions()}
+    checks = {name: _checked(check) for name, check in CHECKS.items()}
+    failed = [name for name, (passed, _) in checks.items() if not passed]
+    if command.json:
+        report = {name: {"ok": ok, "found": text} for name, (ok, text) in checks.items()}
+        print(to_json({"versions": about, "checks": report, "ok": not failed}), end="")
+        return 1 if failed else 0
+    for name, version in about.items():
+        print(f"{name:<24} {version or 'not installed'}")
+    for name, (passed, text) in checks.items():
+        print(f"{name:<24} {'ok' if passed else 'FAILED'}: {text}")
+    if failed:
+        print(f"jaxdet: error: failed: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def _checked(check: Any) -> tuple[bool, str]:
+    try:
+        return check()
+    except Exception as error:
+        return False, f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def jax_devices() -> tuple[bool, str]:
+    """What JAX computes on."""
+    import jax
+
+    return True, ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in jax.devices())
+
+
+def warp_devices() -> tuple[bool, str]:
+    """What Warp computes on."""
+    import warp
+
+    warp.init()
+    return True, ", ".join(f"{device.alias} {device.name}" for device in warp.get_devices())
+
+
+def backends_agree() -> tuple[bool, str]:
+    """Both backends on a small case, array by array."""
+    from jaxdet.pipeline import detect
+
+    frames = small_case()
+    both = [detect(frames, backend=name) for name in ("reference", "jax")]
+    wrong = []
+    for part in ("features", "labels", "obstacles"):
+        pairs = zip(*(getattr(found, part) for found in both), strict=True)
+        wrong += [part] * any(not np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
+    count = int(np.asarray(both[0].labels.num_obstacles).sum())
+    if wrong:
+        return False, f"differ in {', '.join(wrong)}"
+    return count > 0, f"equal arrays, {count} obstacles"
+
+
+def small_case() -> "jaxdet.Frames":
+    """Two frames of 160 x 120 pixels: a chequered box before a wall, camera level."""
+    v, u = np.mgrid[0:120, 0:160]
+    box = (u >= 50) & (u < 110) & (v >= 30) & (v < 80)
+    depth = np.where(box, 1200, 3000).astype(np.uint16)
+    grey = np.where(box & ((u // 6 + v // 6) % 2 == 0), 220, 40).astype(np.uint8)
+    color = np.repeat(grey[..., None], 3, axis=2)
+    camera = jaxdet.Intrinsics(160, 120, 120.0, 120.0, 80.0, 60.0)
+    still = jaxdet.Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.015, 0.0, 0.0))
+    stamps = np.array([0, 33_000_000])
+    level = jaxdet.GroundPlane(np.full(2, 0.5), np.zeros(2), np.zeros(2), np.ones(2, bool))
+    return jaxdet.Frames(
+        np.stack([color, color[:, ::-1]]),
+        np.stack([depth, depth[:, ::-1]]),
+        jaxdet.Calibration(camera, camera, still),
+        np.arange(2),
+        stamps,
+        stamps,
+        np.ones(2, bool),
+        None,
+        level,
+    )
+
+
+CHECKS = {
+    "jax devices": jax_devices,
+    "warp devices": warp_devices,
+    "backends agree": backends_agree,
+}

@@ -1,0 +1,82 @@
+"""Which command is meant, and how each ending becomes an exit code."""
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+
+import jaxdet
+from jaxdet.errors import ConfigError, JaxdetError
+
+COMMANDS = {
+    "run": "find the obstacles in every frame of logs, and write tables and pictures",
+    "info": "say what is in a log, and what would be used of it and why",
+    "sim": "simulate a log with known obstacles",
+    "doctor": "check this installation: versions, devices, and a small comparison",
+}
+
+HELP = """\
+usage: jaxdet COMMAND [ARGUMENTS]
+
+Finds obstacles in recorded logs (MCAP) of depth cameras.
+
+commands:
+{commands}
+
+examples:
+  jaxdet info drive.mcap                       what the log holds
+  jaxdet run drive.mcap --output results       obstacles of every frame
+  jaxdet sim sim.mcap                          a simulated log to try it on
+  jaxdet run --help                            every option, with units
+
+options:
+  -h, --help   this text
+  --version    the version
+
+exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a command.
+
+    Args:
+        argv: The arguments; by default those of this process.
+
+    Returns:
+        0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted.
+    """
+    args = list(sys.argv[1:] if argv is None else argv)
+    if not args or args[0] in ("-h", "--help", "help"):
+        lines = (f"  {name:<8} {text}" for name, text in COMMANDS.items())
+        print(HELP.format(commands="\n".join(lines)), end="")
+        return 0 if args else 2
+    if args[0] in ("--version", "-V"):
+        print(f"jaxdet {jaxdet.__version__}")
+        return 0
+    if args[0] not in COMMANDS:
+        known = ", ".join(COMMANDS)
+        return _fail(f"no command {args[0]!r}; use one of {known}, see jaxdet --help", 2)
+    command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
+    return _guarded(command, args[1:])
+
+
+def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
+    try:
+        return command(args)
+    except ConfigError as error:
+        return _fail(str(error), 2)
+    except JaxdetError as error:
+        return _fail(str(error), 1)
+    except KeyboardInterrupt:
+        return _fail("interrupted; nothing was written", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except SystemExit as exit:
+        return exit.code if isinstance(exit.code, int) else int(exit.code is not None)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"jaxdet: error: {' '.join(message.split())}", file=sys.stderr)
+    return code

@@ -1,0 +1,188 @@
+"""``jaxdet run``: logs in, a results folder out."""
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given, quiet_warp
+from jaxdet.config import (
+    ClusterConfig,
+    Config,
+    FeaturesConfig,
+    FootprintConfig,
+    GroundConfig,
+)
+from jaxdet.io.options import LogOptions
+
+if TYPE_CHECKING:
+    from jaxdet.engine import GroundRecord, LogSummary, Summary
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+DESCRIPTION = """\
+Finds the obstacles in every frame of logs and writes frames.parquet, obstacles.parquet,
+config.json, summary.json, pictures and a map of each log.
+
+Examples:
+  jaxdet run drive.mcap --output results
+  jaxdet run bags/ --output results --preset d435 --config mine.toml --cluster.lateral-gap-m 0.5
+  jaxdet run drive.mcap --output results --ground.camera-height-m 0.3 --ground.camera-pitch-rad 0.17
+
+A value comes from the flag, else from the file of --config (TOML: section [cluster], key
+depth_gap_m), else from the preset. Lengths are in metres, angles in radians, times in seconds.
+"""
+
+
+@dataclass(frozen=True)
+class RunCommand:
+    """What ``jaxdet run`` takes."""
+
+    logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
+    """MCAP files, folders (searched for .mcap) or globs. Split files make one log."""
+    output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results."""
+    preset: str = DEFAULT_PRESET
+    """Configuration to start from: wheeled, paper, d435, d455, oak-d, zed, azure-kinect, orbbec."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file with sections as below."""
+    backend: Literal["jax", "reference"] = "jax"
+    """jax: jitted, on the GPU when there is one; reference: plain NumPy. Equal results."""
+    batch_size: int = 16
+    """Frames computed together; changes no result."""
+    pictures: int = 8
+    """Frames of each log to draw, evenly spaced."""
+    truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
+    """A simulated log whose truth the results are compared with."""
+    overwrite: Flag = False
+    """Replace the results in the output folder."""
+    quiet: Flag = False
+    """Say nothing but errors."""
+    json: Flag = False
+    """Print the summary as JSON on standard output, and nothing else there."""
+    ground: GroundConfig = field(default_factory=GroundConfig)
+    features: FeaturesConfig = field(default_factory=FeaturesConfig)
+    cluster: ClusterConfig = field(default_factory=ClusterConfig)
+    footprint: FootprintConfig = field(default_factory=FootprintConfig)
+    log: LogOptions = field(default_factory=LogOptions)
+
+
+def parse(args: list[str]) -> RunCommand:
+    """The command with preset, TOML file and flags resolved, in that order."""
+    config, log, name = defaults(args)
+    missing: Any = tyro.MISSING
+    start = RunCommand(
+        logs=missing,
+        output=missing,
+        preset=name,
+        ground=config.ground,
+        features=config.features,
+        cluster=config.cluster,
+        footprint=config.footprint,
+        log=log,
+    )
+    return tyro.cli(
+        RunCommand, args=args, default=start, prog="jaxdet run", description=DESCRIPTION
+    )
+
+
+def main(args: list[str]) -> int:
+    """Runs the command; returns the exit code."""
+    command = parse(args)
+    from jaxdet.cli.progress import reporting
+    from jaxdet.engine import RunOptions, run
+    from jaxdet.io import find_logs
+    from jaxdet.io.results import to_json
+
+    logs = find_logs(given(command.logs))
+    config = Config(
+        ground=command.ground,
+        features=command.features,
+        cluster=command.cluster,
+        footprint=command.footprint,
+    )
+    options = RunOptions(
+        command.output,
+        command.backend,
+        command.batch_size,
+        command.pictures,
+        command.overwrite,
+        command.truth,
+        command.preset,
+    )
+    if command.backend == "jax":
+        quiet_warp()
+    silent = command.quiet or command.json
+    with reporting(silent) as progress:
+        summary = run(logs, config, command.log, options, progress)
+    if command.json:
+        print(to_json(summary.to_dict()), end="")
+    elif not command.quiet:
+        print("\n".join(lines(summary, command.output)))
+    for log in summary.failed:
+        print(f"jaxdet: error: {log.error}", file=sys.stderr)
+    return 1 if summary.failed else 0
+
+
+def lines(summary: "Summary", output: Path) -> list[str]:
+    """What a person wants to read after a run."""
+    text = []
+    for log in summary.logs:
+        if log.error:
+            text.append(f"{log.log}: failed after {log.frames} frames")
+            continue
+        text += [f"{log.log}", *(f"  {line}" for line in _log_lines(log))]
+    rate = (
+        f"{summary.frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
+    )
+    text.append(
+        f"{summary.frames} frames, {summary.obstacles} obstacles in {summary.seconds:.1f} s"
+    )
+    text[-1] += f" ({rate})" if rate else ""
+    return [*text, f"results: {output}"]
+
+
+def _log_lines(log: "LogSummary") -> list[str]:
+    states = ", ".join(f"{count} {status}" for status, count in log.status.most_common())
+    rate = f", {log.frames_per_s:.1f} frames/s after the first batch" if log.frames_per_s else ""
+    text = [
+        f"frames     {log.frames} ({states or 'none'}){rate}",
+        f"obstacles  {log.obstacles}",
+        f"ground     {ground_text(log.ground)}",
+    ]
+    if log.overflow_frames:
+        text.append(f"overflow   {log.overflow_frames} frames had more features than slots")
+    if log.score:
+        text += score_lines(log.score)
+    return text + [f"warning    {warning}" for warning in log.warnings]
+
+
+def score_lines(score: Mapping[str, Any]) -> list[str]:
+    """The comparison with the truth."""
+    return [
+        f"truth      {score['found']} of {score['visible']} visible obstacles found "
+        f"(recall {score['recall']:.3f}), {score['matched']} of "
+        f"{score['detections'] - score['on_wall']} detections right "
+        f"(precision {score['precision']:.3f}), F1 {score['f1']:.3f}",
+        f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
+        f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "
+        f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
+    ]
+
+
+def ground_text(records: Sequence["GroundRecord"]) -> str:
+    """The plane or planes of a log in one line."""
+    known = [record for record in records if record.height_m is not None]
+    if not known:
+        return f"unknown ({records[0].message})" if records else "unknown"
+    first = known[0]
+    degrees = [math.degrees(angle or 0.0) for angle in (first.pitch_rad, first.roll_rad)]
+    text = f"camera {first.height_m:.3f} m up, {degrees[0]:.1f}° down, roll {degrees[1]:+.1f}°"
+    if first.height_spread_m is not None:
+        text += f" ± {first.height_spread_m * 100:.1f} cm"
+    more = f"; {len(known)} of {len(records)} time windows have one" if len(records) > 1 else ""
+    return f"{text}, from {first.source}{more}"

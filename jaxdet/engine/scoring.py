@@ -1,0 +1,60 @@
+"""Comparison of a run with the truth of a simulated log, while the detections are at hand."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, score
+from jaxdet.sim import load_obstacle_ids, load_truth
+from jaxdet.types import Detections
+
+if TYPE_CHECKING:
+    from jaxdet.io import Batch
+
+_SUFFIX = ".truth.npz"
+
+
+class Scorer:
+    """Adds up the scores of the frames whose stamps the truth knows.
+
+    Args:
+        path: The simulated log, or the truth file beside it.
+        config: Its depth range says which obstacles are asked for.
+
+    Raises:
+        InputError: There is no truth, or it can't be read.
+    """
+
+    def __init__(self, path: Path, config: Config) -> None:
+        self.log = Path(str(path).removesuffix(_SUFFIX))
+        self.truth = load_truth(self.log)
+        self.number = {stamp: i for i, stamp in enumerate(self.truth.stamp_ns.tolist())}
+        ground = config.ground
+        self.config = EvalConfig(ground.min_depth_m, ground.max_depth_m)
+        self.tallies: list[Tally] = []
+
+    def add(self, batch: "Batch", found: Detections) -> None:
+        """Compares a batch, ``found`` as NumPy arrays."""
+        frames = batch.frames
+        numbers = [self.number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
+        known = np.array(numbers) >= 0
+        which = np.where(known, numbers, 0)
+        truth = FrameTruth(
+            load_obstacle_ids(self.log, which),
+            self.truth.visible_pixels[which],
+            self.truth.nearest_m[which],
+            self.truth.ground_min[which, :, 1],
+            self.truth.is_wall,
+        )
+        unit, valid = frames.calibration.depth_unit, frames.valid & known
+        self.tallies.append(evaluate(found, truth, unit, self.config, valid))
+
+    def result(self) -> dict[str, Any] | None:
+        """The figures for the summary; None when no frame was compared."""
+        figures = score(self.tallies)
+        if not figures.tally.frames:
+            return None
+        counts = {k: v for k, v in figures.tally._asdict().items() if k != "position_errors"}
+        return {**{k: v for k, v in figures._asdict().items() if k != "tally"}, **counts}
