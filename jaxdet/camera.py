@@ -97,12 +97,15 @@ def undistort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndar
     if camera.distortion is Distortion.INVERSE_BROWN_CONRADY:
         return _brown_conrady(x, y, coefficients(camera))
     ux, uy = np.array(x, np.float64), np.array(y, np.float64)
-    for _ in range(200):
+    for _ in range(500):
         dx, dy = distort(ux, uy, camera)
         step_x, step_y = x - dx, y - dy
         ux, uy = ux + step_x, uy + step_y
-        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < 1e-12:
+        largest = max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0))
+        if largest < 1e-12:
             return ux, uy
+        if not largest < 1e3:
+            break
     raise CalibrationError(
         f"the {camera.distortion} coefficients {camera.coefficients} can't be inverted over "
         f"{camera.width}x{camera.height}",

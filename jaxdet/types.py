@@ -116,7 +116,7 @@ class Frames(NamedTuple):
     depth: np.ndarray
     """``(B, Hd, Wd)`` uint16, depth units, 0 = no measurement."""
     calibration: Calibration
-    index: np.ndarray
+    number: np.ndarray
     """``(B,)`` int64, the colour frame's 0-based number in its log."""
     stamp_ns: np.ndarray
     """``(B,)`` int64, colour header stamp."""

@@ -28,7 +28,7 @@ def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
 
     Returns:
         Depth of the nearest hit in the depth camera and, of that hit, z in the colour camera
-        (on a tie of depths the smaller z), both 0 where nothing hits.
+        (on a tie of depths the smaller z; at most 65534), both 0 where nothing hits.
 
     Example:
         >>> from jaxdet.types import Extrinsics, Intrinsics
@@ -82,7 +82,7 @@ def _project(
     fx, fy, ppx, ppy = splat.pinhole
     column, fits_u = _to_int(px * fx + ppx + f32(0.5))
     row, fits_v = _to_int(py * fy + ppy + f32(0.5))
-    z = np.minimum(cz / splat.depth_unit + f32(0.5), f32(65535)).astype(np.uint32)
+    z = np.minimum(cz / splat.depth_unit + f32(0.5), f32(65534)).astype(np.uint32)
     return column, row, z, ahead & inside & fits_u & fits_v
 
 

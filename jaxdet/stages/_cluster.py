@@ -48,12 +48,13 @@ def _cluster_frame(
     """One frame: ``(N,)`` each."""
     n = z.shape[0]
     slot = jnp.arange(n, dtype=jnp.uint32)
-    # Depth has 16 bits and the slot at most 13, so one 32-bit key sorts both.
-    key = jnp.where(kept, (z.astype(jnp.uint32) << 16) | slot, jnp.uint32(0xFFFFFFFF))
-    key = jnp.sort(key)
-    slot = jnp.minimum(key & 0xFFFF, jnp.uint32(n - 1)).astype(jnp.int32)
-    taking_part = key != jnp.uint32(0xFFFFFFFF)
-    z_sorted = (key >> 16).astype(jnp.int32)
+    # Depth needs 16 bits and the slot at most 15, so one 32-bit key sorts both; what does not
+    # take part is deeper than any depth.
+    depth = jnp.where(kept, z.astype(jnp.uint32), jnp.uint32(1 << 16))
+    key = jnp.sort((depth << 15) | slot)
+    slot = (key & 0x7FFF).astype(jnp.int32)
+    z_sorted = (key >> 15).astype(jnp.int32)
+    taking_part = z_sorted < (1 << 16)
     set_number = _gap_sets(z_sorted, jnp.zeros_like(slot), taking_part, gaps[0], min_points)
 
     set_number, x_sorted, slot = lax.sort((set_number, x[slot], slot), num_keys=2)

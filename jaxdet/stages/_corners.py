@@ -40,9 +40,8 @@ def strongest_corners(
 
 def _min_eigenvalue(image: np.ndarray, block_size: int) -> np.ndarray:
     """``cv2.cornerMinEigenVal`` with the Sobel run on whole vectors of columns."""
-    height, width = image.shape
+    width = image.shape[1]
     padding = -width % LANES
-    # Two mirrored columns are enough: only the first of the padding is ever read.
     wide = cv2.copyMakeBorder(image, 0, 0, 0, padding, cv2.BORDER_REFLECT_101)
     scale = 1.0 / (4 * block_size * 255)
     dx, dy = (

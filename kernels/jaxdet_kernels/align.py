@@ -4,7 +4,8 @@ Twin of ``jaxdet/reference/_align.py`` and ``_lens.py``, operation by operation.
 compiled without fused multiply-add, so that every operation is rounded on its own.
 
 A key is ``depth << 16 | z`` (depth in the depth camera, z in the colour camera), so one unsigned
-minimum decides on both, whatever the order of the writes.
+minimum decides on both, whatever the order of the writes. z stays below 65535, so that no key
+equals the initial one, all bits set.
 """
 
 import warp as wp
@@ -113,7 +114,7 @@ def align_project(
     limit = wp.float32(1048576.0)
     if not (wp.abs(column) < limit and wp.abs(row) < limit):
         return wp.vec3i(0, 0, -1)
-    z = wp.min(cz / p[25] + half, wp.float32(65535.0))
+    z = wp.min(cz / p[25] + half, wp.float32(65534.0))
     return wp.vec3i(int(column), int(row), int(z))
 
 

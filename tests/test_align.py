@@ -1,0 +1,215 @@
+"""align: by hand, against librealsense, and the Warp kernel against the reference."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxdet import reference, stages
+from jaxdet.config import Config
+from jaxdet.errors import CalibrationError
+from jaxdet.reference._lens import arctangent
+from jaxdet.types import Calibration, Extrinsics, Intrinsics
+from tests.goldens.make_rs_align import CASES, FILE
+from tests.scenes import (
+    D435,
+    D435_MOTION,
+    IDENTITY,
+    LENSES,
+    assert_equal,
+    noise_depth,
+    resized,
+    rotation,
+    small,
+    smooth_depth,
+    with_lens,
+)
+
+BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
+TURNED = Extrinsics(rotation(3, -5, 8), (-0.03, 0.01, 0.02))
+
+
+# by hand
+
+
+def still(shift_x: float) -> Calibration:
+    camera = Intrinsics(6, 3, 2.0, 2.0, 2.5, 1.0)
+    return Calibration(camera, camera, Extrinsics(IDENTITY, (shift_x, 0.0, 0.0)))
+
+
+@BACKENDS
+def test_identity_keeps_every_pixel(backend):
+    depth = noise_depth(2, still(0).depth)
+    aligned = backend.align(depth, still(0))
+    assert np.array_equal(aligned.depth, depth)
+    assert np.array_equal(aligned.z, np.minimum(depth, 65534))
+
+
+@BACKENDS
+def test_a_sideways_camera_shifts_near_pixels_and_the_nearest_wins(backend):
+    depth = np.zeros((1, 3, 6), np.uint16)
+    depth[0, 1] = 1000, 1000, 500, 0, 0, 1000
+    # 2 px of focal length and 0.5 m sideways: 1 px at 1 m, 2 px at 0.5 m.
+    aligned = np.asarray(backend.align(depth, still(0.5)).depth)
+    assert aligned[0, 1].tolist() == [0, 1000, 1000, 0, 500, 0]
+    depth[0, 1, 3] = 2000
+    assert np.asarray(backend.align(depth, still(0.5)).depth)[0, 1, 4] == 500
+
+
+@BACKENDS
+def test_z_is_the_colour_cameras(backend):
+    behind = Extrinsics(IDENTITY, (0.0, 0.0, 0.25))
+    camera = still(0).color
+    depth = np.full((1, 3, 6), 1000, np.uint16)
+    aligned = backend.align(depth, Calibration(camera, camera, behind))
+    assert set(np.unique(aligned.depth).tolist()) <= {0, 1000}
+    assert set(np.unique(aligned.z).tolist()) <= {0, 1250}
+
+
+@BACKENDS
+def test_a_point_behind_the_colour_camera_is_dropped(backend):
+    ahead = Extrinsics(IDENTITY, (0.0, 0.0, -2.0))
+    depth = np.full((1, 3, 6), 1000, np.uint16)
+    assert not np.asarray(backend.align(depth, Calibration(still(0).color, still(0).color, ahead)).z).any()
+
+
+@BACKENDS
+def test_aligned_depth_is_passed_through(backend):
+    depth = noise_depth(1, still(0).depth)
+    aligned = backend.align(depth, Calibration(still(0).color))
+    assert np.array_equal(aligned.depth, depth)
+    assert np.array_equal(aligned.z, depth)
+
+
+@BACKENDS
+def test_missing_extrinsics_name_the_flag(backend):
+    with pytest.raises(CalibrationError, match="--log.color-from-depth"):
+        backend.align(noise_depth(1, still(0).depth), still(0)._replace(color_from_depth=None))
+
+
+# librealsense
+
+
+@pytest.mark.parametrize("name", CASES)
+@BACKENDS
+def test_equals_stored_rs_align(backend, name):
+    calibration, depth = CASES[name]
+    want = np.load(FILE)[name]
+    assert np.count_nonzero(want) > 1000
+    assert np.array_equal(backend.align(depth[None], calibration).depth[0], want)
+
+
+LIVE = {
+    "same_size": D435,
+    "turned": D435._replace(color_from_depth=TURNED),
+    "720p": D435._replace(
+        color=resized(D435.color, 1280, 720), depth=resized(D435.depth, 848, 480)
+    ),
+    "coarse": D435._replace(color=resized(D435.depth, 320, 240)),
+    "special_size": D435._replace(color=resized(D435.depth, 640, 360)),
+    "depth_lens": D435._replace(depth=with_lens(D435.depth, "inverse")),
+}
+
+
+@pytest.mark.parametrize("name", LIVE)
+@pytest.mark.parametrize("image", [noise_depth, smooth_depth])
+def test_equals_rs_align(name, image):
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    from tests.oracles import realsense
+
+    calibration = LIVE[name]
+    depth = image(1, calibration.depth)
+    want = realsense.align(depth[0], calibration)
+    assert np.array_equal(reference.align(depth, calibration).depth[0], want)
+
+
+def test_equals_rs_align_on_a_recording(shared_data):
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    from tests.oracles import realsense
+
+    depth = cv2.imread(str(shared_data / "realsense_d435_bag/depth.png"), cv2.IMREAD_UNCHANGED)
+    aligned = reference.align(depth[None], D435).depth[0]
+    assert np.count_nonzero(aligned) > 200_000
+    assert np.array_equal(aligned, realsense.align(depth, D435))
+
+
+# lenses, against OpenCV
+
+
+@pytest.mark.parametrize("lens", ["plumb_bob", "rational", "equidistant"])
+def test_colour_lens_projects_as_opencv(lens):
+    calibration = small()._replace(
+        color=with_lens(small().color, lens), color_from_depth=Extrinsics(IDENTITY, (0, 0, 0))
+    )
+    color, depth_camera = calibration.color, calibration.depth
+    v, u = 17, 23
+    depth = np.zeros((1, 60, 80), np.uint16)
+    depth[0, v, u] = 1500
+    corners = np.array([[u - 0.5, v - 0.5], [u + 0.5, v + 0.5]])
+    rays = np.column_stack([(corners - [depth_camera.cx, depth_camera.cy]) / depth_camera.fx])
+    if lens == "equidistant":
+        pixels = cv2.fisheye.distortPoints(rays[None], color.K, np.array(color.coefficients))[0]
+    else:
+        full = np.column_stack([rays, np.ones(2)])
+        pixels = cv2.projectPoints(
+            full, np.zeros(3), np.zeros(3), color.K, np.array(color.coefficients)
+        )[0][:, 0]
+    left, top, right, bottom = np.floor(pixels + 0.5).astype(int).ravel()
+    want = np.zeros((60, 80), bool)
+    want[top : bottom + 1, left : right + 1] = True
+    assert np.array_equal(reference.align(depth, calibration).depth[0] == 1500, want)
+
+
+def test_arctangent_is_accurate():
+    x = np.concatenate([np.linspace(0, 3, 100_000), [10.0, 1e3, 1e9]])
+    assert np.max(np.abs(arctangent(x) - np.arctan(x))) < 3e-16
+
+
+# twin
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("image", [noise_depth, smooth_depth])
+def test_twin_with_every_lens(device, lens, image):
+    base = small(97, 61, 1.6)
+    calibration = base._replace(color=with_lens(base.color, lens), color_from_depth=TURNED)
+    depth = image(3, calibration.depth)
+    assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
+
+
+@pytest.mark.parametrize("batch", [1, 2, 5])
+@pytest.mark.parametrize("size", [(640, 480), (848, 480)])
+def test_twin_at_full_size(device, batch, size):
+    depth_camera = resized(D435.depth, *size)
+    calibration = Calibration(resized(D435.color, 640, 480), depth_camera, D435_MOTION)
+    depth = noise_depth(batch, depth_camera)
+    assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
+
+
+def test_twin_without_any_measurement(device):
+    depth = np.zeros((2, 60, 80), np.uint16)
+    assert_equal(stages.align(depth, small()), reference.align(depth, small()))
+    assert not np.asarray(stages.align(depth, small()).depth).any()
+
+
+# laws
+
+
+def test_a_batch_is_a_stack_of_singles(device):
+    depth = noise_depth(4, small().depth)
+    whole = np.asarray(stages.align(depth, small()).z)
+    singles = [np.asarray(stages.align(image[None], small()).z)[0] for image in depth]
+    assert np.array_equal(whole, np.stack(singles))
+
+
+def test_a_deeper_hit_never_hides_a_nearer_one(device):
+    depth = noise_depth(1, small().depth)
+    before = np.asarray(stages.align(depth, small()).depth).astype(np.int64)
+    more = np.where(depth == 0, np.uint16(9000), depth)
+    after = np.asarray(stages.align(more, small()).depth)
+    assert np.array_equal(after[before > 0], before[before > 0])
+
+
+def test_config_has_no_free_parameters():
+    assert dataclasses.fields(Config().align) == ()

@@ -1,0 +1,86 @@
+"""camera: lens models and rays against OpenCV, and the errors."""
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxdet.camera import corner_rays, fixed_rays, pixel_rays, splat_parameters, undistort
+from jaxdet.errors import CalibrationError
+from jaxdet.types import Calibration, Distortion, Intrinsics
+from tests.scenes import D435, D435_COLOR, LENSES, with_lens
+
+
+@pytest.mark.parametrize("lens", ["plumb_bob", "rational", "equidistant"])
+def test_rays_project_back_to_their_pixels_by_opencv(lens):
+    camera = with_lens(D435_COLOR, lens)
+    x, y = (a[::40, ::40].ravel() for a in pixel_rays(camera))
+    v, u = (a[::40, ::40].ravel() for a in np.mgrid[: camera.height, : camera.width])
+    rays, k = np.stack([x, y], axis=1), np.array(camera.coefficients)
+    if lens == "equidistant":
+        pixels = cv2.fisheye.distortPoints(rays[None], camera.K, k)[0]
+    else:
+        full = np.column_stack([rays, np.ones(len(rays))])
+        pixels = cv2.projectPoints(full, np.zeros(3), np.zeros(3), camera.K, k)[0][:, 0]
+    assert np.abs(pixels - np.stack([u, v], axis=1)).max() < 1e-6
+
+
+def test_inverse_brown_conrady_is_a_formula():
+    camera = with_lens(D435_COLOR, "inverse")
+    x, y = undistort(np.array([0.2]), np.array([-0.1]), camera)
+    k1, k2, p1, p2, k3 = camera.coefficients
+    r2 = 0.05
+    f = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    assert np.isclose(x[0], 0.2 * f + 2 * p1 * 0.2 * -0.1 + p2 * (r2 + 2 * 0.04))
+    assert np.isclose(y[0], -0.1 * f + 2 * p2 * 0.2 * -0.1 + p1 * (r2 + 2 * 0.01))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_corners_lie_between_pixel_centres(lens):
+    camera = with_lens(D435_COLOR, lens)
+    corner, center = corner_rays(camera)[0], pixel_rays(camera)[0]
+    assert corner.dtype == np.float32
+    assert corner.shape == (481, 641)
+    assert np.all(corner[:-1, :-1] < center)
+    assert np.all(corner[1:, 1:] > center)
+
+
+def test_fixed_rays_are_rounded():
+    x, y = fixed_rays(D435_COLOR)
+    assert x.dtype == y.dtype == np.int32
+    assert np.abs(x / 2**20 - pixel_rays(D435_COLOR)[0]).max() <= 2**-21
+
+
+def test_tables_are_cached_and_read_only():
+    x, _ = pixel_rays(D435_COLOR)
+    assert pixel_rays(D435_COLOR._replace())[0] is x
+    with pytest.raises(ValueError, match="read-only"):
+        x[0, 0] = 1
+
+
+def test_a_folding_lens_can_not_project_far_rays_into_the_image():
+    narrow = D435_COLOR._replace(
+        distortion=Distortion.PLUMB_BOB, coefficients=(-0.28, 0.05, 0.0, 0.0, 0.0)
+    )
+    assert splat_parameters(D435).max_r2 > 1e30
+    assert splat_parameters(D435._replace(color=narrow)).max_r2 < 1.5
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(9.0,) * 9), "at most 8"),
+        (
+            D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(-5.0, 0, 0, 0, 0)),
+            "can't be inverted",
+        ),
+        (Intrinsics(640, 480, 20.0, 20.0, 320.0, 240.0), "too wide"),
+    ],
+)
+def test_impossible_calibrations_are_errors(camera, message):
+    with pytest.raises(CalibrationError, match=message):
+        fixed_rays(camera)
+
+
+def test_missing_depth_camera_is_an_error():
+    with pytest.raises(CalibrationError, match="--log.color-from-depth"):
+        splat_parameters(Calibration(D435_COLOR))

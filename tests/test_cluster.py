@@ -1,0 +1,176 @@
+"""cluster: by hand, against SciPy's single linkage, and the twin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.cluster.hierarchy import fcluster, linkage
+
+from jaxdet import reference, stages
+from jaxdet.config import ClusterConfig, Config
+from jaxdet.errors import ConfigError
+from jaxdet.types import Features
+from tests.scenes import assert_equal, points
+
+BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
+
+
+def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) -> Config:
+    """Gaps in depth units of 1 mm."""
+    return replace(
+        Config(), cluster=ClusterConfig(depth_gap / 1000, lateral_gap / 1000, min_points)
+    )
+
+
+def labels(backend, features: Features, settings_: Config) -> list:
+    return np.asarray(backend.cluster(features, 0.001, settings_).labels).tolist()
+
+
+# by hand
+
+
+@BACKENDS
+def test_gaps_in_depth(backend):
+    z = [1000, 1100, 1200, 1301, 1401, 1501]
+    assert labels(backend, points([0] * 6, z), config()) == [[0, 0, 0, 1, 1, 1]]
+    assert labels(backend, points([0] * 6, z), config(depth_gap=101)) == [[0] * 6]
+
+
+@BACKENDS
+def test_a_chain_longer_than_the_gap_is_one_set(backend):
+    """The text rule (Step 3, Eq. 6), which the printed Algorithm 1 contradicts."""
+    z = np.arange(11) * 100 + 500
+    assert labels(backend, points(0 * z, z), config()) == [[0] * 11]
+
+
+@BACKENDS
+def test_gaps_sideways_within_a_set(backend):
+    x = [-500, -450, -400, 1, 50, 100, 700]
+    z = [1000, 1010, 1020, 990, 1000, 1010, 1000]
+    assert labels(backend, points(x, z), config()) == [[1, 1, 1, 0, 0, 0, -1]]
+
+
+@BACKENDS
+def test_sets_of_n_points_or_fewer_are_dropped(backend):
+    z = [500, 501, 800, 801, 802]
+    assert labels(backend, points([0] * 5, z), config()) == [[-1, -1, 0, 0, 0]]
+    assert labels(backend, points([0] * 5, z), config(min_points=3)) == [[-1] * 5]
+
+
+@BACKENDS
+def test_order_is_nearest_depth_then_smallest_x(backend):
+    x = [900, 910, 920, 0, 10, 20, -900, -890, -880]
+    z = [600, 650, 650, 600, 650, 650, 599, 650, 650]
+    assert labels(backend, points(x, z), config()) == [[2, 2, 2, 1, 1, 1, 0, 0, 0]]
+
+
+@BACKENDS
+def test_only_kept_points_take_part(backend):
+    z, kept = [500, 501, 502, 503], [True, False, True, True]
+    assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
+    found = backend.cluster(points([0] * 4, z, [False] * 4), 0.001, config())
+    assert np.asarray(found.num_obstacles).tolist() == [0]
+
+
+def test_gaps_follow_the_depth_unit():
+    z = [5000, 6000, 7000]
+    found = reference.cluster(points([0] * 3, z), 0.0001, config())
+    assert found.labels.tolist() == [[0, 0, 0]]
+    assert reference.cluster(points([0] * 3, z), 0.001, config()).labels.tolist() == [[-1] * 3]
+
+
+def test_bad_values_name_the_flag():
+    with pytest.raises(ConfigError, match=r"cluster\.depth-gap-m"):
+        ClusterConfig(depth_gap_m=-1)
+
+
+# SciPy
+
+
+def single_linkage(x: np.ndarray, z: np.ndarray, settings_: Config) -> list[frozenset[int]]:
+    """Single linkage along z, then along x within each set, as index sets."""
+
+    def split(index: np.ndarray, axis: np.ndarray, gap_m: float) -> list[np.ndarray]:
+        if len(index) < 2:
+            groups = np.ones(len(index))
+        else:
+            tree = linkage(axis[index, None].astype(float), "single")
+            groups = fcluster(tree, gap_m * 1000, "distance")
+        parts = [index[groups == g] for g in np.unique(groups)]
+        return [part for part in parts if len(part) > settings_.cluster.min_points]
+
+    whole = split(np.arange(len(z)), z, settings_.cluster.depth_gap_m)
+    gap = settings_.cluster.lateral_gap_m
+    return sorted(
+        (frozenset(part.tolist()) for w in whole for part in split(w, x, gap)), key=sorted
+    )
+
+
+@pytest.mark.parametrize("count", [1, 30, 300, 1000])
+@pytest.mark.parametrize("gaps", [(1, 5), (8, 100), (40, 20), (100, 400)])
+@BACKENDS
+def test_same_partition_as_scipy(backend, count, gaps):
+    rng = np.random.default_rng(count)
+    x, z = rng.integers(-2000, 2000, count), rng.integers(300, 4000, count)
+    settings_ = config(*gaps, min_points=2)
+    found = np.asarray(backend.cluster(points(x, z), 0.001, settings_).labels)[0]
+    parts = [frozenset(np.flatnonzero(found == n).tolist()) for n in range(found.max() + 1)]
+    assert sorted(parts, key=sorted) == single_linkage(x, z, settings_)
+
+
+# twin
+
+
+def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
+    rng = np.random.default_rng(seed)
+    x, z = rng.integers(-spread, spread, (batch, n)), rng.integers(1, spread, (batch, n))
+    return points(x, z, rng.random((batch, n)) < rng.random((batch, 1)))
+
+
+@pytest.mark.parametrize(("batch", "n"), [(1, 1), (1, 7), (3, 100), (2, 1024), (2, 5000)])
+@pytest.mark.parametrize("spread", [3, 500, 65535])
+@pytest.mark.parametrize("min_points", [0, 2, 10])
+def test_twin(device, batch, n, spread, min_points):
+    given_ = random_points(n + spread, batch, n, spread), 0.001, config(30, 60, min_points)
+    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+
+
+# laws
+
+
+hostile = st.lists(
+    st.tuples(st.integers(-300, 300), st.integers(1, 300), st.booleans()), min_size=24, max_size=24
+)
+
+
+@given(hostile, st.integers(0, 60), st.integers(0, 60), st.integers(0, 4))
+@settings(max_examples=80)
+def test_twin_on_anything(rows, depth_gap, lateral_gap, min_points):
+    x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
+    given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
+    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_permuting_points_permutes_labels(seed):
+    features = random_points(seed, 1, 200, 900)
+    order = np.random.default_rng(seed).permutation(200)
+    shuffled = Features(*(a[:, order] if a.ndim == 2 else a for a in features))
+    before = np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
+    after = np.asarray(stages.cluster(shuffled, 0.001, config(20, 60)).labels)
+    assert np.array_equal(after, before[:, order])
+
+
+def test_padding_and_batching_change_nothing(device):
+    features = random_points(1, 5, 300, 900)
+    whole = np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
+    for b in range(5):
+        one = Features(*(a[b : b + 1] for a in features))
+        padding = [(0, 0), (0, 33)]
+        padded = Features(*(np.pad(a, padding) if a.ndim == 2 else a for a in one))
+        got = np.asarray(stages.cluster(padded, 0.001, config(20, 60)).labels)[0]
+        assert np.array_equal(got[:300], whole[b])
+        assert np.all(got[300:] == -1)

@@ -1,0 +1,208 @@
+"""features: against OpenCV on many images, by hand, and the twin."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxdet import reference, stages
+from jaxdet.config import FeaturesConfig
+from jaxdet.reference._canny import canny, grey
+from jaxdet.reference._corners import min_eigenvalue, strongest_corners
+from jaxdet.reference._features import lateral
+from jaxdet.stages._features import lateral as lateral_twin
+from jaxdet.types import Calibration, Distortion, Keep
+from tests.scenes import D435_COLOR, aligned, assert_equal, blocks, recorded_colors, resized
+
+SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
+
+
+def test_images() -> list[np.ndarray]:
+    """Grey images whose width is a multiple of 32, where OpenCV's bits are ours."""
+    rng = np.random.default_rng(3)
+    images = [grey(blocks(1, *size)[0]) for size in SIZES]
+    images.append(rng.integers(0, 256, (120, 160)).astype(np.uint8))
+    images.append(np.zeros((40, 64), np.uint8))
+    images.append((np.indices((64, 96)).sum(0) % 2 * 255).astype(np.uint8))
+    return images
+
+
+test_images.__test__ = False
+
+
+# OpenCV
+
+
+def test_grey_equals_opencv_on_every_colour():
+    g, b = np.meshgrid(np.arange(256), np.arange(256))
+    for r in range(256):
+        colors = np.stack([np.full_like(g, r), g, b], axis=-1).astype(np.uint8)
+        assert np.array_equal(grey(colors), cv2.cvtColor(colors, cv2.COLOR_RGB2GRAY))
+
+
+@pytest.mark.parametrize("bounds", [(100, 200), (50, 120.7), (300, 150), (0, 0), (1000, 2000)])
+def test_canny_equals_opencv(bounds):
+    for image in test_images():
+        assert np.array_equal(canny(image, *bounds), cv2.Canny(image, *bounds))
+
+
+@pytest.mark.parametrize("block_size", [3, 5])
+def test_min_eigenvalue_equals_opencv(block_size):
+    for image in test_images():
+        for source in (image, canny(image, 100, 200)):
+            want = cv2.cornerMinEigenVal(source, block_size, ksize=3)
+            assert np.array_equal(min_eigenvalue(source, block_size), want)
+
+
+SELECTIONS = [(1024, 0.01, 5.0), (0, 0.05, 0.0), (300, 0.001, 10.5), (77, 0.01, 1.0)]
+
+
+@pytest.mark.parametrize(("max_corners", "quality", "distance"), SELECTIONS)
+@pytest.mark.parametrize("masked", [False, True])
+def test_corners_equal_opencv_in_order(max_corners, quality, distance, masked):
+    rng = np.random.default_rng(5)
+    for image in test_images():
+        for source in (image, canny(image, 100, 200)):
+            mask = rng.random(image.shape) < 0.7 if masked else None
+            got = strongest_corners(min_eigenvalue(source), mask, max_corners, quality, distance)
+            u8 = None if mask is None else mask.astype(np.uint8)
+            assert_corners(got, cv2.goodFeaturesToTrack(source, max_corners, quality, distance, mask=u8))
+
+
+def assert_corners(got: np.ndarray, opencv: np.ndarray | None) -> None:
+    want = np.zeros((0, 2)) if opencv is None else opencv[:, 0]
+    assert np.array_equal(got, want)
+
+
+def test_recordings_equal_opencv(shared_data):
+    for image in recorded_colors(shared_data):
+        edges = canny(grey(image), 100, 200)
+        want = cv2.Canny(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), 100, 200)
+        assert np.array_equal(edges, want)
+        strength = min_eigenvalue(edges)
+        assert np.array_equal(strength, cv2.cornerMinEigenVal(want, 3))
+        got = strongest_corners(strength, None, 1024, 0.01, 5)
+        assert_corners(got, cv2.goodFeaturesToTrack(want, 1024, 0.01, 5))
+
+
+def test_opencv_depends_on_the_width_and_we_do_not():
+    """Where the width isn't a multiple of 32, OpenCV's last columns are not fused."""
+    image = test_images()[4][:, :150]
+    ours, theirs = min_eigenvalue(image), cv2.cornerMinEigenVal(image, 3, ksize=3)
+    body = 150 - 150 % 32 - 2
+    assert np.array_equal(ours[:, :body], theirs[:, :body])
+    assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-7)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3, 9, 256]), st.integers(3, 40))
+@settings(max_examples=60)
+def test_canny_equals_opencv_on_random_images(seed, levels, size):
+    rng = np.random.default_rng(seed)
+    image = (rng.integers(0, levels, (size, 2 * size)) * (255 // (levels - 1))).astype(np.uint8)
+    low, high = sorted(rng.integers(0, 1200, 2).tolist())
+    assert np.array_equal(canny(image, low, high), cv2.Canny(image, low, high))
+
+
+# by hand
+
+
+def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
+    color = np.zeros((1, 48, 64, 3), np.uint8)
+    color[0, 16:32, 20:44] = 255
+    camera = resized(D435_COLOR, 64, 48)._replace(fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+    z = np.full((1, 48, 64), 1000, np.uint16)
+    keep = Keep(np.ones(z.shape, bool), np.ones(1, bool))
+    config = FeaturesConfig(canny=False, max_corners=8)
+    found = reference.features(color, aligned(z), keep, Calibration(camera), config)
+    assert found.valid[0].tolist() == [True] * 4 + [False] * 4
+    at = sorted(zip(found.u[0, :4].tolist(), found.v[0, :4].tolist(), strict=True))
+    assert np.allclose(at, [(20, 16), (20, 31), (43, 16), (43, 31)], atol=1)
+    assert np.array_equal(found.x[0, :4], (found.u[0, :4] - 32) * 20)
+    assert np.array_equal(found.y[0, :4], (found.v[0, :4] - 24) * 20)
+
+
+def test_mask_frees_the_slots_for_what_matters():
+    color = blocks(1, 96, 128, 2)
+    z = np.full((1, 96, 128), 1000, np.uint16)
+    mask = np.zeros(z.shape, bool)
+    mask[:, :, 64:] = True
+    keep, calibration = Keep(mask, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
+    config = FeaturesConfig(max_corners=12)
+    with_mask = reference.features(color, aligned(z), keep, calibration, config)
+    paper = reference.features(
+        color, aligned(z), keep, calibration, replace(config, use_mask=False)
+    )
+    assert with_mask.kept.sum() == 12
+    assert paper.valid.sum() == 12
+    assert 0 < paper.kept.sum() < 12
+
+
+def test_overflow_is_flagged(device):
+    color, z = blocks(2, 96, 128), np.full((2, 96, 128), 1000, np.uint16)
+    color[1] = 7
+    keep, calibration = Keep(z > 0, np.ones(2, bool)), Calibration(resized(D435_COLOR, 128, 96))
+    for backend in (reference, stages):
+        found = backend.features(
+            color, aligned(z), keep, calibration, FeaturesConfig(max_corners=5)
+        )
+        assert np.asarray(found.overflow).tolist() == [True, False]
+        assert np.asarray(found.valid).sum(1).tolist() == [5, 0]
+
+
+def test_undistorted_coordinates():
+    camera = D435_COLOR._replace(
+        distortion=Distortion.PLUMB_BOB, coefficients=(-0.3, 0.1, 0.001, -0.002, 0.0)
+    )
+    color, z = blocks(1, 480, 640), np.full((1, 480, 640), 2000, np.uint16)
+    keep = Keep(z > 0, np.ones(1, bool))
+    found = reference.features(color, aligned(z), keep, Calibration(camera), FeaturesConfig())
+    n = found.valid[0].sum()
+    rays = np.stack([found.x[0, :n], found.y[0, :n], found.z[0, :n]], axis=1) / 2000
+    pixels = cv2.projectPoints(
+        rays.astype(float), np.zeros(3), np.zeros(3), camera.K, np.array(camera.coefficients)
+    )[0][:, 0]
+    assert n > 100
+    assert np.abs(pixels - np.stack([found.u[0, :n], found.v[0, :n]], axis=1)).max() < 0.2
+
+
+# twin
+
+
+CONFIGS = {
+    "default": FeaturesConfig(),
+    "no_mask": FeaturesConfig(use_mask=False),
+    "grey": FeaturesConfig(canny=False, block_size=5),
+    "few": FeaturesConfig(max_corners=20, min_distance=12.5),
+    "dense": FeaturesConfig(max_corners=4000, min_distance=0, quality_level=0.0001),
+}
+
+
+@pytest.mark.parametrize("width", [640, 424, 97, 31])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_twin(device, name, width):
+    height = 3 * width // 4
+    color = blocks(3, height, width, width)
+    color[2] = 0
+    camera = resized(D435_COLOR, width, height)
+    rng = np.random.default_rng(width)
+    z = rng.integers(0, 5000, (3, height, width)).astype(np.uint16)
+    keep = Keep((z > 150) & (rng.random(z.shape) < 0.8), np.ones(3, bool))
+    given_ = color, aligned(z), keep, Calibration(camera), CONFIGS[name]
+    want = reference.features(*given_)
+    assert want.valid[:2].any()
+    assert_equal(stages.features(*given_), want)
+
+
+@given(
+    st.lists(st.integers(-(4 << 20), 4 << 20), min_size=1, max_size=50),
+    st.integers(0, 65535),
+)
+def test_lateral_twin_stays_in_32_bits(rays, z):
+    ray = np.array(rays, np.int32)
+    depth = np.full(len(rays), z, np.int32)
+    exact = [(int(r) * z + (1 << 19)) >> 20 for r in rays]
+    assert lateral(ray, depth).tolist() == exact
+    assert np.asarray(lateral_twin(ray, depth)).tolist() == exact

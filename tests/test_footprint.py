@@ -1,0 +1,133 @@
+"""footprint: by hand and the twin; the rectangles are in test_metric.py."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxdet import reference, stages
+from jaxdet.config import Config, FeaturesConfig, FootprintConfig
+from jaxdet.errors import ConfigError
+from jaxdet.plane import ground_axes
+from jaxdet.reference._footprint import to_ground
+from jaxdet.stages._footprint import to_ground as to_ground_twin
+from jaxdet.types import Features, Labels
+from tests.scenes import assert_equal, level, points
+
+BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
+CONFIG = replace(Config(), features=FeaturesConfig(max_corners=50))
+
+
+def measure(backend, x, z, labels, plane=None, config=CONFIG):
+    labels = np.atleast_2d(np.asarray(labels, np.int32))
+    count = (labels.max(axis=1) + 1).astype(np.int32)
+    plane = plane or level(len(labels))
+    return backend.footprint(points(x, z), Labels(labels, count), plane, 0.001, config)
+
+
+# by hand
+
+
+@BACKENDS
+def test_extent_and_points(backend):
+    found = measure(backend, [-300, 0, 200, 999], [1500, 1000, 1400, 700], [0, 0, 0, -1])
+    assert np.asarray(found.num_points)[0].tolist() == [3, 0, 0, 0]
+    assert np.asarray(found.xyz_min)[0, 0].tolist() == [-300, 0, 1000]
+    assert np.asarray(found.xyz_max)[0, 0].tolist() == [200, 0, 1500]
+    assert np.asarray(found.xyz_sum)[0, 0].tolist() == [-100, 0, 3900]
+    assert np.asarray(found.uv_min)[0, 0].tolist() == [0, 0]
+    assert np.asarray(found.uv_max)[0, 0].tolist() == [2, 0]
+    assert np.asarray(found.a)[0, 0].tolist() == [-300, 1500]
+    assert np.asarray(found.b)[0, 0].tolist() == [200, 1400]
+    assert np.asarray(found.c)[0, 0].tolist() == [0, 1000]
+    assert np.asarray(found.has_vertex)[0].tolist() == [True, False, False, False]
+
+
+@BACKENDS
+def test_vertex_needs_the_threshold(backend):
+    """Eq. 7: no vertex while min(d_A, d_B) - d_C < d_threshold (30 mm)."""
+    for nearest, vertex in ((971, False), (970, True)):
+        found = measure(backend, [-100, 0, 100], [1000, nearest, 1200], [0, 0, 0])
+        assert bool(np.asarray(found.has_vertex)[0, 0]) is vertex
+
+
+@BACKENDS
+def test_ties_go_to_the_nearer_and_the_left(backend):
+    x, z = [-100, -100, 100, 100, 0, -50], [900, 800, 700, 950, 600, 600]
+    found = measure(backend, x, z, [0] * 6)
+    assert np.asarray(found.a)[0, 0].tolist() == [-100, 800]
+    assert np.asarray(found.b)[0, 0].tolist() == [100, 700]
+    assert np.asarray(found.c)[0, 0].tolist() == [-50, 600]
+
+
+def test_a_tilted_camera_lays_points_on_the_floor():
+    pitch = np.radians(25.0)
+    plane = level(1, 0.6, pitch)
+    # A vertical pole 1.5 m ahead, from the floor to 1 m: all at the same place on the floor.
+    height = np.linspace(0.0, 1.0, 11)
+    forward, down = 1500.0, 600.0 - 1000 * height
+    y = -forward * np.sin(pitch) + down * np.cos(pitch)
+    z = forward * np.cos(pitch) + down * np.sin(pitch)
+    features = points(0 * height, np.rint(z))._replace(y=np.rint(y).astype(np.int32)[None])
+    assert np.abs(to_ground(features, plane)[0] - [0, 1500]).max() <= 1
+
+
+def test_bad_values_name_the_flag():
+    with pytest.raises(ConfigError, match=r"footprint\.extension-m"):
+        FootprintConfig(extension_m=0)
+
+
+# twin
+
+
+def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
+    rng = np.random.default_rng(seed)
+    z = rng.integers(0, 65536, (batch, n))
+    features = points(rng.integers(-4, 5, (batch, n)) * z, z)
+    uv = rng.integers(0, 1280, (2, batch, n)).astype(np.int32)
+    y = (rng.integers(-4, 5, (batch, n)) * z).astype(np.int32)
+    features = features._replace(u=uv[0], v=uv[1], y=y)
+    labels = rng.integers(-1, 4, (batch, n)).astype(np.int32)
+    return features, Labels(labels, np.full(batch, 4, np.int32))
+
+
+@pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000)])
+def test_twin(device, batch, n):
+    plane = level(batch, 0.5, 0.3, -0.2)
+    plane.pitch[-1], plane.valid[0] = -0.1, False
+    given_ = *hostile_features(n, batch, n), plane, 0.001, CONFIG
+    want = reference.footprint(*given_)
+    assert want.num_points.min(initial=1, where=want.num_points > 0) >= 1
+    assert_equal(stages.footprint(*given_), want)
+
+
+def test_twin_without_obstacles(device):
+    features, labels = hostile_features(0, 2, 30)
+    none = Labels(np.full_like(labels.labels, -1), np.zeros(2, np.int32))
+    given_ = features, none, level(2), 0.001, CONFIG
+    assert_equal(stages.footprint(*given_), reference.footprint(*given_))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-1.5, 1.5), st.floats(-3, 3))
+@settings(max_examples=50)
+def test_ground_coordinates_stay_in_32_bits(seed, pitch, roll):
+    features, _ = hostile_features(seed, 1, 64)
+    plane = level(1, 0.5, pitch, roll)
+    xyz = np.stack([features.x, features.y, features.z], axis=-1)
+    axes = ground_axes(plane)
+    assert np.array_equal(np.asarray(to_ground_twin(xyz, axes)), to_ground(features, plane))
+
+
+# laws
+
+
+def test_relabelling_moves_rows(device):
+    features, labels = hostile_features(7, 1, 200)
+    swap = np.array([3, 1, 2, 0, -1], np.int32)
+    moved = Labels(swap[labels.labels], labels.num_obstacles)
+    before = stages.footprint(features, labels, level(1), 0.001, CONFIG)
+    after = stages.footprint(features, moved, level(1), 0.001, CONFIG)
+    for was, now in zip(before, after, strict=True):
+        assert np.array_equal(np.asarray(now)[0, [0, 3]], np.asarray(was)[0, [3, 0]])

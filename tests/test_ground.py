@@ -1,0 +1,151 @@
+"""ground: Eq. 5 in exact arithmetic, tilt by geometry, and the twin."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from jaxdet import reference, stages
+from jaxdet.config import Config, GroundConfig
+from jaxdet.errors import ConfigError
+from jaxdet.plane import (
+    down_vector,
+    floor_limits,
+    ground_axes,
+    plane_from_down,
+    plane_from_transform,
+    unknown_plane,
+)
+from jaxdet.types import Calibration, GroundPlane, Intrinsics
+from tests.scenes import aligned, assert_equal, level, noise_depth, resized, rotation, small
+
+BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
+CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 20.0)
+CALIBRATION = Calibration(CAMERA)
+WIDE = replace(Config(), ground=GroundConfig(min_depth_m=0.001, max_depth_m=60.0))
+
+
+# by hand
+
+
+@BACKENDS
+def test_range_bounds_are_inclusive(backend):
+    config = replace(Config(), ground=GroundConfig(min_depth_m=0.5, max_depth_m=2.0))
+    z = np.zeros((1, 48, 64), np.uint16)
+    z[0, 0, :6] = 0, 499, 500, 2000, 2001, 65535
+    keep = backend.ground(aligned(z), unknown_plane(1), CALIBRATION, config)
+    assert np.asarray(keep.mask)[0, 0, :6].tolist() == [False, False, True, True, False, False]
+    assert np.asarray(keep.has_depth).tolist() == [True]
+    z[0, 0, 2:4] = 0
+    keep = backend.ground(aligned(z), unknown_plane(1), CALIBRATION, config)
+    assert np.asarray(keep.has_depth).tolist() == [False]
+
+
+@BACKENDS
+def test_level_camera_equals_equation_5_on_every_pixel(backend):
+    """v - c_y >= f (h - 0.05) / z, in rational arithmetic, for every row and many depths."""
+    height, step, unit = Fraction("0.62"), Fraction("0.05"), Fraction("0.001")
+    depths = np.unique(np.concatenate([np.arange(1, 4000, 7), [342, 570, 1026, 1710, 2850]]))
+    z = np.broadcast_to(depths[:, None, None], (len(depths), 48, 64)).astype(np.uint16)
+    keep = backend.ground(aligned(z), level(len(depths), 0.62), CALIBRATION, WIDE)
+    bound = [Fraction(60) * (height - step) / (int(d) * unit) for d in depths]
+    floor = np.array([[v - 20 >= b for v in range(48)] for b in bound])
+    assert 0.05 < floor.mean() < 0.6
+    assert np.array_equal(~np.asarray(keep.mask), np.broadcast_to(floor[:, :, None], z.shape))
+
+
+@BACKENDS
+def test_an_exact_tie_is_floor(backend):
+    # Row 39 is 19 px under the axis: 60 * 0.57 / 19 = 1.8 m, and 1.799 m is still above.
+    z = np.zeros((2, 48, 64), np.uint16)
+    z[0, 39], z[1, 39] = 1800, 1799
+    keep = np.asarray(backend.ground(aligned(z), level(2, 0.62), CALIBRATION, WIDE).mask)
+    assert not keep[0, 39].any()
+    assert keep[1, 39].all()
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(0.3, 0.0), (0.0, 0.2), (0.33, -0.18), (-0.1, 0.05)])
+def test_tilted_floor_is_dropped_and_higher_points_are_kept(pitch, roll):
+    down = down_vector(np.array([pitch]), np.array([roll]))[0]
+    v, u = np.mgrid[:48, :64]
+    slope = ((u - 31.5) * down[0] + (v - 20.0) * down[1]) / 60.0 + down[2]
+
+    def depth_at(height: float) -> np.ndarray:
+        z = np.where(slope > 0.02, (0.6 - height) / np.maximum(slope, 0.02), 0)
+        return np.clip(np.rint(1000 * z), 0, 65535).astype(np.uint16)
+
+    plane = level(3, 0.6, pitch, roll)
+    z = np.stack([depth_at(0.0), depth_at(0.045), depth_at(0.056)])
+    keep = reference.ground(aligned(z), plane, CALIBRATION, WIDE)
+    seen = (z[0] > 0) & (z[0] < 20_000)
+    assert seen.sum() > 200
+    assert not keep.mask[0][seen].any()
+    assert not keep.mask[1][seen].any()
+    assert keep.mask[2][seen].all()
+
+
+def test_pitch_and_roll_signs():
+    """Looking down: gravity leans forward. Rolled clockwise: gravity leans to the right."""
+    assert down_vector(np.array([0.5]), np.array([0.0]))[0][2] > 0
+    assert down_vector(np.array([0.0]), np.array([0.5]))[0][0] > 0
+    plane = plane_from_down(down_vector(np.array([0.3]), np.array([-0.2])), np.array([0.7]))
+    assert np.allclose([plane.pitch[0], plane.roll[0], plane.height[0]], [0.3, -0.2, 0.7])
+
+
+def test_plane_from_a_mount_transform():
+    # Base: x forward, y left, z up. Level camera: z forward, x right, y down.
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T[2, 3] = 0.41
+    turn = np.eye(4)
+    turn[:3, :3] = np.reshape(rotation(-15.0, 0, 0), (3, 3))  # about the camera's x: looks down
+    plane = plane_from_transform(T @ turn)
+    assert np.allclose([plane.height[0], plane.pitch[0], plane.roll[0]], [0.41, np.radians(15), 0])
+
+
+def test_ground_axes_are_right_and_forward():
+    axes = ground_axes(level(1, 0.5, np.radians(20.0))) / 8192
+    assert np.allclose(axes[0, 0], [1, 0, 0], atol=1e-3)
+    assert np.allclose(axes[0, 1], [0, -np.sin(np.radians(20)), np.cos(np.radians(20))], atol=1e-3)
+    assert np.allclose(ground_axes(unknown_plane(1))[0] / 8192, [[1, 0, 0], [0, 0, 1]])
+
+
+def test_limits_are_shared_by_equal_planes():
+    plane = GroundPlane(*(np.concatenate([a, a, b]) for a, b in zip(level(1), level(1, 0.7))))
+    limits, which = floor_limits(CAMERA, plane, 0.05, 0.001)
+    assert limits.shape == (2, 48, 64)
+    assert which.tolist() == [0, 0, 1]
+
+
+def test_bad_values_name_the_flag():
+    with pytest.raises(ConfigError, match=r"ground\.min-depth-m"):
+        GroundConfig(min_depth_m=3, max_depth_m=2)
+    with pytest.raises(ConfigError, match=r"ground\.camera-height-m"):
+        GroundConfig(source="flags")
+
+
+# twin
+
+
+@pytest.mark.parametrize("batch", [1, 4])
+def test_twin(device, batch):
+    camera = resized(small().color, 97, 61)
+    z = noise_depth(batch, camera)
+    plane = level(batch, 0.5, 0.2, -0.1)
+    plane.height[-1], plane.valid[0] = 0.3, False
+    given = aligned(z), plane, Calibration(camera), Config()
+    assert_equal(stages.ground(*given), reference.ground(*given))
+    assert reference.ground(*given).mask.any()
+
+
+# laws
+
+
+def test_a_lower_step_keeps_more(device):
+    z = noise_depth(2, CAMERA)
+    low = replace(Config(), ground=GroundConfig(step_height_m=0.02))
+    more = np.asarray(stages.ground(aligned(z), level(2), CALIBRATION, low).mask)
+    fewer = np.asarray(stages.ground(aligned(z), level(2), CALIBRATION, Config()).mask)
+    assert np.all(more | ~fewer)
+    assert more.sum() > fewer.sum()

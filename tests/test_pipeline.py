@@ -1,0 +1,105 @@
+"""detect: both backends return equal arrays, on made and recorded frames, for any batch."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxdet import detect
+from jaxdet.config import PRESETS, ClusterConfig, Config, FeaturesConfig, GroundConfig, preset
+from jaxdet.errors import ConfigError
+from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
+from tests.scenes import D435, IDENTITY, assert_equal, blocks, frames, level, small, smooth_depth
+
+
+def made_frames(batch: int) -> Frames:
+    calibration = small(160, 120)
+    color = blocks(batch, 120, 160)
+    return frames(calibration, color, smooth_depth(batch, calibration.depth), plane=level(batch))
+
+
+def recorded_frames(shared_data: Path) -> Frames:
+    depth_camera = Intrinsics(640, 480, 384.5, 384.5, 321.7, 236.8)
+    motion = Extrinsics(IDENTITY, (0.0148, 0.0, 0.0))
+    calibration = Calibration(Intrinsics(640, 480, 610, 610, 320, 240), depth_camera, motion)
+    folder = shared_data / "aims_slam/data"
+    numbers = (8, 40, 60, 130, 144, 176)
+    color = [cv2.imread(str(folder / f"rgb/{n}.png"))[..., ::-1] for n in numbers]
+    depth = [cv2.imread(str(folder / f"depth/{n}.png"), cv2.IMREAD_UNCHANGED) for n in numbers]
+    plane = level(len(numbers), 0.6225, np.radians(19.2), np.radians(10.5))
+    return frames(calibration, np.stack(color), np.stack(depth), plane=plane)
+
+
+CONFIGS = {
+    **{name: PRESETS[name] for name in ("wheeled", "paper", "d455")},
+    "few_slots": replace(Config(), features=FeaturesConfig(max_corners=60)),
+    "tight": replace(Config(), cluster=ClusterConfig(0.02, 0.05, 2)),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_backends_are_equal(device, name):
+    given = made_frames(3), CONFIGS[name]
+    want = detect(*given, backend="reference")
+    assert want.labels.num_obstacles.max() > 0
+    assert_equal(detect(*given), want)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_backends_are_equal_on_a_recording(device, shared_data, name):
+    given = recorded_frames(shared_data), CONFIGS[name]
+    want = detect(*given, backend="reference")
+    assert want.labels.num_obstacles.sum() >= 5
+    assert_equal(detect(*given), want)
+
+
+def test_a_batch_is_a_stack_of_singles(device):
+    whole = made_frames(4)
+    together = detect(whole)
+    for b in range(4):
+        part = slice(b, b + 1)
+        one = frames(whole.calibration, whole.color[part], whole.depth[part], plane=level(1))
+        alone = detect(one)
+        assert np.array_equal(alone.labels.labels[0], together.labels.labels[b])
+        assert np.array_equal(alone.obstacles.a[0], together.obstacles.a[b])
+
+
+def test_the_plane_comes_from_the_configuration_when_the_frames_have_none():
+    ground = GroundConfig(camera_height_m=0.4)
+    given = made_frames(2)._replace(plane=None)
+    assert_equal(detect(given, replace(Config(), ground=ground)), detect_numpy(made_frames(2)))
+    unknown = detect(given, replace(Config(), ground=GroundConfig(source="none")))
+    assert np.all(np.asarray(unknown.features.valid).sum(1) > 0)
+
+
+def detect_numpy(given: Frames):
+    return detect(given, backend="reference")
+
+
+def test_empty_depth_is_told_apart_from_no_obstacle():
+    given = made_frames(2)
+    given.depth[1] = 0
+    found = detect(given)
+    assert np.asarray(found.has_depth).tolist() == [True, False]
+    assert np.asarray(found.labels.num_obstacles)[1] == 0
+
+
+def test_unknown_names_are_errors():
+    with pytest.raises(ConfigError, match="use one of reference, jax"):
+        detect(made_frames(1), backend="torch")
+    with pytest.raises(ConfigError, match="wheeled"):
+        preset("unicycle")
+
+
+def test_calibration_is_not_a_compile_time_constant():
+    """Another camera of the same size must not compile the programs again."""
+    from jaxdet.stages import _align
+
+    given = made_frames(2)
+    detect(given)
+    before = _align._align._cache_size()
+    moved = D435.color_from_depth._replace(translation=(0.02, 0.0, 0.0))
+    detect(given._replace(calibration=given.calibration._replace(color_from_depth=moved)))
+    assert _align._align._cache_size() == before
