@@ -1,19 +1,22 @@
 """``jaxdet info``: what is in a log, and what a run would use of it and why."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from jaxdet.cli.report import ground_text
 from jaxdet.cli.settings import defaults, given
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import JaxdetError
 from jaxdet.io.options import LogOptions
 
 if TYPE_CHECKING:
+    from jaxdet.engine import Planes
     from jaxdet.io import LogFiles
+    from jaxdet.io.description import LogDescription, PairingDescription, TopicDescription
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
@@ -54,21 +57,23 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     for files in find_logs(given(command.logs)):
         try:
-            about = describe(files, Config(ground=command.ground), command.log)
+            about, lines = describe(files, Config(ground=command.ground), command.log)
         except JaxdetError as error:
             failed += 1
-            about = {"log": files.name, "error": str(error)}
+            about, lines = {"log": files.name, "error": str(error)}, []
             print(f"jaxdet: error: {error}", file=sys.stderr)
         found.append(about)
-        if not command.json and "error" not in about:
-            print("\n".join(tree(about)))
+        if not command.json and lines:
+            print("\n".join(lines))
     if command.json:
         print(to_json({"logs": found}), end="")
     return 1 if failed else 0
 
 
-def describe(files: "LogFiles", config: Config, options: LogOptions) -> dict[str, Any]:
-    """All that is known of a log, as JSON has it.
+def describe(
+    files: "LogFiles", config: Config, options: LogOptions
+) -> tuple[dict[str, Any], list[str]]:
+    """All that is known of a log, as JSON has it and as lines to read.
 
     Raises:
         JaxdetError: The log can't be used.
@@ -80,54 +85,62 @@ def describe(files: "LogFiles", config: Config, options: LogOptions) -> dict[str
         planes = decide_planes(log, config, "reference")
         about = {
             "log": log.name,
-            "paths": files.paths,
             "frames": log.num_frames,
             "description": log.description,
             "calibration": log.calibration,
             "ground": planes.records,
             "warnings": planes.warnings,
         }
-    return plain(about)
+        return plain(about), list(_lines(log.description, planes))
 
 
-def tree(value: dict[str, Any], depth: int = 0) -> Iterator[str]:
-    """Nested mappings and lists as indented lines; what is empty is left out."""
-    pad = "  " * depth
-    for key, item in value.items():
-        name = str(key).replace("_", " ")
-        if item in (None, "", [], {}):
-            continue
-        if isinstance(item, dict):
-            yield f"{pad}{name}:"
-            yield from tree(item, depth + 1)
-        elif isinstance(item, list) and any(isinstance(part, dict | list) for part in item):
-            yield f"{pad}{name}:"
-            yield from _items(item, depth + 1)
-        elif isinstance(item, list) and all(isinstance(part, str) for part in item):
-            lines = item if len(item) > 1 else [f"{name}: {item[0]}"]
-            yield from [f"{pad}{name}:"] * (len(item) > 1)
-            yield from (f"{pad}{'  ' * (len(item) > 1)}{line}" for line in lines)
-        else:
-            yield f"{pad}{name}: {_text(item)}"
+def _lines(about: "LogDescription", planes: "Planes") -> Iterator[str]:
+    yield f"{about.name}: {about.num_frames} colour frames in {about.duration_s:.2f} s"
+    yield from _section("files", [f"{file.path}: {file.text}" for file in about.integrity])
+    yield from _section("topics", _topics(about.topics))
+    yield from _section("used", about.choices)
+    yield from _section("pairs", [_pairing(about.pairing)])
+    extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
+    yield from _section("calibration", [*about.calibration, extrinsics])
+    messages = [record.message for record in planes.records[:1] if record.source != "tf"]
+    yield from _section("ground", [ground_text(planes.records), *messages, about.base_source])
+    yield from _section("poses", [about.pose_source, f"known for {about.num_poses} frames"])
+    yield from _section("warnings", [*about.warnings, *planes.warnings])
 
 
-def _items(items: list[Any], depth: int) -> Iterator[str]:
-    pad = "  " * depth
-    for item in items:
-        if isinstance(item, dict):
-            parts = ((k, v) for k, v in item.items() if v not in (None, "", [], {}))
-            yield f"{pad}- " + ", ".join(f"{k.replace('_', ' ')} {_text(v)}" for k, v in parts)
-        else:
-            yield f"{pad}- {_text(item)}"
+def _section(name: str, lines: Sequence[str]) -> Iterator[str]:
+    shown = [line for line in lines if line]
+    if shown:
+        yield f"{name}"
+        yield from (f"  {line}" for line in shown)
 
 
-def _text(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list):
-        return " ".join(_text(part) for part in value)
-    if isinstance(value, dict):
-        return "; ".join(f"{k} {_text(v)}" for k, v in value.items())
-    return str(value)
+def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
+    rows = [
+        (
+            topic.topic,
+            topic.schema,
+            topic.image_encoding or topic.message_encoding,
+            f"{topic.num_messages}",
+            f"{topic.rate_hz:.1f} Hz" if topic.rate_hz else "",
+            f"<- {topic.chosen_as}" if topic.chosen_as else topic.problem,
+        )
+        for topic in topics
+    ]
+    widths = [max(len(row[i]) for row in rows) for i in range(6)] if rows else []
+    right = (False, False, False, True, True, False)
+    return [
+        "  ".join(
+            text.rjust(width) if to_right else text.ljust(width)
+            for text, width, to_right in zip(row, widths, right, strict=True)
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _pairing(pairing: "PairingDescription") -> str:
+    return (
+        f"{pairing.num_paired} within {pairing.tolerance_s:g} s "
+        f"(median {pairing.median_dt_s * 1000:.1f} ms, at most {pairing.max_dt_s * 1000:.1f} ms), "
+        f"{pairing.num_unpaired_color} colour and {pairing.num_unpaired_depth} depth frames alone"
+    )

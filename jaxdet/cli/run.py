@@ -1,14 +1,13 @@
 """``jaxdet run``: logs in, a results folder out."""
 
-import math
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given, quiet_warp
 from jaxdet.config import (
     ClusterConfig,
@@ -18,9 +17,6 @@ from jaxdet.config import (
     GroundConfig,
 )
 from jaxdet.io.options import LogOptions
-
-if TYPE_CHECKING:
-    from jaxdet.engine import GroundRecord, LogSummary, Summary
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
@@ -122,67 +118,7 @@ def main(args: list[str]) -> int:
     if command.json:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
-        print("\n".join(lines(summary, command.output)))
+        print("\n".join(summary_lines(summary, command.output)))
     for log in summary.failed:
         print(f"jaxdet: error: {log.error}", file=sys.stderr)
     return 1 if summary.failed else 0
-
-
-def lines(summary: "Summary", output: Path) -> list[str]:
-    """What a person wants to read after a run."""
-    text = []
-    for log in summary.logs:
-        if log.error:
-            text.append(f"{log.log}: failed after {log.frames} frames")
-            continue
-        text += [f"{log.log}", *(f"  {line}" for line in _log_lines(log))]
-    rate = (
-        f"{summary.frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
-    )
-    text.append(
-        f"{summary.frames} frames, {summary.obstacles} obstacles in {summary.seconds:.1f} s"
-    )
-    text[-1] += f" ({rate})" if rate else ""
-    return [*text, f"results: {output}"]
-
-
-def _log_lines(log: "LogSummary") -> list[str]:
-    states = ", ".join(f"{count} {status}" for status, count in log.status.most_common())
-    rate = f", {log.frames_per_s:.1f} frames/s after the first batch" if log.frames_per_s else ""
-    text = [
-        f"frames     {log.frames} ({states or 'none'}){rate}",
-        f"obstacles  {log.obstacles}",
-        f"ground     {ground_text(log.ground)}",
-    ]
-    if log.overflow_frames:
-        text.append(f"overflow   {log.overflow_frames} frames had more features than slots")
-    if log.score:
-        text += score_lines(log.score)
-    return text + [f"warning    {warning}" for warning in log.warnings]
-
-
-def score_lines(score: Mapping[str, Any]) -> list[str]:
-    """The comparison with the truth."""
-    return [
-        f"truth      {score['found']} of {score['visible']} visible obstacles found "
-        f"(recall {score['recall']:.3f}), {score['matched']} of "
-        f"{score['detections'] - score['on_wall']} detections right "
-        f"(precision {score['precision']:.3f}), F1 {score['f1']:.3f}",
-        f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
-        f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "
-        f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
-    ]
-
-
-def ground_text(records: Sequence["GroundRecord"]) -> str:
-    """The plane or planes of a log in one line."""
-    known = [record for record in records if record.height_m is not None]
-    if not known:
-        return f"unknown ({records[0].message})" if records else "unknown"
-    first = known[0]
-    degrees = [math.degrees(angle or 0.0) for angle in (first.pitch_rad, first.roll_rad)]
-    text = f"camera {first.height_m:.3f} m up, {degrees[0]:.1f}° down, roll {degrees[1]:+.1f}°"
-    if first.height_spread_m is not None:
-        text += f" ± {first.height_spread_m * 100:.1f} cm"
-    more = f"; {len(known)} of {len(records)} time windows have one" if len(records) > 1 else ""
-    return f"{text}, from {first.source}{more}"

@@ -9,7 +9,7 @@ import types
 import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from jaxdet.config import Config, preset
 from jaxdet.errors import ConfigError
@@ -18,7 +18,10 @@ from jaxdet.io.options import LogOptions
 DEFAULT_PRESET = "wheeled"
 SECTIONS = ("align", "ground", "features", "cluster", "footprint", "log")
 
-Section = TypeVar("Section")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Section = TypeVar("Section", bound="DataclassInstance")
 
 
 def defaults(args: Sequence[str]) -> tuple[Config, LogOptions, str]:
@@ -92,7 +95,7 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
             raise ConfigError(f"[{name}] {key} = {value!r} is not {wanted}", path=path)
     clean = {key: _as(value, hints[key]) for key, value in values.items()}
     try:
-        return dataclasses.replace(section, **clean)  # pyright: ignore[reportType]
+        return dataclasses.replace(section, **clean)
     except ConfigError as error:
         raise ConfigError(error.problem, path=path, remedy=error.remedy) from error
 

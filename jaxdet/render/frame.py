@@ -70,11 +70,12 @@ def _camera_text(frames: Frames, row: int) -> str:
 def _draw_legend(image: np.ndarray, found: Detections, row: int) -> None:
     valid, kept = found.features.valid[row], found.features.kept[row]
     labelled = valid & (found.labels.labels[row] >= 0)
-    obstacles = int(found.labels.num_obstacles[row])
+    count = int(found.labels.num_obstacles[row])
+    obstacles = f"{count} obstacle" + "s" * (count != 1)
     entries = [
         (canvas.DROPPED, f"{int((valid & ~kept).sum())} features on the floor or out of range"),
         (canvas.LOOSE, f"{int((valid & kept & ~labelled).sum())} kept, in no obstacle"),
-        (canvas.color_of(0), f"{int(labelled.sum())} in {obstacles} obstacles"),
+        (canvas.color_of(0), f"{int(labelled.sum())} in {obstacles}"),
     ]
     x, y = float(GAP + 8), image.shape[0] - 11.0
     for color, text in entries:

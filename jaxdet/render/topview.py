@@ -96,7 +96,7 @@ def _draw_points(
     points = view.pixels(ground_points(found.features, row, plane, unit))
     labels = found.labels.labels[row]
     loose = found.features.valid[row] & found.features.kept[row] & (labels < 0)
-    canvas.dots(image, points[loose], canvas.DROPPED, 1.5)
+    canvas.dots(image, points[loose], canvas.DROPPED, 2.0)
     for label in reversed(range(int(found.labels.num_obstacles[row]))):
         canvas.dots(image, points[labels == label], canvas.color_of(label), 2.5)
 

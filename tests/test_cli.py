@@ -1,0 +1,203 @@
+"""The command line as a user meets it: help, exit codes, precedence, what goes where."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jaxdet.cli import main
+from jaxdet.cli.run import RunCommand, parse
+from jaxdet.cli.settings import defaults
+from jaxdet.config import PRESETS
+from jaxdet.errors import ConfigError
+from jaxdet.sim import SimConfig, write_log
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "sim.mcap"
+    write_log(path, SimConfig(frames=2, width=160, height=120))
+    return path
+
+
+def test_help_names_every_command(capsys: Captured) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"\n  {name} " in text for name in ("run", "info", "sim", "doctor"))
+    assert main([]) == 2
+
+
+@pytest.mark.parametrize("command", ["run", "info", "sim", "doctor"])
+def test_each_command_has_help(command: str, capsys: Captured) -> None:
+    assert main([command, "--help"]) == 0
+    assert f"usage: jaxdet {command}" in capsys.readouterr().out
+
+
+def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
+    main(["run", "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert ", ".join(PRESETS) in text
+    for flag in ("--cluster.depth-gap-m", "--features.no-canny", "--log.color-from-depth"):
+        assert flag in text
+
+
+def test_help_and_version_load_nothing_heavy() -> None:
+    code = (
+        "import sys; from jaxdet.cli import main; main(['--help']); main(['--version']);"
+        "print(*[m for m in ('jax', 'warp', 'cv2', 'pyarrow', 'numpy') if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == ""
+
+
+def test_version(capsys: Captured) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("jaxdet 0.")
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "said"),
+    [
+        (["fly"], 2, "no command 'fly'"),
+        (["run", "--output", "x"], 2, "no log given"),
+        (["run", "missing.mcap", "--output", "x"], 1, "missing.mcap: no such file"),
+        (["run", "a", "--output", "x", "--preset", "boat"], 2, "no preset 'boat'"),
+        (["run", "a", "--output", "x", "--cluster.depth-gap-m", "-1"], 2, "at least 0"),
+        (["run", "a", "--output", "x", "--config", "none.toml"], 2, "none.toml"),
+    ],
+)
+def test_errors_are_one_line(
+    args: list,
+    code: int,
+    said: str,
+    capsys: Captured,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(args) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("jaxdet: error: ")
+    assert captured.err.count("\n") == 1
+    assert said in captured.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_flag_names_the_nearest(capsys: Captured) -> None:
+    assert main(["run", "a", "--output", "x", "--cluster.depth-gap", "1"]) == 2
+    assert "--cluster.depth-gap-m" in capsys.readouterr().err
+
+
+def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'preset = "d455"\n[cluster]\ndepth_gap_m = 1\nmin_points = 4\n[features]\ncanny = false\n'
+        "[log]\ncolor_intrinsics = [600, 600, 320, 240.5]\n"
+    )
+    args = ["a.mcap", "--output", "x", "--config", str(file), "--cluster.min-points", "7"]
+    command = parse(args)
+    assert isinstance(command, RunCommand)
+    assert command.logs == ("a.mcap",)
+    assert (command.cluster.depth_gap_m, command.cluster.min_points) == (1.0, 7)
+    assert isinstance(command.cluster.depth_gap_m, float)
+    assert command.ground == PRESETS["d455"].ground
+    assert not command.features.canny
+    assert command.log.color_intrinsics == (600.0, 600.0, 320.0, 240.5)
+    assert parse([*args, "--preset=zed"]).ground == PRESETS["zed"].ground
+    assert parse([*args, "--features.canny"]).features.canny
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[cluster]\ngap = 1\n", r"bad.toml: no key 'gap' in \[cluster\]; it takes depth_gap_m"),
+        ("[clusters]\n", r"bad.toml: no section \[clusters\]"),
+        ("cluster = 1\n", r"no section \[cluster\]"),
+        ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not int"),
+        ("[cluster]\nmin_points = true\n", "min_points = True is not int"),
+        ("[log]\ncolor_intrinsics = [1, 2]\n", "color_intrinsics"),
+        ("[ground]\nmin_depth_m = 9\n", "bad.toml: ground.min-depth-m must be"),
+        ("[cluster\n", "bad.toml: is not TOML"),
+    ],
+)
+def test_bad_files_name_the_key_and_the_file(text: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        defaults(["--config", str(file)])
+
+
+def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
+    args = ["run", str(sim_log), "--output", str(tmp_path / "a"), "--backend", "reference"]
+    assert main([*args, "--json", "--pictures", "1", "--truth", str(sim_log)]) == 0
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["frames"] == 2
+    assert json.loads(captured.out) == json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert captured.err == ""
+    assert main(args) == 2
+    assert "--overwrite" in capfd.readouterr().err
+    assert main([*args, "--overwrite", "--truth", str(sim_log)]) == 0
+    captured = capfd.readouterr()
+    assert "visible obstacles found" in captured.out
+    assert "2/2 frames" in captured.err
+    assert main([*args, "--overwrite", "--quiet"]) == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"not a log")
+    args = ["run", str(bad), str(sim_log), "--output", str(tmp_path / "out")]
+    assert main([*args, "--backend", "reference"]) == 1
+    captured = capfd.readouterr()
+    assert captured.err.count("jaxdet: error: ") == 1
+    assert "bad.mcap" in captured.err
+    assert "2 frames" in captured.out
+
+
+def test_info_says_what_is_used_and_why(sim_log: Path, capsys: Captured) -> None:
+    assert main(["info", str(sim_log)]) == 0
+    text = capsys.readouterr().out
+    for part in ("topics", "<- color", "<- depth", "calibration", "camera 0.300 m up", "from tf"):
+        assert part in text
+    assert main(["info", str(sim_log), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["logs"][0]["frames"] == 2
+
+
+def test_sim_writes_a_log_and_its_truth(tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "new" / "s.mcap"
+    assert main(["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]) == 0
+    assert "1 frames" in capsys.readouterr().err
+    assert path.is_file()
+
+
+def test_doctor_compares_the_backends(capfd: Captured) -> None:
+    assert main(["doctor", "--json"]) == 0
+    report = json.loads(capfd.readouterr().out)
+    assert report["ok"]
+    assert report["versions"]["jax"]
+    assert "equal arrays" in report["checks"]["backends agree"]["found"]
+
+
+def test_doctor_fails_when_a_check_does(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    from jaxdet.cli import doctor
+
+    monkeypatch.setattr(doctor, "CHECKS", {"broken": lambda: 1 / 0})
+    assert main(["doctor"]) == 1
+    assert "FAILED: ZeroDivisionError" in capsys.readouterr().out
+
+
+def test_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    from jaxdet.cli import doctor
+
+    def interrupt(args: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor, "main", interrupt)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "jaxdet: error: interrupted; nothing was written\n"

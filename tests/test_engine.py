@@ -1,0 +1,294 @@
+"""The local loop: every frame a row, bytes that depend on nothing but the frames, clean ends."""
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import RunOptions, decide_planes
+from jaxdet.engine import loop as engine_loop
+from jaxdet.engine.occupancy import CELL_M, OccupancyMap
+from jaxdet.engine.planes import evenly
+from jaxdet.engine.prefetch import prefetch
+from jaxdet.errors import ConfigError, FrameStatus, InputError
+from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.types import Calibration, Frames, Intrinsics
+
+TABLES = ("frames.parquet", "obstacles.parquet")
+
+
+@pytest.fixture(scope="module")
+def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sim") / "sim.mcap"
+    write_log(path, SimConfig(frames=7, width=320, height=240, rate_hz=5))
+    return path
+
+
+def run(log: Path | str, output: Path, **options: Any) -> engine.Summary:
+    config = options.pop("config", Config())
+    return engine.run(find_logs([str(log)]), config, LogOptions(), RunOptions(output, **options))
+
+
+def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path) -> None:
+    ways = [("reference", 1), ("reference", 5), ("jax", 3), ("jax", 16)]
+    for backend, batch in ways:
+        run(sim_log, tmp_path / f"{backend}{batch}", backend=backend, batch_size=batch, pictures=0)
+    for name in (*TABLES, "map_sim.npz", "map_sim.png"):
+        found = {(tmp_path / f"{backend}{batch}" / name).read_bytes() for backend, batch in ways}
+        assert len(found) == 1, name
+
+
+def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
+    summary = run(sim_log, tmp_path, backend="reference", pictures=3, truth=sim_log)
+    frames = pq.read_table(tmp_path / "frames.parquet").to_pylist()
+    obstacles = pq.read_table(tmp_path / "obstacles.parquet").to_pylist()
+    assert [row["frame"] for row in frames] == list(range(7))
+    assert {row["status"] for row in frames} == {"ok"}
+    counts = np.bincount([row["frame"] for row in obstacles], minlength=7)
+    assert counts.tolist() == [row["num_obstacles"] for row in frames]
+    keys = [(row["log"], row["frame"], row["obstacle"]) for row in obstacles]
+    assert keys == sorted(keys)
+    assert all(row["corners_world"] is not None for row in obstacles)
+    assert frames[0]["camera_height_m"] == pytest.approx(0.30, abs=1e-3)
+    pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
+    assert pictures == [f"sim_{i:06d}.png" for i in (0, 3, 6)]
+    read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert read["status"]["ok"] == 7
+    assert read["logs"][0]["ground"][0]["source"] == "tf"
+    assert summary.obstacles == len(obstacles) > 0
+    scores = summary.logs[0].score
+    assert scores is not None
+    assert scores["frames"] == 7
+    assert scores["recall"] > 0.5
+    config = json.loads((tmp_path / "config.json").read_text(encoding="utf-8"))
+    assert config["cluster"]["depth_gap_m"] == 0.1
+    assert config["log"]["pair_tolerance_s"] == LogOptions().pair_tolerance_s
+
+
+def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
+    run(sim_log, tmp_path, backend="reference", pictures=0)
+    grid = np.load(tmp_path / "map_sim.npz")
+    with open_log(find_logs([str(sim_log)])[0]) as log:
+        poses = log.read(range(7)).frames.T_world_camera
+    assert poses is not None
+    np.testing.assert_array_equal(grid["path"], poses[:, :2, 3])
+    assert grid["counts"].max() <= 7
+    assert grid["counts"].dtype == np.int32
+
+
+class FakeLog:
+    """Ten frames of a floorless scene, some of them bad, 100 ms apart."""
+
+    name, base_frame, T_base_camera, description = "fake", "base_link", None, None
+    num_frames = 10
+    status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
+
+    def __init__(self) -> None:
+        camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+        self.calibration = Calibration(camera)
+        self.stamps_ns = np.arange(10) * 100_000_000 + 950_000_000
+        unpaired = [s is FrameStatus.UNPAIRED for s in self.status]
+        self.depth_stamp_ns = np.where(unpaired, -1, self.stamps_ns)
+
+    def __enter__(self) -> "FakeLog":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert not any(t.name == "jaxdet-reader" for t in threading.enumerate())
+
+    def read(self, indices: Any) -> Batch:
+        return self._batch(np.array(indices), len(indices))
+
+    def batches(self, size: int, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+        for first in range(start, stop or 10, size):
+            yield self._batch(np.arange(first, min(first + size, 10)), size)
+
+    def _batch(self, numbers: np.ndarray, size: int) -> Batch:
+        pad = size - numbers.size
+        status = tuple(self.status[i] for i in numbers)
+        valid = np.array([s is FrameStatus.OK for s in status] + [False] * pad)
+        depth = np.where(valid[:, None, None], np.uint16(1500), np.uint16(0))
+        depth = np.broadcast_to(depth, (size, 48, 64)).copy()
+        depth[: numbers.size][numbers == 2] = 0
+
+        def padded(values: np.ndarray) -> np.ndarray:
+            return np.pad(values[numbers], (0, pad))
+
+        frames = Frames(
+            np.zeros((size, 48, 64, 3), np.uint8),
+            depth,
+            self.calibration,
+            padded(np.arange(10)),
+            padded(self.stamps_ns),
+            padded(self.depth_stamp_ns),
+            valid,
+        )
+        return Batch(frames, status, tuple("" if s is FrameStatus.OK else "bad" for s in status))
+
+
+@pytest.fixture
+def fake_logs(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
+    def fake_open(files: LogFiles, options: LogOptions) -> FakeLog:
+        if files.name == "broken":
+            raise InputError("not an MCAP file", path="broken.mcap")
+        return FakeLog()
+
+    monkeypatch.setattr(engine_loop, "open_log", fake_open)
+    return [LogFiles(name, (Path(f"{name}.mcap"),)) for name in ("fake", "broken", "a/b")]
+
+
+def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -> engine.Summary:
+    options = RunOptions(output, backend="reference", batch_size=size)
+    config = kwargs.pop("config", Config())
+    return engine.run(logs, config, LogOptions(), options, **kwargs)
+
+
+def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -> None:
+    summary = run_fake(fake_logs[:1], tmp_path)
+    rows = pq.read_table(tmp_path / "frames.parquet").to_pylist()
+    expected = [str(s) for s in FakeLog.status]
+    expected[2] = "no_depth"
+    assert [row["status"] for row in rows] == expected
+    assert rows[6]["depth_stamp_ns"] is None
+    assert rows[7]["depth_stamp_ns"] == rows[7]["stamp_ns"]
+    assert rows[0]["camera_height_m"] is None
+    assert summary.logs[0].num_bad == 5
+    assert summary.logs[0].frame_errors[0] == "frame 6: bad"
+    assert any("no floor" in w for w in summary.logs[0].warnings)
+    assert any("no poses" in w for w in summary.logs[0].warnings)
+
+
+def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) -> None:
+    summary = run_fake(fake_logs, tmp_path)
+    assert [log.log for log in summary.failed] == ["broken"]
+    logs = pq.read_table(tmp_path / "frames.parquet")["log"].to_pylist()
+    assert logs == ["a/b"] * 10 + ["fake"] * 10
+    assert (tmp_path / "pictures" / "a_b_000000.png").is_file()
+    assert json.loads((tmp_path / "summary.json").read_text())["failed_logs"] == 1
+
+
+def test_an_interrupt_leaves_nothing(fake_logs: list, tmp_path: Path) -> None:
+    def interrupt(now: engine.Progress) -> None:
+        assert (now.done, now.total, now.bad) == (4, 10, 1)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_fake(fake_logs[:1], tmp_path, progress=interrupt)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_are_not_overwritten_by_chance(fake_logs: list, tmp_path: Path) -> None:
+    run_fake(fake_logs[:1], tmp_path)
+    with pytest.raises(ConfigError, match="holds results already"):
+        run_fake(fake_logs[:1], tmp_path)
+
+
+def test_sources_of_the_ground() -> None:
+    log: Any = FakeLog()
+    log.T_base_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
+
+    def source(**ground: Any) -> engine.GroundRecord:
+        return decide_planes(log, Config(ground=GroundConfig(**ground)), "reference").records[0]
+
+    assert source().source == "tf"
+    assert source().height_m == pytest.approx(0.4)
+    assert source(camera_height_m=0.7, camera_roll_rad=0.1).height_m == 0.7
+    assert source(camera_height_m=0.7, source="tf").source == "tf"
+    assert source(source="none").source == "none"
+    assert source(source="estimate").source == "none"  # the scene has no floor
+    log.T_base_camera[2, 3] = 0.0
+    assert source().source == "none"
+    with pytest.raises(InputError, match="camera-height-m"):
+        source(source="tf")
+
+
+def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    from jaxdet.engine import planes as module
+    from jaxdet.pipeline import PlaneEstimate
+    from jaxdet.plane import flagged_plane
+
+    def by_first_frame(frames: Frames, config: Config, *, backend: str) -> PlaneEstimate:
+        height = 0.5 + int(frames.number[0]) / 100
+        plane = flagged_plane(GroundConfig(camera_height_m=height))
+        return PlaneEstimate(plane, 0.5, 0.01, 1, "")
+
+    monkeypatch.setattr(module, "estimate_plane", by_first_frame)
+    log: Any = FakeLog()
+    config = Config(ground=GroundConfig(window_s=0.5))
+    planes = decide_planes(log, config, "reference")
+    starts = [record.window_start_ns for record in planes.records]
+    assert starts == [500_000_000, 1_000_000_000, 1_500_000_000]
+    found = planes.of(log.stamps_ns)
+    np.testing.assert_allclose(found.height[:6], [0.5] + [0.51] * 5)
+    assert found.valid.tolist() == [True] * 6 + [False] * 4  # no readable pair in the last one
+    assert "1 of 3 time windows" in planes.warnings[0]
+    assert not planes.of(np.array([0])).valid.any()
+
+
+def test_evenly_takes_both_ends() -> None:
+    assert evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
+    assert evenly(np.arange(3), 4).tolist() == [0, 1, 2]
+
+
+def test_prefetch_keeps_order_and_passes_errors_on() -> None:
+    def items() -> Iterator[int]:
+        yield from range(5)
+        raise InputError("torn")
+
+    seen = []
+    with pytest.raises(InputError, match="torn"):
+        for item in prefetch(items()):
+            seen.append(item)
+    assert seen == list(range(5))
+
+
+def test_prefetch_stops_its_thread_when_closed() -> None:
+    reader = prefetch(iter(range(1000)))
+    assert next(reader) == 0
+    reader.close()
+    assert not any(t.name == "jaxdet-reader" for t in threading.enumerate())
+
+
+def square(x: float, y: float, side: float = 0.2) -> np.ndarray:
+    return np.float32([[x, y, x + side, y, x + side, y + side, x, y + side]])
+
+
+def test_map_counts_do_not_depend_on_order() -> None:
+    spots = [(0.0, 0.0), (0.1, 0.1), (-30.0, 12.85), (12.75, -12.85), (0.0, 0.0)]
+    outlines = np.concatenate([square(x, y) for x, y in spots])
+    one, other = OccupancyMap(), OccupancyMap()
+    one.add(outlines)
+    for outline in outlines[::-1]:
+        other.add(outline[None])
+    a, b = one.image(), other.image()
+    assert a is not None
+    assert b is not None
+    np.testing.assert_array_equal(a.counts, b.counts)
+    assert a.origin == b.origin == pytest.approx((-30.0, -12.85), abs=CELL_M)
+    assert a.counts.max() == 3
+
+
+def test_map_cell_positions() -> None:
+    grid = OccupancyMap()
+    grid.add(square(1.0, 2.0))
+    image = grid.image()
+    assert image is not None
+    assert 4 <= min(image.counts.shape) <= max(image.counts.shape) <= 6
+    np.testing.assert_allclose(image.origin, (1.0, 2.0), atol=CELL_M)
+
+
+def test_map_leaves_out_what_has_no_place() -> None:
+    grid = OccupancyMap()
+    grid.add(np.full((1, 8), np.nan, np.float32))
+    grid.add(square(1e12, 0))
+    grid.add(square(0, 0, 1e6))
+    assert grid.image() is None
+    assert grid.skipped == 2

@@ -1,0 +1,101 @@
+"""Pictures: what must be seen is there, at the right place; edges do not break them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxdet.config import Config
+from jaxdet.engine.rows import to_host
+from jaxdet.metric import rectangles
+from jaxdet.pipeline import detect
+from jaxdet.plane import unknown_plane
+from jaxdet.render import MapImage, canvas, draw_frame, draw_map, write_png
+from jaxdet.render.topview import View, ground_points
+from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane, Intrinsics
+
+STILL = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
+
+
+def scene(width: int = 160, height: int = 120) -> Frames:
+    """A chequered box 1.2 m away, right of the middle; camera level at 0.5 m."""
+    v, u = np.mgrid[0:height, 0:width]
+    box = (u >= 90) & (u < 140) & (v >= 30) & (v < 80)
+    depth = np.where(box, 1200, 0).astype(np.uint16)
+    grey = np.where(box & ((u // 6 + v // 6) % 2 == 0), 220, 40).astype(np.uint8)
+    camera = Intrinsics(width, height, 120.0, 120.0, width / 2, height / 2)
+    one = np.ones(1)
+    plane = GroundPlane(0.5 * one, 0 * one, 0 * one, np.ones(1, bool))
+    stamps = np.zeros(1, np.int64)
+    color = np.repeat(grey[None, ..., None], 3, axis=3)
+    calibration = Calibration(camera, camera, STILL)
+    valid = np.ones(1, bool)
+    return Frames(color, depth[None], calibration, stamps, stamps, stamps, valid, None, plane)
+
+
+def picture(frames: Frames) -> np.ndarray:
+    config = Config()
+    found = to_host(detect(frames, config, backend="reference"))
+    corners = rectangles(found.obstacles, 0.001, config.footprint)
+    return draw_frame(frames, found, corners, 0, config, "name   frame 0")
+
+
+def has_color(image: np.ndarray, color: canvas.Color) -> np.ndarray:
+    return (np.abs(image.astype(int) - color).max(axis=2) < 8).any()
+
+
+def test_a_frame_shows_its_obstacle_in_both_views() -> None:
+    image = picture(scene())
+    assert image.dtype == np.uint8
+    assert 1200 < image.shape[1] < 1400
+    half = image.shape[1] - 560
+    for view in (image[:, :half], image[40:-40, half:]):
+        assert has_color(view, canvas.color_of(0))
+    assert not has_color(image[40:-40], canvas.color_of(1))
+
+
+def test_a_frame_without_obstacles_and_floor() -> None:
+    frames = scene()
+    empty = frames._replace(depth=np.zeros_like(frames.depth), plane=unknown_plane(1))
+    image = picture(empty)
+    assert not has_color(image[40:-40], canvas.color_of(0))
+
+
+def test_a_wide_image_keeps_its_shape() -> None:
+    image = picture(scene(width=400, height=120))
+    assert image.shape[1] < 1550
+
+
+def test_top_view_puts_right_to_the_right() -> None:
+    view = View(center=100, bottom=200, scale=50)
+    np.testing.assert_allclose(view.pixels(np.array([1.0, 2.0])), [150, 100])
+    frames = scene()
+    found = to_host(detect(frames, Config(), backend="reference"))
+    assert frames.plane is not None
+    points = ground_points(found.features, 0, frames.plane, 0.001)[found.features.valid[0]]
+    assert (points[:, 0] > 0).all()
+    np.testing.assert_allclose(points[:, 1], 1.2, atol=2e-3)
+
+
+def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
+    counts = np.zeros((40, 80), np.int32)
+    counts[30:40, 60:80] = 7  # large X, large Y: upper right
+    counts[0, 0] = 1
+    path = np.array([[0.0, 0.0], [1.0, 0.2], [2.0, 0.0]])
+    image = draw_map(MapImage(counts, (0.0, 0.0), 0.05, path), "name")
+    heat = cv2.applyColorMap(np.full((1, 1), 240, np.uint8), cv2.COLORMAP_INFERNO)[0, 0, ::-1]
+    rows, columns = np.nonzero((image[60:-60] == heat).all(axis=2))
+    assert rows.mean() < image.shape[0] / 2
+    assert columns.mean() > image.shape[1] / 2
+    for color in ((80, 214, 120), (255, 92, 92), (64, 180, 255)):
+        assert has_color(image[60:-60], color)
+    write_png(tmp_path / "map.png", image)
+    read = cv2.imread(str(tmp_path / "map.png"))
+    np.testing.assert_array_equal(read[..., ::-1], image)
+
+
+@pytest.mark.parametrize("path", [np.zeros((0, 2)), np.array([[500.0, -300.0]])])
+def test_map_of_one_cell(path: np.ndarray) -> None:
+    image = draw_map(MapImage(np.ones((1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
+    assert max(image.shape) < 1200
