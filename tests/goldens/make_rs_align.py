@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from jaxdet.types import Calibration, Extrinsics
-from tests.oracles import realsense
 from tests.scenes import (
     D435_MOTION,
     noise_depth,
@@ -46,6 +45,8 @@ CASES: dict[str, tuple[Calibration, np.ndarray]] = {
 FILE = Path(__file__).with_name("rs_align.npz")
 
 if __name__ == "__main__":
+    from tests.oracles import realsense
+
     outputs = {name: realsense.align(depth, case) for name, (case, depth) in CASES.items()}
     np.savez_compressed(FILE, **outputs)
     print({name: int(np.count_nonzero(output)) for name, output in outputs.items()})
