@@ -55,7 +55,7 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         if depth_source.size is not None and depth_source.size != size:
             problem = f"aligned depth is {depth_source.size[0]}x{depth_source.size[1]} but colour"
             problem += f" is {size.width}x{size.height}"
-            remedy = "say --log.no-depth-aligned or choose another --log.depth"
+            remedy = "say --log.depth-aligned False or choose another --log.depth"
             raise CalibrationError(problem, path=path, topic=choice.depth, remedy=remedy)
         warnings += _aligned_doubts(depth_source, color.intrinsics)
         calibration = Calibration(color.intrinsics, None, None, unit)
@@ -89,7 +89,7 @@ def _aligned(
     options: LogOptions,
 ) -> tuple[bool, str]:
     if options.depth_aligned is not None:
-        flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
+        flag = f"--log.depth-aligned {options.depth_aligned}"
         return options.depth_aligned, f"given by {flag}"
     if options.color_from_depth is not None or options.depth_intrinsics is not None:
         return False, "depth's own calibration is given"

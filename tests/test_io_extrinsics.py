@@ -1,0 +1,117 @@
+"""Extrinsics, floor, poses and topics of whole logs."""
+
+
+import numpy as np
+import pytest
+
+from jaxdet.errors import CalibrationError, TopicError
+from jaxdet.io import LogOptions, open_log
+from tests.io_helpers import (
+    COLOR_FRAME,
+    COLOR_K,
+    COLOR_SIZE,
+    DEPTH_FRAME,
+    DEPTH_K,
+    DEPTH_SIZE,
+    SECOND,
+    START,
+    T_COLOR_DEPTH,
+    T_DEPTH_COLOR,
+    LogFile,
+    make_scene,
+    ros_image,
+    ros_info,
+    ros_odometry,
+    ros_tf,
+    ros_type,
+    write_calibration,
+    write_images,
+)
+
+
+def test_extrinsics_topic_is_column_major_and_goes_before_tf(tmp_path):
+    path = tmp_path / "log.mcap"
+    with LogFile(path) as log:
+        write_calibration(log)
+        message = ros_type("realsense2_camera_msgs/msg/Extrinsics")
+        rotation = T_COLOR_DEPTH[:3, :3].T.reshape(-1)
+        log.ros(
+            "/cam/extrinsics/depth_to_color", message(rotation, T_COLOR_DEPTH[:3, 3].copy()), START
+        )
+        write_images(log, make_scene())
+    with open_log(str(path)) as log:
+        assert log.calibration.color_from_depth is not None
+        np.testing.assert_allclose(log.calibration.color_from_depth.T, T_COLOR_DEPTH, atol=1e-12)
+        assert "topic" in log.description.extrinsics_source
+        assert not log.description.warnings
+    with LogFile(path) as log:
+        write_calibration(log)
+        log.ros(
+            "/cam/extrinsics/depth_to_color", message(np.eye(3).reshape(-1), np.zeros(3)), START
+        )
+        write_images(log, make_scene())
+    with open_log(str(path)) as log:
+        assert any("differs from TF" in text for text in log.description.warnings)
+
+
+def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
+    path = str(tmp_path / "log.mcap")
+    with LogFile(tmp_path / "log.mcap") as log:
+        write_calibration(log, tf=False)
+        write_images(log, make_scene())
+    with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
+        open_log(path)
+    given = LogOptions(color_from_depth=(0.015, 0, 0, 0, 0, 0, 1))
+    with open_log(path, given) as log:
+        assert log.calibration.color_from_depth is not None
+        assert log.calibration.color_from_depth.translation == (0.015, 0.0, 0.0)
+
+
+def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
+    static = ros_tf(
+        ("base_footprint", "base_link", (0, 0, 0.1), (0, 0, 0, 1)),
+        ("base_link", COLOR_FRAME, (0.1, 0.0, 0.4), (-0.5, 0.5, -0.5, 0.5)),
+        (COLOR_FRAME, DEPTH_FRAME, (0.015, 0, 0), (0, 0, 0, 1)),
+    )
+    turn = np.array([0.0, 0.0, np.sin(0.2), np.cos(0.2)])
+    for form in ("tf", "odom"):
+        with LogFile(tmp_path / "log.mcap") as log:
+            write_calibration(log, tf=False)
+            log.ros("/tf_static", static, START)
+            for step in range(2):
+                at = START + step * SECOND // 10
+                pose = (1.0 + step, 0.0, 0.0), (turn if step else (0, 0, 0, 1))
+                edge = "odom", "base_footprint", *pose
+                message = ros_tf(edge, stamp_ns=at) if form == "tf" else ros_odometry(*edge, at)
+                log.ros(f"/{form}", message, at)
+            write_images(log, make_scene(4))
+        with open_log(str(tmp_path / "log.mcap")) as log:
+            assert log.base_frame == "base_footprint" and log.T_base_camera is not None
+            np.testing.assert_allclose(log.T_base_camera[:3, 3], [0.1, 0, 0.5])
+            np.testing.assert_allclose(log.T_base_camera[:3, 2], [1, 0, 0], atol=1e-12)
+            poses = next(log.batches(5)).frames.T_world_camera
+            assert poses is not None and np.isnan(poses[4]).all()
+            np.testing.assert_allclose(poses[0, :3, 3], [1.1, 0, 0.5])
+            np.testing.assert_allclose(
+                poses[3, :3, 3], [2 + 0.1 * np.cos(0.4), 0.1 * np.sin(0.4), 0.5], atol=1e-6
+            )
+            assert form in log.description.pose_source.lower()
+
+
+def test_topics_that_several_cameras_have_are_not_guessed(tmp_path):
+    with LogFile(tmp_path / "log.mcap") as log:
+        for name in ("a", "b"):
+            image = ros_image(make_scene().color[0], "rgb8", START, COLOR_FRAME)
+            log.ros(f"/{name}/color/image_raw", image, START)
+            depth = ros_image(make_scene().depth[0], "16UC1", START, DEPTH_FRAME)
+            log.ros(f"/{name}/depth/image_raw", depth, START)
+            for kind, size, K in (("color", COLOR_SIZE, COLOR_K), ("depth", DEPTH_SIZE, DEPTH_K)):
+                info = ros_info(size, K, START, f"{kind}_optical")
+                log.ros(f"/{name}/{kind}/camera_info", info, START)
+        log.ros("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR)), START)
+    with pytest.raises(TopicError, match=r"/a/color/image_raw, /b/color/image_raw.*--log\.color"):
+        open_log(str(tmp_path / "log.mcap"))
+    with open_log(str(tmp_path / "log.mcap"), LogOptions(color="/b/color/image_raw")) as log:
+        assert log.description.choices[1].startswith("depth: /b/depth/image_raw")
+    with pytest.raises(TopicError, match="/a/color/image_raw"):
+        open_log(str(tmp_path / "log.mcap"), LogOptions(color="/c"))

@@ -1,0 +1,103 @@
+"""Frames that fail, stamps that lie, and memory."""
+
+import tracemalloc
+
+import numpy as np
+
+from jaxdet.io import LogOptions, open_log
+from tests.io_helpers import (
+    COLOR,
+    COLOR_FRAME,
+    COLOR_INFO,
+    COLOR_K,
+    COLOR_SIZE,
+    DEPTH,
+    DEPTH_FRAME,
+    DEPTH_INFO,
+    SECOND,
+    START,
+    T_DEPTH_COLOR,
+    LogFile,
+    Scene,
+    assert_holds,
+    make_scene,
+    ros_image,
+    ros_info,
+    ros_tf,
+    write_calibration,
+    write_log,
+)
+
+
+def test_bad_frames_get_their_status_and_the_rest_goes_on(tmp_path):
+    scene = make_scene(6)
+    with LogFile(tmp_path / "log.mcap") as log:
+        write_calibration(log)
+        for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
+            image = ros_image(color, "rgb8", int(at), COLOR_FRAME)
+            if i == 1:
+                image = ros_image(color[:-1], "rgb8", int(at), COLOR_FRAME)
+            if i == 2:
+                image = ros_image(color, "bayer_rggb8", int(at), COLOR_FRAME)
+            log.ros(COLOR, image, int(at))
+            if i != 3:
+                image = ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME)
+                image.data = image.data[: -9 if i == 4 else None]
+                log.ros(DEPTH, image, int(depth_at))
+    wanted = ["ok", "bad_calibration", "decode_error", "unpaired", "decode_error", "ok"]
+    options = LogOptions(pair_tolerance_s=0.01)
+    with open_log(str(tmp_path / "log.mcap"), options) as log:
+        [batch] = log.batches(8)
+        assert [str(status) for status in batch.status] == wanted
+        assert [bool(error) for error in batch.errors] == [status != "ok" for status in wanted]
+        assert not any("\n" in error for error in batch.errors)
+        np.testing.assert_array_equal(batch.frames.valid[:6], [s == "ok" for s in wanted])
+        assert not batch.frames.color[1:5].any() and not batch.frames.depth[1:5].any()
+        np.testing.assert_array_equal(batch.frames.color[5], scene.color[5])
+        assert log.description.pairing.num_unpaired_color == 1
+
+
+def test_zero_stamps_fall_back_to_log_time_and_backward_stamps_are_ordered(tmp_path):
+    scene = make_scene(3)
+    zero = scene._replace(color_ns=scene.color_ns * 0)
+    with LogFile(tmp_path / "zero.mcap") as log:
+        write_calibration(log)
+        for i in range(3):
+            at = int(scene.color_ns[i])
+            log.ros(COLOR, ros_image(scene.color[i], "rgb8", 0, COLOR_FRAME), at)
+            log.ros(DEPTH, ros_image(scene.depth[i], "16UC1", 5, DEPTH_FRAME), at + 1)
+    with open_log(str(tmp_path / "zero.mcap")) as log:
+        assert any("log times" in text for text in log.description.warnings)
+        assert_holds(log, zero._replace(color_ns=scene.color_ns, depth_ns=scene.color_ns + 1))
+    backward = Scene(*(part[::-1] for part in scene))
+    write_log(tmp_path / "back.mcap", backward)
+    with open_log(str(tmp_path / "back.mcap")) as log:
+        assert any("backward" in text for text in log.description.warnings)
+        assert_holds(log, scene)
+
+
+def test_memory_does_not_grow_with_the_log(tmp_path):
+    def peak(count: int) -> int:
+        path = tmp_path / f"long{count}.mcap"
+        scene = make_scene(8, size=(320, 240))
+        with LogFile(path, compression="lz4", chunk_size=200_000) as log:
+            log.ros(COLOR_INFO, ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME), START)
+            log.ros(
+                DEPTH_INFO, ros_info((320, 240), (300, 300, 160, 120), START, DEPTH_FRAME), START
+            )
+            log.ros("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR)), START)
+            for i in range(count):
+                at = START + i * SECOND // 30
+                image = ros_image(scene.depth[i % 8], "16UC1", at, DEPTH_FRAME)
+                log.ros(DEPTH, image, at)
+                log.ros(COLOR, ros_image(scene.color[i % 8], "rgb8", at, COLOR_FRAME), at)
+        tracemalloc.start()
+        with open_log(str(path)) as log:
+            assert sum(batch.frames.valid.sum() for batch in log.batches(4)) == count
+            _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        path.unlink()
+        return most
+
+    # 600 frames are 90 MB of depth; the cache of chunks is full (64 MiB) from 440 frames on.
+    assert peak(900) < peak(600) + 1_000_000

@@ -1,0 +1,58 @@
+"""Recordings made by others, and files that are none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxdet.errors import InputError, JaxdetError, TopicError
+from jaxdet.io import find_logs, open_log
+from jaxdet.io.motion import motion_matrix
+
+
+def test_real_unaligned_log(shared_data):
+    with open_log(str(shared_data / "aims_slam" / "aims_slam_18frames.mcap")) as log:
+        color, depth = log.calibration.color, log.calibration.depth
+        assert log.num_frames == 18 and depth is not None
+        assert color[:6] == (640, 480, 610.0, 610.0, 320.0, 240.0)
+        assert depth[:6] == (640, 480, 384.5, 384.5, 321.7, 236.8)
+        assert log.calibration.color_from_depth is not None
+        assert log.calibration.color_from_depth.translation == (0.0148, 0.0, 0.0)
+        assert sum(batch.frames.valid.sum() for batch in log.batches(8)) == 18
+
+
+def test_real_pair_with_factory_calibration(shared_data):
+    path = shared_data / "realsense_d435_bag" / "realsense_d435_1pair.mcap"
+    with open_log(str(path)) as log:
+        pairing = log.description.pairing
+        assert (pairing.num_paired, pairing.num_unpaired_depth) == (1, 1)
+        assert pairing.unpaired_depth_stamps_ns.tolist() == [1600000360981765000]
+        t = np.array([0.01431131, 0.00060231, 0.00061080])
+        q = np.array([-5.3199e-05, 0.00646343, 0.00515485, 0.99996585])
+        assert log.calibration.color_from_depth is not None
+        np.testing.assert_allclose(
+            log.calibration.color_from_depth.T, motion_matrix(t, q), rtol=0, atol=1e-6
+        )
+        assert log.read([0]).frames.valid.all()
+
+
+def test_real_logs_without_depth_end_in_one_clear_line(shared_data):
+    files = sorted((shared_data / "mcap_real").glob("*.mcap"))
+    assert files
+    for path in files:
+        with pytest.raises((TopicError, InputError)) as caught:
+            open_log(str(path))
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 2, b"not mcap" * 99])
+def test_what_is_no_log_ends_in_one_clear_line(tmp_path: Path, content: bytes):
+    (tmp_path / "x.mcap").write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.mcap"):
+        open_log(str(tmp_path / "x.mcap"))
+
+
+def test_inputs_that_hold_nothing(tmp_path: Path):
+    for text in (str(tmp_path), str(tmp_path / "no.mcap"), str(tmp_path / "*.mcap")):
+        with pytest.raises(JaxdetError, match=str(tmp_path)):
+            find_logs([text])
