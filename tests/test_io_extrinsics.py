@@ -1,6 +1,5 @@
 """Extrinsics, floor, poses and topics of whole logs."""
 
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,5 @@
 """Whole logs: every serialisation and every way to give depth, splits, and real recordings."""
 
-
 import numpy as np
 import pytest
 

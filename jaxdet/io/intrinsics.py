@@ -117,13 +117,14 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
     flag = f"--log.{source.name}-distortion"
     D = source.info.D if source.info else ()
     named = source.model if source.model is not None else source.info.model if source.info else ""
-    if not np.isfinite(D).all():
-        raise source.error("a distortion coefficient is not a number", f"give {flag} none")
-    if not any(D) and source.model in (None, Distortion.NONE):
+    named = named.strip().lower().replace(" ", "_")
+    if named == Distortion.NONE or (source.model is None and _means_none(named, D)):
         if not D and source.info and source.info.model:
             warnings.append(f"{source.topic} has no distortion coefficients; none is assumed")
         return Distortion.NONE, ()
-    model = _model(source, named.strip().lower().replace(" ", "_"), flag)
+    if not np.isfinite(D).all():
+        raise source.error("a distortion coefficient is not a number", f"give {flag} none")
+    model = _model(source, named, flag)
     if model is Distortion.PLUMB_BOB and len(D) == 8 and any(D[5:]) and source.model is None:
         text = "says plumb_bob with eight coefficients; they are read as rational_polynomial"
         warnings.append(f"{source.topic} {text}")
@@ -135,6 +136,11 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
         problem = f"{len(D)} distortion coefficients don't fit {model.value} ({count})"
         raise source.error(problem, f"give the right model with {flag}")
     return model, tuple(D[:count])
+
+
+def _means_none(model: str, D: tuple[float, ...]) -> bool:
+    """Whether there is no distortion; an equidistant lens isn't a pinhole even with zeros."""
+    return not any(D) and (not D or _ALIASES.get(model, model) != Distortion.EQUIDISTANT)
 
 
 def _model(source: CameraSource, name: str, flag: str) -> Distortion:

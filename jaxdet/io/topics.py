@@ -116,9 +116,15 @@ def _candidates(
     found = [
         candidate
         for stream in index.streams.values()
-        if (candidate := make(stream, prefer_rect)) is not None
+        if not _is_eye(stream.topic, index) and (candidate := make(stream, prefer_rect)) is not None
     ]
     return sorted(found, key=lambda item: (item.rank, item.topic))
+
+
+def _is_eye(topic: str, index: LogIndex) -> bool:
+    """Whether this is a stereo camera's left or right image beside its colour one (ZED)."""
+    color = re.sub("/(left|right)/", "/rgb/", topic)
+    return color != topic and color in index.streams
 
 
 def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidate:

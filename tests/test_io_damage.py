@@ -1,0 +1,157 @@
+"""Damaged files: what is whole is used, what is lost is said, nothing else gets out."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+
+from jaxdet.errors import InputError, JaxdetError
+from jaxdet.io import LogOptions, open_log
+from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
+from tests.io_helpers import COLOR_FRAME, LogFile, assert_holds, make_scene, ros_image, write_log
+
+SCENE = make_scene(12)
+
+
+def chunk_index(path):
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return sorted(summary.chunk_indexes, key=lambda item: item.chunk_start_offset)
+
+
+def frames_right(log) -> int:
+    """How many frames are valid; each must be the scene's of its stamp."""
+    count = 0
+    for batch in log.batches(4):
+        for row in np.flatnonzero(batch.frames.valid):
+            number = SCENE.color_ns.tolist().index(batch.frames.stamp_ns[row])
+            np.testing.assert_array_equal(batch.frames.color[row], SCENE.color[number])
+            np.testing.assert_array_equal(batch.frames.depth[row], SCENE.depth[number])
+            count += 1
+    return count
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_truncated_file(tmp_path, compression):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression=compression, chunk_size=6000)
+    whole, third = path.read_bytes(), chunk_index(path)[6]
+    path.write_bytes(whole[: third.chunk_start_offset + 200])
+    with open_log(str(path)) as log:
+        text = log.description.integrity[0].text
+        assert text.startswith("recovered:") and "no end of file" in text and "bytes lost" in text
+        assert 3 <= frames_right(log) < 12
+
+
+def test_any_truncation_ends_in_frames_or_one_clear_line(tmp_path):
+    whole = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000).read_bytes()
+    for size in np.random.default_rng(0).integers(0, len(whole), 40):
+        (tmp_path / "cut.mcap").write_bytes(whole[:size])
+        try:
+            with open_log(str(tmp_path / "cut.mcap")) as log:
+                frames_right(log)
+        except JaxdetError as error:
+            assert "\n" not in str(error)
+
+
+def test_a_chunk_with_a_wrong_crc_is_dropped_and_its_neighbours_are_used(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    data, chunks = bytearray(path.read_bytes()), chunk_index(path)
+    data[chunks[5].chunk_start_offset + 1500] ^= 4
+    path.write_bytes(data)
+    with open_log(str(path)) as log:
+        [integrity] = log.description.integrity
+        assert integrity.lost == {"chunk has a wrong CRC": 1} and integrity.recovered
+        lost = chunks[5].message_start_time, chunks[5].message_end_time
+        assert integrity.lost_spans_ns == (lost,)
+        assert 9 <= frames_right(log) < 12
+
+
+def test_flipped_bits_with_crc_are_never_silent(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000)
+    whole, end = path.read_bytes(), chunk_index(path)[-1]
+    random = np.random.default_rng(1)
+    for place in random.integers(8, end.chunk_start_offset + end.chunk_length, 60):
+        data = bytearray(whole)
+        data[place] ^= 1 << random.integers(8)
+        path.write_bytes(data)
+        try:
+            with open_log(str(path)) as log:
+                right = frames_right(log)
+                assert right == 12 or log.description.integrity[0].recovered
+        except JaxdetError as error:
+            assert "\n" not in str(error)
+
+
+def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000)
+    data, chunks = bytearray(path.read_bytes()), chunk_index(path)
+    struct.pack_into("<Q", data, chunks[4].chunk_start_offset + 1, 2**64 - 1)
+    path.write_bytes(data)
+    with open_log(str(path)) as log:
+        assert "damaged or torn record" in log.description.integrity[0].lost
+        assert 9 <= frames_right(log) < 12
+
+
+def test_missing_summary_loses_nothing(tmp_path):
+    options = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
+    path = write_log(tmp_path / "x.mcap", SCENE, **options, use_summary_offsets=False)
+    with open_log(str(path)) as log:
+        assert_holds(log, SCENE)
+        assert log.description.integrity[0].text.startswith("CRC checked")
+    data = path.read_bytes()
+    path.write_bytes(data[: data.rindex(b"\x0f" + struct.pack("<Q", 4)) + 13])
+    with open_log(str(path)) as log:
+        assert_holds(log, SCENE)
+        assert "no end of file" in log.description.integrity[0].text
+
+
+def test_no_crc_is_said(tmp_path):
+    with open_log(str(write_log(tmp_path / "x.mcap", SCENE, crc=False))) as log:
+        assert log.description.integrity[0].text == "not checkable (no CRC in file)"
+
+
+def head(data: bytes, size: int, compression: str = "", crc: int = 0) -> ChunkHead:
+    return ChunkHead(0, 0, size, crc, compression, 0, len(data))
+
+
+def test_chunks_that_lie_are_rejected():
+    bomb = zstandard.compress(b"\0" * (1 << 26))
+    with pytest.raises(DamageError, match="another size"):
+        decompress(head(bomb, 100, "zstd"), bomb, 1 << 20)
+    with pytest.raises(DamageError, match="max-chunk-mib"):
+        decompress(head(bomb, 1 << 33, "zstd"), bomb, 1 << 20)
+    with pytest.raises(DamageError, match="unknown"):
+        decompress(head(b"x", 1, "bz2"), b"x", 1 << 20)
+    for compression in ("zstd", "lz4"):
+        with pytest.raises(DamageError, match="decompressed"):
+            decompress(head(b"junkjunk", 8, compression), b"junkjunk", 1 << 20)
+    good = b"abc"
+    assert decompress(head(good, 3, crc=zlib.crc32(good)), good, 1 << 20) == good
+
+
+def test_records_that_overrun_their_chunk_are_rejected_and_those_before_are_kept():
+    good = struct.pack("<BQ", 5, 22) + b"\0" * 22
+    for tail in (struct.pack("<BQ", 5, 10**6) + b"x", b"\5\1", b"\0" * 90):
+        found = []
+        with pytest.raises(DamageError):
+            for record in chunk_records(good + tail):
+                found.append(record)
+        assert len(found) == 1
+    flood = struct.pack("<BQ", 0x80, 0) * 5000
+    with pytest.raises(DamageError):
+        list(chunk_records(flood))
+
+
+def test_a_large_chunk_is_rejected_by_name_of_the_flag(tmp_path):
+    large = make_scene(40)
+    path = tmp_path / "x.mcap"
+    with LogFile(path, compression="none", chunk_size=1 << 22) as log:
+        for number in range(400):
+            pixels = large.color[number % 40]
+            log.ros("/cam/color/image_raw", ros_image(pixels, "rgb8", 5, COLOR_FRAME), 5)
+    with pytest.raises((InputError, JaxdetError)):
+        open_log(str(path), LogOptions(max_chunk_mib=1))

@@ -1,0 +1,223 @@
+"""Every encoding there and back: padding, both byte orders, JPEG, PNG, compressedDepth, RVL."""
+
+import contextlib
+import struct
+
+import cv2
+import numpy as np
+import pytest
+import simplejpeg
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from jaxdet.errors import FrameError
+from jaxdet.io.compressed import (
+    compressed_size,
+    decode_compressed_color,
+    decode_compressed_depth,
+    is_compressed_depth,
+)
+from jaxdet.io.images import decode_color, decode_depth, metres_to_units
+from jaxdet.io.messages import CompressedImageMessage, ImageMessage
+from jaxdet.io.rvl import decode_rvl
+
+LIMIT = 1 << 20
+RANDOM = np.random.default_rng(3)
+RGB = RANDOM.integers(0, 256, (6, 8, 3)).astype(np.uint8)
+DEPTH = RANDOM.integers(0, 65536, (6, 8)).astype(np.uint16)
+
+
+def image(pixels: np.ndarray, encoding: str, padding: int = 0, big: bool = False) -> ImageMessage:
+    height, width = pixels.shape[:2]
+    swapped = pixels.astype(pixels.dtype.newbyteorder(">" if big else "<"))
+    rows = np.ascontiguousarray(swapped.reshape(height, -1)).view(np.uint8).reshape(height, -1)
+    rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
+    return ImageMessage(1, "f", width, height, encoding, rows.shape[1], big, rows.tobytes())
+
+
+def compressed(data: bytes, form: str) -> CompressedImageMessage:
+    return CompressedImageMessage(1, "f", form, data)
+
+
+def png(pixels: np.ndarray) -> bytes:
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+def encode_rvl(pixels: np.ndarray) -> bytes:
+    """Wilson's encoder, pixel by pixel."""
+    nibbles: list[int] = []
+
+    def number(value: int) -> None:
+        while True:
+            low, value = value & 7, value >> 3
+            nibbles.append(low | 8 if value else low)
+            if not value:
+                return
+
+    flat, at, previous = [int(value) for value in pixels.reshape(-1)], 0, 0
+    while at < len(flat):
+        for wanted in (True, False):
+            end = at
+            while end < len(flat) and (flat[end] == 0) == wanted:
+                end += 1
+            number(end - at)
+            for value in flat[at:end] if not wanted else ():
+                delta, previous = value - previous, value
+                number(2 * delta if delta >= 0 else -2 * delta - 1)
+            at = end
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = np.array(nibbles, np.uint32).reshape(-1, 8)
+    return (words << np.arange(28, -1, -4, dtype=np.uint32)).sum(axis=1).astype("<u4").tobytes()
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize(
+    ("encoding", "pixels", "expected"),
+    [
+        ("rgb8", RGB, RGB),
+        ("bgr8", RGB[..., ::-1], RGB),
+        ("8UC3", RGB[..., ::-1], RGB),
+        ("rgba8", np.concatenate([RGB, RGB[..., :1]], axis=2), RGB),
+        ("bgra8", np.concatenate([RGB[..., ::-1], RGB[..., :1]], axis=2), RGB),
+        ("mono8", RGB[..., 0], np.repeat(RGB[..., :1], 3, axis=2)),
+        ("8UC1", RGB[..., 0], np.repeat(RGB[..., :1], 3, axis=2)),
+    ],
+)
+def test_colour(encoding, pixels, expected, padding):
+    np.testing.assert_array_equal(decode_color(image(pixels, encoding, padding), LIMIT), expected)
+
+
+@pytest.mark.parametrize("encoding", ["yuyv", "yuv422_yuy2", "uyvy", "yuv422"])
+def test_yuv(encoding):
+    flat = np.full((4, 6, 3), (200, 60, 90), np.uint8)
+    y, cr, cb = cv2.cvtColor(flat[:1, :1], cv2.COLOR_RGB2YCrCb)[0, 0].astype(float)
+    y, u, v = y * 219 / 255 + 16, (cb - 128) * 224 / 255 + 128, (cr - 128) * 224 / 255 + 128
+    pair = (y, u, y, v) if encoding.startswith(("yuyv", "yuv422_")) else (u, y, v, y)
+    pixels = np.tile(np.rint(pair).astype(np.uint8).reshape(1, 1, 4), (4, 3, 1)).reshape(4, 6, 2)
+    decoded = decode_color(image(pixels, encoding, padding=3), LIMIT)
+    np.testing.assert_allclose(decoded.astype(int), flat, atol=3)
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("padding", [0, 3])
+@pytest.mark.parametrize("encoding", ["16UC1", "mono16", "32FC1"])
+def test_depth(encoding, padding, big):
+    pixels = (DEPTH * 0.001).astype(np.float32) if encoding == "32FC1" else DEPTH
+    message = image(pixels, encoding, padding, big)
+    np.testing.assert_array_equal(decode_depth(message, 0.001, LIMIT), DEPTH)
+
+
+def test_metres_are_rounded_and_what_is_no_depth_is_zero():
+    metres = np.array([[np.nan, np.inf, -np.inf, 0, -1, 0.0004, 0.0006, 1.2344, 65.535, 65.536]])
+    expected = [[0, 0, 0, 0, 0, 0, 1, 1234, 65535, 0]]
+    np.testing.assert_array_equal(metres_to_units(metres.astype(np.float32), 0.001), expected)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        image(RGB, "bayer_rggb8"),
+        image(RGB, "rgb8")._replace(width=9),
+        image(RGB, "rgb8")._replace(height=7),
+        image(RGB, "rgb8")._replace(width=0),
+        image(RGB, "rgb8")._replace(width=1 << 20, height=1 << 20),
+        image(RGB[:, :7], "yuyv"),
+    ],
+)
+def test_colour_that_does_not_fit_is_a_bad_frame(message):
+    with pytest.raises(FrameError):
+        decode_color(message, LIMIT)
+
+
+def test_the_last_row_may_lack_its_padding():
+    message = image(DEPTH, "16UC1", padding=4)
+    cut = message._replace(data=message.data[:-4])
+    np.testing.assert_array_equal(decode_depth(cut, 0.001, LIMIT), DEPTH)
+
+
+def test_jpeg_and_png_colour():
+    smooth = cv2.resize(RGB, (64, 48), interpolation=cv2.INTER_CUBIC)
+    jpeg = simplejpeg.encode_jpeg(smooth, quality=100, colorsubsampling="444")
+    decoded = decode_compressed_color(compressed(jpeg, "rgb8; jpeg compressed bgr8"), LIMIT)
+    np.testing.assert_allclose(decoded.astype(int), smooth, atol=4)
+    file = png(np.ascontiguousarray(smooth[..., ::-1]))
+    np.testing.assert_array_equal(decode_compressed_color(compressed(file, "png"), LIMIT), smooth)
+    grey = cv2.imencode(".jpg", smooth[..., 0])[1].tobytes()
+    assert decode_compressed_color(compressed(grey, "jpeg"), LIMIT).shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("form", ["16UC1; compressedDepth png", "16UC1; compressedDepth", "16UC1"])
+def test_compressed_depth_png(form):
+    message = compressed(struct.pack("<iff", 0, 0, 0) + png(DEPTH), form)
+    assert is_compressed_depth(form, "/d/compressedDepth") and compressed_size(message) == (8, 6)
+    np.testing.assert_array_equal(decode_compressed_depth(message, 0.001, LIMIT), DEPTH)
+
+
+def test_plain_16_bit_png_depth():
+    message = compressed(png(DEPTH), "png")
+    np.testing.assert_array_equal(decode_compressed_depth(message, 0.001, LIMIT), DEPTH)
+
+
+@pytest.mark.parametrize("codec", ["png", "rvl"])
+def test_compressed_depth_of_metres(codec):
+    """The encoder's rule: q = A / z + B, for depths up to 10 m in steps of 1 cm at 1 m."""
+    metres = RANDOM.uniform(0.3, 9.0, (6, 8)).astype(np.float32)
+    metres[0, :3] = 0
+    a = 100.0 * (100.0 + 1)
+    b = 1 - a / 10.0
+    with np.errstate(divide="ignore"):
+        codes = np.where(metres > 0, np.rint(a / metres + b), 0).astype(np.uint16)
+    body = png(codes) if codec == "png" else struct.pack("<II", 8, 6) + encode_rvl(codes)
+    head = struct.pack("<iff", 0, a, b)
+    message = compressed(head + body, f"32FC1; compressedDepth {codec}")
+    decoded = decode_compressed_depth(message, 0.001, LIMIT)
+    assert not decoded[0, :3].any()
+    np.testing.assert_allclose(decoded * 0.001, metres, atol=0.0101)
+
+
+@given(
+    hnp.arrays(
+        np.uint16,
+        hnp.array_shapes(min_dims=2, max_dims=2, max_side=12),
+        elements=st.integers(0, 65535) | st.just(0),
+    )
+)
+def test_rvl_there_and_back(pixels):
+    decoded = decode_rvl(encode_rvl(pixels), *pixels.shape)
+    np.testing.assert_array_equal(decoded, pixels)
+
+
+def test_rvl_by_hand():
+    """Two zeros, then 5 and 3: counts 2 and 2, differences +5 (10) and -2 (3)."""
+    nibbles = [2, 2, 0b1010, 1, 3, 0, 0, 0]
+    word = sum(nibble << (28 - 4 * place) for place, nibble in enumerate(nibbles))
+    stream = struct.pack("<I", word)
+    np.testing.assert_array_equal(decode_rvl(stream, 2, 2), [[0, 0], [5, 3]])
+
+
+@given(st.binary(max_size=64), st.integers(1, 20), st.integers(1, 20))
+def test_rvl_of_any_bytes_is_an_image_or_an_error(data, height, width):
+    with contextlib.suppress(ValueError):
+        assert decode_rvl(data, height, width).shape == (height, width)
+
+
+def test_compressed_images_that_lie_or_are_cut():
+    big = struct.pack("<iff", 0, 0, 0) + struct.pack("<II", 1 << 31, 1 << 31) + b"\0" * 8
+    with pytest.raises(FrameError, match="max-pixels"):
+        decode_compressed_depth(compressed(big, "16UC1; compressedDepth rvl"), 0.001, LIMIT)
+    for data, form in (
+        (png(DEPTH)[:-30], "png"),
+        (b"", "png"),
+        (struct.pack("<iff", 0, 0, 0), "16UC1; compressedDepth rvl"),
+        (struct.pack("<iffII", 0, 0, 0, 8, 6), "16UC1; compressedDepth rvl"),
+        (png(RGB), "png"),
+    ):
+        with pytest.raises(FrameError):
+            decode_compressed_depth(compressed(data, form), 0.001, LIMIT)
+    jpeg = simplejpeg.encode_jpeg(np.ascontiguousarray(np.tile(RGB, (8, 8, 1))))
+    for data in (jpeg[: len(jpeg) // 2], jpeg[:10], b"RIFFxxxxWEBP", png(DEPTH)[:20]):
+        with pytest.raises(FrameError):
+            decode_compressed_color(compressed(data, "jpeg"), LIMIT)
+    with pytest.raises(FrameError, match="max-pixels"):
+        decode_compressed_color(compressed(jpeg, "jpeg"), 10)

@@ -1,0 +1,107 @@
+"""Calibration messages that are incomplete, unknown or contradict the images."""
+
+import numpy as np
+import pytest
+
+from jaxdet.errors import CalibrationError, ConfigError
+from jaxdet.io.intrinsics import CameraSource, find_intrinsics
+from jaxdet.io.messages import CameraInfoMessage
+from jaxdet.io.options import LogOptions
+from jaxdet.io.streams import ImageSize
+from jaxdet.types import Distortion
+
+K = (600.0, 0.0, 320.0, 0.0, 601.0, 240.0, 0.0, 0.0, 1.0)
+P = (500.0, 0.0, 310.0, 0.0, 0.0, 501.0, 230.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+INFO = CameraInfoMessage(0, "f", 640, 480, "plumb_bob", (0.1, 0.2, 0.0, 0.0, 0.3), K, P)
+SOURCE = CameraSource("color", "/info", INFO, ImageSize(640, 480), False, None, None, "x.mcap")
+
+
+def found(lens_model="plumb_bob", D=INFO.D, **source):
+    info = INFO._replace(model=lens_model, D=D)
+    return find_intrinsics(SOURCE._replace(info=info, **source))
+
+
+@pytest.mark.parametrize(
+    ("model", "D", "expected", "count"),
+    [
+        ("plumb_bob", (0.1, 0.2, 0, 0, 0.3), Distortion.PLUMB_BOB, 5),
+        ("plumb_bob", (0.1, 0.2, 0, 0), Distortion.PLUMB_BOB, 5),
+        ("plumb_bob", (0.0,) * 5, Distortion.NONE, 0),
+        ("plumb_bob", (), Distortion.NONE, 0),
+        ("rational_polynomial", (0.1,) * 8, Distortion.RATIONAL, 8),
+        ("rational_polynomial", (*(0.1,) * 8, 0.0, 0.0, 0.0, 0.0), Distortion.RATIONAL, 8),
+        ("equidistant", (0.1,) * 4, Distortion.EQUIDISTANT, 4),
+        ("equidistant", (0.0,) * 4, Distortion.EQUIDISTANT, 4),
+        ("kannala_brandt", (0.1,) * 4, Distortion.EQUIDISTANT, 4),
+        ("no_such_model", (0.0,) * 5, Distortion.NONE, 0),
+    ],
+)
+def test_models(model, D, expected, count):
+    lens = found(model, D).intrinsics
+    assert lens.distortion is expected and len(lens.coefficients) == count
+
+
+def test_plumb_bob_with_eight_coefficients_is_rational_with_a_warning():
+    result = found("plumb_bob", (0.1,) * 8)
+    assert result.intrinsics.distortion is Distortion.RATIONAL
+    assert "eight coefficients" in result.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("model", "D"),
+    [
+        ("no_such_model", (0.1,)),
+        ("fisheye62", (0.1,) * 6),
+        ("rational_polynomial", (0.1,) * 5),
+        ("equidistant", (0.1,) * 5),
+        ("plumb_bob", (0.1, np.nan, 0, 0, 0)),
+    ],
+)
+def test_distortion_that_is_not_understood_names_its_flag(model, D):
+    with pytest.raises(CalibrationError, match=r"/info.*--log\.color-distortion"):
+        found(model, D)
+
+
+@pytest.mark.parametrize("matrix", [(0.0, *K[1:]), (np.nan, *K[1:]), K[:4]])
+def test_a_camera_matrix_that_is_none_names_its_flag(matrix):
+    info = INFO._replace(K=matrix)
+    with pytest.raises(CalibrationError, match=r"--log\.color-intrinsics"):
+        find_intrinsics(SOURCE._replace(info=info))
+
+
+def test_sizes_must_agree():
+    with pytest.raises(CalibrationError, match=r"320x240.*640x480"):
+        found(size=ImageSize(320, 240))
+    assert found(size=ImageSize(320, 240), matrix=(1.0, 1.0, 2.0, 2.0)).intrinsics.width == 320
+    zero = find_intrinsics(SOURCE._replace(info=INFO._replace(width=0, height=0)))
+    assert zero.intrinsics.height == 480 and zero.warnings
+
+
+def test_flags_go_before_the_message():
+    result = found(matrix=(1.0, 2.0, 3.0, 4.0), model="none")
+    assert result.intrinsics[2:6] == (1.0, 2.0, 3.0, 4.0)
+    with pytest.raises(CalibrationError, match=r"--log\.color-info.*--log\.color-intrinsics"):
+        find_intrinsics(SOURCE._replace(info=None))
+    bare = find_intrinsics(SOURCE._replace(info=None, matrix=(1.0, 2.0, 3.0, 4.0)))
+    assert bare.intrinsics.distortion is Distortion.NONE
+
+
+def test_rectified_images_are_described_by_the_projection():
+    lens = found(rectified=True).intrinsics
+    assert lens[2:6] == (500.0, 501.0, 310.0, 230.0) and lens.distortion is Distortion.NONE
+    assert found(rectified=True, D=(0.0,) * 5).intrinsics.fx == 600.0
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"pair_tolerance_s": -1.0},
+        {"depth_unit_m": 0.0},
+        {"color_from_depth": (0.0,) * 7},
+        {"color_intrinsics": (0.0, 1.0, 1.0, 1.0)},
+        {"max_chunk_mib": 0},
+    ],
+)
+def test_options_out_of_range(bad):
+    with pytest.raises(ConfigError, match=r"--log\."):
+        LogOptions(**bad)

@@ -1,0 +1,151 @@
+"""Files to logs, and the topic names of many cameras' drivers."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxdet.errors import InputError, TopicError
+from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io.files import siblings
+from tests.io_helpers import (
+    COLOR_FRAME,
+    COLOR_INFO,
+    COLOR_K,
+    COLOR_SIZE,
+    DEPTH_FRAME,
+    DEPTH_INFO,
+    DEPTH_K,
+    DEPTH_SIZE,
+    START,
+    T_DEPTH_COLOR,
+    LogFile,
+    make_scene,
+    ros_compressed,
+    ros_image,
+    ros_info,
+    ros_tf,
+    write_calibration,
+    write_log,
+)
+
+
+def touch(folder: Path, *names: str) -> None:
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"x")
+
+
+def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
+    touch(tmp_path, "a/run_0.mcap", "a/run_10.mcap", "a/run_9.mcap", "a/one.mcap")
+    touch(tmp_path, "b/run_0.mcap", "b/run_1.mcap", "b/solo_3.mcap", "b/readme.txt")
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["one", "a/run", "b/run", "solo_3"]
+    assert [path.name for path in logs[1].paths] == ["run_0.mcap", "run_9.mcap", "run_10.mcap"]
+    again = find_logs([str(tmp_path / "b"), str(tmp_path / "a" / "*.mcap"), str(tmp_path)])
+    assert again == logs
+
+
+def test_siblings_of_a_single_split(tmp_path):
+    touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
+    [log] = find_logs([str(tmp_path / "run_1.mcap")])
+    assert log.name == "run_1"
+    assert [path.name for path in siblings(log)] == ["run_0.mcap", "run_2.mcap"]
+
+
+def test_compressed_files_and_several_logs_are_refused_by_name(tmp_path):
+    touch(tmp_path, "x/run_0.mcap.zstd")
+    with pytest.raises(InputError, match=r"run_0\.mcap\.zstd.*unzstd"):
+        find_logs([str(tmp_path)])
+    touch(tmp_path, "y/a.mcap", "y/b.mcap")
+    with pytest.raises(InputError, match="2 logs"):
+        open_log(str(tmp_path / "y"))
+
+
+CAMERAS = {
+    "realsense": ("/camera/camera/color/image_raw", "/camera/camera/depth/image_rect_raw"),
+    "realsense old": ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"),
+    "oak-d": ("/oak/rgb/image_raw", "/oak/stereo/image_raw"),
+    "zed": ("/zed/zed_node/rgb/color/rect/image", "/zed/zed_node/depth/depth_registered"),
+    "zed old": ("/zed2/rgb/image_rect_color", "/zed2/depth/depth_registered"),
+    "azure kinect": ("/rgb/image_raw", "/depth_to_rgb/image_raw"),
+    "orbbec": ("/camera/color/image_raw", "/camera/depth/image_raw"),
+}
+OTHERS = {
+    "realsense": [("/camera/camera/infra1/image_rect_raw", "mono8")],
+    "realsense old": [("/camera/depth/image_rect_raw", "16UC1")],
+    "oak-d": [("/oak/left/image_raw", "mono8"), ("/oak/right/image_raw", "mono8")],
+    "zed": [("/zed/zed_node/left/color/rect/image", "bgra8"), ("/zed/zed_node/rgb/raw", "bgra8")],
+    "zed old": [("/zed2/confidence/confidence_map", "32FC1")],
+    "azure kinect": [("/depth/image_raw", "16UC1"), ("/ir/image_raw", "mono16")],
+    "orbbec": [("/camera/ir/image_raw", "mono16")],
+}
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_topics_of_each_driver(tmp_path, camera):
+    scene, (color, depth) = make_scene(1, size=COLOR_SIZE), CAMERAS[camera]
+    with LogFile(tmp_path / "x.mcap") as log:
+        for topic, encoding in [(color, "rgb8"), (depth, "16UC1"), *OTHERS[camera]]:
+            pixels = {"rgb8": scene.color[0], "16UC1": scene.depth[0], "mono16": scene.depth[0]}
+            other = {"mono8": np.zeros((30, 40), np.uint8), "bgra8": np.zeros((30, 40, 4), "u1")}
+            other["32FC1"] = np.zeros((30, 40), np.float32)
+            image = (pixels | other)[encoding]
+            log.ros(topic, ros_image(image, encoding, START, COLOR_FRAME), START)
+            info = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
+            log.ros(f"{topic.rpartition('/')[0]}/camera_info", info, START)
+    with open_log(str(tmp_path / "x.mcap")) as log:
+        chosen = {item.chosen_as: item.topic for item in log.description.topics if item.chosen_as}
+        assert chosen == {"color": color, "depth": depth}
+        assert log.read([0]).frames.valid.all()
+
+
+def test_compressed_topics(tmp_path):
+    scene = make_scene(2)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
+            png = cv2.imencode(".png", np.ascontiguousarray(color[..., ::-1]))[1].tobytes()
+            message = ros_compressed(png, "rgb8; png compressed bgr8", at, COLOR_FRAME)
+            log.ros("/cam/color/image_raw/compressed", message, at)
+            body = struct.pack("<iff", 0, 0, 0) + cv2.imencode(".png", depth)[1].tobytes()
+            message = ros_compressed(body, "16UC1; compressedDepth png", at, DEPTH_FRAME)
+            log.ros("/cam/depth/image_rect_raw/compressedDepth", message, at)
+    with open_log(str(tmp_path / "x.mcap")) as log:
+        frames = log.read([0, 1]).frames
+        np.testing.assert_array_equal(frames.color, scene.color)
+        np.testing.assert_array_equal(frames.depth, scene.depth)
+
+
+def test_big_endian_cdr(tmp_path):
+    scene = make_scene(1)
+    with LogFile(tmp_path / "x.mcap") as log:
+        for topic, message in (
+            (COLOR_INFO, ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)),
+            (DEPTH_INFO, ros_info(DEPTH_SIZE, DEPTH_K, START, DEPTH_FRAME)),
+            ("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR))),
+            ("/cam/color/image_raw", ros_image(scene.color[0], "rgb8", START, COLOR_FRAME)),
+            ("/cam/depth/image_rect_raw", ros_image(scene.depth[0], "16UC1", START, DEPTH_FRAME)),
+        ):
+            log.ros(topic, message, START, little_endian=False)
+    with open_log(str(tmp_path / "x.mcap")) as log:
+        assert log.stamps_ns.tolist() == [START]
+        np.testing.assert_array_equal(log.read([0]).frames.depth[0], scene.depth[0])
+
+
+def test_a_topic_that_is_no_depth_is_refused(tmp_path):
+    path = str(write_log(tmp_path / "x.mcap"))
+    with pytest.raises(TopicError, match="not a depth image"):
+        open_log(path, LogOptions(depth="/cam/color/image_raw"))
+
+
+def test_hostile_topic_names_stay_on_one_line(tmp_path):
+    with LogFile(tmp_path / "x.mcap") as log:
+        image = ros_image(make_scene().color[0], "rgb8", START, COLOR_FRAME)
+        log.ros("/a\n\x1b[31m../../b", image, START)
+    with pytest.raises(TopicError) as caught:
+        open_log(str(tmp_path / "x.mcap"))
+    assert str(caught.value).isprintable()

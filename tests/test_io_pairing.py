@@ -1,0 +1,122 @@
+"""Pairing by hand and its laws, and motions against SciPy."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from jaxdet.errors import CalibrationError
+from jaxdet.io.messages import TransformMessage
+from jaxdet.io.motion import MARGIN_S, MAX_GAP_S, difference, interpolate, inverse, motion_matrix
+from jaxdet.io.pairing import pair
+from jaxdet.io.transforms import TransformTree
+
+MS = 1_000_000
+STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted(s), np.int64) * MS)
+
+
+def partners(color, depth, tolerance_ms):
+    found = pair(np.array(color, np.int64) * MS, np.array(depth, np.int64) * MS, tolerance_ms / 1e3)
+    return found.depth_of_color.tolist(), found.unpaired_depth.tolist()
+
+
+@pytest.mark.parametrize(
+    ("color", "depth", "expected"),
+    [
+        ([0, 33, 66], [4, 37, 70], ([0, 1, 2], [])),
+        ([0, 33, 66], [37, 70], ([-1, 0, 1], [])),  # the first depth was dropped
+        ([0], [101, 268], ([0], [1])),  # the slow exposure of a real log
+        ([0], [200], ([-1], [0])),
+        ([50], [40, 60], ([0], [1])),  # a tie goes to the earlier depth
+        ([40, 60], [50], ([0, -1], [])),
+        ([10, 10, 10], [10, 10], ([0, 1, -1], [])),
+        ([], [1], ([], [0])),
+        ([1], [], ([-1], [])),
+    ],
+)
+def test_pairs_by_hand(color, depth, expected):
+    assert partners(color, depth, 150) == expected
+
+
+@given(STAMPS, STAMPS, st.integers(0, 40))
+def test_pairing_laws(color, depth, tolerance_ms):
+    found = pair(color, depth, tolerance_ms / 1e3)
+    partner = found.depth_of_color
+    used = partner[partner >= 0]
+    assert len(set(used)) == len(used)
+    assert sorted([*used, *found.unpaired_depth]) == list(range(len(depth)))
+    for index, number in enumerate(partner):
+        if number < 0:
+            continue
+        apart = abs(color[index] - depth[number])
+        assert apart <= tolerance_ms * MS
+        assert apart == np.abs(depth - color[index]).min()
+        assert apart == np.abs(color - depth[number]).min()
+    wider = pair(color, depth, 1.0).depth_of_color
+    assert ((partner == wider) | (partner == -1)).all()
+
+
+@given(STAMPS)
+def test_equal_stamps_all_pair(stamps):
+    assert pair(stamps, stamps, 0.0).depth_of_color.tolist() == list(range(len(stamps)))
+
+
+def test_interpolation_equals_slerp():
+    random = np.random.default_rng(0)
+    sample_ns = np.cumsum(random.integers(10 * MS, 90 * MS, 40))
+    rotations = Rotation.random(40, rng=1)
+    samples = np.concatenate([random.normal(size=(40, 3)), rotations.as_quat()], axis=1)
+    samples[::3, 3:] *= -1  # the same rotations
+    at = np.sort(random.integers(sample_ns[0], sample_ns[-1], 200))
+    T = interpolate(at, sample_ns, samples)
+    expected = Slerp(sample_ns / 1e9, rotations)(at / 1e9).as_matrix()
+    np.testing.assert_allclose(T[:, :3, :3], expected, atol=1e-6)
+    for axis in range(3):
+        line = np.interp(at, sample_ns, samples[:, axis])
+        np.testing.assert_allclose(T[:, axis, 3], line, atol=1e-9)
+    exact = interpolate(sample_ns, sample_ns, samples)
+    np.testing.assert_allclose(exact, motion_matrix(samples[:, :3], samples[:, 3:]), atol=1e-12)
+
+
+def test_motion_is_held_at_the_margin_and_unknown_beyond_and_in_gaps():
+    second, margin = 1000 * MS, round(MARGIN_S * 1e9)
+    sample_ns = np.array([0, second, second + round((MAX_GAP_S + 1) * 1e9)])
+    samples = np.array([[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1], [5, 0, 0, 0, 0, 0, 1.0]])
+    at = np.array([-margin - 1, -margin, second // 4, 2 * second, sample_ns[2] + margin])
+    x = interpolate(at, sample_ns, samples)[:, 0, 3]
+    np.testing.assert_array_equal(x, [np.nan, 0, 0.25, np.nan, 5])
+
+
+def edge(parent, child, x, stamp_ns=0):
+    return TransformMessage(stamp_ns, parent, child, (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def test_tree_chains_cycles_and_contradictions():
+    tree = TransformTree()
+    tree.add([edge("base", "a", 1), edge("a", "b", 2), edge("base", "c", 10)], static=True)
+    T = tree.fixed("c", "b")
+    assert T is not None and T[0, 3] == -7 and tree.fixed("c", "nowhere") is None
+    tree.add([edge("base", "a", 1.5), edge("c", "b", 3)], static=True)
+    assert len(tree.warnings) == 2
+    tree.add([edge("b", "base", 1)], static=True)
+    with pytest.raises(CalibrationError, match=r"cycle.*--log\.color-from-depth"):
+        tree.fixed("c", "b")
+
+
+def test_moving_transforms_are_no_calibration_but_poses():
+    tree = TransformTree()
+    tree.add([edge("base", "camera", 1)], static=True)
+    for step in range(3):
+        tree.add([edge("odom", "base", step, step * 100 * MS)], static=False)
+    tree.settle()
+    assert tree.fixed("odom", "camera") is None
+    T = tree.at("odom", "camera", np.array([50 * MS, 900 * MS]))
+    assert T is not None and T[0, 0, 3] == 1.5 and np.isnan(T[1]).all()
+
+
+def test_inverse_and_difference():
+    first = motion_matrix(np.array([1.0, 2, 3]), Rotation.from_euler("z", 0.2).as_quat())
+    second = motion_matrix(np.array([1.0, 2, 3.5]), Rotation.from_euler("z", -0.1).as_quat())
+    np.testing.assert_allclose(inverse(first) @ first, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(difference(first, second), (0.5, 0.3))
