@@ -4,6 +4,7 @@ import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -84,10 +85,15 @@ def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> 
     assert grid["counts"].dtype == np.int32
 
 
+def square(x: float, y: float, side: float = 0.2) -> np.ndarray:
+    return np.array([[x, y, x + side, y, x + side, y + side, x, y + side]], np.float32)
+
+
 class FakeLog:
     """Ten frames of a floorless scene, some of them bad, 100 ms apart."""
 
-    name, base_frame, T_base_camera, description = "fake", "base_link", None, None
+    name, base_frame, T_base_camera = "fake", "base_link", None
+    description = SimpleNamespace(warnings=("odd",))
     num_frames = 10
     status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
 
@@ -175,13 +181,19 @@ def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) 
     assert json.loads((tmp_path / "summary.json").read_text())["failed_logs"] == 1
 
 
+def test_nothing_is_written_when_all_fail(fake_logs: list, tmp_path: Path) -> None:
+    summary = run_fake(fake_logs[1:2], tmp_path / "new")
+    assert len(summary.failed) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_interrupt_leaves_nothing(fake_logs: list, tmp_path: Path) -> None:
     def interrupt(now: engine.Progress) -> None:
         assert (now.done, now.total, now.bad) == (4, 10, 1)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_fake(fake_logs[:1], tmp_path, progress=interrupt)
+        run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -255,10 +267,6 @@ def test_prefetch_stops_its_thread_when_closed() -> None:
     assert next(reader) == 0
     reader.close()
     assert not any(t.name == "jaxdet-reader" for t in threading.enumerate())
-
-
-def square(x: float, y: float, side: float = 0.2) -> np.ndarray:
-    return np.float32([[x, y, x + side, y, x + side, y + side, x, y + side]])
 
 
 def test_map_counts_do_not_depend_on_order() -> None:

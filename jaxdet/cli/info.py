@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
 from jaxdet.cli.settings import defaults, given
 from jaxdet.config import Config, GroundConfig
@@ -48,9 +49,7 @@ def main(args: list[str]) -> int:
     config, log_options, _ = defaults(args)
     missing: Any = tyro.MISSING
     start = InfoCommand(missing, ground=config.ground, log=log_options)
-    command = tyro.cli(
-        InfoCommand, args=args, default=start, prog="jaxdet info", description=DESCRIPTION
-    )
+    command = parse_flags(start, args, "jaxdet info", DESCRIPTION)
     from jaxdet.io import find_logs
     from jaxdet.io.results import to_json
 
@@ -102,7 +101,7 @@ def _lines(about: "LogDescription", planes: "Planes") -> Iterator[str]:
     yield from _section("pairs", [_pairing(about.pairing)])
     extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
     yield from _section("calibration", [*about.calibration, extrinsics])
-    messages = [record.message for record in planes.records[:1] if record.source != "tf"]
+    messages = [record.message for record in planes.records[:1] if record.source == "estimate"]
     yield from _section("ground", [ground_text(planes.records), *messages, about.base_source])
     yield from _section("poses", [about.pose_source, f"known for {about.num_poses} frames"])
     yield from _section("warnings", [*about.warnings, *planes.warnings])

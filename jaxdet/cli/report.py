@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 def summary_lines(summary: "Summary", output: Path) -> list[str]:
     """What a person wants to read after a run."""
-    text = []
+    text: list[str] = []
     for log in summary.logs:
         if log.error:
             text.append(f"{log.log}: failed after {log.frames} frames")
@@ -24,7 +24,8 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
         f"{summary.frames} frames, {summary.obstacles} obstacles in {summary.seconds:.1f} s"
     )
     text[-1] += f" ({rate})" if rate else ""
-    return [*text, f"results: {output}"]
+    failed = len(summary.failed) == len(summary.logs)
+    return [*text, "nothing was written" if failed else f"results: {output}"]
 
 
 def _log_lines(log: "LogSummary") -> list[str]:

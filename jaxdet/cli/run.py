@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given, quiet_warp
 from jaxdet.config import (
@@ -39,11 +40,13 @@ class RunCommand:
     """What ``jaxdet run`` takes."""
 
     logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
-    """MCAP files, folders (searched for .mcap) or globs. Split files make one log."""
+    """MCAP files, folders (searched for .mcap) or globs; the split files of one recording are one
+    log."""
     output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     preset: str = DEFAULT_PRESET
-    """Configuration to start from: wheeled, paper, d435, d455, oak-d, zed, azure-kinect, orbbec."""
+    """Configuration to start from: wheeled, paper, d435, d455, oak-d, zed, azure-kinect,
+    orbbec."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with sections as below."""
     backend: Literal["jax", "reference"] = "jax"
@@ -81,9 +84,7 @@ def parse(args: list[str]) -> RunCommand:
         footprint=config.footprint,
         log=log,
     )
-    return tyro.cli(
-        RunCommand, args=args, default=start, prog="jaxdet run", description=DESCRIPTION
-    )
+    return parse_flags(start, args, "jaxdet run", DESCRIPTION)
 
 
 def main(args: list[str]) -> int:

@@ -3,10 +3,11 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
+from jaxdet.cli.flags import parse_flags
 from jaxdet.errors import InputError
 from jaxdet.sim import SimConfig
 
@@ -32,7 +33,8 @@ class SimCommand:
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    command = tyro.cli(SimCommand, args=args, prog="jaxdet sim", description=DESCRIPTION)
+    missing: Any = tyro.MISSING
+    command = parse_flags(SimCommand(missing), args, "jaxdet sim", DESCRIPTION)
     from jaxdet.sim import truth_path, write_log
 
     try:

@@ -73,7 +73,8 @@ def run(
 ) -> Summary:
     """Finds the obstacles of every frame of every log and writes the results folder.
 
-    A log that fails as a whole is in the summary with its error, and the others go on.
+    A log that fails as a whole is in the summary with its error, and the others go on; when
+    all fail, nothing is written.
 
     Args:
         logs: What :func:`jaxdet.io.find_logs` returns.
@@ -104,7 +105,8 @@ def run(
             except JaxdetError as error:
                 part.error = str(error)
         summary.seconds = time.perf_counter() - start
-        writer.commit(_resolved(config, log_options, options), summary.to_dict())
+        if len(summary.failed) < len(ordered):
+            writer.commit(_resolved(config, log_options, options), summary.to_dict())
     return summary
 
 
@@ -158,6 +160,7 @@ class _LogJob:
     def run(self, log: "Log") -> None:
         part = self.part
         part.description, part.calibration = log.description, log.calibration
+        part.warnings += log.description.warnings
         planes = decide_planes(log, self.config, self.options.backend)
         part.ground = planes.records
         part.warnings += planes.warnings

@@ -6,6 +6,7 @@ written into a hidden folder inside the output folder and moved to its final nam
 so a final name never holds half a file.
 """
 
+import contextlib
 import json
 import os
 import shutil
@@ -165,6 +166,8 @@ class ResultWriter:
         for table in (self._frames, self._obstacles):
             table.writer.close()
         shutil.rmtree(self.staging, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self.directory.rmdir()  # where nothing is in it
 
     def add(self, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
         """Appends rows, in order; see :func:`to_table` for the columns."""
