@@ -192,6 +192,18 @@ def test_doctor_fails_when_a_check_does(monkeypatch: pytest.MonkeyPatch, capsys:
     assert "FAILED: ZeroDivisionError" in capsys.readouterr().out
 
 
+def test_a_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    from jaxdet.cli import doctor
+
+    def full(args: list[str]) -> int:
+        raise OSError(28, "No space left on device", "out/frames.parquet")
+
+    monkeypatch.setattr(doctor, "main", full)
+    assert main(["doctor"]) == 1
+    said = "jaxdet: error: out/frames.parquet: No space left on device\n"
+    assert capsys.readouterr().err == said
+
+
 def test_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
     from jaxdet.cli import doctor
 

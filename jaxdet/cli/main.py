@@ -73,6 +73,8 @@ def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:  # a full or failing disk
+        return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", 1)
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else int(exit.code is not None)
 

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from jaxdet.engine import Progress, ProgressCallback
 
 LINE_EVERY_S = 10.0
+MAX_BARS = 6
+"""Logs shown at a time."""
 
 
 @contextmanager
@@ -42,6 +44,8 @@ def _bars() -> Iterator["ProgressCallback"]:
 
         def show(now: "Progress") -> None:
             if now.log_number not in tasks:
+                for task in bars.tasks[: len(tasks) + 1 - MAX_BARS]:
+                    bars.update(task.id, visible=False)
                 name = f"{_which(now)}{now.log}"
                 tasks[now.log_number] = bars.add_task(name, total=now.total, rate="", bad="")
             task = bars.tasks[tasks[now.log_number]].id
