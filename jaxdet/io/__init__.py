@@ -1,14 +1,28 @@
 """Logs of depth cameras: MCAP files to arrays, and arrays to files.
 
 ``find_logs`` turns what the user names into logs, ``open_log`` finds everything in one but its
-images, and :class:`Log` gives these in batches.
+images, and :class:`Log` gives these in batches. The names are loaded when they are used, so
+that the options alone cost no import of a decoder.
 """
 
-from jaxdet.io.description import LogDescription
-from jaxdet.io.files import LogFiles, find_logs
-from jaxdet.io.log import Batch, Log, open_log
-from jaxdet.io.options import LogOptions
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from jaxdet.io.description import LogDescription
+    from jaxdet.io.files import LogFiles, find_logs
+    from jaxdet.io.log import Batch, Log, open_log
+    from jaxdet.io.options import LogOptions
+
+_MODULES = {
+    "Batch": "log",
+    "Log": "log",
+    "LogDescription": "description",
+    "LogFiles": "files",
+    "LogOptions": "options",
+    "find_logs": "files",
+    "open_log": "log",
+}
 __all__ = [
     "Batch",
     "Log",
@@ -18,3 +32,10 @@ __all__ = [
     "find_logs",
     "open_log",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Loads a public name with its module."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -52,12 +52,7 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
     if aligned:
         size = ImageSize(color.intrinsics.width, color.intrinsics.height)
-        if depth_source.size is not None and depth_source.size != size:
-            problem = f"aligned depth is {depth_source.size[0]}x{depth_source.size[1]} but colour"
-            problem += f" is {size.width}x{size.height}"
-            remedy = "say --log.depth-aligned False or choose another --log.depth"
-            raise CalibrationError(problem, path=path, topic=choice.depth, remedy=remedy)
-        warnings += _aligned_doubts(depth_source, color.intrinsics)
+        warnings += _aligned_doubts(depth_source, color.intrinsics, choice.depth)
         calibration = Calibration(color.intrinsics, None, None, unit)
         extrinsics_source = f"not needed: depth is aligned to colour ({why})"
     else:
@@ -107,7 +102,12 @@ def _aligned(
     return bool(same), "same frame, size and camera matrix as colour"
 
 
-def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
+def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[str]:
+    if depth.size is not None and depth.size != (color.width, color.height):
+        problem = f"aligned depth is {depth.size.width}x{depth.size.height} but colour is "
+        problem += f"{color.width}x{color.height}"
+        remedy = "say --log.depth-aligned False or choose another --log.depth"
+        raise CalibrationError(problem, path=depth.path, topic=topic, remedy=remedy)
     if depth.info is None or len(depth.info.K) != 9:
         return []
     K = depth.info.K

@@ -10,7 +10,7 @@ from jaxdet.errors import FrameStatus, InputError
 from jaxdet.io.description import describe
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find
-from jaxdet.io.open import OpenedFiles, open_files
+from jaxdet.io.opening import OpenedFiles, open_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.reading import ImageReader
 from jaxdet.types import Frames

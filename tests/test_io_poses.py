@@ -1,0 +1,84 @@
+"""Poses of whole logs: where they come from, and what can't be used."""
+
+import numpy as np
+import pytest
+
+from jaxdet.errors import CalibrationError, TopicError
+from jaxdet.io import LogOptions, open_log
+from tests.io_foxglove import write_foxglove
+from tests.io_helpers import (
+    COLOR_FRAME,
+    DEPTH_FRAME,
+    START,
+    LogFile,
+    make_scene,
+    ros_odometry,
+    ros_tf,
+    write_calibration,
+    write_images,
+)
+
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("form", ["proto", "json"])
+def test_pose_in_frame_needs_the_frame_it_is_of(tmp_path, form):
+    path = str(write_foxglove(tmp_path / "x.mcap", make_scene(), form, pose=True))
+    with open_log(path) as log:
+        assert log.T_world_camera is None
+        assert any("/pose" in text for text in log.description.warnings)
+    with open_log(path, LogOptions(base_frame=DEPTH_FRAME)) as log:
+        assert log.T_world_camera is not None and log.description.num_poses == 3
+        expected = np.array([-0.015, 0.001, 0.0])
+        turned = log.T_world_camera[0, :3, :3]
+        assert log.T_base_camera is not None
+        np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+        T_map_depth = log.T_world_camera[0] @ np.linalg.inv(log.T_base_camera)
+        np.testing.assert_allclose(T_map_depth[:3, 3], expected, atol=1e-12)
+
+
+def write(path, topics, base=True):
+    scene = make_scene(2)
+    with LogFile(path) as log:
+        write_calibration(log, tf=False)
+        edges = [(COLOR_FRAME, DEPTH_FRAME, (0.015, 0, 0), NO_TURN)]
+        edges += [("base_link", COLOR_FRAME, (0, 0, 0.3), NO_TURN)] if base else []
+        log.ros("/tf_static", ros_tf(*edges), START)
+        for topic in topics:
+            for at in scene.color_ns.tolist():
+                log.ros(topic, ros_odometry("odom", "base_link", (1, 2, 0), NO_TURN, at), at)
+        write_images(log, scene)
+    return str(path)
+
+
+def test_several_pose_topics_are_not_guessed(tmp_path):
+    path = write(tmp_path / "x.mcap", ["/a/odom", "/b/odom"])
+    with open_log(path) as log:
+        assert log.T_world_camera is None
+        assert any("--log.odom" in text for text in log.description.warnings)
+    with open_log(path, LogOptions(odom="/b/odom")) as log:
+        assert log.T_world_camera is not None
+        np.testing.assert_allclose(log.T_world_camera[:, :3, 3], [[1, 2, 0.3]] * 2)
+    with pytest.raises(TopicError, match=r"/a/odom, /b/odom"):
+        open_log(path, LogOptions(odom="/c"))
+
+
+def test_odometry_that_nothing_joins_to_the_camera_is_not_used(tmp_path):
+    with open_log(write(tmp_path / "x.mcap", ["/odom"], base=False)) as log:
+        assert log.T_world_camera is None and log.T_base_camera is None
+        assert any("'base_link'" in text for text in log.description.warnings)
+
+
+def test_a_base_frame_that_is_not_there_is_an_error(tmp_path):
+    path = write(tmp_path / "x.mcap", [])
+    with pytest.raises(CalibrationError, match=r"--log\.base-frame"):
+        open_log(path, LogOptions(base_frame="nowhere"))
+
+
+def test_without_tf_the_extrinsics_must_be_given(tmp_path):
+    path = write(tmp_path / "x.mcap", ["/odom"])
+    with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
+        open_log(path, LogOptions(tf=False))
+    given = LogOptions(tf=False, color_from_depth=(0, 0, 0, *NO_TURN))
+    with open_log(path, given) as log:
+        assert log.T_base_camera is None and log.T_world_camera is None
