@@ -15,7 +15,6 @@ from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions, decide_planes
 from jaxdet.engine import loop as engine_loop
-from jaxdet.engine.occupancy import CELL_M, OccupancyMap
 from jaxdet.engine.planes import evenly
 from jaxdet.engine.prefetch import prefetch
 from jaxdet.errors import ConfigError, FrameStatus, InputError
@@ -83,10 +82,6 @@ def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> 
     np.testing.assert_array_equal(grid["path"], poses[:, :2, 3])
     assert grid["counts"].max() <= 7
     assert grid["counts"].dtype == np.int32
-
-
-def square(x: float, y: float, side: float = 0.2) -> np.ndarray:
-    return np.array([[x, y, x + side, y, x + side, y + side, x, y + side]], np.float32)
 
 
 class FakeLog:
@@ -267,36 +262,3 @@ def test_prefetch_stops_its_thread_when_closed() -> None:
     assert next(reader) == 0
     reader.close()
     assert not any(t.name == "jaxdet-reader" for t in threading.enumerate())
-
-
-def test_map_counts_do_not_depend_on_order() -> None:
-    spots = [(0.0, 0.0), (0.1, 0.1), (-30.0, 12.85), (12.75, -12.85), (0.0, 0.0)]
-    outlines = np.concatenate([square(x, y) for x, y in spots])
-    one, other = OccupancyMap(), OccupancyMap()
-    one.add(outlines)
-    for outline in outlines[::-1]:
-        other.add(outline[None])
-    a, b = one.image(), other.image()
-    assert a is not None
-    assert b is not None
-    np.testing.assert_array_equal(a.counts, b.counts)
-    assert a.origin == b.origin == pytest.approx((-30.0, -12.85), abs=CELL_M)
-    assert a.counts.max() == 3
-
-
-def test_map_cell_positions() -> None:
-    grid = OccupancyMap()
-    grid.add(square(1.0, 2.0))
-    image = grid.image()
-    assert image is not None
-    assert 4 <= min(image.counts.shape) <= max(image.counts.shape) <= 6
-    np.testing.assert_allclose(image.origin, (1.0, 2.0), atol=CELL_M)
-
-
-def test_map_leaves_out_what_has_no_place() -> None:
-    grid = OccupancyMap()
-    grid.add(np.full((1, 8), np.nan, np.float32))
-    grid.add(square(1e12, 0))
-    grid.add(square(0, 0, 1e6))
-    assert grid.image() is None
-    assert grid.skipped == 2
