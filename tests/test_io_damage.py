@@ -86,6 +86,24 @@ def test_flipped_bits_with_crc_are_never_silent(tmp_path):
             assert "\n" not in str(error)
 
 
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_flipped_bytes_without_crc_end_in_frames_or_one_clear_line(tmp_path, use_chunking):
+    path = tmp_path / "x.mcap"
+    options = {"compression": "none", "crc": False, "use_chunking": use_chunking}
+    whole = write_log(path, SCENE, **options).read_bytes()
+    random = np.random.default_rng(2)
+    for _ in range(150):
+        data = bytearray(whole)
+        for place in random.integers(8, 9000, 3):
+            data[place] = random.integers(256)
+        path.write_bytes(data)
+        try:
+            with open_log(str(path)) as log:
+                assert sum(len(batch.status) for batch in log.batches(5)) == log.num_frames
+        except JaxdetError as error:
+            assert "\n" not in str(error)
+
+
 def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000)
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)

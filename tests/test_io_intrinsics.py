@@ -73,6 +73,8 @@ def test_sizes_must_agree():
     with pytest.raises(CalibrationError, match=r"320x240.*640x480"):
         found(size=ImageSize(320, 240))
     assert found(size=ImageSize(320, 240), matrix=(1.0, 1.0, 2.0, 2.0)).intrinsics.width == 320
+    with pytest.raises(CalibrationError, match=r"--log\.max-pixels"):
+        found(max_pixels=1000)
     zero = find_intrinsics(SOURCE._replace(info=INFO._replace(width=0, height=0)))
     assert zero.intrinsics.height == 480 and zero.warnings
 

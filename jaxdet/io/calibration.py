@@ -134,6 +134,7 @@ def _source(
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
         path=path,
+        max_pixels=options.max_pixels,
     )
 
 

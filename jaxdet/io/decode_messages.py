@@ -6,6 +6,8 @@ All three are decoded by the schema that stands in the log, never by offsets kno
 import json
 import re
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from types import SimpleNamespace
 from typing import Any
 
@@ -86,9 +88,11 @@ def _raw_decoder(channel: ChannelInfo) -> Callable[[bytes], Any]:
     decode = None
     try:
         if channel.message_encoding in factories:
-            decode = factories[channel.message_encoding]().decoder_for(
-                channel.message_encoding, schema
-            )
+            # mcap_ros2 prints what it can't parse; the error says it too.
+            with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
+                decode = factories[channel.message_encoding]().decoder_for(
+                    channel.message_encoding, schema
+                )
     except Exception as error:  # parsers of foreign text raise what they like
         raise ValueError(f"its schema can't be read ({_short(error)})") from error
     if decode is None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxdet.errors import CalibrationError
 from jaxdet.io.messages import CameraInfoMessage
+from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
 from jaxdet.types import Distortion, Intrinsics
 
@@ -42,6 +43,7 @@ class CameraSource(NamedTuple):
     model: str | None
     """Distortion model given by a flag."""
     path: str
+    max_pixels: int = LogOptions.max_pixels
 
     def error(self, problem: str, remedy: str) -> CalibrationError:
         """A CalibrationError about this camera."""
@@ -102,15 +104,17 @@ def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
     declared = ImageSize(info.width, info.height) if info else ImageSize(0, 0)
     if source.size is None and (not info or 0 in declared):
         raise source.error("neither images nor calibration tell the image size", "record it again")
-    if source.size is None:
-        return declared
-    if info and 0 in declared:
+    size = source.size or declared
+    if size.width * size.height > source.max_pixels:
+        problem = f"the {source.name} images are {size.width}x{size.height}"
+        raise source.error(problem, "allow it with --log.max-pixels")
+    if info and source.size and 0 in declared:
         warnings.append(f"{source.topic} has no image size; the images' is taken")
-    elif info and declared != source.size and source.matrix is None:
-        sizes = f"{source.size.width}x{source.size.height}, its calibration for "
+    elif info and declared != size and source.matrix is None:
+        sizes = f"{size.width}x{size.height}, its calibration for "
         problem = f"the {source.name} images are {sizes}{declared.width}x{declared.height}"
         raise source.error(problem, f"name the right topic with --log.{source.name}-info or {flag}")
-    return source.size
+    return size
 
 
 def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, tuple[float, ...]]:

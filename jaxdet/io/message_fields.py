@@ -54,7 +54,7 @@ def _head(message: Any) -> tuple[int, str]:
     """Stamp [ns] and frame of a ROS header, a Foxglove protobuf or a Foxglove JSON message."""
     if hasattr(message, "header"):
         stamp = message.header.stamp
-        return nanoseconds(stamp.sec, stamp.nanosec), message.header.frame_id.lstrip("/")
+        return nanoseconds(int(stamp.sec), int(stamp.nanosec)), message.header.frame_id.lstrip("/")
     stamp = message.timestamp
     if hasattr(stamp, "seconds"):
         ns = nanoseconds(stamp.seconds, stamp.nanos)
