@@ -31,6 +31,8 @@ def nanoseconds(sec: int, nanosec: int) -> int:
     Raises:
         FrameError: It is negative or beyond what int64 nanoseconds hold.
     """
+    # A schema may call them anything; whole numbers they are.
+    sec, nanosec = int(sec), int(nanosec)
     if not (0 <= sec <= _MAX_STAMP_S and 0 <= nanosec < 1 << 32):
         raise FrameError("header stamp is out of range", status=FrameStatus.DECODE_ERROR)
     return sec * 1_000_000_000 + nanosec
@@ -54,12 +56,12 @@ def _head(message: Any) -> tuple[int, str]:
     """Stamp [ns] and frame of a ROS header, a Foxglove protobuf or a Foxglove JSON message."""
     if hasattr(message, "header"):
         stamp = message.header.stamp
-        return nanoseconds(int(stamp.sec), int(stamp.nanosec)), message.header.frame_id.lstrip("/")
+        return nanoseconds(stamp.sec, stamp.nanosec), message.header.frame_id.lstrip("/")
     stamp = message.timestamp
     if hasattr(stamp, "seconds"):
         ns = nanoseconds(stamp.seconds, stamp.nanos)
     else:
-        ns = nanoseconds(int(stamp.sec), int(stamp.nsec))
+        ns = nanoseconds(stamp.sec, stamp.nsec)
     return ns, getattr(message, "frame_id", "").lstrip("/")
 
 
