@@ -1,11 +1,12 @@
-"""Scores by hand: three objects on a 40 x 60 picture, and a wall."""
+"""The comparison by hand: three objects on a 40 x 60 picture, and a wall."""
 
 import math
 
 import numpy as np
 import pytest
 
-from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, score
+from jaxdet.config import FootprintConfig
+from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, evaluate_frames, score
 from jaxdet.types import Detections, Features, Labels, Obstacles
 
 PIXELS = [(5, 15), (25, 35), (45, 55)]
@@ -31,14 +32,14 @@ def truth(**changes):
     return values._replace(**changes)
 
 
-def detections(points, forward_mm):
+def detections(points, forward_mm, **outline):
     """One frame: ``points`` (u, v, label), ``forward_mm`` of each detection's point C."""
     u, v, labels = (np.array([column], np.int32) for column in zip(*points, strict=True))
     used = np.ones(u.shape, bool)
     features = Features(u, v, u, v, v, used, used, np.zeros(1, bool))
     c = np.zeros((1, len(forward_mm) + 3, 2), np.int32)
     c[0, : len(forward_mm), 1] = forward_mm
-    obstacles = Obstacles(*[None] * 8, c, None)
+    obstacles = Obstacles(*[None] * 8, c, None)._replace(**outline)
     count = np.array([len(forward_mm)], np.int32)
     return Detections(features, Labels(labels, count), obstacles, np.ones(1, bool))
 
@@ -48,13 +49,22 @@ def on(number, label, count=3):
     return [(left + i, 20, label) for i in range(count)]
 
 
+def counted(tally):
+    names = ("visible", "found", "detections", "matched", "false", "ignored")
+    return tuple(getattr(tally, name) for name in names)
+
+
 def test_all_found():
     points = on(1, 0) + on(2, 1) + on(3, 2) + [(0, 39, -1)]
     tally = evaluate(detections(points, [1100, 2090, 3130]), truth())
-    assert tally[:9] == (1, 3, 3, 3, 3, 0, 0, 0, 0)
+    assert counted(tally) == (3, 3, 3, 3, 0, 0) and tally.frames == 1
     np.testing.assert_allclose(tally.position_errors, [0.0, 0.01, 0.03], atol=1e-9)
+    assert [case.number for case in tally.cases] == [1, 2, 3]
+    assert (tally.points, tally.points_right) == (10, 10)
+    assert (tally.pairs_both, tally.pairs_detected, tally.pairs_true) == (9, 9, 9)
     figures = score([tally, tally])
-    assert figures.recall == figures.precision == figures.f1 == 1
+    ones = ("recall", "precision", "f1", "accuracy", "fmi", "fmi_pooled", "point_accuracy")
+    assert all(getattr(figures, name) == 1 for name in ones)
     assert figures.position_error_m == pytest.approx(0.01)
     assert figures.tally.frames == 2
 
@@ -62,12 +72,37 @@ def test_all_found():
 def test_floor_wall_split_merge():
     floor = [(20, 37, 0), (21, 37, 0), (22, 37, 0)]
     wall = [(30, 1, 1), (31, 1, 1)]
-    split = [*on(1, 2, 2), (10, 25, 3), (11, 25, 3)]
+    split = [*on(1, 2, 3), (10, 25, 3), (11, 25, 3)]
     merged = on(2, 4, 3) + on(3, 4, 2)
     got = evaluate(detections(floor + wall + split + merged, [0, 0, 1200, 1300, 2100]), truth())
-    assert got[:9] == (1, 3, 2, 5, 3, 1, 1, 1, 1)
+    assert counted(got) == (3, 2, 5, 2, 2, 1)
+    assert (got.on_floor, got.on_wall, got.splits, got.merges) == (1, 1, 1, 1)
+    assert (got.points, got.points_right) == (13, 6)
+    # Detections of 3 (floor), 3, 2 and 5 points; objects of 5, 3 and 2.
+    assert (got.pairs_both, got.pairs_detected, got.pairs_true) == (3 + 1 + 3 + 1, 17, 14)
     figures = score([got])
-    assert figures.recall == pytest.approx(2 / 3) and figures.precision == pytest.approx(3 / 4)
+    assert figures.recall == pytest.approx(2 / 3) and figures.precision == pytest.approx(1 / 2)
+    assert figures.accuracy == pytest.approx(2 / 5) and figures.f1 == pytest.approx(4 / 7)
+    assert figures.fmi_obstacles == pytest.approx(math.sqrt(1 / 3))
+
+
+def test_half_of_the_points_must_be_on_the_obstacle():
+    beside = [(0, 35, 0), (0, 36, 0)]
+    assert evaluate(detections(on(1, 0, 2) + beside, [1000]), truth()).found == 1
+    got = evaluate(detections(on(1, 0, 2) + [*beside, (0, 37, 0)], [1000]), truth())
+    assert counted(got) == (3, 0, 1, 0, 1, 0) and got.on_floor == 1 and got.splits == 0
+    loose = EvalConfig(match_share=0.4)
+    points = on(1, 0, 2) + [*beside, (0, 37, 0)]
+    assert evaluate(detections(points, [1000]), truth(), config=loose).found == 1
+
+
+def test_not_asked_for_is_not_wrong():
+    far = truth(nearest_m=np.array([[5.0, 2.0, 3.0, 8.0]]))
+    points = on(1, 0) + [(10, 25, 1), (11, 25, 1)] + on(2, 2)
+    got = evaluate(detections(points, [1000, 1000, 2000]), far)
+    assert counted(got) == (2, 1, 3, 2, 0, 2)
+    low = truth(height_m=np.array([[0.04, 0.5, 0.5, 2.0]]))
+    assert evaluate(detections(points, [1000, 1000, 2000]), low).ignored == 2
 
 
 def test_tolerance():
@@ -88,6 +123,7 @@ def test_tolerance():
         ({"nearest_m": np.array([[0.14, 4.0, 4.01, 1.0]])}, 1),
         ({"nearest_m": np.array([[np.nan, 1.0, 1.0, 1.0]])}, 2),
         ({"is_wall": np.array([True, True, True, True])}, 0),
+        ({"height_m": np.array([[0.05, 0.06, 0.02, 1.0]])}, 1),
     ],
 )
 def test_what_is_asked_for(change, visible):
@@ -96,8 +132,9 @@ def test_what_is_asked_for(change, visible):
 
 def test_nothing():
     none = evaluate(detections([(0, 0, -1)], []), truth())
-    assert none[:4] == (1, 3, 0, 0) and score([none]).recall == 0
+    assert counted(none) == (3, 0, 0, 0, 0, 0) and score([none]).recall == 0
     assert math.isnan(score([none]).precision) and math.isnan(score([]).position_error_m)
+    assert score([none]).accuracy == 0 and math.isnan(score([]).accuracy)
     padding = evaluate(detections(on(1, 0), [1]), truth(), valid=np.zeros(1, bool))
     assert padding == Tally()
     with pytest.raises(ValueError, match="1 frames"):
@@ -107,3 +144,47 @@ def test_nothing():
 def test_units():
     tally = evaluate(detections(on(1, 0), [11000]), truth(), depth_unit=0.0001)
     assert tally.position_errors[0] == pytest.approx(0)
+
+
+def box(left, right, near, far):
+    return [[left, near], [right, near], [right, far], [left, far]]
+
+
+def test_shapes():
+    """Object 1 is the square [0, 1] x [1, 2]; its detection is [0, 0.8] x [1, 1.5]."""
+    low = np.array([[[0, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
+    high = np.array([[[1, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
+    outline = np.full((1, 4, 16, 2), np.nan)
+    outline[0, 0, :4] = box(0, 1, 1, 2)
+    where = truth(
+        ground_min=low,
+        ground_max=high,
+        footprint=outline,
+        visible_pixels=np.array([[500, 0, 0, 240]]),
+        nearest_forward_m=np.array([[1.0, np.nan, np.nan, 8.1]]),
+    )
+    a, b = np.zeros((1, 4, 2), int), np.zeros((1, 4, 2), int)
+    a[0, 0], b[0, 0] = (0, 1000), (800, 1000)
+    found = detections(on(1, 0), [1000], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
+    config = EvalConfig(footprint=FootprintConfig(extension_m=0.5), coverage_margin_m=0.005)
+    got = evaluate(found, where, config=config)
+    # Points every centimetre from 0 to 1; the last one covered is at 0.80.
+    assert (got.near_points, got.near_covered, got.near_asked, got.near_safe) == (101, 81, 101, 81)
+    case = got.cases[0]
+    assert case.width_error_m == pytest.approx(-0.2) and case.position_error_m == 0
+    assert case.iou == pytest.approx(0.4)
+    short = EvalConfig(coverage_range_m=1.2)
+    assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
+    missed = detections([(0, 39, -1)], [], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
+    got = evaluate(missed, where, config=config)
+    assert (got.near_points, got.near_asked, got.near_safe) == (0, 101, 0)
+    assert score([got]).safe_coverage == 0 and math.isnan(score([got]).coverage)
+
+
+def test_internal_indices():
+    points = on(1, 0) + on(2, 1)
+    config = EvalConfig(indices=True)
+    got = evaluate_frames(detections(points, [1, 2]), truth(), config=config)[0]
+    assert got.index_frames == 1 and 0.8 < got.silhouette_sum < 1
+    single = evaluate(detections(on(1, 0), [1]), truth(), config=config)
+    assert single.index_frames == 0 and math.isnan(score([single]).silhouette)

@@ -47,8 +47,8 @@ def _score_lines(score: Mapping[str, Any]) -> list[str]:
     """The comparison with the truth."""
     return [
         f"truth      {score['found']} of {score['visible']} visible obstacles found "
-        f"(recall {score['recall']:.3f}), {score['matched']} of "
-        f"{score['detections'] - score['on_wall']} detections right "
+        f"(recall {score['recall']:.3f}), {score['found']} of "
+        f"{score['found'] + score['false']} detections right "
         f"(precision {score['precision']:.3f}), F1 {score['f1']:.3f}",
         f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
         f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, score
+from jaxdet.eval import EvalConfig, Tally, evaluate, score, truth_of
 from jaxdet.sim import load_obstacle_ids, load_truth
 from jaxdet.types import Detections
 
@@ -32,7 +32,12 @@ class Scorer:
         self.truth = load_truth(self.log)
         self.number = {stamp: i for i, stamp in enumerate(self.truth.stamp_ns.tolist())}
         ground = config.ground
-        self.config = EvalConfig(ground.min_depth_m, ground.max_depth_m)
+        self.config = EvalConfig(
+            ground.min_depth_m,
+            ground.max_depth_m,
+            step_height_m=ground.step_height_m,
+            footprint=config.footprint,
+        )
         self.tallies: list[Tally] = []
 
     def add(self, batch: "Batch", found: Detections) -> None:
@@ -41,13 +46,7 @@ class Scorer:
         numbers = [self.number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
         which = np.where(known, numbers, 0)
-        truth = FrameTruth(
-            load_obstacle_ids(self.log, which),
-            self.truth.visible_pixels[which],
-            self.truth.nearest_m[which],
-            self.truth.ground_min[which, :, 1],
-            self.truth.is_wall,
-        )
+        truth = truth_of(self.truth, which, load_obstacle_ids(self.log, which))
         unit, valid = frames.calibration.depth_unit, frames.valid & known
         self.tallies.append(evaluate(found, truth, unit, self.config, valid))
 
@@ -56,5 +55,4 @@ class Scorer:
         figures = score(self.tallies)
         if not figures.tally.frames:
             return None
-        counts = {k: v for k, v in figures.tally._asdict().items() if k != "position_errors"}
-        return {**{k: v for k, v in figures._asdict().items() if k != "tally"}, **counts}
+        return figures.to_dict()

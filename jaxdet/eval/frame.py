@@ -1,0 +1,246 @@
+"""Comparison of detections with the truth, frame by frame.
+
+The rule. Each kept feature votes for the object it lies on
+(:func:`jaxdet.eval.match.feature_objects`). A detection and an obstacle are a pair when at least
+half of the detection's votes are for the obstacle; pairs are one to one, chosen for the most
+votes (:func:`jaxdet.eval.match.match`). Then
+
+- an obstacle asked for is *found* (true positive) when it has a pair, else *missed*;
+- a detection without a pair is *false*, also when it is a second one on an obstacle;
+- a detection with half of its votes on walls, or that could pair with an obstacle which is not
+  asked for (too far, too little of it visible, lower than the step), is *ignored*.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxdet.eval.indices import davies_bouldin, silhouette
+from jaxdet.eval.match import eligible, feature_objects, match, vote_table
+from jaxdet.eval.partition import fowlkes_mallows, pair_counts
+from jaxdet.eval.polygon import inside, near_side, overlap
+from jaxdet.eval.tally import Case, Tally, total
+from jaxdet.eval.truth import EvalConfig, FrameTruth
+from jaxdet.metric import rectangles
+from jaxdet.types import Detections
+
+NEAR_STEP_M = 0.01
+"""Distance of the footprint points that are asked for the coverage [m]."""
+
+
+def evaluate(
+    detections: Detections,
+    truth: FrameTruth,
+    depth_unit: float = 0.001,
+    config: EvalConfig | None = None,
+    valid: np.ndarray | None = None,
+) -> Tally:
+    """Compares a batch of detections with the truth; :func:`evaluate_frames`, added up."""
+    return total(evaluate_frames(detections, truth, depth_unit, config, valid))
+
+
+def evaluate_frames(
+    detections: Detections,
+    truth: FrameTruth,
+    depth_unit: float = 0.001,
+    config: EvalConfig | None = None,
+    valid: np.ndarray | None = None,
+) -> list[Tally]:
+    """Compares each frame of a batch with the truth.
+
+    Args:
+        detections: Of ``B`` frames, from either backend or of another method. Of the obstacles
+            ``c`` is used, with ``truth.ground_min`` also ``a b``, and with ``truth.footprint``
+            also ``has_vertex``.
+        truth: Of the same frames.
+        depth_unit: Metres in one depth unit.
+        config: What counts.
+        valid: ``(B,)`` bool, False marks padding; None: all frames count.
+
+    Returns:
+        A tally for each frame that is not padding; :func:`jaxdet.eval.score` makes figures.
+
+    Raises:
+        ValueError: The truth is of another number of frames.
+    """
+    config = config or EvalConfig()
+    frames = len(detections.labels.labels)
+    if frames != len(truth.obstacle_id):
+        raise ValueError(f"{frames} frames, but the truth of {len(truth.obstacle_id)}")
+    asked = truth.asked(config)
+    tallies: list[Tally] = []
+    for b in range(frames):
+        if valid is None or valid[b]:
+            frame = _match_frame(detections, truth, b, asked[b], config)
+            shapes = _Shapes(detections, truth, b, frame.count, depth_unit, config)
+            parts = [
+                _count_detections(frame, config),
+                _count_points(frame, _positions(detections, b, depth_unit), config),
+                _count_shapes(frame, shapes, config),
+            ]
+            tallies.append(total(parts)._replace(frames=1))
+    return tallies
+
+
+@dataclass(frozen=True)
+class _Matched:
+    """One frame's points ``(n,)`` that take part, its ``L`` detections and their matches."""
+
+    labels: np.ndarray
+    """``(n,)``."""
+    objects: np.ndarray
+    """``(n,)`` object numbers."""
+    votes: np.ndarray
+    """``(L, J + 1)``."""
+    pair: np.ndarray
+    """``(L,)`` number of the matched obstacle, 0 = none."""
+    asked: np.ndarray
+    """``(J + 1,)`` bool."""
+    kinds: np.ndarray
+    """``(J + 1,)``, see :attr:`FrameTruth.kinds`."""
+
+    @property
+    def count(self) -> int:
+        return len(self.votes)
+
+
+def _used(detections: Detections, b: int) -> np.ndarray:
+    return np.asarray(detections.features.kept[b]) | (np.asarray(detections.labels.labels[b]) >= 0)
+
+
+def _positions(detections: Detections, b: int, depth_unit: float) -> np.ndarray:
+    """Where frame ``b``'s points are, ``(n, 2)`` x and z [m]."""
+    used = _used(detections, b)
+    x, z = (np.asarray(a[b])[used] for a in (detections.features.x, detections.features.z))
+    return np.stack([x, z], axis=-1) * depth_unit
+
+
+def _match_frame(
+    detections: Detections, truth: FrameTruth, b: int, asked: np.ndarray, config: EvalConfig
+) -> _Matched:
+    used = _used(detections, b)
+    labels = np.asarray(detections.labels.labels[b])[used]
+    u, v = (np.asarray(a[b])[used] for a in (detections.features.u, detections.features.v))
+    objects = feature_objects(truth.obstacle_id[b], truth.is_wall, u, v, config.tolerance_px)
+    kinds, count = truth.kinds, int(detections.labels.num_obstacles[b])
+    votes = vote_table(labels, objects, count, len(kinds))
+    pair = match(votes, kinds == 2, config.match_share)
+    return _Matched(labels, objects, votes, pair, np.concatenate([[False], asked]), kinds)
+
+
+def _count_detections(frame: _Matched, config: EvalConfig) -> Tally:
+    votes, kinds, asked = frame.votes, frame.kinds, frame.asked
+    whole = np.maximum(votes.sum(axis=1), 1)
+    could = eligible(votes, kinds == 2, config.match_share)
+    found = asked[frame.pair]
+    elsewhere = ~found & (could & ~asked).any(axis=1)
+    wall = ~found & ~elsewhere & (votes[:, kinds == 1].sum(axis=1) >= 0.5 * whole)
+    false = ~found & ~elsewhere & ~wall
+    parts = ((votes >= config.merge_share * whole[:, None]) & (kinds == 2)).sum(axis=1)
+    return Tally(
+        visible=int(asked.sum()),
+        found=int(found.sum()),
+        detections=len(votes),
+        matched=int((frame.pair > 0).sum()),
+        false=int(false.sum()),
+        ignored=int((elsewhere | wall).sum()),
+        on_floor=int((false & (votes[:, 0] >= 0.5 * whole)).sum()),
+        on_wall=int(wall.sum()),
+        splits=int((false & could.any(axis=1)).sum()),
+        merges=int(np.maximum(parts - 1, 0).sum()),
+    )
+
+
+def _count_points(frame: _Matched, positions: np.ndarray, config: EvalConfig) -> Tally:
+    judged = frame.kinds[frame.objects] != 1
+    labels, objects = frame.labels[judged], frame.objects[judged]
+    pair = np.append(frame.pair, 0)[labels]
+    pairs = pair_counts(labels, np.where(objects > 0, objects, -1))
+    fmi = fowlkes_mallows(pairs)
+    tally = Tally(
+        points=len(labels),
+        points_right=int(np.where(objects > 0, pair == objects, labels < 0).sum()),
+        pairs_both=pairs.both,
+        pairs_detected=pairs.detected,
+        pairs_true=pairs.true,
+        fmi_sum=0.0 if math.isnan(fmi) else fmi,
+        fmi_frames=int(not math.isnan(fmi)),
+    )
+    if not config.indices or frame.count < 2:
+        return tally
+    return tally._replace(
+        silhouette_sum=silhouette(positions, frame.labels),
+        davies_bouldin_sum=davies_bouldin(positions, frame.labels),
+        index_frames=1,
+    )
+
+
+class _Shapes:
+    """Outlines of one frame in metres; None where the truth does not have them."""
+
+    def __init__(
+        self,
+        detections: Detections,
+        truth: FrameTruth,
+        b: int,
+        count: int,
+        depth_unit: float,
+        config: EvalConfig,
+    ) -> None:
+        slots = detections.obstacles
+        self.forward = np.asarray(slots.c)[b, :count, 1] * depth_unit
+        self.true_forward = truth.nearest_forward_m[b]
+        self.width = self.true_low = self.true_width = self.outline = self.rectangle = None
+        if truth.ground_min is not None and truth.ground_max is not None:
+            self.width = (np.asarray(slots.b) - np.asarray(slots.a))[b, :count, 0] * depth_unit
+            self.true_low = truth.ground_min[b, :, 0]
+            self.true_width = truth.ground_max[b, :, 0] - self.true_low
+        if truth.footprint is not None:
+            one = slots._replace(
+                **{k: np.asarray(getattr(slots, k))[b, :count] for k in ("a", "b", "c")},
+                has_vertex=np.asarray(slots.has_vertex)[b, :count],
+            )
+            self.outline = truth.footprint[b]
+            self.rectangle = rectangles(one, depth_unit, config.footprint)
+
+    def near(self, j: int, config: EvalConfig) -> np.ndarray:
+        """Object ``j``'s footprint points that are seen: near side, in range, not hidden."""
+        if self.outline is None or self.true_low is None or self.true_width is None:
+            return np.zeros((0, 2))
+        points = near_side(self.outline[j], NEAR_STEP_M)
+        beyond = points[:, 0] - self.true_low[j]
+        seen = (beyond >= 0) & (beyond <= self.true_width[j])
+        return points[seen & (np.hypot(*points.T) <= config.coverage_range_m)]
+
+
+def _count_shapes(frame: _Matched, shapes: _Shapes, config: EvalConfig) -> Tally:
+    cases: list[Case] = []
+    points = covered = every = safe = 0
+    margin, nan = config.coverage_margin_m, math.nan
+    for number in np.flatnonzero(frame.asked).tolist():
+        j, which = number - 1, np.flatnonzero(frame.pair == number)
+        near, position, width, iou = shapes.near(j, config), nan, nan, nan
+        every += len(near)
+        if shapes.rectangle is not None and len(near):
+            hits = [inside(rectangle, near, margin) for rectangle in shapes.rectangle]
+            safe += int(np.any([np.zeros(len(near), bool), *hits], axis=0).sum())
+            if len(which):
+                points += len(near)
+                covered += int(hits[which[0]].sum())
+        if len(which):
+            k = int(which[0])
+            position = float(shapes.forward[k] - shapes.true_forward[j])
+            if shapes.width is not None and shapes.true_width is not None:
+                width = float(shapes.width[k] - shapes.true_width[j])
+            if shapes.rectangle is not None and shapes.outline is not None:
+                iou = overlap(shapes.rectangle[k], shapes.outline[j])
+        distance = float(shapes.true_forward[j])
+        cases.append(Case(number, distance, bool(len(which)), position, width, iou))
+    return Tally(
+        near_points=points,
+        near_covered=covered,
+        near_asked=every,
+        near_safe=safe,
+        cases=tuple(cases),
+    )

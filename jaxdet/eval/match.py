@@ -1,0 +1,148 @@
+"""Which detection is which obstacle: votes of the features, then one to one."""
+
+import numpy as np
+
+
+def feature_objects(
+    obstacle_id: np.ndarray, is_wall: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int
+) -> np.ndarray:
+    """The object each feature votes for.
+
+    It is the object the feature lies on, or the nearest one within ``tolerance`` (a square),
+    since the corners of a contour fall beside the object; obstacles go before walls and walls
+    before floor.
+
+    Args:
+        obstacle_id: ``(H, W)`` integer.
+        is_wall: ``(J,)`` bool.
+        u: ``(n,)`` columns.
+        v: ``(n,)`` rows.
+        tolerance: How far away it may lie [pixel].
+
+    Returns:
+        ``(n,)`` int64 object numbers, 0 = floor.
+    """
+    reach = np.arange(-tolerance, tolerance + 1)
+    dv, du = (a.ravel() for a in np.meshgrid(reach, reach, indexing="ij"))
+    order = np.argsort(du * du + dv * dv, kind="stable")
+    padded = np.pad(obstacle_id, tolerance).astype(np.int64)
+    around = padded[v[:, None] + dv[order] + tolerance, u[:, None] + du[order] + tolerance]
+    rank = np.concatenate([[0], np.where(is_wall, 1, 2)])
+    best = np.argmax(rank[around], axis=1)
+    return np.take_along_axis(around, best[:, None], 1)[:, 0]
+
+
+def vote_table(labels: np.ndarray, objects: np.ndarray, detections: int, count: int) -> np.ndarray:
+    """How many points of each detection vote for each object.
+
+    Args:
+        labels: ``(n,)`` integer, -1 = none.
+        objects: ``(n,)`` integer, object number, 0 = floor.
+        detections: ``L``.
+        count: ``J + 1``.
+
+    Returns:
+        ``(L, J + 1)`` int64.
+
+    Example:
+        >>> vote_table(np.array([0, 0, 1, -1]), np.array([2, 0, 1, 1]), 2, 3).tolist()
+        [[1, 0, 1], [0, 1, 0]]
+    """
+    used = labels >= 0
+    cells = labels[used].astype(np.int64) * count + objects[used]
+    return np.bincount(cells, minlength=detections * count).reshape(detections, count)
+
+
+def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.ndarray:
+    """Matches detections and obstacles one to one.
+
+    A detection and an obstacle can be a pair when at least ``share`` of the detection's votes
+    are for the obstacle. Of all ways to pair them, the one with the most votes in its pairs is
+    taken (:func:`assign`).
+
+    Args:
+        votes: ``(L, J + 1)`` integer, see :func:`vote_table`.
+        is_obstacle: ``(J + 1,)`` bool, False for the floor and for walls.
+        share: Between 0 and 1.
+
+    Returns:
+        ``(L,)`` int64, number of the obstacle that each detection is paired with, 0 = none.
+
+    Example:
+        >>> yes = np.array([False, True, True])
+        >>> match(np.array([[0, 5, 3], [0, 4, 0], [9, 0, 2]]), yes).tolist()
+        [1, 0, 0]
+    """
+    able = eligible(votes, is_obstacle, share)
+    weight = np.where(able, votes, 0)
+    pairs = assign(weight)
+    rows = np.arange(len(votes))
+    taken = np.where(pairs >= 0, pairs, 0)
+    return np.where((pairs >= 0) & (weight[rows, taken] > 0), taken, 0)
+
+
+def eligible(votes: np.ndarray, is_obstacle: np.ndarray, share: float) -> np.ndarray:
+    """Which pairs may match: ``(L, J + 1)`` bool."""
+    whole = votes.sum(axis=1, keepdims=True)
+    return is_obstacle & (votes > 0) & (votes >= share * whole)
+
+
+def assign(weight: np.ndarray) -> np.ndarray:
+    """The one-to-one assignment with the largest sum of weights (Hungarian method).
+
+    Shortest augmenting paths with potentials, ``O(r² c)``. Kuhn, Naval Research Logistics
+    Quarterly 2 (1955), 83-97; the form with potentials is Jonker and Volgenant, Computing 38
+    (1987), 325-340. ``scipy.optimize.linear_sum_assignment(weight, maximize=True)`` gives the
+    same sum.
+
+    Args:
+        weight: ``(r, c)`` finite numbers.
+
+    Returns:
+        ``(r,)`` int64, column of each row, -1 where there are more rows than columns.
+
+    Example:
+        >>> assign(np.array([[3, 2], [3, 0], [1, 1]])).tolist()
+        [1, 0, -1]
+    """
+    weight = np.asarray(weight, np.float64)
+    if weight.shape[0] > weight.shape[1]:
+        rows = np.full(weight.shape[0], -1, np.int64)
+        columns = assign(weight.T)
+        rows[columns] = np.arange(len(columns))
+        return rows
+    cost = -weight
+    count = weight.shape[1]
+    u, v = np.zeros(len(cost)), np.zeros(count)
+    owner = np.full(count, -1, np.int64)
+    for row in range(len(cost)):
+        _augment(cost, u, v, owner, row)
+    pairs = np.full(len(cost), -1, np.int64)
+    pairs[owner[owner >= 0]] = np.flatnonzero(owner >= 0)
+    return pairs
+
+
+def _augment(cost: np.ndarray, u: np.ndarray, v: np.ndarray, owner: np.ndarray, row: int) -> None:
+    """Gives ``row`` a column, and other rows new ones; ``u``, ``v``, ``owner`` change."""
+    count = cost.shape[1]
+    least, back = np.full(count, np.inf), np.full(count, -1, np.int64)
+    done = np.zeros(count, bool)
+    total, column, last = 0.0, -1, row
+    while last >= 0:
+        reach = total + cost[last] - u[last] - v
+        better = ~done & (reach < least)
+        least[better], back[better] = reach[better], column
+        column = int(np.argmin(np.where(done, np.inf, least)))
+        total = least[column]
+        done[column] = True
+        last = int(owner[column])
+    sink = column
+    u[row] += total
+    for one in np.flatnonzero(done):
+        if one != sink:
+            u[owner[one]] += total - least[one]
+            v[one] -= total - least[one]
+    while column >= 0:
+        before = int(back[column])
+        owner[column] = owner[before] if before >= 0 else row
+        column = before

@@ -1,0 +1,73 @@
+"""Agreement of two partitions of the same points, counted by pairs so that frames add up."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+
+class PairCounts(NamedTuple):
+    """Pairs of points that share a cluster; they add up over frames."""
+
+    both: int
+    """In the detection and in the truth."""
+    detected: int
+    """In the detection."""
+    true: int
+    """In the truth."""
+
+
+def pair_counts(labels: np.ndarray, truth: np.ndarray) -> PairCounts:
+    """Counts the pairs of points that are together.
+
+    A point without a label (negative) is a cluster of its own, in both partitions: noise is not
+    one thing.
+
+    Args:
+        labels: ``(n,)`` integer, what was found.
+        truth: ``(n,)`` integer, what is.
+
+    Returns:
+        Sums of ``k (k - 1) / 2`` over the clusters of each partition and of their intersection.
+
+    Example:
+        >>> pair_counts(np.array([0, 0, 1, -1, -1]), np.array([5, 5, 5, 6, 6]))
+        PairCounts(both=1, detected=1, true=4)
+    """
+    labels, truth = np.asarray(labels, np.int64), np.asarray(truth, np.int64)
+    both = (labels >= 0) & (truth >= 0)
+    if not both.any():
+        return PairCounts(0, _pairs(labels), _pairs(truth))
+    cells = labels[both] * (int(truth.max()) + 1) + truth[both]
+    _, cells = np.unique(cells, return_inverse=True)
+    return PairCounts(_pairs(cells), _pairs(labels), _pairs(truth))
+
+
+def _pairs(labels: np.ndarray) -> int:
+    sizes = np.bincount(labels[labels >= 0])
+    return int((sizes * (sizes - 1) // 2).sum())
+
+
+def fowlkes_mallows(counts: PairCounts) -> float:
+    """The Fowlkes-Mallows index ``both / sqrt(detected true)``.
+
+    The geometric mean of the pairs' precision and recall; 1 is full agreement. Fowlkes and
+    Mallows, Journal of the American Statistical Association 78 (1983), 553-569. Equals
+    ``sklearn.metrics.fowlkes_mallows_score`` of labels in which each point of noise has a number
+    of its own.
+
+    Args:
+        counts: Of one frame or summed over many.
+
+    Returns:
+        0 to 1; 0 where only one of the partitions has pairs; NaN where none has.
+
+    Example:
+        >>> fowlkes_mallows(PairCounts(2, 4, 4))
+        0.5
+    """
+    if not counts.detected and not counts.true:
+        return math.nan
+    if not counts.detected or not counts.true:
+        return 0.0
+    return counts.both / math.sqrt(counts.detected * counts.true)

@@ -1,0 +1,178 @@
+"""What is true of a batch of frames, and what of it counts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from jaxdet.config import FootprintConfig
+from jaxdet.metric import world_angle
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """What counts as an obstacle to be found, and when it is."""
+
+    min_depth_m: float = 0.15
+    """An obstacle nearer than this is not asked for [m]."""
+    max_depth_m: float = 4.0
+    """An obstacle whose nearest visible point is farther is not asked for [m]."""
+    min_visible_pixels: int = 400
+    """An obstacle with fewer visible colour pixels is not asked for."""
+    tolerance_px: int = 2
+    """How far beside an object its features may lie [pixel], along rows and columns."""
+    merge_share: float = 0.2
+    """An object with at least this share of a detection's votes is part of it."""
+    match_share: float = 0.5
+    """Share of a detection's votes that must lie on an obstacle for the two to match."""
+    step_height_m: float = 0.05
+    """An obstacle that is not higher is not asked for [m]; the wheels climb it."""
+    footprint: FootprintConfig = field(default_factory=FootprintConfig)
+    """For the rectangles on the floor."""
+    coverage_range_m: float = 3.0
+    """Footprint points farther from the camera don't count for the coverage [m]."""
+    coverage_margin_m: float = 0.02
+    """How far outside its rectangle a footprint point may lie [m]: the accuracy that the paper
+    states."""
+    indices: bool = False
+    """Whether the silhouette and the Davies-Bouldin index are computed too; they take longer."""
+
+
+class FrameTruth(NamedTuple):
+    """The truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.
+
+    Where an optional part is None, the scores that need it are NaN. Extents of an object out of
+    sight are NaN. The ground frame is the camera's: right, forward [m].
+    """
+
+    obstacle_id: np.ndarray
+    """``(B, H, W)`` integer, number of the object at each colour pixel, 0 = floor or nothing."""
+    visible_pixels: np.ndarray
+    """``(B, J)`` integer, colour pixels that show the object."""
+    nearest_m: np.ndarray
+    """``(B, J)`` float, smallest z of its visible surface in the colour camera [m]."""
+    nearest_forward_m: np.ndarray
+    """``(B, J)`` float, distance of its nearest face: smallest forward coordinate of its visible
+    surface in the camera's ground frame [m]."""
+    is_wall: np.ndarray
+    """``(J,)`` bool, walls need not be found and are no mistake."""
+    ground_min: np.ndarray | None = None
+    """``(B, J, 2)`` float, smallest right, forward of its visible surface."""
+    ground_max: np.ndarray | None = None
+    """``(B, J, 2)`` float, largest right, forward of the same."""
+    footprint: np.ndarray | None = None
+    """``(B, J, V, 2)`` float, outline on the floor in the ground frame, NaN after the last."""
+    height_m: np.ndarray | None = None
+    """``(B, J)`` float, height of the object itself [m]."""
+
+    def asked(self, config: EvalConfig) -> np.ndarray:
+        """Which objects have to be found: ``(B, J)`` bool.
+
+        Those that are no wall, show ``min_visible_pixels``, have their nearest visible point in
+        the range of depth, and are higher than the step.
+        """
+        seen = ~self.is_wall & (self.visible_pixels >= config.min_visible_pixels)
+        seen &= (self.nearest_m >= config.min_depth_m) & (self.nearest_m <= config.max_depth_m)
+        return seen if self.height_m is None else seen & (self.height_m > config.step_height_m)
+
+    @property
+    def kinds(self) -> np.ndarray:
+        """``(J + 1,)`` int64 by number: 0 the floor or nothing, 1 a wall, 2 an obstacle."""
+        return np.concatenate([[0], np.where(self.is_wall, 1, 2)])
+
+
+class LogTruth(Protocol):
+    """What :func:`truth_of` reads, ``F`` frames; the simulator's ``Truth`` has it.
+
+    ``box_world`` and ``footprint_world`` may have a leading axis ``F`` for what moves.
+    """
+
+    @property
+    def T_world_camera(self) -> np.ndarray:
+        """``(F, 4, 4)`` float64."""
+        ...
+
+    @property
+    def visible_pixels(self) -> np.ndarray:
+        """``(F, J)``."""
+        ...
+
+    @property
+    def nearest_m(self) -> np.ndarray:
+        """``(F, J)`` [m]."""
+        ...
+
+    @property
+    def ground_min(self) -> np.ndarray:
+        """``(F, J, 2)`` [m]."""
+        ...
+
+    @property
+    def ground_max(self) -> np.ndarray:
+        """``(F, J, 2)`` [m]."""
+        ...
+
+    @property
+    def is_wall(self) -> np.ndarray:
+        """``(J,)`` bool."""
+        ...
+
+    @property
+    def box_world(self) -> np.ndarray:
+        """``(J, 8, 3)`` corners [m]."""
+        ...
+
+    @property
+    def footprint_world(self) -> np.ndarray:
+        """``(J, V, 2)``, NaN after the last [m]."""
+        ...
+
+
+def truth_of(
+    log: LogTruth, frames: np.ndarray | Sequence[int], obstacle_id: np.ndarray
+) -> FrameTruth:
+    """The truth of some frames of a simulated log, outlines turned into the ground frame.
+
+    Args:
+        log: The truth of the whole log.
+        frames: ``(B,)`` integer, which of its frames.
+        obstacle_id: ``(B, H, W)`` integer, their pictures of object numbers.
+
+    Returns:
+        All parts filled.
+    """
+    which = np.asarray(frames, np.int64)
+    batch, objects = len(which), len(log.is_wall)
+    box, outline = log.box_world, log.footprint_world
+    box = box[which] if box.ndim == 4 else box[None]
+    outline = outline[which] if outline.ndim == 4 else np.repeat(outline[None], batch, axis=0)
+    height = box[..., 2].max(axis=-1) - box[..., 2].min(axis=-1)
+    return FrameTruth(
+        obstacle_id,
+        log.visible_pixels[which],
+        log.nearest_m[which],
+        log.ground_min[which, :, 1],
+        log.is_wall,
+        log.ground_min[which],
+        log.ground_max[which],
+        to_ground_frame(outline, log.T_world_camera[which]),
+        np.broadcast_to(height, (batch, objects)),
+    )
+
+
+def to_ground_frame(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
+    """World points in the ground frame: Eq. 8-9 solved for ``x`` and ``y``.
+
+    ``x = dX cos θ - dY sin θ`` and ``y = dX sin θ + dY cos θ`` with ``(dX, dY)`` from the camera.
+
+    Args:
+        points: ``(B, J, V, 2)`` float64, world X, Y [m].
+        T_world_camera: ``(B, 4, 4)`` float64.
+
+    Returns:
+        ``(B, J, V, 2)`` float64, right and forward [m].
+    """
+    sin, cos = (a[:, None, None] for a in world_angle(T_world_camera))
+    dx, dy = np.moveaxis(points - T_world_camera[:, None, None, :2, 3], -1, 0)
+    return np.stack([dx * cos - dy * sin, dx * sin + dy * cos], axis=-1)

@@ -1,0 +1,170 @@
+"""Figures, intervals, the ground stage's shares, grouping, and the truth of a simulated log."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxdet.eval import (
+    Case,
+    FrameTruth,
+    Score,
+    Tally,
+    difference_intervals,
+    group_objects,
+    intervals,
+    keep_shares,
+    score,
+    success_by_distance,
+    total,
+    truth_of,
+)
+from jaxdet.eval.tally import COUNTS
+from jaxdet.metric import to_world
+
+NAN = math.nan
+counts = st.lists(
+    st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 5)), min_size=1, max_size=6
+)
+
+
+def tallies(rows):
+    return [Tally(visible=tp + fn, found=tp, false=fp) for tp, fp, fn in rows]
+
+
+@given(counts)
+def test_figures_hang_together(rows):
+    figures = score(tallies(rows))
+    tp, fp, fn = (sum(column) for column in zip(*rows, strict=True))
+    if tp:
+        p, r = tp / (tp + fp), tp / (tp + fn)
+        assert figures.f1 == pytest.approx(2 * p * r / (p + r))
+        assert figures.accuracy == pytest.approx(1 / (1 / p + 1 / r - 1))
+        assert figures.accuracy <= figures.f1 <= figures.fmi_obstacles + 1e-12
+    else:
+        assert not figures.f1 or math.isnan(figures.f1)
+    assert score([total(tallies(rows))]).to_dict() == pytest.approx(figures.to_dict(), nan_ok=True)
+
+
+def test_totals():
+    case = Case(1, 2.0, True, 0.1, -0.2, 0.5)
+    one = Tally(frames=1, fmi_sum=0.5, fmi_frames=1, cases=(case,))
+    both = total([one, one])
+    assert both == Tally(frames=2, fmi_sum=1.0, fmi_frames=2, cases=(case, case))
+    assert total([]) == Tally() and both.to_dict()["frames"] == 2
+    figures = score([one, Tally(fmi_sum=1.0, fmi_frames=1)])
+    assert figures.fmi == 0.75 and figures.width_error_m == pytest.approx(0.2)
+    assert set(figures.to_dict()) == set(COUNTS) | set(Score._fields[:-1])
+    assert score([Tally(pairs_true=3)]).fmi_pooled == 0 and math.isnan(score([one]).fmi_pooled)
+
+
+def test_success_by_distance():
+    near = [Case(1, d, f, NAN, NAN, NAN) for d, f in ((0.9, True), (1.0, False), (1.125, True))]
+    rows = success_by_distance([Tally(cases=tuple(near))], (1.0, 1.25, 3.0))
+    assert rows[0] == (1.0, 2, 1) and rows[0].rate == 0.5
+    assert rows[1] == (1.25, 1, 1) and math.isnan(rows[2].rate)
+
+
+def test_intervals():
+    rng = np.random.default_rng(1)
+    units = [
+        Tally(visible=10, found=int(found), cases=(Case(1, 1.0, True, 0.01 * found, NAN, NAN),))
+        for found in rng.binomial(10, 0.8, 80)
+    ]
+    got = intervals(units, resamples=400)
+    low, high = got["recall"]
+    assert low < score(units).recall < high
+    # 800 trials at 0.8: a standard error of 0.0141.
+    assert high - low == pytest.approx(2 * 1.96 * 0.0141, rel=0.25)
+    assert got["f1"] == intervals(units, resamples=400)["f1"]
+    assert intervals(units, seed=1)["recall"] != got["recall"]
+    assert got["position_error_m"].low <= score(units).position_error_m
+    assert math.isnan(got["coverage"].low) and intervals([]) == {}
+    wide = intervals(units, level=0.99, resamples=400)["recall"]
+    assert wide.low <= low and wide.high >= high
+
+
+def test_differences():
+    ours, theirs = tallies([(4, 0, 1), (3, 1, 0)] * 20), tallies([(3, 0, 2), (2, 1, 1)] * 20)
+    gain = difference_intervals(ours, theirs, resamples=200)
+    assert gain["recall"].low > 0
+    assert difference_intervals(ours, ours, resamples=50)["f1"] == (0, 0)
+    with pytest.raises(ValueError, match="40 units against 39"):
+        difference_intervals(ours, theirs[1:])
+
+
+def test_keep_shares():
+    ids = np.array([[0, 0, 0, 0, 1, 1, 1, 2]])
+    heights = np.array([[0, 0, 0, NAN, 0.03, 0.2, 0.3, 1.0]])
+    z = np.array([[1, 1, 0, 1, 1, 1, 1, 1.0]])
+    mask = np.array([[1, 0, 1, 1, 1, 1, 0, 1]], bool)
+    got = keep_shares(mask, z, ids, heights, np.array([False, True]))
+    assert (got.floor_pixels, got.floor_pixels_kept) == (2, 1)
+    assert (got.obstacle_pixels, got.obstacle_pixels_kept) == (2, 1)
+    assert score([got]).floor_kept == 0.5 == score([got]).obstacle_kept
+
+
+def frame_truth():
+    """Three obstacles side by side, 0.3 m apart, the third 1 m behind; and a wall among them."""
+    low = np.array([[[0, 1], [0.8, 1.05], [1.6, 2.0], [0.5, 1]]], float)
+    outline = np.full((1, 4, 6, 2), NAN)
+    for j, (x, y) in enumerate(low[0]):
+        outline[0, j, :4] = [[x, y], [x + 0.5, y], [x + 0.5, y + 0.2], [x, y + 0.2]]
+    return FrameTruth(
+        np.array([[[0, 1, 2, 3, 4]]]),
+        np.array([[10, 20, 30, 40]]),
+        low[..., 1].copy(),
+        low[..., 1].copy(),
+        np.array([False, False, False, True]),
+        low,
+        low + [0.5, 0.02],
+        outline,
+        np.array([[0.3, 0.6, 0.1, 2.0]]),
+    )
+
+
+def test_groups():
+    plain = frame_truth()
+    got = group_objects(plain, 0.4, 0.1)
+    assert got.obstacle_id.tolist() == [[[0, 1, 1, 3, 4]]]
+    assert got.visible_pixels.tolist() == [[30, 0, 30, 40]]
+    assert got.height_m[0, 0] == 0.6 and np.isnan(got.nearest_m[0, 1])
+    np.testing.assert_allclose(got.ground_min[0, 0], [0, 1])
+    np.testing.assert_allclose(got.ground_max[0, 0], [1.3, 1.07])
+    assert np.isfinite(got.footprint[0, 0]).all(axis=-1).sum() == 6
+    assert plain.obstacle_id.tolist() == [[[0, 1, 2, 3, 4]]]
+    for gaps in ((0.2, 0.1), (0.4, 0.01)):
+        assert group_objects(plain, *gaps).obstacle_id.tolist() == plain.obstacle_id.tolist()
+    assert group_objects(plain, 0.4, 1.0).visible_pixels.tolist() == [[60, 0, 0, 40]]
+    with pytest.raises(ValueError, match="ground_min"):
+        group_objects(plain._replace(ground_min=None), 0.4, 0.1)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_truth_of_a_log(moving):
+    T = np.repeat(np.eye(4)[None], 2, axis=0)
+    T[:, :3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T[1, :3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    T[:, :2, 3] = [[1, 2], [3, -1]]
+    local = np.array([[0.5, 2.0], [1.0, 2.0], [1.0, 3.0], [0.5, 3.0]])
+    world = to_world(np.broadcast_to(local, (2, 1, 4, 2)), T)
+    box = np.zeros((1, 8, 3))
+    box[0, 4:, 2] = 0.7
+    log = SimpleNamespace(
+        T_world_camera=T,
+        visible_pixels=np.array([[5], [6]]),
+        nearest_m=np.array([[1.0], [2.0]]),
+        ground_min=np.array([[[0.5, 2.0]], [[0.6, 2.1]]]),
+        ground_max=np.array([[[1.0, 3.0]], [[1.1, 3.1]]]),
+        is_wall=np.array([False]),
+        box_world=np.stack([box, box]) if moving else box,
+        footprint_world=world if moving else world[1],
+    )
+    which = [1, 0] if moving else [1]
+    got = truth_of(log, which, np.zeros((len(which), 2, 2), int))
+    np.testing.assert_allclose(got.footprint, [[local]] * len(which))
+    assert got.height_m.tolist() == [[0.7]] * len(which)
+    assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
