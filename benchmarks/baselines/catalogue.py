@@ -1,0 +1,140 @@
+"""The baselines, each with its parameters and where it is from."""
+
+from benchmarks.baselines import clustering, dense, rsc
+from benchmarks.baselines.registry import Baseline, Params
+
+SCALES = (1.0, 4.0)
+"""Stretch of z: none, or as our default gaps have it, 0.40 m to the side and 0.10 m in depth."""
+DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
+SKLEARN = "scikit-learn: Pedregosa et al., JMLR 12 (2011), 2825-2830"
+RSC = "Xie et al., Information Sciences 527 (2020), 279-292; our reading"
+
+
+def _hierarchical(linkage: str, default_m: float, distances_m: tuple[float, ...]) -> Baseline:
+    return Baseline(
+        name=f"hierarchical_{linkage}",
+        title=f"Hierarchical ({linkage})",
+        run=clustering.hierarchical,
+        space="xz",
+        citation=f"AgglomerativeClustering of {SKLEARN}",
+        defaults={"linkage": linkage, "distance_m": default_m},
+        grid={"distance_m": distances_m, "depth_scale": SCALES},
+    )
+
+
+def _rsc(name: str, title: str, root: str) -> Baseline:
+    return Baseline(
+        name=name,
+        title=title,
+        run=rsc.rsc_threshold,
+        space="xz",
+        citation=RSC,
+        defaults={"tau": 0.2, "root": root},
+        grid={"tau": (0.05, *DISTANCES_M), "depth_scale": SCALES},
+    )
+
+
+def _ours(name: str, title: str, defaults: Params, depth: tuple[float, ...]) -> Baseline:
+    return Baseline(
+        name=name,
+        title=title,
+        run=clustering.ours,
+        space="xz",
+        citation="Liu et al., Electronics 12 (2023), 2316, Section 3.4",
+        defaults=defaults,
+        grid={"depth_gap_m": depth, "lateral_gap_m": (0.1, 0.15, 0.2, 0.3, 0.4)},
+        sized=True,
+    )
+
+
+_ALL = (
+    _ours(
+        "ours",
+        "Ours (reference)",
+        {"depth_gap_m": 0.10, "lateral_gap_m": 0.40},
+        (0.03, 0.05, 0.07, 0.10, 0.15, 0.2),
+    ),
+    _hierarchical("ward", 1.0, (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)),
+    _hierarchical("complete", 0.6, (0.3, 0.4, 0.6, 0.9, 1.3, 2.0)),
+    _hierarchical("average", 0.4, DISTANCES_M),
+    _hierarchical("single", 0.2, DISTANCES_M),
+    _rsc("rsc", "RSC (our reading)", "midpoint"),
+    _rsc("rsc_member", "RSC (our reading), root B", "member"),
+    _rsc("rsc_mean", "RSC (our reading), root C", "mean"),
+    Baseline(
+        name="rsc_count",
+        title="RSC (our reading), K given",
+        run=rsc.rsc_count,
+        space="xz",
+        citation=RSC,
+        defaults={"clusters": 4, "root": "midpoint"},
+        grid={"clusters": (1, 2, 3, 4, 5, 6, 8, 12), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="dbscan",
+        title="DBSCAN",
+        run=clustering.dbscan,
+        space="xz",
+        citation=f"Ester, Kriegel, Sander, Xu, KDD 1996, 226-231; {SKLEARN}",
+        defaults={"eps_m": 0.15, "min_samples": 5},
+        grid={
+            "eps_m": (0.05, 0.1, 0.15, 0.2, 0.3),
+            "min_samples": (2, 5, 10),
+            "depth_scale": SCALES,
+        },
+    ),
+    Baseline(
+        name="hdbscan",
+        title="HDBSCAN",
+        run=clustering.hdbscan,
+        space="xz",
+        citation=f"Campello, Moulavi, Sander, PAKDD 2013, 160-172; {SKLEARN}",
+        defaults={"min_samples": 5, "epsilon_m": 0.1},
+        grid={
+            "min_samples": (2, 5, 10),
+            "epsilon_m": (0.0, 0.1, 0.2, 0.3),
+            "depth_scale": SCALES,
+        },
+        sized=True,
+    ),
+    Baseline(
+        name="birch",
+        title="BIRCH",
+        run=clustering.birch,
+        space="xz",
+        citation=f"Zhang, Ramakrishnan, Livny, SIGMOD 1996, 103-114; {SKLEARN}",
+        defaults={"threshold_m": 0.2},
+        grid={"threshold_m": (0.05, 0.1, 0.15, 0.2, 0.3, 0.4), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="scipy_single",
+        title="SciPy single linkage",
+        run=clustering.single_linkage,
+        space="xz",
+        citation="Virtanen et al., Nature Methods 17 (2020), 261-272",
+        defaults={"distance_m": 0.2},
+        grid={"distance_m": (0.05, *DISTANCES_M), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="open3d_dbscan",
+        title="Open3D DBSCAN, dense cloud",
+        run=dense.open3d_dbscan,
+        space="image",
+        citation="Zhou, Park, Koltun, Open3D, arXiv 1801.09847 (2018)",
+        defaults={"eps_m": 0.08, "min_samples": 5, "voxel_m": 0.03},
+        grid={"eps_m": (0.05, 0.08, 0.12, 0.2), "min_samples": (3, 8), "voxel_m": (0.03,)},
+        needs=("open3d",),
+    ),
+    Baseline(
+        name="range_image",
+        title="Range image (depth_clustering)",
+        run=dense.range_image,
+        space="image",
+        citation="Bogoslavskyi, Stachniss, IROS 2016, 163-169; written anew",
+        defaults={"angle_deg": 5.0, "stride": 2},
+        grid={"angle_deg": (1.0, 2.0, 4.0, 7.0, 10.0, 15.0), "stride": (1, 2, 4)},
+    ),
+)
+
+BASELINES: dict[str, Baseline] = {baseline.name: baseline for baseline in _ALL}
+"""All but the detector, which needs the user's weights, by name; ``ours`` comes first."""

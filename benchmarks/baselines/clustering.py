@@ -1,0 +1,83 @@
+"""Clustering by scikit-learn and SciPy, and ours, on a frame's kept features."""
+
+from typing import Literal
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster
+from scipy.cluster.hierarchy import linkage as scipy_linkage
+from sklearn.cluster import DBSCAN, HDBSCAN, AgglomerativeClustering, Birch
+
+from jaxdet import reference
+from jaxdet.config import ClusterConfig, Config
+from jaxdet.types import Features
+
+MILLIMETRE = 0.001
+
+
+def hierarchical(
+    points: np.ndarray,
+    distance_m: float,
+    linkage: Literal["ward", "complete", "average", "single"] = "ward",
+) -> np.ndarray:
+    """scikit-learn's agglomerative clustering: merges up to ``distance_m`` (for ward, its cost)."""
+    model = AgglomerativeClustering(
+        n_clusters=None,  # pyright: ignore[reportArgumentType] (scikit-learn documents None)
+        linkage=linkage,
+        distance_threshold=distance_m,
+    )
+    return model.fit_predict(points)
+
+
+def single_linkage(points: np.ndarray, distance_m: float) -> np.ndarray:
+    """SciPy's single linkage, cut at ``distance_m``."""
+    return fcluster(scipy_linkage(points, "single"), distance_m, "distance") - 1
+
+
+def dbscan(points: np.ndarray, eps_m: float, min_samples: int) -> np.ndarray:
+    """scikit-learn's DBSCAN."""
+    return DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points)
+
+
+def hdbscan(
+    points: np.ndarray, min_points: int, min_samples: int, epsilon_m: float, single: bool = True
+) -> np.ndarray:
+    """scikit-learn's HDBSCAN; its own size rule is the shared one.
+
+    Args:
+        points: ``(n, d)`` [m].
+        min_points: Clusters have more points than this.
+        min_samples: Neighbours that make a point dense.
+        epsilon_m: Clusters closer than this are not split.
+        single: Whether all points may be one cluster.
+    """
+    if len(points) <= max(min_points, min_samples, 1):
+        return np.full(len(points), -1)
+    model = HDBSCAN(
+        min_cluster_size=max(2, min_points + 1),
+        min_samples=min_samples,
+        cluster_selection_epsilon=epsilon_m,
+        allow_single_cluster=single,
+        copy=True,  # pyright: ignore[reportArgumentType] (scikit-learn documents a bool)
+    )
+    return model.fit_predict(points)
+
+
+def birch(points: np.ndarray, threshold_m: float, branching: int = 50) -> np.ndarray:
+    """scikit-learn's BIRCH without a global step: the subclusters of its tree."""
+    model = Birch(
+        threshold=threshold_m,
+        branching_factor=branching,
+        n_clusters=None,  # pyright: ignore[reportArgumentType] (scikit-learn documents None)
+    )
+    return model.fit_predict(points)
+
+
+def ours(
+    points: np.ndarray, min_points: int, depth_gap_m: float, lateral_gap_m: float
+) -> np.ndarray:
+    """The reference's cluster stage on ``(n, 2)`` x z, rounded to millimetres as it has them."""
+    x, z = np.rint(points.T[:, None] / MILLIMETRE).astype(np.int32)
+    yes = np.ones(x.shape, bool)
+    features = Features(x, x, x, x, z, yes, yes, np.zeros(1, bool))
+    settings = ClusterConfig(depth_gap_m, lateral_gap_m, min_points)
+    return reference.cluster(features, MILLIMETRE, Config(cluster=settings)).labels[0]

@@ -1,0 +1,86 @@
+"""Methods that need no features: the dense cloud, and the range image."""
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from benchmarks.baselines.frames import Frame
+from jaxdet.camera import pixel_rays
+
+
+def open3d_dbscan(frame: Frame, eps_m: float, min_samples: int, voxel_m: float) -> np.ndarray:
+    """Open3D's DBSCAN on the kept pixels' cloud, thinned to one mean point a voxel.
+
+    Args:
+        frame: The frame; its pixels above the floor are the cloud.
+        eps_m: Radius of the neighbourhood [m].
+        min_samples: Points in it that make a point dense.
+        voxel_m: Side of the voxels [m].
+
+    Returns:
+        ``(H, W)`` int32, -1 = none.
+
+    Raises:
+        ImportError: Open3D is not installed.
+    """
+    open3d: Any = import_module("open3d")
+    out = np.full(frame.z.shape, -1, np.int32)
+    if not frame.keep.any():
+        return out
+    ray_x, ray_y = pixel_rays(frame.calibration.color)
+    z = frame.z[frame.keep] * frame.calibration.depth_unit
+    points = np.stack([ray_x[frame.keep] * z, ray_y[frame.keep] * z, z], axis=-1)
+    _, voxel = np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
+    voxel = voxel.reshape(-1)
+    sizes = np.bincount(voxel)
+    means = np.stack([np.bincount(voxel, a) / sizes for a in points.T], axis=-1)
+    cloud = open3d.geometry.PointCloud()
+    cloud.points = open3d.utility.Vector3dVector(means)
+    out[frame.keep] = np.asarray(cloud.cluster_dbscan(eps=eps_m, min_points=min_samples))[voxel]
+    return out
+
+
+def range_image(frame: Frame, angle_deg: float, stride: int = 1) -> np.ndarray:
+    """Components of neighbouring pixels whose surface is not seen edge-on.
+
+    After Bogoslavskyi and Stachniss, Fast Range Image-Based Segmentation of Sparse 3D Laser
+    Scans for Online Operation, IROS 2016 (the method of depth_clustering): with ``d1 >= d2`` the
+    ranges of two neighbours, along rows or columns, and ``alpha`` the angle between their rays,
+
+        beta = atan2(d2 sin alpha, d1 - d2 cos alpha)
+
+    is the angle between the far ray and the line through both points; they are one object when
+    ``beta > angle``. Written anew for depth images: kept pixels only, rays of the colour camera.
+
+    Args:
+        frame: The frame.
+        angle_deg: Their theta [degree].
+        stride: Every so many pixels are looked at; a wider step makes beta less noisy.
+
+    Returns:
+        ``(H, W)`` int32, -1 = none.
+    """
+    keep = frame.keep[::stride, ::stride]
+    rays = np.stack([*pixel_rays(frame.calibration.color), np.ones(frame.z.shape)], axis=-1)
+    rays = rays[::stride, ::stride]
+    length = np.linalg.norm(rays, axis=-1)
+    distance = frame.z[::stride, ::stride] * frame.calibration.depth_unit * length
+    rays = rays / length[..., None]
+    index = np.arange(keep.size).reshape(keep.shape)
+    links: list[np.ndarray] = []
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        cos = np.clip(np.sum(rays[one] * rays[other], axis=-1), -1, 1)
+        far = np.maximum(distance[one], distance[other])
+        near = np.minimum(distance[one], distance[other])
+        beta = np.arctan2(near * np.sqrt(1 - cos * cos), far - near * cos)
+        joined = keep[one] & keep[other] & (beta > np.deg2rad(angle_deg))
+        links.append(np.stack([index[one][joined], index[other][joined]]))
+    first, second = np.concatenate(links, axis=1)
+    graph = coo_matrix((np.ones(len(first), bool), (first, second)), (keep.size, keep.size))
+    labels = connected_components(graph.tocsr(), directed=False)[1].reshape(keep.shape)
+    height, width = frame.z.shape
+    wide = np.repeat(np.repeat(labels, stride, axis=0), stride, axis=1)[:height, :width]
+    return np.where(frame.keep, wide, -1).astype(np.int32)

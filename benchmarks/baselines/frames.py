@@ -1,0 +1,166 @@
+"""What every method gets: one frame after the same preprocessing, and its way back."""
+
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from jaxdet import reference
+from jaxdet.camera import fixed_rays
+from jaxdet.config import Config
+from jaxdet.pipeline import BackendName, estimate_plane, load_backend
+from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
+from jaxdet.reference._features import lateral
+from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Labels
+
+Space = Literal["xz", "xyz", "image"]
+MAX_POINTS = 8192
+"""Most points that a frame of :func:`grid_features` has."""
+
+
+class Frame(NamedTuple):
+    """One frame after alignment, ground removal and feature extraction by our own stages."""
+
+    color: np.ndarray
+    """``(H, W, 3)`` uint8, RGB."""
+    z: np.ndarray
+    """``(H, W)`` uint16, z in the colour camera [depth units], 0 = none."""
+    keep: np.ndarray
+    """``(H, W)`` bool, in range and above the floor."""
+    features: Features
+    """``B = 1``."""
+    plane: GroundPlane
+    """``B = 1``."""
+    calibration: Calibration
+
+
+def prepare(
+    frames: Frames, config: Config | None = None, *, backend: BackendName = "reference"
+) -> list[Frame]:
+    """Runs the stages before clustering on a batch; padding is left out.
+
+    Args:
+        frames: ``B`` frames; without a plane it is the configuration's, or estimated from them.
+        config: Range, floor and feature parameters.
+        backend: Both give the same arrays.
+    """
+    config = config or Config()
+    stages, calibration = load_backend(backend), frames.calibration
+    aligned = stages.align(frames.depth, calibration)
+    plane = frames.plane or _plane(frames, config, backend)
+    keep = stages.ground(aligned, plane, calibration, config)
+    found = stages.features(frames.color, aligned, keep, calibration, config.features)
+    z, mask = np.asarray(aligned.z), np.asarray(keep.mask)
+    features = Features(*(np.asarray(a) for a in found))
+    return [
+        Frame(
+            frames.color[b],
+            z[b],
+            mask[b],
+            Features(*(a[b : b + 1] for a in features)),
+            GroundPlane(*(np.asarray(a)[b : b + 1] for a in plane)),
+            calibration,
+        )
+        for b in np.flatnonzero(frames.valid)
+    ]
+
+
+def _plane(frames: Frames, config: Config, backend: BackendName) -> GroundPlane:
+    batch = len(frames.depth)
+    if config.ground.camera_height_m is not None:
+        return repeat_plane(flagged_plane(config.ground), batch)
+    if config.ground.source == "none":
+        return unknown_plane(batch)
+    return repeat_plane(estimate_plane(frames, config, backend=backend).plane, batch)
+
+
+def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:
+    """The kept features in metres, ``(n, 2)`` x z, or ``(n, 3)`` x y z; for ``image`` as xyz."""
+    features, kept = frame.features, frame.features.kept[0]
+    axes = (features.x, features.z) if space == "xz" else (features.x, features.y, features.z)
+    return np.stack([a[0, kept] for a in axes], axis=-1) * frame.calibration.depth_unit
+
+
+def grid_features(frame: Frame, stride: int = 8) -> Features:
+    """The kept pixels of a regular grid as if they were features, ``B = 1``.
+
+    For methods that need no features (dense clouds, range images, detectors), so that a
+    picture without corners doesn't hide what they find.
+
+    Args:
+        frame: The frame.
+        stride: Distance of the grid's columns and rows [pixel], more where the grid would have
+            more than ``MAX_POINTS``.
+    """
+    while (v_u := np.argwhere(frame.keep[::stride, ::stride])).shape[0] > MAX_POINTS:
+        stride += 1
+    v, u = (v_u * stride).astype(np.int32).T[:, None]
+    z = frame.z[v, u].astype(np.int32)
+    ray_x, ray_y = fixed_rays(frame.calibration.color)
+    yes = np.ones(u.shape, bool)
+    x, y = lateral(ray_x[v, u], z), lateral(ray_y[v, u], z)
+    return Features(u, v, x, y, z, yes, yes, np.zeros(1, bool))
+
+
+def ordered(labels: np.ndarray, z: np.ndarray, x: np.ndarray, min_points: int) -> np.ndarray:
+    """The rule that all methods share: small clusters go, the rest is numbered as ours are.
+
+    Args:
+        labels: ``(n,)`` integer, negative = noise.
+        z: ``(n,)``.
+        x: ``(n,)``.
+        min_points: Clusters of this many points or fewer become noise.
+
+    Returns:
+        ``(n,)`` int32, by nearest z, then smallest x; -1 = noise.
+    """
+    out = np.full(len(labels), -1, np.int32)
+    names, sizes = np.unique(labels[labels >= 0], return_counts=True)
+    sets = [np.flatnonzero(labels == name) for name in names[sizes > min_points]]
+    sets.sort(key=lambda s: (z[s].min(), x[s].min()))
+    for number, members in enumerate(sets):
+        out[members] = number
+    return out
+
+
+def labels_at(image: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int = 2) -> np.ndarray:
+    """The label of each feature in a picture of labels.
+
+    Args:
+        image: ``(H, W)`` int32, -1 = none.
+        u: ``(n,)`` columns.
+        v: ``(n,)`` rows.
+        tolerance: A feature on no label takes the nearest one this far away [pixel].
+
+    Returns:
+        ``(n,)`` int32.
+    """
+    reach = np.arange(-tolerance, tolerance + 1)
+    dv, du = (a.ravel() for a in np.meshgrid(reach, reach, indexing="ij"))
+    order = np.argsort(du * du + dv * dv, kind="stable")
+    padded = np.pad(image, tolerance, constant_values=-1)
+    around = padded[v[:, None] + dv[order] + tolerance, u[:, None] + du[order] + tolerance]
+    first = np.argmax(around >= 0, axis=1)
+    return np.take_along_axis(around, first[:, None], 1)[:, 0].astype(np.int32)
+
+
+def detections_of(
+    frame: Frame, features: Features, labels: np.ndarray, config: Config
+) -> Detections:
+    """Labels of one frame as the pipeline's result, outlines by our own last stage.
+
+    Args:
+        frame: Where they are from.
+        features: ``B = 1``, ``N`` slots, of which ``n`` are kept.
+        labels: ``(n,)`` integer of the kept ones.
+        config: The size rule and the outline's parameters.
+    """
+    kept = features.kept[0]
+    full = np.full(features.z.shape, -1, np.int32)
+    z, x = features.z[0, kept], features.x[0, kept]
+    full[0, kept] = ordered(labels, z, x, config.cluster.min_points)
+    number = (full.max(axis=1, initial=-1) + 1).astype(np.int32)
+    roomy = replace(config, features=replace(config.features, max_corners=MAX_POINTS))
+    unit, marked = frame.calibration.depth_unit, Labels(full, number)
+    obstacles = reference.footprint(features, marked, frame.plane, unit, roomy)
+    return Detections(features, marked, obstacles, np.array([frame.keep.any()]))

@@ -1,0 +1,132 @@
+"""What a baseline is, and how one is run."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.baselines.frames import (
+    Frame,
+    Space,
+    detections_of,
+    grid_features,
+    labels_at,
+    points_of,
+)
+from jaxdet.config import Config
+from jaxdet.types import Detections
+
+Params = Mapping[str, Any]
+On = Literal["features", "grid"]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A method to compare with.
+
+    Attributes:
+        name: Its key.
+        title: Its name in a table.
+        run: ``run(points, **params) -> labels``. In the spaces ``xz`` and ``xyz`` the points are
+            the frame's kept features, ``(n, 2)`` or ``(n, 3)`` float64 in metres, n >= 2, and the
+            labels ``(n,)`` integer, negative = noise. In the space ``image`` the argument is the
+            :class:`~benchmarks.baselines.frames.Frame` and the labels are ``(H, W)``.
+        space: See ``run``.
+        defaults: Every parameter with a value for untuned use.
+        grid: The values that :func:`benchmarks.baselines.tune` tries, by parameter.
+        citation: Where the method is from.
+        needs: Modules that it imports.
+        sized: ``run`` takes ``min_points``, the shared size rule, because the method has one.
+    """
+
+    name: str
+    title: str
+    run: Callable[..., np.ndarray]
+    space: Space
+    citation: str
+    defaults: Params = field(default_factory=dict)
+    grid: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    needs: tuple[str, ...] = ()
+    sized: bool = False
+
+    @property
+    def missing(self) -> str | None:
+        """Why it can't run here; None where it can."""
+        for module in self.needs:
+            try:
+                import_module(module)
+            except (ImportError, OSError) as error:
+                return f"{self.title} needs {module}: {error}"
+        return None
+
+    def trials(self) -> list[dict[str, Any]]:
+        """Every combination of the grid's values."""
+        return [
+            dict(zip(self.grid, values, strict=True)) for values in product(*self.grid.values())
+        ]
+
+
+def labels_of(baseline: Baseline, points: np.ndarray, config: Config, params: Params) -> np.ndarray:
+    """Labels of points by a baseline of the space ``xz`` or ``xyz``, before the size rule.
+
+    The parameter ``depth_scale``, where it is given, stretches z before the method sees it, since
+    a sensor's depth and its sides deserve different thresholds, as ours have.
+
+    Args:
+        baseline: The method.
+        points: ``(n, d)`` [m].
+        config: For the size rule.
+        params: Over the defaults.
+
+    Returns:
+        ``(n,)`` int32.
+    """
+    if len(points) < 2:
+        return np.full(len(points), -1, np.int32)
+    settings = {**baseline.defaults, **params}
+    stretched = points * ([1.0] * (points.shape[1] - 1) + [settings.pop("depth_scale", 1.0)])
+    if baseline.sized:
+        settings["min_points"] = config.cluster.min_points
+    return np.asarray(baseline.run(stretched, **settings)).astype(np.int32)
+
+
+def detect_with(
+    baseline: Baseline,
+    frame: Frame,
+    config: Config | None = None,
+    params: Params | None = None,
+    on: On = "features",
+) -> Detections:
+    """One frame's obstacles by a baseline, as the pipeline returns them.
+
+    Args:
+        baseline: The method.
+        frame: Preprocessed as for ours.
+        config: The shared size rule and the outline's parameters.
+        params: Over the baseline's defaults.
+        on: Which points carry the labels of a method of the space ``image``: our kept
+            ``features``, so that all methods are scored on the same points, or a ``grid`` of kept
+            pixels, so that it doesn't depend on our features.
+
+    Returns:
+        ``B = 1``.
+
+    Raises:
+        ValueError: A method of features is asked for a grid.
+    """
+    config, params = config or Config(), params or {}
+    features = frame.features
+    if baseline.space != "image":
+        if on == "grid":
+            raise ValueError(f"{baseline.name} works on features")
+        labels = labels_of(baseline, points_of(frame, baseline.space), config, params)
+        return detections_of(frame, features, labels, config)
+    image = baseline.run(frame, **{**baseline.defaults, **params})
+    if on == "grid":
+        features = grid_features(frame)
+    kept = features.kept[0]
+    labels = labels_at(image, features.u[0, kept], features.v[0, kept])
+    return detections_of(frame, features, labels, config)

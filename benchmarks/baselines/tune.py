@@ -1,0 +1,95 @@
+"""Choosing a method's parameters on tuning frames, by a grid."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.baselines.frames import Frame
+from benchmarks.baselines.registry import Baseline, On, detect_with
+from jaxdet.config import Config
+from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, score
+
+Objective = str | Callable[[Score], float]
+"""A figure of :class:`jaxdet.eval.Score` by name, or a function of it; larger is better."""
+
+
+class Tuned(NamedTuple):
+    """The best parameters on the tuning frames."""
+
+    params: dict[str, Any]
+    value: float
+    """The objective there."""
+    trials: list[tuple[dict[str, Any], float]]
+    """All that was tried, in the grid's order."""
+
+
+def tune(
+    baseline: Baseline,
+    frames: Sequence[Frame],
+    truth: FrameTruth,
+    objective: Objective = "f1",
+    config: Config | None = None,
+    eval_config: EvalConfig | None = None,
+    on: On = "features",
+) -> Tuned:
+    """Tries the whole grid of a method.
+
+    Args:
+        baseline: The method.
+        frames: ``B`` tuning frames, never those of the test.
+        truth: Of the same frames.
+        objective: What to make large; NaN counts as the worst.
+        config: The shared size rule and outlines.
+        eval_config: What counts.
+        on: See :func:`benchmarks.baselines.detect_with`.
+
+    Returns:
+        The best trial; of equals, the first in the grid's order.
+    """
+    trials: list[tuple[dict[str, Any], float]] = []
+    for params in baseline.trials():
+        figures = score(run_frames(baseline, frames, truth, params, config, eval_config, on))
+        value = getattr(figures, objective) if isinstance(objective, str) else objective(figures)
+        trials.append((params, float(value)))
+    values = np.nan_to_num([value for _, value in trials], nan=-np.inf)
+    best = int(np.argmax(values))
+    return Tuned(*trials[best], trials)
+
+
+def run_frames(
+    baseline: Baseline,
+    frames: Sequence[Frame],
+    truth: FrameTruth,
+    params: Mapping[str, Any] | None = None,
+    config: Config | None = None,
+    eval_config: EvalConfig | None = None,
+    on: On = "features",
+) -> list[Tally]:
+    """A method on some frames, compared with the truth: a tally for each frame.
+
+    Args:
+        baseline: The method.
+        frames: ``B`` frames.
+        truth: Of the same frames.
+        params: Over the method's defaults.
+        config: The shared size rule and outlines.
+        eval_config: What counts.
+        on: See :func:`benchmarks.baselines.detect_with`.
+    """
+    tallies: list[Tally] = []
+    for b, frame in enumerate(frames):
+        found = detect_with(baseline, frame, config, params, on)
+        unit = frame.calibration.depth_unit
+        tallies += evaluate_frames(found, one_frame(truth, b), unit, eval_config)
+    return tallies
+
+
+def one_frame(truth: FrameTruth, b: int) -> FrameTruth:
+    """The truth of frame ``b`` alone, ``B = 1``."""
+    parts = {
+        name: value[b : b + 1]
+        for name, value in truth._asdict().items()
+        if value is not None and name != "is_wall"
+    }
+    return truth._replace(**parts)
