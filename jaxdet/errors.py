@@ -13,9 +13,7 @@ class JaxdetError(Exception):
         remedy: What the user can do, for instance the flag that supplies what is missing.
     """
 
-    def __init__(
-        self, problem: str, *, path: str = "", topic: str = "", remedy: str = ""
-    ) -> None:
+    def __init__(self, problem: str, *, path: str = "", topic: str = "", remedy: str = "") -> None:
         self.problem, self.path, self.topic, self.remedy = problem, path, topic, remedy
         where = ": ".join(part for part in (path, topic) if part)
         text = f"{where}: {problem}" if where else problem

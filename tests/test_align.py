@@ -71,7 +71,9 @@ def test_z_is_the_colour_cameras(backend):
 def test_a_point_behind_the_colour_camera_is_dropped(backend):
     ahead = Extrinsics(IDENTITY, (0.0, 0.0, -2.0))
     depth = np.full((1, 3, 6), 1000, np.uint16)
-    assert not np.asarray(backend.align(depth, Calibration(still(0).color, still(0).color, ahead)).z).any()
+    assert not np.asarray(
+        backend.align(depth, Calibration(still(0).color, still(0).color, ahead)).z
+    ).any()
 
 
 @BACKENDS
@@ -84,7 +86,7 @@ def test_aligned_depth_is_passed_through(backend):
 
 @BACKENDS
 def test_missing_extrinsics_name_the_flag(backend):
-    with pytest.raises(CalibrationError, match="--log.color-from-depth"):
+    with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
         backend.align(noise_depth(1, still(0).depth), still(0)._replace(color_from_depth=None))
 
 

@@ -68,7 +68,10 @@ def test_a_folding_lens_can_not_project_far_rays_into_the_image():
 @pytest.mark.parametrize(
     ("camera", "message"),
     [
-        (D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(9.0,) * 9), "at most 8"),
+        (
+            D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(9.0,) * 9),
+            "at most 8",
+        ),
         (
             D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(-5.0, 0, 0, 0, 0)),
             "can't be inverted",
@@ -82,5 +85,5 @@ def test_impossible_calibrations_are_errors(camera, message):
 
 
 def test_missing_depth_camera_is_an_error():
-    with pytest.raises(CalibrationError, match="--log.color-from-depth"):
+    with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
         splat_parameters(Calibration(D435_COLOR))

@@ -20,7 +20,7 @@ from tests.scenes import D435_COLOR, aligned, assert_equal, blocks, recorded_col
 SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
 
 
-def test_images() -> list[np.ndarray]:
+def grey_images() -> list[np.ndarray]:
     """Grey images whose width is a multiple of 32, where OpenCV's bits are ours."""
     rng = np.random.default_rng(3)
     images = [grey(blocks(1, *size)[0]) for size in SIZES]
@@ -28,9 +28,6 @@ def test_images() -> list[np.ndarray]:
     images.append(np.zeros((40, 64), np.uint8))
     images.append((np.indices((64, 96)).sum(0) % 2 * 255).astype(np.uint8))
     return images
-
-
-test_images.__test__ = False
 
 
 # OpenCV
@@ -45,13 +42,13 @@ def test_grey_equals_opencv_on_every_colour():
 
 @pytest.mark.parametrize("bounds", [(100, 200), (50, 120.7), (300, 150), (0, 0), (1000, 2000)])
 def test_canny_equals_opencv(bounds):
-    for image in test_images():
+    for image in grey_images():
         assert np.array_equal(canny(image, *bounds), cv2.Canny(image, *bounds))
 
 
 @pytest.mark.parametrize("block_size", [3, 5])
 def test_min_eigenvalue_equals_opencv(block_size):
-    for image in test_images():
+    for image in grey_images():
         for source in (image, canny(image, 100, 200)):
             want = cv2.cornerMinEigenVal(source, block_size, ksize=3)
             assert np.array_equal(min_eigenvalue(source, block_size), want)
@@ -64,12 +61,14 @@ SELECTIONS = [(1024, 0.01, 5.0), (0, 0.05, 0.0), (300, 0.001, 10.5), (77, 0.01, 
 @pytest.mark.parametrize("masked", [False, True])
 def test_corners_equal_opencv_in_order(max_corners, quality, distance, masked):
     rng = np.random.default_rng(5)
-    for image in test_images():
+    for image in grey_images():
         for source in (image, canny(image, 100, 200)):
             mask = rng.random(image.shape) < 0.7 if masked else None
             got = strongest_corners(min_eigenvalue(source), mask, max_corners, quality, distance)
             u8 = None if mask is None else mask.astype(np.uint8)
-            assert_corners(got, cv2.goodFeaturesToTrack(source, max_corners, quality, distance, mask=u8))
+            assert_corners(
+                got, cv2.goodFeaturesToTrack(source, max_corners, quality, distance, mask=u8)
+            )
 
 
 def assert_corners(got: np.ndarray, opencv: np.ndarray | None) -> None:
@@ -90,7 +89,7 @@ def test_recordings_equal_opencv(shared_data):
 
 def test_opencv_depends_on_the_width_and_we_do_not():
     """Where the width isn't a multiple of 32, OpenCV's last columns are not fused."""
-    image = test_images()[4][:, :150]
+    image = grey_images()[4][:, :150]
     ours, theirs = min_eigenvalue(image), cv2.cornerMinEigenVal(image, 3, ksize=3)
     body = 150 - 150 % 32 - 2
     assert np.array_equal(ours[:, :body], theirs[:, :body])

@@ -77,7 +77,9 @@ def test_a_recorded_tilted_and_rolled_camera(shared_data):
     motion = Extrinsics(IDENTITY, (0.0148, 0.0, 0.0))
     depth_camera = Intrinsics(640, 480, 384.5, 384.5, 321.7, 236.8)
     calibration = Calibration(Intrinsics(640, 480, 610, 610, 320, 240), depth_camera, motion)
-    files = [shared_data / f"aims_slam/data/depth/{n}.png" for n in (8, 40, 100, 130, 144, 176, 190)]
+    files = [
+        shared_data / f"aims_slam/data/depth/{n}.png" for n in (8, 40, 100, 130, 144, 176, 190)
+    ]
     depth = [cv2.imread(str(f), cv2.IMREAD_UNCHANGED) for f in files if f.exists()]
     found = fit_floor(align(np.stack(depth), calibration).z, calibration, CONFIG)
     assert abs(found.plane.height[0] - 0.625) < 0.03

@@ -112,7 +112,9 @@ def test_ground_axes_are_right_and_forward():
 
 
 def test_limits_are_shared_by_equal_planes():
-    plane = GroundPlane(*(np.concatenate([a, a, b]) for a, b in zip(level(1), level(1, 0.7))))
+    plane = GroundPlane(
+        *(np.concatenate([a, a, b]) for a, b in zip(level(1), level(1, 0.7), strict=True))
+    )
     limits, which = floor_limits(CAMERA, plane, 0.05, 0.001)
     assert limits.shape == (2, 48, 64)
     assert which.tolist() == [0, 0, 1]

@@ -32,7 +32,7 @@ def _scaled_sobel(image: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarr
     k1, k0 = f64(f32(scale)), f64(f32(2 * scale))
     p = np.pad(image.astype(f64), 1, mode="reflect")
 
-    def fused(outer: np.ndarray, k: f64, inner: np.ndarray) -> np.ndarray:
+    def fused(outer: np.ndarray, k: np.float64, inner: np.ndarray) -> np.ndarray:
         return (outer * k + inner).astype(f32)
 
     across = p[:, 2:] - p[:, :-2]

@@ -1,7 +1,5 @@
 """Stage 2, ground: which pixels are in range and above the floor (Section 3.3)."""
 
-import numpy as np
-
 from jaxdet.config import Config
 from jaxdet.plane import floor_limits
 from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep

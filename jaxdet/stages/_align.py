@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
-from jaxdet_kernels import align as kernels
 
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
+from jaxdet_kernels import align as kernels
 
 _MODELS = {
     Distortion.NONE: kernels.PINHOLE,

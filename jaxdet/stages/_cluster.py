@@ -29,9 +29,7 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """
     settings = config.cluster
     gaps = round(settings.depth_gap_m / depth_unit), round(settings.lateral_gap_m / depth_unit)
-    return Labels(
-        *_cluster(features.x, features.z, features.kept, gaps, settings.min_points)
-    )
+    return Labels(*_cluster(features.x, features.z, features.kept, gaps, settings.min_points))
 
 
 @partial(jax.jit, static_argnames=("gaps", "min_points"))

@@ -1,7 +1,7 @@
-"""Stage 3, features: OpenCV on host threads, then look-ups on the device."""
+"""Stage 3, features: Warp kernels on CUDA, OpenCV on host threads on the CPU."""
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import jax
@@ -10,12 +10,13 @@ import numpy as np
 
 from jaxdet.camera import fixed_rays
 from jaxdet.config import FeaturesConfig
-from jaxdet.stages._corners import strongest_corners
-from jaxdet.types import AlignedDepth, Calibration, Features, Keep
+from jaxdet.stages import _corners_cuda, _corners_host
+from jaxdet.stages._device import on_cuda
+from jaxdet.types import AlignedDepth, Array, Calibration, Features, Keep
 
 
 def features(
-    color: np.ndarray,
+    color: Array,
     aligned: AlignedDepth,
     keep: Keep,
     calibration: Calibration,
@@ -23,11 +24,11 @@ def features(
 ) -> Features:
     """Finds the strongest Shi-Tomasi corners of the Canny edge image and looks up their depth.
 
-    Equals :func:`jaxdet.reference.features`. The corners come from OpenCV on host threads, one
-    frame each; the depth and the metric coordinates are gathered on the device.
+    Equals :func:`jaxdet.reference.features`. On CUDA all of it is one program; on the CPU, and for
+    settings that the kernels don't cover, the corners come from OpenCV on host threads.
 
     Args:
-        color: ``(B, H, W, 3)`` uint8, RGB, on the host.
+        color: ``(B, H, W, 3)`` uint8, RGB.
         aligned: Depth at the colour pixels.
         keep: Where corners may be, from the ground stage.
         calibration: For the colour camera.
@@ -36,20 +37,46 @@ def features(
     Returns:
         ``N = config.max_corners`` slots a frame; empty slots are zero.
     """
+    rays = _rays(calibration)
+    if on_cuda() and _corners_cuda.supports(color.shape[1:3], config):
+        return _on_device(jnp.asarray(color), aligned.z, keep.mask, *rays, config)
+    uv, count = _on_host(np.asarray(color), keep, config)
+    u, v, found = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
+    return _look_up(u, v, found, aligned.z, keep.mask, *rays)
+
+
+@partial(jax.jit, static_argnames="config")
+def _on_device(
+    color: jax.Array,
+    z: jax.Array,
+    keep: jax.Array,
+    ray_x: jax.Array,
+    ray_y: jax.Array,
+    config: FeaturesConfig,
+) -> Features:
+    with jax.named_scope("features"):
+        mask = keep if config.use_mask else jnp.ones_like(keep)
+        u, v, count = _corners_cuda.strongest_corners(color, mask, config)
+        return _look_up(u, v, count, z, keep, ray_x, ray_y)
+
+
+def _on_host(
+    color: np.ndarray, keep: Keep, config: FeaturesConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners ``(2, B, N)`` int32, column and row, and their number ``(B,)`` int32."""
     masks = np.asarray(keep.mask).view(np.uint8) if config.use_mask else [None] * len(color)
     batch, n = len(color), config.max_corners
     uv = np.zeros((2, batch, n), np.int32)
     count = np.zeros(batch, np.int32)
 
     def find(b: int) -> None:
-        corners = _corners(np.asarray(color[b]), masks[b], config)
+        corners = _corners(color[b], masks[b], config)
         count[b] = len(corners)
         uv[:, b, : min(len(corners), n)] = corners[:n].T
 
     with ThreadPoolExecutor() as pool:
         list(pool.map(find, range(batch)))
-    u, v, count_device = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
-    return _look_up(u, v, count_device, aligned.z, keep.mask, *_rays(calibration))
+    return uv, count
 
 
 def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig) -> np.ndarray:
@@ -57,7 +84,7 @@ def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig)
     source = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     if config.canny:
         source = cv2.Canny(source, config.canny_low, config.canny_high)
-    return strongest_corners(
+    return _corners_host.strongest_corners(
         source,
         mask,
         max_corners=config.max_corners + 1,

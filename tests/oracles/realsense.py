@@ -3,10 +3,14 @@
 Follows librealsense's example ``align-with-software-device.py``.
 """
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
-import pyrealsense2 as rs
 
 from jaxdet.types import Calibration, Distortion, Intrinsics
+
+rs: Any = import_module("pyrealsense2")
 
 _MODELS = {
     Distortion.NONE: rs.distortion.none,

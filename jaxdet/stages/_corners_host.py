@@ -45,9 +45,7 @@ def _min_eigenvalue(image: np.ndarray, block_size: int) -> np.ndarray:
     wide = cv2.copyMakeBorder(image, 0, 0, 0, padding, cv2.BORDER_REFLECT_101)
     scale = 1.0 / (4 * block_size * 255)
     dx, dy = (
-        np.ascontiguousarray(
-            cv2.Sobel(wide, cv2.CV_32F, i, 1 - i, ksize=3, scale=scale)[:, :width]
-        )
+        np.ascontiguousarray(cv2.Sobel(wide, cv2.CV_32F, i, 1 - i, ksize=3, scale=scale)[:, :width])
         for i in (1, 0)
     )
     xx, xy, yy = (

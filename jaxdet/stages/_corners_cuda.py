@@ -1,0 +1,124 @@
+"""Corners on the device: Canny, Shi-Tomasi and the selection as Warp kernels, for CUDA."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import warp as wp
+from jax import lax
+
+from jaxdet.config import FeaturesConfig
+from jaxdet_kernels import features as kernels
+
+MAX_WIDTH = 2048
+"""The hysteresis gives each lane of a warp one 64-bit word of a row."""
+
+_suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kernels.SUPPRESS_BLOCK)
+_hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_BLOCK)
+_eigenvalue = wp.jax_kernel(
+    kernels.corners_eigenvalue,
+    num_outputs=2,
+    in_out_argnames=["best_out"],
+    block_dim=kernels.EIGENVALUE_BLOCK,
+)
+_maxima = wp.jax_kernel(kernels.corners_maxima, block_dim=kernels.MAXIMA_BLOCK)
+_spread = wp.jax_kernel(kernels.corners_spread, num_outputs=5, block_dim=kernels.SPREAD_BLOCK)
+
+
+def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
+    """Whether the kernels cover images of ``(H, W)`` with this configuration."""
+    height, width = size
+    return config.canny and config.block_size == 3 and 3 <= width <= MAX_WIDTH and height >= 3
+
+
+def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """``cv2.Canny`` of the grey images, with bounds for each frame.
+
+    Args:
+        color: ``(B, H, W, 3)`` uint8, RGB.
+        low: ``(B,)`` int32, lower bound.
+        high: ``(B,)`` int32, upper bound.
+
+    Returns:
+        ``(B, H, 2 ceil(W / 64))`` uint32, a bit a pixel.
+    """
+    batch, height, width, _ = color.shape
+    words = 2 * -(-width // 64)
+    tiles = -(-height // kernels.SUPPRESS_ROWS) * (words // 2)
+    rows = (batch, height, words)
+    candidates, strong = _suppress(
+        color,
+        low,
+        high,
+        launch_dims=(batch * tiles * kernels.SUPPRESS_BLOCK,),
+        output_dims={"candidates_out": rows, "strong_out": rows},
+    )
+    (found,) = _hysteresis(
+        candidates,
+        strong,
+        launch_dims=(batch * kernels.HYSTERESIS_BLOCK,),
+        output_dims={"edges_out": rows},
+    )
+    return found
+
+
+def strongest_corners(
+    color: jax.Array, mask: jax.Array, config: FeaturesConfig
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The strongest corners of the Canny edge images, as the reference selects them.
+
+    Args:
+        color: ``(B, H, W, 3)`` uint8, RGB.
+        mask: ``(B, H, W)`` bool, where corners may be.
+        config: Canny's bounds and the corner selection, static.
+
+    Returns:
+        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
+        corners qualify ``(B,)`` int32, which may be more than there are slots.
+    """
+    batch, height, width = mask.shape
+    bounds = sorted((config.canny_low, config.canny_high))
+    low, high = (jnp.full(batch, int(np.floor(bound)), jnp.int32) for bound in bounds)
+    edge = edges(color, low, high)
+    rows = edge.shape
+    best = jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32)
+    blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)
+    best, strength = _eigenvalue(
+        edge,
+        mask,
+        best,
+        launch_dims=(blocks * kernels.EIGENVALUE_BLOCK,),
+        output_dims={"best_out": (batch,), "strength_out": (batch, height, width)},
+    )
+    (maxima,) = _maxima(
+        strength,
+        mask,
+        best,
+        float(config.quality_level),
+        launch_dims=(-(-rows[0] * rows[1] * rows[2] // 8) * kernels.MAXIMA_BLOCK,),
+        output_dims={"maxima_out": rows},
+    )
+    return _select(strength, maxima, config)
+
+
+def _select(
+    strength: jax.Array, maxima: jax.Array, config: FeaturesConfig
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    batch, _, width = strength.shape
+    slots = (batch, config.max_corners)
+    strength_key, place_key, found, _, _ = _spread(
+        strength,
+        maxima,
+        float(config.min_distance),
+        launch_dims=(batch * kernels.SPREAD_BLOCK,),
+        output_dims={
+            "strength_key_out": slots,
+            "place_key_out": slots,
+            "found_out": (batch,),
+            "undecided_out": maxima.shape,
+            "taken_out": maxima.shape,
+        },
+    )
+    _, place_key = lax.sort((strength_key, place_key), num_keys=2)
+    place = (~place_key).astype(jnp.int32)
+    v, u = place // width, place % width
+    return u, v, found

@@ -1,0 +1,37 @@
+"""Stage features on CUDA: Canny edges and Shi-Tomasi corners of a batch of frames.
+
+The bodies are CUDA, because they live from what Warp's language does not have: shared tiles, warp
+votes and shuffles, and arithmetic that is fused here and not there. Each kernel says how many
+threads its blocks have; launch a multiple of that.
+"""
+
+from jaxdet_kernels.features_canny import (
+    HYSTERESIS_BLOCK,
+    SUPPRESS_BLOCK,
+    SUPPRESS_COLUMNS,
+    SUPPRESS_ROWS,
+    canny_hysteresis,
+    canny_suppress,
+)
+from jaxdet_kernels.features_corners import (
+    EIGENVALUE_BLOCK,
+    MAXIMA_BLOCK,
+    corners_eigenvalue,
+    corners_maxima,
+)
+from jaxdet_kernels.features_select import SPREAD_BLOCK, corners_spread
+
+__all__ = [
+    "EIGENVALUE_BLOCK",
+    "HYSTERESIS_BLOCK",
+    "MAXIMA_BLOCK",
+    "SPREAD_BLOCK",
+    "SUPPRESS_BLOCK",
+    "SUPPRESS_COLUMNS",
+    "SUPPRESS_ROWS",
+    "canny_hysteresis",
+    "canny_suppress",
+    "corners_eigenvalue",
+    "corners_maxima",
+    "corners_spread",
+]

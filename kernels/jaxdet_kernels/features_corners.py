@@ -1,0 +1,175 @@
+"""Shi-Tomasi corners of edge maps, to the bit of ``jaxdet/reference/_corners.py``; for CUDA.
+
+On an edge image a 3x3 window has 512 patterns, so gradients and their products are look-ups. The
+running sums in float64 follow OpenCV's box filter row by row, for a column a thread.
+"""
+
+import warp as wp
+
+wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+
+EIGENVALUE_BLOCK = 128
+MAXIMA_BLOCK = 256
+"""Threads of a block."""
+
+_EIGENVALUE = """
+#if defined(__CUDA_ARCH__)
+    const int H = mask.shape[1], W = mask.shape[2], words = edges.shape[2];
+    const int columns = (W + 127) / 128, b = block / columns, x = (block % columns) * 128 + thread;
+    __shared__ float xx[512], xy[512], yy[512];
+    __shared__ int best;
+    const double scale = 1.0 / (4.0 * 3.0 * 255.0);
+    const float k1 = (float)scale, k0 = (float)(2.0 * scale);
+    if (thread == 0) best = (int)0x80000000;
+    for (int i = thread; i < 512; i += 128) {
+        float p[9];
+        for (int j = 0; j < 9; ++j) p[j] = (i >> j) & 1 ? 255.0f : 0.0f;
+        float s0 = p[2] - p[0], s1 = p[5] - p[3], s2 = p[8] - p[6];
+        float dx = __fmaf_rn(s0 + s2, k1, __fmul_rn(s1, k0));
+        float top = __fmaf_rn(p[2], k1, __fmaf_rn(p[1], k0, __fmul_rn(p[0], k1)));
+        float bottom = __fmaf_rn(p[8], k1, __fmaf_rn(p[7], k0, __fmul_rn(p[6], k1)));
+        float dy = __fsub_rn(bottom, top);
+        xx[i] = __fmul_rn(dx, dx); xy[i] = __fmul_rn(dx, dy); yy[i] = __fmul_rn(dy, dy);
+    }
+    __syncthreads();
+    const unsigned* rows = edges.data + (size_t)b * H * words;
+    // The columns of the three windows, mirrored; a mirrored window is a window of the image.
+    const int xc = min(x, W - 1);
+    const int xl = xc == 0 ? 1 : xc - 1, xr = xc == W - 1 ? W - 2 : xc + 1;
+    #define BIT(row, c) ((row[(c) >> 5] >> ((c) & 31)) & 1u)
+    // Three bits around a column, mirrored at the image's border.
+    #define THREE(row, c) (BIT(row, (c) == 0 ? 1 : (c) - 1) | (BIT(row, c) << 1) \\
+        | (BIT(row, (c) == W - 1 ? W - 2 : (c) + 1) << 2))
+    const bool inner = xc >= 2 && xc < W - 2;
+    const int w0 = (xc - 2) >> 5, shift = (xc - 2) & 31;
+    auto window = [&](int y) -> unsigned {
+        const unsigned* row = rows + (size_t)y * words;
+        if (inner) {
+            unsigned bits = __funnelshift_r(row[w0], row[min(w0 + 1, words - 1)], shift);
+            return (bits & 7) | ((bits & 14) << 2) | ((bits & 28) << 4);
+        }
+        return THREE(row, xl) | (THREE(row, xc) << 3) | (THREE(row, xr) << 6);
+    };
+    auto mirrored = [&](int y) { return y < 0 ? -y : (y >= H ? 2 * H - 2 - y : y); };
+    double ring[3][3], total[3] = {0.0, 0.0, 0.0};
+    auto load = [&](int y, double* r) {
+        y = mirrored(y);
+        unsigned a = window(mirrored(y - 1)), m = window(y), c = window(mirrored(y + 1));
+        if (!(a | m | c)) { r[0] = 0.0; r[1] = 0.0; r[2] = 0.0; return; }
+        int p0 = (a & 7) | ((m & 7) << 3) | ((c & 7) << 6);
+        int p1 = ((a >> 3) & 7) | (((m >> 3) & 7) << 3) | (((c >> 3) & 7) << 6);
+        int p2 = ((a >> 6) & 7) | (((m >> 6) & 7) << 3) | (((c >> 6) & 7) << 6);
+        r[0] = __dadd_rn(__dadd_rn((double)xx[p0], (double)xx[p1]), (double)xx[p2]);
+        r[1] = __dadd_rn(__dadd_rn((double)xy[p0], (double)xy[p1]), (double)xy[p2]);
+        r[2] = __dadd_rn(__dadd_rn((double)yy[p0], (double)yy[p1]), (double)yy[p2]);
+    };
+    load(-1, ring[0]);
+    load(0, ring[1]);
+    for (int k = 0; k < 3; ++k) total[k] = __dadd_rn(ring[0][k], ring[1][k]);
+    int strongest = (int)0x80000000;
+    float* out = strength_out.data + (size_t)b * H * W + xc;
+    const unsigned char* may = (const unsigned char*)mask.data + (size_t)b * H * W + xc;
+    for (int y = 0; y < H; ++y) {
+        load(y + 1, ring[2]);
+        float s[3];
+        for (int k = 0; k < 3; ++k) {
+            double sum = __dadd_rn(total[k], ring[2][k]);
+            s[k] = __double2float_rn(sum);
+            total[k] = __dsub_rn(sum, ring[0][k]);
+            ring[0][k] = ring[1][k];
+            ring[1][k] = ring[2][k];
+        }
+        float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]), t = __fsub_rn(a, c);
+        float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
+        float e = __fsub_rn(__fadd_rn(a, c), root);
+        if (x < W) {
+            out[(size_t)y * W] = e;
+            if (may[(size_t)y * W]) {
+                int bits = __float_as_int(e);
+                strongest = max(strongest, bits < 0 ? bits ^ 0x7fffffff : bits);
+            }
+        }
+    }
+    atomicMax(&best, strongest);
+    __syncthreads();
+    if (thread == 0) atomicMax(&best_out.data[b], best);
+#endif
+"""
+
+_MAXIMA = """
+#if defined(__CUDA_ARCH__)
+    const int H = mask.shape[1], W = mask.shape[2], words = maxima_out.shape[2];
+    const size_t job = ((size_t)block * 256 + thread) / 32;
+    const int lane = thread % 32;
+    if (job >= (size_t)mask.shape[0] * H * words) return;
+    const int b = job / ((size_t)H * words), left = job % ((size_t)H * words);
+    const int y = left / words, x = (left % words) * 32 + lane;
+    const int ordered = best.data[b];
+    bool corner = false;
+    if (y >= 1 && y < H - 1 && x >= 1 && x < W - 1 && ordered != (int)0x80000000) {
+        const float strongest = __int_as_float(ordered < 0 ? ordered ^ 0x7fffffff : ordered);
+        const float threshold = (float)((double)strongest * (double)quality);
+        const float* e = strength.data + ((size_t)b * H + y) * W + x;
+        const float v = e[0];
+        corner = v > threshold && v != 0.0f
+            && ((const unsigned char*)mask.data)[((size_t)b * H + y) * W + x];
+        if (corner) {
+            for (int dy = -1; dy <= 1; ++dy)
+                for (int dx = -1; dx <= 1; ++dx) {
+                    float near = e[dy * W + dx];
+                    corner = corner && !((near > threshold ? near : 0.0f) > v);
+                }
+        }
+    }
+    unsigned word = __ballot_sync(0xffffffffu, corner);
+    if (lane == 0) maxima_out.data[job] = word;
+#endif
+"""
+
+
+@wp.func_native(_EIGENVALUE)
+def _eigenvalue(
+    block: int,
+    thread: int,
+    edges: wp.array3d[wp.uint32],
+    mask: wp.array3d[wp.bool],
+    best_out: wp.array[wp.int32],
+    strength_out: wp.array3d[wp.float32],
+): ...
+
+
+@wp.kernel
+def corners_eigenvalue(
+    edges: wp.array3d[wp.uint32],
+    mask: wp.array3d[wp.bool],
+    best_out: wp.array[wp.int32],
+    strength_out: wp.array3d[wp.float32],
+):
+    """Minimum eigenvalue of an edge image, a thread a column; the strongest allowed one."""
+    i = wp.tid()
+    _eigenvalue(i // 128, i % 128, edges, mask, best_out, strength_out)
+
+
+@wp.func_native(_MAXIMA)
+def _maxima(
+    block: int,
+    thread: int,
+    strength: wp.array3d[wp.float32],
+    mask: wp.array3d[wp.bool],
+    best: wp.array[wp.int32],
+    quality: wp.float64,
+    maxima_out: wp.array3d[wp.uint32],
+): ...
+
+
+@wp.kernel
+def corners_maxima(
+    strength: wp.array3d[wp.float32],
+    mask: wp.array3d[wp.bool],
+    best: wp.array[wp.int32],
+    quality: wp.float64,
+    maxima_out: wp.array3d[wp.uint32],
+):
+    """Allowed 3x3 maxima above the quality threshold, a warp a word."""
+    i = wp.tid()
+    _maxima(i // 256, i % 256, strength, mask, best, quality, maxima_out)

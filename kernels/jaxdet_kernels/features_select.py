@@ -1,0 +1,170 @@
+"""The strongest corners with a minimum distance, as OpenCV picks them one by one; for CUDA.
+
+The greedy rule has a parallel form: a corner is taken once no stronger one near it is undecided,
+and dropped as soon as a taken one is near. The result does not depend on the order of the steps.
+"""
+
+import warp as wp
+
+wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+
+SPREAD_BLOCK = 1024
+"""Threads of a block."""
+
+_SPREAD = """
+#if defined(__CUDA_ARCH__)
+    const int H = strength.shape[1], W = strength.shape[2], words = maxima.shape[2];
+    const int size = H * words, N = strength_key_out.shape[1];
+    unsigned* open = undecided_out.data + (size_t)block * size;
+    unsigned* taken = taken_out.data + (size_t)block * size;
+    const unsigned* start = maxima.data + (size_t)block * size;
+    const float* e = strength.data + (size_t)block * H * W;
+    const int reach = distance >= 1.0f ? (int)ceilf(distance) - 1 : -1;
+    const float limit = distance * distance;
+    for (int i = thread; i < size; i += 1024) {
+        open[i] = reach >= 0 ? start[i] : 0u;
+        taken[i] = reach >= 0 ? 0u : start[i];
+    }
+    __syncthreads();
+    // A corner is taken once no stronger one near it is undecided, and dropped next to a taken one.
+    int more = reach >= 0;
+    while (__syncthreads_or(more)) {
+        more = 0;
+        unsigned accept[16], reject[16];
+        for (int base = 0; base < size; base += 1024 * 16) {
+            for (int k = 0; k < 16; ++k) {
+                int i = base + k * 1024 + thread;
+                accept[k] = 0u; reject[k] = 0u;
+                if (i >= size) continue;
+                for (unsigned left = open[i]; left; left &= left - 1) {
+                    int bit = __ffs(left) - 1, y = i / words, x = (i % words) * 32 + bit;
+                    float own = e[(size_t)y * W + x];
+                    bool waits = false, drops = false;
+                    for (int dy = -reach; dy <= reach && !drops; ++dy) {
+                        int v = y + dy;
+                        if (v < 0 || v >= H) continue;
+                        int half = (int)sqrtf(fmaxf(limit - dy * dy, 0.0f));
+                        while ((float)(half * half + dy * dy) >= limit) --half;
+                        while ((float)((half + 1) * (half + 1) + dy * dy) < limit) ++half;
+                        if (half < 0) continue;
+                        int from = max(x - half, 0), to = min(x + half, W - 1);
+                        for (int w = from >> 5; w <= to >> 5; ++w) {
+                            unsigned in = 0xffffffffu;
+                            if (w == from >> 5) in &= 0xffffffffu << (from & 31);
+                            if (w == to >> 5) in &= 0xffffffffu >> (31 - (to & 31));
+                            if (taken[v * words + w] & in) { drops = true; break; }
+                            if (waits) continue;
+                            for (unsigned near = open[v * words + w] & in; near; near &= near - 1) {
+                                int u = w * 32 + __ffs(near) - 1;
+                                float other = e[(size_t)v * W + u];
+                                if (other > own || (other == own && v * W + u > y * W + x)) {
+                                    waits = true;
+                                    break;
+                                }
+                            }
+                        }
+                    }
+                    if (drops) reject[k] |= 1u << bit;
+                    else if (!waits) accept[k] |= 1u << bit;
+                }
+            }
+            __syncthreads();
+            for (int k = 0; k < 16; ++k) {
+                int i = base + k * 1024 + thread;
+                if (i >= size) continue;
+                if (accept[k] | reject[k]) {
+                    taken[i] |= accept[k];
+                    open[i] &= ~(accept[k] | reject[k]);
+                }
+                if (open[i]) more = 1;
+            }
+            __syncthreads();
+        }
+    }
+    // Keep the strongest N: a radix search for the N-th key (strength, place), 4 bits a round.
+    typedef unsigned long long u64;
+    __shared__ int bins[16], count;
+    auto key_of = [&](int y, int x) -> u64 {
+        int bits = __float_as_int(e[(size_t)y * W + x]);
+        unsigned ordered = bits < 0 ? ~(unsigned)bits : (unsigned)bits | 0x80000000u;
+        return ((u64)ordered << 32) | (unsigned)(y * W + x);
+    };
+    if (thread == 0) count = 0;
+    __syncthreads();
+    int own = 0;
+    for (int i = thread; i < size; i += 1024) own += __popc(taken[i]);
+    atomicAdd(&count, own);
+    __syncthreads();
+    const int found = count;
+    u64 least = 0;
+    if (found > N) {
+        int wanted = N;
+        for (int shift = 60; shift >= 0; shift -= 4) {
+            if (thread < 16) bins[thread] = 0;
+            __syncthreads();
+            const u64 known = shift == 60 ? 0 : ~(u64)0 << (shift + 4);
+            for (int i = thread; i < size; i += 1024)
+                for (unsigned left = taken[i]; left; left &= left - 1) {
+                    u64 key = key_of(i / words, (i % words) * 32 + __ffs(left) - 1);
+                    if ((key & known) == (least & known)) atomicAdd(&bins[(key >> shift) & 15], 1);
+                }
+            __syncthreads();
+            int digit = 15;
+            while (digit > 0 && bins[digit] < wanted) wanted -= bins[digit--];
+            least |= (u64)digit << shift;
+            __syncthreads();
+        }
+    }
+    if (thread == 0) { count = 0; found_out.data[block] = found; }
+    __syncthreads();
+    for (int i = thread; i < size; i += 1024)
+        for (unsigned left = taken[i]; left; left &= left - 1) {
+            u64 key = key_of(i / words, (i % words) * 32 + __ffs(left) - 1);
+            if (key >= least) {
+                int at = atomicAdd(&count, 1);
+                // Complemented, so that a rising sort is strongest first, then last place first.
+                strength_key_out.data[(size_t)block * N + at] = ~(unsigned)(key >> 32);
+                place_key_out.data[(size_t)block * N + at] = ~(unsigned)key;
+            }
+        }
+    __syncthreads();
+    for (int at = count + thread; at < N; at += 1024) {
+        strength_key_out.data[(size_t)block * N + at] = 0xffffffffu;
+        place_key_out.data[(size_t)block * N + at] = 0xffffffffu;
+    }
+#endif
+"""
+
+
+@wp.func_native(_SPREAD)
+def _spread(
+    block: int,
+    thread: int,
+    strength: wp.array3d[wp.float32],
+    maxima: wp.array3d[wp.uint32],
+    distance: wp.float32,
+    strength_key_out: wp.array2d[wp.uint32],
+    place_key_out: wp.array2d[wp.uint32],
+    found_out: wp.array[wp.int32],
+    undecided_out: wp.array3d[wp.uint32],
+    taken_out: wp.array3d[wp.uint32],
+): ...
+
+
+@wp.kernel
+def corners_spread(
+    strength: wp.array3d[wp.float32],
+    maxima: wp.array3d[wp.uint32],
+    distance: wp.float32,
+    strength_key_out: wp.array2d[wp.uint32],
+    place_key_out: wp.array2d[wp.uint32],
+    found_out: wp.array[wp.int32],
+    undecided_out: wp.array3d[wp.uint32],
+    taken_out: wp.array3d[wp.uint32],
+):
+    """The greedy minimum distance and the strongest N, a block a frame; unsorted."""
+    i = wp.tid()
+    _spread(
+        i // 1024, i % 1024, strength, maxima, distance,
+        strength_key_out, place_key_out, found_out, undecided_out, taken_out,
+    )  # fmt: skip
