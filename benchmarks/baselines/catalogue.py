@@ -89,12 +89,8 @@ _ALL = (
         run=clustering.hdbscan,
         space="xz",
         citation=f"Campello, Moulavi, Sander, PAKDD 2013, 160-172; {SKLEARN}",
-        defaults={"min_samples": 5, "epsilon_m": 0.1},
-        grid={
-            "min_samples": (2, 5, 10),
-            "epsilon_m": (0.0, 0.1, 0.2, 0.3),
-            "depth_scale": SCALES,
-        },
+        defaults={"min_samples": 5, "single": True},
+        grid={"min_samples": (2, 5, 10, 20), "single": (True, False), "depth_scale": SCALES},
         sized=True,
     ),
     Baseline(

@@ -38,16 +38,16 @@ def dbscan(points: np.ndarray, eps_m: float, min_samples: int) -> np.ndarray:
     return DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points)
 
 
-def hdbscan(
-    points: np.ndarray, min_points: int, min_samples: int, epsilon_m: float, single: bool = True
-) -> np.ndarray:
+def hdbscan(points: np.ndarray, min_points: int, min_samples: int, single: bool) -> np.ndarray:
     """scikit-learn's HDBSCAN; its own size rule is the shared one.
+
+    Its ``cluster_selection_epsilon`` is left at 0: in scikit-learn 1.9.1 it raises a TypeError
+    with NumPy 2.4 as soon as it has something to merge.
 
     Args:
         points: ``(n, d)`` [m].
         min_points: Clusters have more points than this.
         min_samples: Neighbours that make a point dense.
-        epsilon_m: Clusters closer than this are not split.
         single: Whether all points may be one cluster.
     """
     if len(points) <= max(min_points, min_samples, 1):
@@ -55,7 +55,6 @@ def hdbscan(
     model = HDBSCAN(
         min_cluster_size=max(2, min_points + 1),
         min_samples=min_samples,
-        cluster_selection_epsilon=epsilon_m,
         allow_single_cluster=single,
         copy=True,  # pyright: ignore[reportArgumentType] (scikit-learn documents a bool)
     )

@@ -8,7 +8,8 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import Config
-from jaxdet.pipeline import BackendName, estimate_plane, load_backend
+from jaxdet.floor import fit_floor
+from jaxdet.pipeline import BackendName, load_backend
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
 from jaxdet.reference._features import lateral
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Labels
@@ -47,7 +48,7 @@ def prepare(
     config = config or Config()
     stages, calibration = load_backend(backend), frames.calibration
     aligned = stages.align(frames.depth, calibration)
-    plane = frames.plane or _plane(frames, config, backend)
+    plane = frames.plane or _plane(frames, np.asarray(aligned.z), config)
     keep = stages.ground(aligned, plane, calibration, config)
     found = stages.features(frames.color, aligned, keep, calibration, config.features)
     z, mask = np.asarray(aligned.z), np.asarray(keep.mask)
@@ -65,13 +66,13 @@ def prepare(
     ]
 
 
-def _plane(frames: Frames, config: Config, backend: BackendName) -> GroundPlane:
-    batch = len(frames.depth)
+def _plane(frames: Frames, z: np.ndarray, config: Config) -> GroundPlane:
+    batch = len(z)
     if config.ground.camera_height_m is not None:
         return repeat_plane(flagged_plane(config.ground), batch)
     if config.ground.source == "none":
         return unknown_plane(batch)
-    return repeat_plane(estimate_plane(frames, config, backend=backend).plane, batch)
+    return repeat_plane(fit_floor(z[frames.valid], frames.calibration, config.ground).plane, batch)
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:
