@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from jaxdet.config import FootprintConfig
 from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, evaluate_frames, score
@@ -188,3 +190,40 @@ def test_internal_indices():
     assert got.index_frames == 1 and 0.8 < got.silhouette_sum < 1
     single = evaluate(detections(on(1, 0), [1]), truth(), config=config)
     assert single.index_frames == 0 and math.isnan(score([single]).silhouette)
+
+
+points_anywhere = st.lists(
+    st.tuples(st.integers(0, 59), st.integers(0, 39), st.integers(-1, 3)), min_size=1, max_size=30
+)
+
+
+@given(points_anywhere, st.randoms(use_true_random=False))
+def test_laws(points, random):
+    """The order of the points doesn't matter, that of the labels hardly; the counts fit."""
+    forward = [1000, 2000, 2500, 3000]
+    one = evaluate(detections(points, forward), truth())
+    shuffled = random.sample(points, len(points))
+    assert evaluate(detections(shuffled, forward), truth()) == one
+    turned = [(u, v, label if label < 0 else 3 - label) for u, v, label in points]
+    other = evaluate(detections(turned, forward[::-1]), truth())
+    # Of two equally good detections one is false, whichever; the rest is the same.
+    same = ("found", "matched", "visible", "points_right", "pairs_both", "pairs_true", "merges")
+    assert all(getattr(other, name) == getattr(one, name) for name in same)
+    assert one.found + one.false + one.ignored == one.detections == 4
+    assert one.matched == one.found <= one.visible == len(one.cases) == 3
+    assert one.on_floor + one.splits <= one.false and one.on_wall <= one.ignored
+    assert one.points_right <= one.points <= len(points)
+    assert one.pairs_both <= min(one.pairs_detected, one.pairs_true)
+
+
+@given(st.lists(st.tuples(st.integers(0, 59), st.integers(0, 39)), min_size=1, max_size=30))
+def test_the_truth_scores_best(pixels):
+    """Labels made from the picture itself have nothing wrong."""
+    ids = picture()
+    points = [(u, v, int(ids[v, u]) - 1) for u, v in pixels if ids[v, u] != 4]
+    strict = EvalConfig(tolerance_px=0)
+    if points:
+        tally = evaluate(detections(points, [1000, 2000, 3000]), truth(), config=strict)
+        assert tally.found == len({label for *_, label in points if label >= 0})
+        assert tally.points_right == tally.points == len(points)
+        assert tally.pairs_both == tally.pairs_detected == tally.pairs_true

@@ -105,6 +105,8 @@ def test_match_by_hand():
     tie = np.array([[0, 3, 3, 0], [0, 5, 0, 0]])
     assert match(tie, yes).tolist() == [2, 1]
     assert match(np.array([[5, 4, 0, 0], [0, 0, 1, 9]]), yes).tolist() == [0, 0]
+    purer = np.array([[0, 3, 0, 2], [0, 3, 0, 1]])
+    assert match(purer, yes).tolist() == [0, 1] == match(purer[::-1], yes)[::-1].tolist()
     assert match(np.zeros((0, 4), int), yes).tolist() == []
     assert match(np.zeros((2, 4), int), yes).tolist() == [0, 0]
 

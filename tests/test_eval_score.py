@@ -168,3 +168,5 @@ def test_truth_of_a_log(moving):
     np.testing.assert_allclose(got.footprint, [[local]] * len(which))
     assert got.height_m.tolist() == [[0.7]] * len(which)
     assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
+    log.height_m = np.array([[0.1], [0.2]])
+    assert truth_of(log, which, np.zeros((len(which), 2, 2), int)).height_m[0] == [0.2]

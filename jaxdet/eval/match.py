@@ -58,7 +58,8 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
 
     A detection and an obstacle can be a pair when at least ``share`` of the detection's votes
     are for the obstacle. Of all ways to pair them, the one with the most votes in its pairs is
-    taken (:func:`assign`).
+    taken (:func:`assign`); of equal ones, that whose detections have the larger shares of their
+    votes in it.
 
     Args:
         votes: ``(L, J + 1)`` integer, see :func:`vote_table`.
@@ -74,7 +75,9 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
         [1, 0, 0]
     """
     able = eligible(votes, is_obstacle, share)
-    weight = np.where(able, votes, 0)
+    shares = votes / np.maximum(votes.sum(axis=1, keepdims=True), 1)
+    # The shares of all pairs together stay below one vote.
+    weight = np.where(able, votes + shares / (len(votes) + 1), 0.0)
     pairs = assign(weight)
     rows = np.arange(len(votes))
     taken = np.where(pairs >= 0, pairs, 0)

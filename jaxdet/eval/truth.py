@@ -85,7 +85,8 @@ class FrameTruth(NamedTuple):
 class LogTruth(Protocol):
     """What :func:`truth_of` reads, ``F`` frames; the simulator's ``Truth`` has it.
 
-    ``box_world`` and ``footprint_world`` may have a leading axis ``F`` for what moves.
+    ``box_world`` and ``footprint_world`` may have a leading axis ``F`` for what moves. Where it
+    also has ``height_m`` ``(F, J)``, that is the objects' height instead of their boxes'.
     """
 
     @property
@@ -144,10 +145,9 @@ def truth_of(
     """
     which = np.asarray(frames, np.int64)
     batch, objects = len(which), len(log.is_wall)
-    box, outline = log.box_world, log.footprint_world
-    box = box[which] if box.ndim == 4 else box[None]
+    outline = log.footprint_world
     outline = outline[which] if outline.ndim == 4 else np.repeat(outline[None], batch, axis=0)
-    height = box[..., 2].max(axis=-1) - box[..., 2].min(axis=-1)
+    height = np.broadcast_to(_heights(log), (len(log.visible_pixels), objects))[which]
     return FrameTruth(
         obstacle_id,
         log.visible_pixels[which],
@@ -157,8 +157,15 @@ def truth_of(
         log.ground_min[which],
         log.ground_max[which],
         to_ground_frame(outline, log.T_world_camera[which]),
-        np.broadcast_to(height, (batch, objects)),
+        height,
     )
+
+
+def _heights(log: LogTruth) -> np.ndarray:
+    """``(F, J)`` or ``(1, J)`` [m]: the truth's own ``height_m``, else the height of its box."""
+    own = getattr(log, "height_m", None)
+    box = log.box_world if log.box_world.ndim == 4 else log.box_world[None]
+    return box[..., 2].max(axis=-1) - box[..., 2].min(axis=-1) if own is None else own
 
 
 def to_ground_frame(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
