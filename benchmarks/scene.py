@@ -8,9 +8,10 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.plane import repeat_plane
+from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
 from jaxdet.sim.render import render
 from jaxdet.sim.scenes import load_scene
-from jaxdet.sim.sensor import DepthSensor, expose_color, measure_depth
+from jaxdet.sim.sensor import DepthSensor, measure_depth
 from jaxdet.types import (
     AlignedDepth,
     Calibration,
@@ -26,6 +27,8 @@ BATCH = 8
 HEIGHT_M = 0.35
 PITCH_RAD = 0.15
 BASELINE_M = 0.015
+COS_LAMP = 0.82
+"""Of the room's lamp on the floor."""
 CONFIG = Config()
 CALIBRATIONS = {
     "640x480": Calibration(
@@ -81,7 +84,8 @@ def inputs(size: str) -> Inputs:
     for frame in range(BATCH):
         # T_color_depth shifts points to the right, so the colour camera sits to the left.
         ideal = render(room, calibration.color, _pose(0.05 * frame, -BASELINE_M))
-        color.append(expose_color(ideal.color, rng))
+        shot = (ideal.color, ideal.light), calibration.color, LIGHTS["normal"]
+        color.append(expose(*shot, COS_LAMP, ColorSensor(), rng))
         z = render(room, calibration.depth, _pose(0.05 * frame, 0.0)).depth
         depth.append(measure_depth(z, calibration.depth, DepthSensor(), rng))
     one = GroundPlane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0, True)))
@@ -89,6 +93,6 @@ def inputs(size: str) -> Inputs:
     colors, depths = np.stack(color), np.stack(depth)
     aligned = reference.align(depths, calibration)
     keep = reference.ground(aligned, plane, calibration, CONFIG)
-    features = reference.features(colors, aligned, keep, calibration, CONFIG.features)
-    labels = reference.cluster(features, calibration.depth_unit, CONFIG)
+    features = reference.features(colors, keep, calibration, CONFIG.features)
+    labels = reference.cluster(features, plane, calibration.depth_unit, CONFIG)
     return Inputs(calibration, colors, depths, plane, aligned, keep, features, labels)

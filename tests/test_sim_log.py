@@ -16,6 +16,7 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from jaxdet.errors import InputError
+from jaxdet.io import open_log
 from jaxdet.io.writer import Transform, quaternion
 from jaxdet.io.writer_cdr import encode_cdr
 from jaxdet.sim import SimConfig, load_obstacle_ids, load_scene, load_truth, simulate, write_log
@@ -138,7 +139,7 @@ def test_truth(log):
         np.testing.assert_array_equal(one, other, err_msg=name)
     frames, objects = 4, 8
     assert truth.is_wall.tolist() == [False] * 4 + [True] * 4
-    assert truth.box_world.shape == (objects, 8, 3)
+    assert truth.box_world.shape == (frames, objects, 8, 3)
     ids = load_obstacle_ids(path, [0, 1, 2, 3])
     counts = [[(ids[f] == j + 1).sum() for j in range(objects)] for f in range(frames)]
     np.testing.assert_array_equal(truth.visible_pixels, counts)
@@ -146,9 +147,19 @@ def test_truth(log):
     assert np.isnan(truth.nearest_m[hidden]).all() and (truth.nearest_m[~hidden] > 0).all()
     # The first box's face is 0.125 m before its centre at 1.4 m; the robot starts at 0.
     assert truth.ground_min[0, 0, 1] == pytest.approx(1.275, abs=0.002)
-    outline = truth.footprint_world[0][~np.isnan(truth.footprint_world[0, :, 0])]
-    np.testing.assert_allclose(outline.mean(0), [1.4, 0.5])
+    outline = truth.footprint_world[0, 0]
+    outline = outline[~np.isnan(outline[:, 0])]
+    np.testing.assert_allclose(outline.mean(0), [1.4, 0.5], atol=1e-6)
+    np.testing.assert_allclose(truth.height_m[0, :4], [0.3, 0.38, 0.46, 0.54], atol=1e-6)
     assert not np.isnan(truth.T_world_camera).any() and (truth.camera_height == 0.3).all()
+
+
+def test_the_log_opens(log):
+    with open_log(str(log[0])) as opened:
+        frames = [batch.frames for batch in opened.batches(4)]
+    assert sum(int(f.valid.sum()) for f in frames) == 4
+    np.testing.assert_allclose(frames[0].T_world_camera[:4], log[1].T_world_camera, atol=1e-3)
+    np.testing.assert_array_equal(frames[0].stamp_ns[:4], log[1].stamp_ns)
 
 
 def test_no_truth(tmp_path):

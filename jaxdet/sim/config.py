@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from jaxdet.errors import ConfigError
+from jaxdet.sim.exposure import ColorSensor, LightName
 from jaxdet.sim.sensor import DepthSensor
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
@@ -26,7 +27,9 @@ class SimConfig:
     """A simulated log: what is in it and how it is recorded."""
 
     scene: str = "demo"
-    """Scene: demo, empty, single_box, row, posts, or a TOML or JSON file."""
+    """Scene: demo, empty, single_box, row, posts; drawn by the seed: people_and_vehicle,
+    roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue, low_things, pedestrian; or a
+    TOML or JSON file."""
     frames: int = 60
     """Number of colour frames."""
     seed: int = 0
@@ -54,8 +57,16 @@ class SimConfig:
     """Its roll, clockwise seen from behind [rad]."""
     sensor: DepthSensor = field(default_factory=DepthSensor)
     """Errors of the depth camera."""
-    color_noise: float = 2.0
-    """Noise of the colour image, standard deviation [grey levels]."""
+    exposure: ColorSensor = field(default_factory=ColorSensor)
+    """The colour camera's chip, lens and processor."""
+    light: LightName = "normal"
+    """How bright it is: strong 30 000 lx, normal 500, weaker 120, dim 30."""
+    slope_rad: float | None = None
+    """Rise of a ramp ahead [rad]; unset: as the scene has it."""
+    distance_m: float = 2.0
+    """How far the obstacle of the scenes cylinder and approach stands [m]."""
+    device: str = "cpu"
+    """Where the rays are cast: cpu or cuda; the bytes may differ in single pixels."""
     depth_delay_s: float = 0.0
     """How much later than colour the depth image is taken [s]."""
     odometry_hz: float = 50.0
@@ -74,6 +85,8 @@ class SimConfig:
             "height": self.height >= 16,
             "camera-height-m": self.camera_height_m > 0,
             "camera-pitch-rad": abs(self.camera_pitch_rad) < 1.5,
+            "distance-m": self.distance_m > 0,
+            "slope-rad": abs(self.slope_rad or 0.0) < 0.5,
             "odometry-hz": self.odometry_hz >= 0,
             "start-ns": self.start_ns >= 10**9,
         }

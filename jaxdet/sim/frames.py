@@ -3,15 +3,18 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from jaxdet.sim.config import SimConfig, calibration_of
-from jaxdet.sim.raycast import cast
+from jaxdet.sim.exposure import LIGHTS, expose, reflectance_of
+from jaxdet.sim.ground import standing
 from jaxdet.sim.render import Rendering, render
-from jaxdet.sim.robot import mount, pose_at
+from jaxdet.sim.robot import mount, pose_at, velocity_at
 from jaxdet.sim.scene import Scene
-from jaxdet.sim.scenes import load_scene
-from jaxdet.sim.sensor import expose_color, measure_depth
+from jaxdet.sim.scenes import scene_of
+from jaxdet.sim.sensor import Surface, measure_depth
+from jaxdet.types import Intrinsics
 
 
 class SimFrame(NamedTuple):
@@ -30,8 +33,16 @@ class SimFrame(NamedTuple):
     """``(H, W)`` uint16 [mm] on the colour camera's rays, in the forms ``aligned``, ``both``."""
     T_world_color: np.ndarray
     """``(4, 4)`` float64, colour optical frame to world, exact."""
+    T_world_base: np.ndarray
+    """``(4, 4)`` float64, robot (base_footprint) to world, exact."""
     truth: Rendering
     """The ideal picture of the colour camera."""
+    scene: Scene
+    """What is looked at."""
+    config: SimConfig
+    """How."""
+    time_s: float
+    """Since the first frame [s]."""
 
 
 def simulate(config: SimConfig) -> Iterator[SimFrame]:
@@ -47,7 +58,7 @@ def simulate(config: SimConfig) -> Iterator[SimFrame]:
         ConfigError: The scene is not known.
         InputError: The scene's file can't be read.
     """
-    scene = load_scene(config.scene)
+    scene = scene_of(config)
     for index in range(config.frames):
         yield simulate_frame(config, scene, index)
 
@@ -56,29 +67,74 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     """Frame ``index`` of a log; its noise depends on the seed and the index only."""
     calibration = calibration_of(config)
     time_s = index / config.rate_hz
-    T_world_color = color_pose(config, scene, time_s)
-    truth = render(scene, calibration.color, T_world_color, config.seed)
-    color = expose_color(truth.color, _rng(config, index, 0), config.color_noise)
+    T_world_base = base_pose(scene, time_s)
+    T_world_color = T_world_base @ _mount(config)
+    truth = look(config, scene, calibration.color, T_world_color, time_s)
+    light, cos_floor = LIGHTS[config.light], _cos_floor(scene)
+    turn = abs(velocity_at(scene.path, time_s)[1]) if scene.path.length > 0 else 0.0
+    smear = turn * calibration.color.fx * config.exposure.max_exposure_s
+    color = expose(
+        (truth.color, truth.light), calibration.color, light, cos_floor, config.exposure,
+        _rng(config, index, 0), smear,
+    )  # fmt: skip
     depth = aligned = None
     if config.depth_form != "aligned":
         assert calibration.depth is not None and calibration.color_from_depth is not None
-        T = color_pose(config, scene, time_s + config.depth_delay_s)
-        z = cast(scene, calibration.depth, T @ calibration.color_from_depth.T).depth
-        depth = measure_depth(z, calibration.depth, config.sensor, _rng(config, index, 1))
+        later = time_s + config.depth_delay_s
+        T = base_pose(scene, later) @ _mount(config) @ calibration.color_from_depth.T
+        view = look(config, scene, calibration.depth, T, later, shadows=False)
+        depth = _measure(view, calibration.depth, config, _rng(config, index, 1))
     if config.depth_form in ("aligned", "both"):
-        rng = _rng(config, index, 2)
-        aligned = measure_depth(truth.depth, calibration.color, config.sensor, rng)
+        aligned = _measure(truth, calibration.color, config, _rng(config, index, 2))
     stamp_ns = config.start_ns + round(time_s * 1e9)
     delay_ns = round(config.depth_delay_s * 1e9)
     return SimFrame(
-        index, stamp_ns, stamp_ns + delay_ns, color, depth, aligned, T_world_color, truth
-    )
+        index, stamp_ns, stamp_ns + delay_ns, color, depth, aligned, T_world_color, T_world_base,
+        truth, scene, config, time_s,
+    )  # fmt: skip
 
 
-def color_pose(config: SimConfig, scene: Scene, time_s: float) -> np.ndarray:
-    """``T_world_color`` ``(4, 4)`` float64 at a time since the first frame."""
-    height, pitch, roll = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
-    return pose_at(scene.path, time_s).T @ mount(height, pitch, roll)
+def look(
+    config: SimConfig,
+    scene: Scene,
+    camera: Intrinsics,
+    T_world_camera: np.ndarray,
+    time_s: float,
+    *,
+    shadows: bool = True,
+) -> Rendering:
+    """The ideal picture of one of the cameras at a time."""
+    light = config.light if shadows else None
+    return render(
+        scene, camera, T_world_camera, seed=config.seed, time_s=time_s, light=light,
+        device=config.device,
+    )  # fmt: skip
+
+
+def base_pose(scene: Scene, time_s: float) -> np.ndarray:
+    """``T_world_base`` ``(4, 4)`` float64 at a time since the first frame: on the ground."""
+    pose = pose_at(scene.path, time_s)
+    return standing(scene.ground, pose.x, pose.y) @ pose.T
+
+
+def _measure(
+    view: Rendering, camera: Intrinsics, config: SimConfig, rng: np.random.Generator
+) -> np.ndarray:
+    """The depth image; the infrared cameras see the surfaces in even light."""
+    if not config.sensor.enabled:
+        return measure_depth(view.depth, camera, config.sensor, rng)
+    reflectance = cv2.cvtColor(reflectance_of(view.color), cv2.COLOR_RGB2GRAY)
+    surface = Surface(reflectance, view.gloss, view.light[..., 2], LIGHTS[config.light].lux)
+    return measure_depth(view.depth, camera, config.sensor, rng, surface)
+
+
+def _mount(config: SimConfig) -> np.ndarray:
+    return mount(config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad)
+
+
+def _cos_floor(scene: Scene) -> float:
+    lamp = np.asarray(scene.light.direction)
+    return max(float(lamp[2] / np.linalg.norm(lamp)), 0.1)
 
 
 def _rng(config: SimConfig, index: int, stream: int) -> np.random.Generator:

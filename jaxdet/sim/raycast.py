@@ -1,118 +1,133 @@
-"""Casting camera rays on a scene's solids.
+"""Casting camera rays on worlds in Warp, on the CPU or a CUDA device."""
 
-Rays have a unit component along the optical axis, so the ray parameter *is* the depth z. Each
-solid is tried only inside the image rectangle that its corners span.
-"""
-
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import warp as wp
 
-from jaxdet.sim.scene import Box, Cylinder, Scene, bounds, rotation_z
+from jaxdet.sim.looks import Texture
+from jaxdet.sim.texture import pattern
+from jaxdet.sim.world import World
 from jaxdet.types import Intrinsics
+from jaxdet_kernels import raycast as kernels
 
-NEAR = 1e-3
-"""Nothing nearer is seen [m]."""
+
+class View(NamedTuple):
+    """A look at one of the caster's worlds."""
+
+    T_world_camera: np.ndarray
+    """``(4, 4)`` float64, optical frame to world."""
+    lamp: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Towards the lamp."""
+    lamp_radius: float = 0.0
+    """Of the lamp's disc at distance one: how soft the shadows are."""
+    world: int = 0
+    """Place in the caster's worlds."""
 
 
 class Hits(NamedTuple):
-    """What each pixel's ray meets first."""
+    """What each pixel's ray meets first, for ``B`` views."""
 
+    face: np.ndarray
+    """``(B, H, W)`` int32, triangle counted over all worlds; -1 none."""
     depth: np.ndarray
-    """``(H, W)`` float64, z in the camera [m]; inf where nothing is hit."""
-    obstacle_id: np.ndarray
-    """``(H, W)`` uint8, number of the object, 0 = floor or nothing."""
-    rays: np.ndarray
-    """``(3, H, W)`` float64, ray directions in the world, 1 along the optical axis."""
+    """``(B, H, W)`` float64, z in the camera [m]; inf where nothing is hit."""
+    color: np.ndarray
+    """``(B, H, W, 3)`` float32, the surface's colour [grey levels], not clipped."""
+    light: np.ndarray
+    """``(B, H, W, 3)`` float32: the lamp's cosine times the share of the lamp that is seen; the
+    lamp's mirror image; the cosine between surface and view."""
+
+
+class Caster:
+    """Some worlds on a device, ready to be looked at.
+
+    Args:
+        worlds: The worlds.
+        seed: Where the textures begin.
+        device: Warp's name of the device.
+    """
+
+    def __init__(self, worlds: Sequence[World], seed: int = 0, device: str = "cpu") -> None:
+        self.device = device
+        self.first = np.r_[0, np.cumsum([len(w.object_of) for w in worlds])].astype(np.int32)
+        self._meshes = [self._mesh(world) for world in worlds]
+        looks = list(dict.fromkeys(look for world in worlds for look in world.mesh.looks))
+        self.object_of = np.concatenate([w.object_of for w in worlds])
+        index = [np.array([looks.index(k) for k in w.mesh.looks], np.int32) for w in worlds]
+        look_of = np.concatenate([i[w.mesh.look] for i, w in zip(index, worlds, strict=True)])
+        self.gloss = np.array([look.gloss for look in looks], np.float32)[look_of]
+        corners = np.concatenate([world.mesh.corners for world in worlds])
+        kinds = tuple(sorted({look.kind for look in looks}))
+        self._arrays = (
+            self._put(np.array([m.id for m in self._meshes], np.uint64), wp.uint64),
+            self._put(self.first[:-1], wp.int32),
+            self._put(_planes(corners), wp.float64),
+            self._put(np.concatenate([w.mesh.normals for w in worlds]).astype(np.float32), wp.vec3),
+            self._put(np.concatenate([w.mesh.places for w in worlds]).astype(np.float32), wp.vec2),
+            self._put(look_of, wp.int32),
+            self._put(_look_rows(looks, kinds, seed), wp.float32),
+            _patterns(kinds, device),
+        )
+
+    def look(self, camera: Intrinsics, views: Sequence[View], samples: int = 0) -> Hits:
+        """Look at the worlds.
+
+        Args:
+            camera: The camera of all views; its distortion is ignored.
+            views: ``B`` views.
+            samples: Shadow rays a pixel; 0: no light is computed.
+        """
+        shape = (len(views), camera.height, camera.width)
+        poses = np.array([view.T_world_camera[:3].ravel() for view in views], np.float64)
+        pinhole = np.array([(camera.fx, camera.fy, camera.cx, camera.cy)] * len(views), np.float64)
+        lamps = np.array([(*_unit(view.lamp), view.lamp_radius) for view in views], np.float32)
+        types: tuple[Any, ...] = (wp.int32, wp.float64, wp.vec3, wp.vec3)
+        out = [wp.empty(shape, dtype=kind, device=self.device) for kind in types]
+        given = [
+            self._put(np.array([view.world for view in views], np.int32), wp.int32),
+            self._put(poses, wp.float64),
+            self._put(pinhole, wp.float64),
+            self._put(lamps, wp.float32),
+            samples,
+        ]
+        inputs = [*self._arrays, *given]
+        wp.launch(kernels.raycast_view, shape, inputs, out, device=self.device)
+        return Hits(*(array.numpy() for array in out))
+
+    def _put(self, array: np.ndarray, dtype: Any) -> wp.array:
+        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self.device)
+
+    def _mesh(self, world: World) -> wp.Mesh:
+        points = world.mesh.corners.reshape(-1, 3).astype(np.float32)
+        indices = np.arange(len(points), dtype=np.int32)
+        return wp.Mesh(self._put(points, wp.vec3), self._put(indices, wp.int32))
+
+
+def _unit(vector: tuple[float, float, float]) -> np.ndarray:
+    return np.asarray(vector) / np.linalg.norm(vector)
+
+
+def _planes(corners: np.ndarray) -> np.ndarray:
+    """Unit normal and offset of each triangle, ``(F, 4)`` float64."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.column_stack([normal, (normal * corners[:, 0]).sum(1)])
+
+
+def _look_rows(looks: Sequence[Texture], kinds: tuple[str, ...], seed: int) -> np.ndarray:
+    """``(L, 12)`` float32, as the kernel's documentation says."""
+    shifts = np.random.default_rng([seed, 3]).random((len(looks), 2))
+    rows = [
+        (kinds.index(k.kind), *k.color, *k.accent, k.size_m, k.grain, k.gloss, *shifts[i])
+        for i, k in enumerate(looks)
+    ]
+    return np.array(rows, np.float32)
 
 
 @lru_cache(maxsize=8)
-def camera_rays(camera: Intrinsics) -> np.ndarray:
-    """Directions ``(3, H * W)`` float64 through the pixels' centres, z = 1; no distortion."""
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
-    rays.setflags(write=False)
-    return rays
-
-
-def cast(scene: Scene, camera: Intrinsics, T_world_camera: np.ndarray) -> Hits:
-    """Find what each pixel sees.
-
-    Args:
-        scene: The world.
-        camera: A camera; its distortion is ignored.
-        T_world_camera: ``(4, 4)`` float64, optical frame to world.
-    """
-    R, origin = T_world_camera[:3, :3], T_world_camera[:3, 3]
-    shape = (camera.height, camera.width)
-    rays = (R @ camera_rays(camera)).reshape(3, *shape)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -origin[2] / rays[2]
-        depth[~(depth > NEAR)] = np.inf
-        number = np.zeros(shape, np.uint8)
-        for i, solid in enumerate(scene.solids):
-            where = _window(solid, camera, T_world_camera)
-            if where is None:
-                continue
-            t = _hit(solid, origin, rays[:, *where])
-            nearer = t < depth[where]
-            depth[where][nearer] = t[nearer]
-            number[where][nearer] = i + 1
-    return Hits(depth, number, rays)
-
-
-def _window(
-    solid: Box | Cylinder, camera: Intrinsics, T_world_camera: np.ndarray
-) -> tuple[slice, slice] | None:
-    """The image rectangle around a solid; None where it is out of sight."""
-    x, y, z = (np.linalg.inv(T_world_camera) @ np.c_[bounds(solid), np.ones(8)].T)[:3]
-    if (z < NEAR).all():
-        return None
-    if (z < NEAR).any():
-        return slice(0, camera.height), slice(0, camera.width)
-    u, v = x / z * camera.fx + camera.cx, y / z * camera.fy + camera.cy
-    rows = slice(max(0, int(v.min()) - 1), max(0, min(camera.height, int(v.max()) + 2)))
-    columns = slice(max(0, int(u.min()) - 1), max(0, min(camera.width, int(u.max()) + 2)))
-    empty = rows.start >= rows.stop or columns.start >= columns.stop
-    return None if empty else (rows, columns)
-
-
-def _hit(solid: Box | Cylinder, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Depth ``(h, w)`` at which rays enter a solid, inf where they miss it."""
-    if isinstance(solid, Box):
-        return _hit_box(solid, origin, rays)
-    return _hit_cylinder(solid, origin, rays)
-
-
-def _slab(low: float, high: float, start: float, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    a, b = (low - start) / step, (high - start) / step
-    return np.minimum(a, b), np.maximum(a, b)
-
-
-def _entry(enter: np.ndarray, leave: np.ndarray) -> np.ndarray:
-    return np.where((enter <= leave) & (enter > NEAR), enter, np.inf)
-
-
-def _hit_box(box: Box, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    R = rotation_z(-box.yaw)
-    x, y = R @ (origin[:2] - box.center)
-    half_x, half_y = box.size[0] / 2, box.size[1] / 2
-    enter, leave = _slab(-half_x, half_x, x, R[0, 0] * rays[0] + R[0, 1] * rays[1])
-    for low, high, start, step in (
-        (-half_y, half_y, y, R[1, 0] * rays[0] + R[1, 1] * rays[1]),
-        (box.base, box.base + box.size[2], origin[2], rays[2]),
-    ):
-        near, far = _slab(low, high, start, step)
-        enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-    return _entry(enter, leave)
-
-
-def _hit_cylinder(cylinder: Cylinder, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    x, y = origin[:2] - cylinder.center
-    a = rays[0] ** 2 + rays[1] ** 2
-    b = x * rays[0] + y * rays[1]
-    root = np.sqrt(b * b - a * (x * x + y * y - cylinder.radius**2))
-    near, far = _slab(cylinder.base, cylinder.base + cylinder.height, origin[2], rays[2])
-    return _entry(np.maximum((-b - root) / a, near), np.minimum((-b + root) / a, far))
+def _patterns(kinds: tuple[str, ...], device: str) -> wp.array:
+    stack = np.stack([pattern(kind) for kind in kinds])
+    return wp.array(stack, dtype=wp.vec3, device=device)

@@ -10,7 +10,7 @@ from jaxdet.sim.config import SimConfig, calibration_of
 from jaxdet.sim.frames import SimFrame, simulate_frame
 from jaxdet.sim.robot import OPTICAL, WHEEL_RADIUS_M, drifted, mount, pose_at, velocity_at
 from jaxdet.sim.scene import Scene
-from jaxdet.sim.scenes import load_scene
+from jaxdet.sim.scenes import scene_of
 from jaxdet.sim.truth import Truth, TruthWriter, truth_path
 from jaxdet.types import Calibration, Intrinsics
 
@@ -34,7 +34,7 @@ def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
         InputError: The scene's file can't be read.
     """
     config = config or SimConfig()
-    scene, calibration = load_scene(config.scene), calibration_of(config)
+    scene, calibration = scene_of(config), calibration_of(config)
     truth = TruthWriter(truth_path(path), config, scene)
     with Ros2LogWriter(path, config.compression) as writer:
         _write_static(writer, config, calibration)

@@ -85,16 +85,15 @@ def mount(height_m: float, pitch_rad: float, roll_rad: float) -> np.ndarray:
     return T
 
 
-def ground_frame(T_world_color: np.ndarray) -> np.ndarray:
+def ground_frame(T_world_base: np.ndarray) -> np.ndarray:
     """The camera's ground frame: its centre dropped on the floor, x right, y forward, z up.
+
+    :func:`mount` puts the camera over the base's origin without a turn, so that this is the
+    base's frame with its axes renamed.
 
     Returns:
         ``T_ground_world`` ``(4, 4)`` float64.
     """
-    forward = T_world_color[:2, 2] / np.linalg.norm(T_world_color[:2, 2])
-    R = np.eye(3)
-    R[0, :2], R[1, :2] = (forward[1], -forward[0]), forward
     T = np.eye(4)
-    T[:3, :3] = R
-    T[:3, 3] = -R @ [T_world_color[0, 3], T_world_color[1, 3], 0.0]
-    return T
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    return T @ np.linalg.inv(T_world_base)

@@ -1,37 +1,18 @@
-"""What a simulated world consists of: a floor, boxes, cylinders, walls, light, a path.
+"""What a simulated world consists of: a floor, boxes, cylinders, models, walls, light, a path.
 
 The world frame is ROS's: x forward, y left, z up, metres; the floor is z = 0. Everything is a
 frozen dataclass, so a scene can be compared, hashed, and written as TOML or JSON.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from jaxdet.errors import ConfigError
-
-Color = tuple[int, int, int]
-"""RGB, 0-255."""
+from jaxdet.sim.looks import Color, Texture
 
 MAX_OBSTACLES = 255
 """Obstacle numbers are stored in a byte, and 0 is the floor."""
-
-
-@dataclass(frozen=True)
-class Texture:
-    """How a surface looks."""
-
-    kind: Literal["plain", "noise", "tiles", "wood", "stripes", "checker", "carton"] = "plain"
-    """Pattern drawn with the two colours."""
-    color: Color = (150, 150, 150)
-    """Main colour."""
-    accent: Color = (90, 90, 90)
-    """Colour of joints, stripes, prints."""
-    size_m: float = 0.3
-    """Period of the pattern [m]: tile, board, stripe pair, carton face."""
-    grain: float = 3.0
-    """Fine variation, standard deviation [grey levels]."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +30,11 @@ class Box:
     """Height of its underside above the floor [m]."""
     name: str = "box"
 
+    @property
+    def label(self) -> str:
+        """Its name in the truth."""
+        return self.name
+
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -64,6 +50,11 @@ class Cylinder:
     base: float = 0.0
     """Height of its underside above the floor [m]."""
     name: str = "cylinder"
+
+    @property
+    def label(self) -> str:
+        """Its name in the truth."""
+        return self.name
 
 
 @dataclass(frozen=True)
@@ -82,6 +73,11 @@ class Wall:
     name: str = "wall"
 
     @property
+    def label(self) -> str:
+        """Its name in the truth."""
+        return self.name
+
+    @property
     def box(self) -> Box:
         """The same body as a box."""
         a, b = np.asarray(self.start), np.asarray(self.end)
@@ -93,14 +89,31 @@ class Wall:
 
 @dataclass(frozen=True)
 class Light:
-    """One far lamp and an even background."""
+    """One lamp, or the sun, beside an even light; how bright is the log's (``SimConfig.light``)."""
 
     direction: tuple[float, float, float] = (-0.45, 0.35, 0.82)
-    """Towards the lamp, in the world."""
-    ambient: float = 0.55
-    """Share of the surface's colour seen in the shade."""
-    diffuse: float = 0.5
-    """Share added where the lamp shines straight on it."""
+    """Towards the lamp, in the world; above the floor."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The floor's shape: level, a ramp, bumps."""
+
+    slope_rad: float = 0.0
+    """Rise of the ramp [rad], negative goes down."""
+    slope_start_m: float = 0.8
+    """Where the ramp begins, along ``slope_yaw`` from the origin [m]; far behind the robot, the
+    robot stands on it."""
+    slope_length_m: float = 200.0
+    """How long it is; level again after it [m]."""
+    slope_yaw: float = 0.0
+    """Direction in which it rises, counter-clockwise from x [rad]."""
+    bump_m: float = 0.0
+    """Greatest height and depth of bumps [m]."""
+    bump_size_m: float = 0.8
+    """About how long a bump and the hollow after it are [m]."""
+    seed: int = 0
+    """Where the bumps are."""
 
 
 @dataclass(frozen=True)
@@ -125,15 +138,43 @@ class Path:
 
 
 @dataclass(frozen=True)
+class Model:
+    """A procedural model of :mod:`jaxdet.sim.models`."""
+
+    kind: str
+    """Its name: person, walker, vehicle, barrier, cone, bucket, bin, tree_trunk, ..."""
+    center: tuple[float, float] = (2.0, 0.0)
+    """x, y of its middle [m]."""
+    yaw: float = 0.0
+    """Where it faces, counter-clockwise from x [rad]."""
+    seed: int = 0
+    """Its dimensions, colours and pose."""
+    scale: float = 1.0
+    """Its size against the drawn one."""
+    path: Path | None = None
+    """Where it moves, in the world, instead of ``center`` and ``yaw``; it turns about at the
+    ends."""
+    name: str = ""
+    """Its name in the truth; empty: its kind."""
+
+    @property
+    def label(self) -> str:
+        """Its name in the truth."""
+        return self.name or self.kind
+
+
+@dataclass(frozen=True)
 class Scene:
-    """A world; the obstacle number of an object is its place in ``boxes + cylinders + walls``,
-    from 1."""  # noqa: D205, D209
+    """A world; the obstacle number of an object is its place in ``boxes + cylinders + models +
+    walls``, from 1."""  # noqa: D205, D209
 
     name: str = "scene"
     boxes: tuple[Box, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
+    models: tuple[Model, ...] = ()
     walls: tuple[Wall, ...] = ()
     floor: Texture = field(default_factory=Texture)
+    ground: Ground = field(default_factory=Ground)
     light: Light = field(default_factory=Light)
     path: Path = field(default_factory=Path)
     background: Color = (205, 210, 215)
@@ -147,46 +188,17 @@ class Scene:
             )
 
     @property
-    def objects(self) -> tuple[Box | Cylinder | Wall, ...]:
+    def objects(self) -> tuple[Box | Cylinder | Model | Wall, ...]:
         """All that stands on the floor; object ``i`` has the number ``i + 1``."""
-        return (*self.boxes, *self.cylinders, *self.walls)
+        return (*self.boxes, *self.cylinders, *self.models, *self.walls)
 
     @property
-    def solids(self) -> tuple[Box | Cylinder, ...]:
-        """The objects, walls as boxes."""
-        return (*self.boxes, *self.cylinders, *(wall.box for wall in self.walls))
+    def moves(self) -> bool:
+        """Whether any object does."""
+        return any(model.path is not None for model in self.models)
 
 
 def rotation_z(yaw: float) -> np.ndarray:
     """The rotation ``(2, 2)`` by ``yaw`` counter-clockwise [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([[c, -s], [s, c]])
-
-
-def footprint(solid: Box | Cylinder, sides: int = 16) -> np.ndarray:
-    """Where a solid meets the floor seen from above.
-
-    Args:
-        solid: The solid.
-        sides: Corners of the polygon that stands for a circle (inscribed).
-
-    Returns:
-        ``(4, 2)`` or ``(sides, 2)`` float64, counter-clockwise, world [m].
-    """
-    if isinstance(solid, Box):
-        half = np.array(solid.size[:2]) / 2
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-        return corners @ rotation_z(solid.yaw).T + solid.center
-    angle = np.arange(sides) * (2 * np.pi / sides)
-    return solid.radius * np.stack([np.cos(angle), np.sin(angle)], 1) + solid.center
-
-
-def bounds(solid: Box | Cylinder) -> np.ndarray:
-    """The corners ``(8, 3)`` of an upright box around a solid, world [m]: bottom, then top."""
-    if isinstance(solid, Box):
-        outline, height = footprint(solid), solid.size[2]
-    else:
-        side = 2 * solid.radius
-        outline, height = footprint(Box(solid.center, (side, side, 0.0))), solid.height
-    low = np.column_stack([outline, np.full(4, solid.base)])
-    return np.concatenate([low, low + np.array([0, 0, height])])

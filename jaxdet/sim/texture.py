@@ -1,17 +1,21 @@
-"""Procedural textures: periodic images, drawn once, looked up with bilinear filtering."""
+"""Procedural textures: periodic patterns, drawn once, looked up by the ray caster.
+
+A pattern is an image of three channels: how much of the accent colour (0-1), how much brighter
+(grey levels), and fine noise of unit variance, which the texture's grain scales.
+"""
 
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 
-from jaxdet.sim.scene import Texture
+from jaxdet.sim.looks import Kind
+from jaxdet_kernels import raycast as kernels
 
-SIZE = 512
-"""Side of a texture image [texel]."""
-PERIODS = 4
+SIZE = int(kernels.SIZE)
+"""Side of a pattern's finest image [texel]."""
+PERIODS = int(kernels.PERIODS)
 """How often the pattern's period fits into the image: variation before it repeats."""
-LEVELS = 7
-"""Halvings kept, against aliasing far away."""
 
 
 def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0) -> np.ndarray:
@@ -34,89 +38,85 @@ def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0)
     return noise / noise.std()
 
 
-def _mix(texture: Texture, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """How much accent (0-1) and how much brighter (grey levels) each texel is."""
+def _built(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
+    """Accent and brightness of the patterns that are made by hand; None for nature's."""
     t, s = np.mgrid[:SIZE, :SIZE] * (PERIODS / SIZE)
     shade = np.zeros((SIZE, SIZE))
-    per_cell = rng.normal(0, 7, (PERIODS, PERIODS))
-    if texture.kind == "noise":
-        mix = np.clip(0.5 + 0.6 * spectral_noise(rng, 1.0), 0, 1)
-    elif texture.kind == "tiles":
+    per_cell = rng.normal(0, 7, (8 * PERIODS, 8 * PERIODS))
+    if kind == "tiles":
         mix = ((t % 1 < 0.035) | (s % 1 < 0.035)).astype(float)
         shade = per_cell[t.astype(int), s.astype(int)] + 4 * spectral_noise(rng, 1.0)
-    elif texture.kind == "wood":
+    elif kind == "wood":
         board = t.astype(int)
         end = (s + 0.6 * board + 0.5) % 2 < 0.015
         mix = np.clip(0.22 * spectral_noise(rng, 0.8, stretch=12) + 0.15, 0, 0.7)
         mix[(t % 1 < 0.03) | end] = 1
         shade = per_cell[board, 0] * 1.5
-    elif texture.kind == "stripes":
+    elif kind == "stripes":
         mix = (t % 1 < 0.5).astype(float)
-    elif texture.kind == "checker":
+    elif kind == "checker":
         mix = ((t % 1 < 0.5) ^ (s % 1 < 0.5)).astype(float)
-    elif texture.kind == "carton":
+    elif kind == "carton":
         tape = abs(t % 1 - 0.5) < 0.06
         label = (abs(s % 1 - 0.3) < 0.18) & (abs(t % 1 - 0.22) < 0.1)
         lines = label & (t * 24 % 1 < 0.45)
         mix = 0.35 * tape + 1.0 * lines
         shade = 55.0 * (label & ~lines)
+    elif kind == "brick":
+        row = (t * 2).astype(int)
+        column = s + 0.5 * (row % 2)
+        mix = ((t * 2 % 1 < 0.13) | (column % 1 < 0.05)).astype(float)
+        shade = per_cell[row, column.astype(int)] * 1.5 * (1 - mix) + 3 * spectral_noise(rng, 0.5)
+    elif kind == "lines":
+        mix = ((s % 1 < 0.05) | (abs(t - 2.0) < 0.03)).astype(float)
+        mix *= np.clip(1.1 - 0.25 * np.abs(spectral_noise(rng, 0.7)), 0, 1)
+        shade = 6 * spectral_noise(rng, 0.6)
+    elif kind == "mosaic":
+        cells = per_cell[(t * 4).astype(int) % 32, (s * 4).astype(int) % 32]
+        mix = np.where((t * 4 % 1 < 0.08) | (s * 4 % 1 < 0.08), 0.7, np.clip(cells / 14, 0, 1))
     else:
-        mix = np.zeros((SIZE, SIZE))
+        return None
     return mix, shade
 
 
-@lru_cache(maxsize=64)
-def texture_pyramid(texture: Texture, seed: int) -> tuple[np.ndarray, ...]:
-    """Draw a texture.
+def _mix(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """How much accent (0-1) and how much brighter (grey levels) each texel is."""
+    built = _built(kind, rng)
+    if built is not None:
+        return built
+    shade = np.zeros((SIZE, SIZE))
+    if kind == "noise":
+        return np.clip(0.5 + 0.6 * spectral_noise(rng, 1.0), 0, 1), shade
+    if kind == "cloth":
+        folds = spectral_noise(rng, 1.3, stretch=0.35)
+        return np.clip(0.25 + 0.3 * folds, 0, 1), shade
+    if kind == "bark":
+        ridges = np.abs(spectral_noise(rng, 0.9, stretch=0.25))
+        return np.clip(1.1 - 1.4 * ridges, 0, 1), 10 * spectral_noise(rng, 0.8)
+    if kind == "asphalt":
+        stones = spectral_noise(rng, 0.15)
+        return np.clip(0.35 * (stones > 1.3) + 0.1 * spectral_noise(rng, 1.0), 0, 1), shade
+    if kind == "grass":
+        blades = spectral_noise(rng, 0.5, stretch=0.5)
+        return np.clip(0.5 + 0.4 * blades, 0, 1), 14 * spectral_noise(rng, 1.0)
+    return shade, shade
+
+
+@lru_cache(maxsize=len(get_args(Kind)))
+def pattern(kind: Kind) -> np.ndarray:
+    """Draw a pattern in all its resolutions.
 
     Returns:
-        Images ``(n, n, 3)`` float32, n halving from SIZE, indexed ``[t, s]``; each spans
-        ``PERIODS * texture.size_m`` metres and repeats.
+        ``(texels, 3)`` float32: images of side SIZE, SIZE / 2, ..., one after the other, row by
+        row ``[t, s]``; each spans ``PERIODS`` periods and repeats.
     """
-    rng = np.random.default_rng([seed, 7])
-    mix, shade = _mix(texture, rng)
-    color, accent = np.asarray(texture.color, float), np.asarray(texture.accent, float)
-    image = color + mix[..., None] * (accent - color)
-    image += (shade + texture.grain * spectral_noise(rng, 0.3))[..., None]
-    levels: list[np.ndarray] = [image.astype(np.float32)]
-    for _ in range(LEVELS - 1):
+    rng = np.random.default_rng([7, get_args(Kind).index(kind)])
+    mix, shade = _mix(kind, rng)
+    image = np.stack([mix, shade, spectral_noise(rng, 0.3)], axis=-1)
+    levels = [image]
+    for _ in range(int(kernels.LEVELS) - 1):
         a = levels[-1]
-        quads = a[::2, ::2] + a[1::2, ::2] + a[::2, 1::2] + a[1::2, 1::2]
-        levels.append((quads / 4).astype(np.float32))
-    return tuple(levels)
-
-
-def _bilinear(image: np.ndarray, s: np.ndarray, t: np.ndarray) -> np.ndarray:
-    n = len(image)
-    s, t = s * n - 0.5, t * n - 0.5
-    s0, t0 = np.floor(s), np.floor(t)
-    ws, wt = (s - s0).astype(np.float32)[:, None], (t - t0).astype(np.float32)[:, None]
-    i0, j0 = t0.astype(np.int32) % n, s0.astype(np.int32) % n
-    i1, j1 = (i0 + 1) % n, (j0 + 1) % n
-    top = image[i0, j0] * (1 - ws) + image[i0, j1] * ws
-    return top * (1 - wt) + (image[i1, j0] * (1 - ws) + image[i1, j1] * ws) * wt
-
-
-def sample(texture: Texture, seed: int, st: np.ndarray, pixel_m: np.ndarray) -> np.ndarray:
-    """Look a texture up.
-
-    Args:
-        texture: The texture.
-        seed: Its variation.
-        st: ``(n, 2)`` float64, place on the surface [m].
-        pixel_m: ``(n,)`` float64, what one pixel covers there [m]; picks the resolution.
-
-    Returns:
-        ``(n, 3)`` float32, RGB, not clipped.
-    """
-    pyramid = texture_pyramid(texture, seed)
-    span = PERIODS * texture.size_m
-    place = st / span
-    place -= np.floor(place)
-    level = np.log2(np.maximum(pixel_m * (SIZE / span), 1.0)).round().astype(np.int8)
-    level = np.minimum(level, LEVELS - 1)
-    out = np.empty((len(st), 3), np.float32)
-    for number in np.unique(level):
-        chosen = level == number
-        out[chosen] = _bilinear(pyramid[number], place[chosen, 0], place[chosen, 1])
-    return out
+        levels.append((a[::2, ::2] + a[1::2, ::2] + a[::2, 1::2] + a[1::2, 1::2]) / 4)
+    flat = np.concatenate([level.reshape(-1, 3) for level in levels]).astype(np.float32)
+    flat.setflags(write=False)
+    return flat

@@ -7,6 +7,8 @@ NumPy reads it: ``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
 
 import io
 import zipfile
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +16,15 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.sim.config import SimConfig
-from jaxdet.sim.frames import SimFrame
+from jaxdet.sim.frames import SimFrame, simulate_frame
+from jaxdet.sim.ground import ground_height
 from jaxdet.sim.robot import ground_frame
-from jaxdet.sim.scene import Scene, bounds, footprint
+from jaxdet.sim.scene import Scene
+from jaxdet.sim.world import OUTLINE_CORNERS, bounds, heading, object_mesh, outline
 
 
 class Truth(NamedTuple):
-    """All that is true of a log but the pixels: ``F`` frames, ``J`` objects.
+    """All that is true of frames but the pixels: ``F`` frames, ``J`` objects.
 
     Object ``j`` has the number ``j + 1`` in the obstacle pictures. An object out of sight has 0
     visible pixels and NaN extents.
@@ -37,13 +41,17 @@ class Truth(NamedTuple):
     camera_roll: np.ndarray
     """``(F,)`` float64 [rad]."""
     names: np.ndarray
-    """``(J,)`` str."""
+    """``(J,)`` str, the objects' names; models have their kind's, as ``person`` or ``cone``."""
     is_wall: np.ndarray
     """``(J,)`` bool."""
+    height_m: np.ndarray
+    """``(F, J)`` float32, top of the object above the floor at its middle [m]."""
     box_world: np.ndarray
-    """``(J, 8, 3)`` float64, corners of the upright box around each, bottom first [m]."""
+    """``(F, J, 8, 3)`` float32, corners of the upright box around each, turned with the object,
+    bottom first, counter-clockwise from above [m]; :func:`to_camera` has them in the camera."""
     footprint_world: np.ndarray
-    """``(J, 16, 2)`` float64, outline on the floor, counter-clockwise, NaN after the last [m]."""
+    """``(F, J, 64, 2)`` float32, outline on the floor of what is lower than 2.2 m: its convex
+    hull from above, counter-clockwise, NaN after the last corner [m]."""
     visible_pixels: np.ndarray
     """``(F, J)`` int32, colour pixels that show the object."""
     nearest_m: np.ndarray
@@ -72,15 +80,11 @@ class TruthWriter:
     def __init__(self, path: Path, config: SimConfig, scene: Scene) -> None:
         self._config, self._scene = config, scene
         self._zip = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
-        self._stamps: list[int] = []
-        self._poses: list[np.ndarray] = []
-        self._rows: list[tuple[np.ndarray, ...]] = []
+        self._rows: list[Truth] = []
 
     def add(self, frame: SimFrame) -> None:
         """Take one frame in."""
-        self._stamps.append(frame.stamp_ns)
-        self._poses.append(frame.T_world_color)
-        self._rows.append(visible_extents(frame, len(self._scene.objects)))
+        self._rows.append(frame_truth(frame))
         self._put(f"obstacle_id_{frame.number:06d}", frame.truth.obstacle_id)
 
     def finish(self) -> Truth:
@@ -99,30 +103,67 @@ class TruthWriter:
         self._zip.writestr(info, buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=1)
 
     def _truth(self) -> Truth:
-        scene, config, count = self._scene, self._config, len(self._stamps)
-        objects = len(scene.objects)
-        outlines = np.full((objects, 16, 2), np.nan)
-        for row, solid in zip(outlines, scene.solids, strict=True):
-            outline = footprint(solid)
-            row[: len(outline)] = outline
-        shapes = ((objects,), (objects,), (objects, 2), (objects, 2))
-        kinds = (np.int32, np.float32, np.float32, np.float32)
-        extents = [
-            np.array([row[i] for row in self._rows], kind).reshape(count, *shape)
-            for i, (shape, kind) in enumerate(zip(shapes, kinds, strict=True))
-        ]
-        return Truth(
-            np.array(self._stamps, np.int64),
-            np.array(self._poses, np.float64).reshape(count, 4, 4),
-            np.full(count, config.camera_height_m),
-            np.full(count, config.camera_pitch_rad),
-            np.full(count, config.camera_roll_rad),
-            np.array([thing.name for thing in scene.objects], np.str_),
-            np.arange(objects) >= objects - len(scene.walls),
-            np.array([bounds(solid) for solid in scene.solids]).reshape(objects, 8, 3),
-            outlines,
-            *extents,
-        )
+        one = self._rows[0] if self._rows else empty_truth(self._config, self._scene)
+        if not self._rows:
+            return one
+        lists = zip(*self._rows, strict=True)
+        fields = {
+            name: getattr(one, name) if name in _OF_LOG else np.concatenate(parts)
+            for name, parts in zip(Truth._fields, lists, strict=True)
+        }
+        return Truth(**fields)
+
+
+_OF_LOG = ("names", "is_wall")
+
+
+def frame_truth(frame: SimFrame) -> Truth:
+    """The truth of one frame, ``F`` = 1."""
+    scene, config = frame.scene, frame.config
+    shapes = _placed(scene, frame.time_s if scene.moves else 0.0)
+    extents = visible_extents(frame, len(scene.objects))
+    return Truth(
+        np.array([frame.stamp_ns], np.int64),
+        frame.T_world_color[None],
+        np.array([config.camera_height_m]),
+        np.array([config.camera_pitch_rad]),
+        np.array([config.camera_roll_rad]),
+        np.array(
+            [getattr(o, "name", "") or getattr(o, "kind", "") for o in scene.objects], np.str_
+        ),
+        np.arange(len(scene.objects)) >= len(scene.objects) - len(scene.walls),
+        *(array[None] for array in (*shapes, *extents)),
+    )
+
+
+def empty_truth(config: SimConfig, scene: Scene) -> Truth:
+    """The truth of a log without frames."""
+    tiny = replace(config, width=16, height=16)
+    truth = frame_truth(simulate_frame(tiny, scene, 0))
+    arrays = truth._asdict().items()
+    return Truth(**{name: a if name in _OF_LOG else a[:0] for name, a in arrays})
+
+
+@lru_cache(maxsize=4)
+def _placed(scene: Scene, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heights, boxes and outlines of all objects at a time, as in :class:`Truth`."""
+    count = len(scene.objects)
+    heights = np.zeros(count, np.float32)
+    boxes = np.zeros((count, 8, 3), np.float32)
+    outlines = np.full((count, OUTLINE_CORNERS, 2), np.nan, np.float32)
+    for j in range(count):
+        mesh = object_mesh(scene, j, time_s)
+        boxes[j] = bounds(mesh, heading(scene, j, time_s))
+        around = outline(mesh)
+        outlines[j, : len(around)] = around
+        x, y = boxes[j, :4, :2].mean(0)
+        heights[j] = boxes[j, 4, 2] - ground_height(scene.ground, x, y)
+    return heights, boxes, outlines
+
+
+def to_camera(T_world_camera: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """World points ``(..., 3)`` in the camera optical frame."""
+    return (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
 
 
 def visible_extents(
@@ -134,10 +175,11 @@ def visible_extents(
         Pixels ``(J,)``, nearest z ``(J,)``, smallest and largest right, forward ``(J, 2)`` [m],
         as in :class:`Truth`.
     """
-    T = ground_frame(frame.T_world_color)
+    T = ground_frame(frame.T_world_base)
     pixels = np.bincount(frame.truth.obstacle_id.ravel(), minlength=objects + 1)[1:]
-    nearest = np.full(objects, np.nan)
-    low, high = np.full((objects, 2), np.nan), np.full((objects, 2), np.nan)
+    pixels = pixels.astype(np.int32)
+    nearest = np.full(objects, np.nan, np.float32)
+    low, high = np.full((2, objects, 2), np.nan, np.float32)
     for j in np.flatnonzero(pixels):
         chosen = frame.truth.obstacle_id == j + 1
         ground = frame.truth.points[chosen] @ T[:2, :3].T + T[:2, 3]

@@ -1,0 +1,171 @@
+"""From surfaces and light to the colour camera's picture, step by step as light goes.
+
+1. A display value c gives the reflectance ``0.9 sRGB^-1(c / 255)``.
+2. The surface gets ``E`` lux from the even light and the lamp: ``E = lux ((1 - lamp) + lamp
+   cos / cos_floor)`` with the cosine of the lamp's direction there and on the level floor, and
+   reflects it evenly; gloss adds the lamp's mirror image.
+3. The sensor gets ``E_s = E rho T / (4 N^2)`` lux (Holst, "CMOS/CCD Sensors and Camera Systems",
+   eq. for an extended source far away), less by vignetting away from the middle.
+4. In the time t a pixel collects ``E_s t k`` electrons, ``k`` from the pixel's area, the quantum
+   efficiency behind the colour filters and 4.1e15 photons / (s m2 lux): 1 W of light at 555 nm is
+   683 lm by definition of the candela.
+5. Photon noise (Poisson, by its normal limit), read noise, full well, gain.
+6. Time and gain are set so that the mean of the picture comes to ``target``: first the time, as
+   long as the frame rate allows, then the gain up to its limit. Beyond that the picture darkens.
+7. The camera's processor smooths the more the higher the gain, and encodes in sRGB with 8 bits.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxdet.types import Intrinsics
+
+TRANSMISSION = 0.9
+"""T of a coated lens."""
+LightName = Literal["strong", "normal", "weaker", "dim"]
+
+
+class Illumination(NamedTuple):
+    """A level of light."""
+
+    lux: float
+    """On the level floor."""
+    lamp: float
+    """Share of it that comes from the lamp, the rest is even."""
+    softness: float
+    """Radius of the lamp's disc at distance one."""
+    samples: int
+    """Shadow rays a pixel."""
+
+
+LIGHTS: dict[LightName, Illumination] = {
+    "strong": Illumination(30_000.0, 0.82, 0.005, 1),
+    "normal": Illumination(500.0, 0.50, 0.08, 2),
+    "weaker": Illumination(120.0, 0.60, 0.06, 2),
+    "dim": Illumination(30.0, 0.60, 0.06, 2),
+}
+"""The paper's four lights. It gives no figures; ours: sun through thin cloud (10-100 klx out of
+doors); an office (500 lx, EN 12464-1); a corridor (100 lx there); a room at dusk or a street at
+night (5-50 lx, EN 13201 class C), where exposure and gain are at their limits."""
+
+
+@dataclass(frozen=True)
+class ColorSensor:
+    """The colour camera; the defaults are about a D435i's (OV2740, 1920 x 1080, 1.4 um, f/2.0)."""
+
+    enabled: bool = True
+    """Off: no noise, no blur, no vignetting; light and exposure stay."""
+    f_number: float = 2.0
+    """Of the lens."""
+    pixel_um: float = 3.15
+    """Side of a delivered pixel on the chip [um]: 1.4 by 1080 / 480 rows."""
+    efficiency: float = 0.30
+    """Electrons a photon, behind the colour filters."""
+    read_noise_e: float = 6.0
+    """Read noise of a delivered pixel [electrons]."""
+    full_well_e: float = 25_000.0
+    """Electrons at which a delivered pixel saturates."""
+    max_exposure_s: float = 1 / 30
+    """Longest exposure [s]."""
+    max_gain: float = 16.0
+    """Greatest gain."""
+    target: float = 0.20
+    """Mean of the picture that the exposure aims at, linear, 1 = saturated."""
+    blur_px: float = 0.55
+    """Lens and demosaicing [pixel]."""
+    smooth_px: float = 0.22
+    """Smoothing for each doubling of the gain [pixel]."""
+    vignetting: float = 0.5
+    """Part of the cos^4 law that is left after the camera's own correction."""
+
+
+def expose(
+    surface: tuple[np.ndarray, np.ndarray],
+    camera: Intrinsics,
+    light: Illumination,
+    cos_floor: float,
+    sensor: ColorSensor,
+    rng: np.random.Generator,
+    smear_px: float = 0.0,
+) -> np.ndarray:
+    """Take a picture.
+
+    Args:
+        surface: ``color`` and ``light`` of a :class:`jaxdet.sim.render.Rendering`.
+        camera: The colour camera.
+        light: How bright it is.
+        cos_floor: Cosine of the lamp's direction on the level floor.
+        sensor: The camera's chip, lens and processor.
+        rng: Random numbers.
+        smear_px: How far the picture turns sideways in the longest exposure [pixel].
+
+    Returns:
+        ``(H, W, 3)`` uint8, RGB.
+    """
+    lux = illuminate(*surface, light, cos_floor) * np.float32(
+        TRANSMISSION / (4 * sensor.f_number**2)
+    )
+    if sensor.enabled:
+        lux *= _vignette(camera, sensor.vignetting)[..., None]
+        lux = cv2.GaussianBlur(lux, (7, 7), sensor.blur_px)
+    rate = 4.1e15 * (sensor.pixel_um * 1e-6) ** 2 * sensor.efficiency
+    wanted = sensor.target * sensor.full_well_e / (rate * max(float(lux.mean()), 1e-9))
+    time_s = min(sensor.max_exposure_s, wanted)
+    gain = float(np.clip(wanted / time_s, 1.0, sensor.max_gain))
+    electrons = lux * np.float32(rate * time_s)
+    if sensor.enabled:
+        electrons = _smear(electrons, smear_px * time_s / sensor.max_exposure_s)
+        spread = np.sqrt(electrons + np.float32(sensor.read_noise_e**2))
+        electrons += spread * rng.standard_normal(electrons.shape, np.float32)
+        width = sensor.smooth_px * np.log2(gain)
+        if width > 0.1:
+            electrons = cv2.GaussianBlur(electrons, (9, 9), width)
+    linear = np.minimum(electrons, sensor.full_well_e) * np.float32(gain / sensor.full_well_e)
+    return _encode(linear)
+
+
+def illuminate(
+    color: np.ndarray, shine: np.ndarray, light: Illumination, cos_floor: float
+) -> np.ndarray:
+    """What surfaces send out, ``(H, W, 3)`` float32 [lux times reflectance]."""
+    lamp = np.float32(light.lux * light.lamp / cos_floor)
+    got = np.float32(light.lux * (1 - light.lamp)) + lamp * shine[..., :1]
+    return reflectance_of(color) * got + lamp * shine[..., 1:2]
+
+
+def reflectance_of(color: np.ndarray) -> np.ndarray:
+    """Reflectances, float32 of the shape of ``color`` [grey levels], to a quarter of a level."""
+    table = (0.9 * _linear(np.arange(1021) / 1020)).astype(np.float32)
+    return table[np.clip(color * np.float32(4) + np.float32(0.5), 0, 1020).astype(np.uint16)]
+
+
+def _linear(value: np.ndarray) -> np.ndarray:
+    """The sRGB decoding, IEC 61966-2-1."""
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _encode(linear: np.ndarray) -> np.ndarray:
+    steps = np.arange(4096) / 4095
+    curve = np.where(steps <= 0.0031308, steps * 12.92, 1.055 * steps ** (1 / 2.4) - 0.055)
+    table = np.rint(255 * curve).astype(np.uint8)
+    return table[np.clip(linear * np.float32(4095) + np.float32(0.5), 0, 4095).astype(np.uint16)]
+
+
+def _vignette(camera: Intrinsics, part: float) -> np.ndarray:
+    x = (np.arange(camera.width) - camera.cx) / camera.fx
+    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    cos2 = 1 / (1 + x[None, :] ** 2 + y[:, None] ** 2)
+    return (cos2 ** (2 * part)).astype(np.float32)
+
+
+def _smear(image: np.ndarray, length_px: float) -> np.ndarray:
+    """A sideways blur by a box of that length, its ends weighted."""
+    if length_px < 0.2:
+        return image
+    half = int(np.ceil(length_px / 2))
+    places = np.arange(-half, half + 1)
+    taps = np.clip(length_px / 2 + 0.5 - np.abs(places), 0, 1)
+    return cv2.filter2D(image, -1, (taps / taps.sum())[None].astype(np.float32))

@@ -1,0 +1,85 @@
+"""Textures by name: what floors, walls and things are made of.
+
+Colours are display values; a Lambert reflectance follows from them (:mod:`jaxdet.sim.exposure`).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Color = tuple[int, int, int]
+"""RGB, 0-255, as a display shows them (sRGB)."""
+Kind = Literal[
+    "plain", "noise", "tiles", "wood", "stripes", "checker", "carton", "cloth", "bark", "brick",
+    "lines", "asphalt", "grass", "mosaic",
+]  # fmt: skip
+"""The patterns."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """How a surface looks, to the colour camera and to the infrared ones."""
+
+    kind: Kind = "plain"
+    """Pattern drawn with the two colours."""
+    color: Color = (150, 150, 150)
+    """Main colour."""
+    accent: Color = (90, 90, 90)
+    """Colour of joints, stripes, prints."""
+    size_m: float = 0.3
+    """Period of the pattern [m]: tile, board, stripe pair, carton face."""
+    grain: float = 3.0
+    """Fine variation, standard deviation [grey levels]."""
+    gloss: float = 0.0
+    """How much of a mirror it is, 0 to 1: highlights for colour, holes for depth."""
+
+
+TILES = Texture("tiles", color=(150, 146, 138), accent=(70, 68, 66), size_m=0.4, grain=3.0)
+WOOD = Texture("wood", color=(172, 128, 84), accent=(84, 56, 34), size_m=0.14, grain=3.0)
+CARPET = Texture("noise", color=(96, 108, 120), accent=(150, 158, 166), size_m=0.25, grain=5.0)
+PLASTER = Texture("noise", color=(164, 160, 150), accent=(148, 144, 136), size_m=1.0, grain=1.5)
+CARTON = Texture("carton", color=(226, 190, 140), accent=(92, 60, 34), size_m=0.35)
+DARK_CASE = Texture("checker", color=(28, 30, 36), accent=(70, 74, 82), size_m=0.2, grain=4.0)
+RED_CRATE = Texture("stripes", color=(150, 24, 28), accent=(40, 8, 12), size_m=0.12, grain=4.0)
+BLUE_BIN = Texture("stripes", color=(24, 50, 128), accent=(226, 230, 236), size_m=0.3, grain=4.0)
+POST = Texture("stripes", color=(238, 236, 230), accent=(176, 20, 22), size_m=0.24, grain=3.0)
+BUCKET = Texture("stripes", color=(24, 90, 40), accent=(10, 36, 18), size_m=0.16, grain=4.0)
+WHITE_BOX = Texture("carton", color=(238, 238, 236), accent=(40, 44, 60), size_m=0.4)
+
+CHECKERED = Texture("checker", color=(176, 172, 164), accent=(82, 80, 78), size_m=0.6, grain=3.0)
+MOSAIC = Texture("mosaic", color=(150, 140, 126), accent=(70, 74, 84), size_m=0.3, grain=4.0)
+MARKED = Texture("lines", color=(92, 94, 96), accent=(214, 208, 190), size_m=1.5, grain=5.0)
+ASPHALT = Texture("asphalt", color=(88, 88, 90), accent=(170, 168, 164), size_m=0.25, grain=6.0)
+PAVING = Texture("brick", color=(142, 128, 116), accent=(78, 74, 70), size_m=0.22, grain=5.0)
+GRASS = Texture("grass", color=(62, 84, 40), accent=(120, 136, 72), size_m=0.3, grain=6.0)
+BRICK_WALL = Texture("brick", color=(150, 84, 66), accent=(178, 170, 160), size_m=0.16, grain=5.0)
+CONCRETE = Texture("noise", color=(150, 150, 148), accent=(130, 130, 128), size_m=0.8, grain=3.0)
+
+INDOOR_FLOORS = (TILES, WOOD, CARPET, CHECKERED, MOSAIC, MARKED)
+OUTDOOR_FLOORS = (ASPHALT, PAVING, MARKED, GRASS)
+WALLS = (PLASTER, BRICK_WALL, CONCRETE)
+
+RUBBER = Texture("plain", color=(34, 34, 36), grain=2.0)
+CHROME = Texture("plain", color=(176, 178, 182), grain=1.0, gloss=0.7)
+STEEL = Texture("plain", color=(128, 130, 134), grain=2.0, gloss=0.25)
+GLASS = Texture("plain", color=(30, 36, 42), grain=1.0, gloss=0.9)
+BLACK = Texture("plain", color=(20, 20, 22), grain=2.0)
+REFLECTIVE = Texture("plain", color=(236, 236, 238), grain=2.0, gloss=0.2)
+SIGNAL_ORANGE = Texture("plain", color=(226, 74, 24), grain=3.0)
+SIGNAL_RED = Texture("plain", color=(190, 28, 26), grain=3.0)
+
+
+def pick(rng: np.random.Generator, *looks: Texture) -> Texture:
+    """One of some textures by chance."""
+    return looks[int(rng.integers(len(looks)))]
+
+
+def tinted(
+    rng: np.random.Generator, color: tuple[int, int, int], spread: float = 18.0
+) -> tuple[int, int, int]:
+    """A colour near another: brighter or darker by ``spread`` (standard deviation, grey levels),
+    each channel by a quarter of it."""  # noqa: D205, D209
+    moved = np.asarray(color) + rng.normal(0, spread) + rng.normal(0, spread / 4, 3)
+    r, g, b = np.clip(moved, 8, 245).astype(int).tolist()
+    return r, g, b

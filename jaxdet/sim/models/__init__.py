@@ -1,0 +1,57 @@
+"""Procedural models of the paper's obstacles, drawn by seed with plausible dimensions.
+
+A model stands on z = 0 around the origin, faces along x, and is made by
+``builder(rng, phase)``; ``phase`` is the step of a walk [rad], of no effect on things.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxdet.errors import ConfigError
+from jaxdet.sim.mesh import Mesh
+from jaxdet.sim.models.furniture import chair, table
+from jaxdet.sim.models.low import LOW_THINGS, low_thing
+from jaxdet.sim.models.outdoors import street_light, tree_trunk
+from jaxdet.sim.models.people import STRIDE_M, standing_person, walking_person
+from jaxdet.sim.models.roadworks import barrier, cone
+from jaxdet.sim.models.vehicle import vehicle
+from jaxdet.sim.models.vessels import bin_with_lid, bucket
+
+_BUILDERS: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
+    "person": standing_person,
+    "walker": walking_person,
+    "vehicle": vehicle,
+    "barrier": barrier,
+    "cone": cone,
+    "bucket": bucket,
+    "bin": bin_with_lid,
+    "tree_trunk": tree_trunk,
+    "street_light": street_light,
+    "table": table,
+    "chair": chair,
+}
+
+__all__ = ["KINDS", "LOW_THINGS", "STRIDE_M", "build_model"]
+
+KINDS = (*_BUILDERS, *LOW_THINGS)
+"""Names of the models."""
+
+
+def build_model(kind: str, seed: int, phase: float = 0.0) -> Mesh:
+    """Build a model.
+
+    Args:
+        kind: Its name.
+        seed: Its dimensions, colours, pose.
+        phase: Step of a walk [rad].
+
+    Raises:
+        ConfigError: There is no such model.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"no model {kind!r}", remedy=f"use {', '.join(KINDS)}")
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    if kind in LOW_THINGS:
+        return low_thing(kind, rng)
+    return _BUILDERS[kind](rng, phase)

@@ -1,0 +1,50 @@
+"""Tables and chairs.
+
+Tables: EN 527-1 and EN 15372, tops 0.72-0.76 m high, 1.0-1.6 by 0.6-0.8 m. Chairs: EN 1335 and
+EN 16139, seats 0.43-0.47 m high and 0.40-0.46 m wide, backs up to 0.80-0.90 m.
+"""
+
+import numpy as np
+
+from jaxdet.sim.looks import BLACK, CHROME, STEEL, WOOD, Texture, pick, tinted
+from jaxdet.sim.mesh import Mesh, join
+from jaxdet.sim.shapes import box, tube
+
+SEATS = ((40, 42, 46), (30, 60, 110), (150, 40, 40), (190, 160, 120))
+
+
+def table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
+    """A table on four legs."""
+    del phase
+    length, width, height = rng.uniform((1.0, 0.60, 0.72), (1.6, 0.80, 0.76)).tolist()
+    white = Texture("plain", (214, 212, 206), grain=3.0)
+    top, legs = pick(rng, WOOD, white), pick(rng, BLACK, STEEL, WOOD)
+    thick, leg = 0.028, float(rng.uniform(0.035, 0.06))
+    parts = [box((width, length, thick), top, (0, 0, height - thick))]
+    for x in (-1, 1):
+        for y in (-1, 1):
+            place = (x * (width / 2 - 0.05), y * (length / 2 - 0.06), 0.0)
+            parts.append(box((leg, leg, height - thick), legs, place))
+        rail = (x * (width / 2 - 0.05), 0.0, height - thick - 0.06)
+        parts.append(box((0.02, length - 0.12, 0.06), legs, rail))
+    return join(parts)
+
+
+def chair(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
+    """A chair on four legs; its back at -x."""
+    del phase
+    width, seat, back = rng.uniform((0.40, 0.43, 0.80), (0.46, 0.47, 0.90)).tolist()
+    color = tinted(rng, SEATS[int(rng.integers(4))], 8)
+    cover = Texture("cloth", color, (color[0] // 2, color[1] // 2, color[2] // 2), 0.3, 4.0)
+    frame = pick(rng, CHROME, BLACK, WOOD)
+    radius, a = float(rng.uniform(0.011, 0.018)), width / 2
+    parts = [box((width, width, 0.045), cover, (0, 0, seat - 0.045))]
+    for y in (-1, 1):
+        side = y * (a - 0.02)
+        front = [(a - 0.03, side, seat - 0.04), (a, side, radius)]
+        rear = [(-a - 0.02, side, radius), (-a + 0.02, side, seat), (-a - 0.05, side, back)]
+        parts.append(tube(front, [radius] * 2, frame, 10))
+        parts.append(tube(rear, [radius] * 3, frame, 10))
+    lean = np.array([-a - 0.035, 0.0, back - 0.30])
+    parts.append(box((0.03, width - 0.03, 0.28), cover, tuple(lean.tolist())))
+    return join(parts)

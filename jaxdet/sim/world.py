@@ -1,0 +1,146 @@
+"""A scene at one time as one triangle mesh, each triangle with its object."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxdet.sim import shapes
+from jaxdet.sim.ground import floor_mesh, standing
+from jaxdet.sim.mesh import Mesh, join, shift
+from jaxdet.sim.models import STRIDE_M, build_model
+from jaxdet.sim.robot import pose_at
+from jaxdet.sim.scene import Box, Cylinder, Model, Path, Scene, Wall
+
+OUTLINE_CORNERS = 64
+"""Slots for the corners of a footprint."""
+REACH_M = 2.2
+"""Only what of an object is lower counts for its footprint [m]: what a robot could run into."""
+_WALL_FOOT_M = 1.5
+"""How far walls go down below z = 0 where the ground is not level [m]."""
+
+
+class World(NamedTuple):
+    """A scene at one time."""
+
+    mesh: Mesh
+    """Everything, the floor first."""
+    object_of: np.ndarray
+    """``(F,)`` int32, number of the object of each triangle, 0 = floor."""
+
+
+def world_at(scene: Scene, time_s: float) -> World:
+    """The world at a time since the first frame; cached where nothing moves."""
+    return _world(scene, time_s if scene.moves else 0.0)
+
+
+@lru_cache(maxsize=4)
+def _world(scene: Scene, time_s: float) -> World:
+    parts = [floor_mesh(scene.ground, scene.floor)]
+    parts += [object_mesh(scene, j, time_s) for j in range(len(scene.objects))]
+    counts = [len(part.look) for part in parts]
+    return World(join(parts), np.repeat(np.arange(len(parts), dtype=np.int32), counts))
+
+
+def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
+    """The mesh of object ``j`` (from 0) in the world at a time."""
+    thing = scene.objects[j]
+    if isinstance(thing, Wall):
+        foot = _WALL_FOOT_M if scene.ground.slope_rad or scene.ground.bump_m else 0.0
+        return _box(thing.box, foot)
+    if isinstance(thing, Box):
+        mesh, (x, y) = _box(thing, 0.0), thing.center
+    elif isinstance(thing, Cylinder):
+        mesh = shapes.cylinder(thing.radius, thing.height, thing.texture)
+        (x, y) = thing.center
+        mesh = mesh.moved(shift(x, y, thing.base))
+    else:
+        mesh, x, y = _model(thing, time_s)
+    return mesh.moved(standing(scene.ground, x, y))
+
+
+def _box(box: Box, foot: float) -> Mesh:
+    size = (*box.size[:2], box.size[2] + foot)
+    mesh = shapes.box(size, box.texture)
+    return mesh.moved(shift(*box.center, box.base - foot, box.yaw))
+
+
+def _model(model: Model, time_s: float) -> tuple[Mesh, float, float]:
+    x, y, yaw, phase = *model.center, model.yaw, 0.0
+    if model.path is not None:
+        x, y, yaw, travelled = _walk(model.path, time_s)
+        phase = 2 * np.pi * travelled / STRIDE_M
+    elif model.kind == "walker":
+        phase = model.seed * 2.399963 % (2 * np.pi)
+    mesh = _drawn(model.kind, model.seed, phase)
+    if model.scale != 1:
+        mesh = mesh.scaled(model.scale)
+    return mesh.moved(shift(x, y, 0.0, yaw)), x, y
+
+
+@lru_cache(maxsize=64)
+def _drawn(kind: str, seed: int, phase: float) -> Mesh:
+    return build_model(kind, seed, phase)
+
+
+def _walk(path: Path, time_s: float) -> tuple[float, float, float, float]:
+    pose = pose_at(path, time_s)
+    backing = path.length > 0 and int(pose.travelled // path.length) % 2 == 1
+    return pose.x, pose.y, pose.yaw + (np.pi if backing else 0.0), pose.travelled
+
+
+def outline(mesh: Mesh) -> np.ndarray:
+    """The footprint of an object: the convex hull, seen from above, of all that is below REACH_M.
+
+    Returns:
+        ``(n, 2)`` float64, counter-clockwise, n at most OUTLINE_CORNERS [m]; of more corners those
+        that matter least are left out, which moves the outline by less than 1 mm.
+    """
+    corners = mesh.corners
+    low = corners.reshape(-1, 3)
+    if low[:, 2].max() > REACH_M:
+        a, b = corners, np.roll(corners, -1, axis=1)
+        crosses = (a[..., 2] - REACH_M) * (b[..., 2] - REACH_M) < 0
+        a, b = a[crosses], b[crosses]
+        share = (REACH_M - a[:, 2]) / (b[:, 2] - a[:, 2])
+        cut = a + share[:, None] * (b - a)
+        low = np.concatenate([low[low[:, 2] <= REACH_M], cut])
+    # Small numbers keep OpenCV's float32 exact to a tenth of a micrometre.
+    middle = low[:, :2].mean(0)
+    hull = cv2.convexHull((low[:, :2] - middle).astype(np.float32), returnPoints=False)
+    points = low[hull.ravel(), :2]
+    while len(points) > OUTLINE_CORNERS:
+        before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
+        a, b = points - before, after - before
+        points = np.delete(points, np.argmin(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), axis=0)
+    x, y = points.T
+    turn = (x * np.roll(y, -1) - np.roll(x, -1) * y).sum()
+    return points if turn > 0 else points[::-1]
+
+
+def bounds(mesh: Mesh, yaw: float = 0.0) -> np.ndarray:
+    """The upright box, turned by ``yaw``, around a mesh.
+
+    Returns:
+        Corners ``(8, 3)`` float64 [m]: bottom, then top, counter-clockwise from above.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s], [s, c]])
+    points = mesh.corners.reshape(-1, 3)
+    flat = points[:, :2] @ R
+    (x0, y0), (x1, y1) = flat.min(0), flat.max(0)
+    ring = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) @ R.T
+    z0, z1 = points[:, 2].min(), points[:, 2].max()
+    low = np.column_stack([ring, np.full(4, z0)])
+    return np.concatenate([low, low + np.array([0, 0, z1 - z0])])
+
+
+def heading(scene: Scene, j: int, time_s: float) -> float:
+    """How object ``j`` (from 0) is turned at a time [rad]."""
+    thing = scene.objects[j]
+    if isinstance(thing, Model):
+        return thing.yaw if thing.path is None else _walk(thing.path, time_s)[2]
+    if isinstance(thing, Wall):
+        return thing.box.yaw
+    return thing.yaw if isinstance(thing, Box) else 0.0
