@@ -1,11 +1,18 @@
 """The baselines, each with its parameters and where it is from."""
 
+from collections.abc import Mapping
+
 from benchmarks.baselines import clustering, dense, rsc
 from benchmarks.baselines.registry import Baseline, Params
+from jaxdet.config import preset
 
 SCALES = (1.0, 4.0)
 """Stretch of z: none, or as our default gaps have it, 0.40 m to the side and 0.10 m in depth."""
 DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
+GAPS_M = {
+    "depth_gap_m": (0.03, 0.05, 0.07, 0.10, 0.15, 0.2),
+    "lateral_gap_m": (0.1, 0.15, 0.2, 0.3, 0.4),
+}
 SKLEARN = "scikit-learn: Pedregosa et al., JMLR 12 (2011), 2825-2830"
 RSC = "Xie et al., Information Sciences 527 (2020), 279-292; our reading"
 
@@ -34,26 +41,25 @@ def _rsc(name: str, title: str, root: str) -> Baseline:
     )
 
 
-def _ours(name: str, title: str, defaults: Params, depth: tuple[float, ...]) -> Baseline:
+def _ours(
+    name: str, title: str, defaults: Params, grid: Mapping[str, tuple[float, ...]]
+) -> Baseline:
     return Baseline(
         name=name,
         title=title,
         run=clustering.ours,
-        space="xz",
+        space="frame",
         citation="Liu et al., Electronics 12 (2023), 2316, Section 3.4",
         defaults=defaults,
-        grid={"depth_gap_m": depth, "lateral_gap_m": (0.1, 0.15, 0.2, 0.3, 0.4)},
-        sized=True,
+        grid=grid,
     )
 
 
+PAPER = {name: getattr(preset("paper").cluster, name) for name in ("depth_gap_m", "lateral_gap_m")}
+PLAIN = {"depth_gap_per_m": 0.0, "rounds": 1, "on_floor": False}
 _ALL = (
-    _ours(
-        "ours",
-        "Ours (reference)",
-        {"depth_gap_m": 0.10, "lateral_gap_m": 0.40},
-        (0.03, 0.05, 0.07, 0.10, 0.15, 0.2),
-    ),
+    _ours("ours", "Ours", {}, GAPS_M),
+    _ours("paper", "The paper's rule (reference)", {**PAPER, **PLAIN}, {}),
     _hierarchical("ward", 1.0, (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)),
     _hierarchical("complete", 0.6, (0.3, 0.4, 0.6, 0.9, 1.3, 2.0)),
     _hierarchical("average", 0.4, DISTANCES_M),

@@ -1,17 +1,16 @@
 """Clustering by scikit-learn and SciPy, and ours, on a frame's kept features."""
 
-from typing import Literal
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster
 from scipy.cluster.hierarchy import linkage as scipy_linkage
 from sklearn.cluster import DBSCAN, HDBSCAN, AgglomerativeClustering, Birch
 
+from benchmarks.baselines.frames import Frame
 from jaxdet import reference
-from jaxdet.config import ClusterConfig, Config
-from jaxdet.types import Features
-
-MILLIMETRE = 0.001
+from jaxdet.config import Config
 
 
 def hierarchical(
@@ -71,12 +70,18 @@ def birch(points: np.ndarray, threshold_m: float, branching: int = 50) -> np.nda
     return model.fit_predict(points)
 
 
-def ours(
-    points: np.ndarray, min_points: int, depth_gap_m: float, lateral_gap_m: float
-) -> np.ndarray:
-    """The reference's cluster stage on ``(n, 2)`` x z, rounded to millimetres as it has them."""
-    x, z = np.rint(points.T[:, None] / MILLIMETRE).astype(np.int32)
-    yes = np.ones(x.shape, bool)
-    features = Features(x, x, x, x, z, yes, yes, np.zeros(1, bool))
-    settings = ClusterConfig(depth_gap_m, lateral_gap_m, min_points)
-    return reference.cluster(features, MILLIMETRE, Config(cluster=settings)).labels[0]
+def ours(frame: Frame, config: Config, **params: Any) -> np.ndarray:
+    """The reference's cluster stage.
+
+    Args:
+        frame: The frame.
+        config: Its cluster part holds what the parameters leave open.
+        **params: Fields of :class:`jaxdet.config.ClusterConfig`.
+
+    Returns:
+        ``(n,)`` int32, of the kept features.
+    """
+    chosen = replace(config, cluster=replace(config.cluster, **params))
+    unit = frame.calibration.depth_unit
+    found = reference.cluster(frame.features, frame.plane, unit, chosen)
+    return found.labels[frame.features.kept]

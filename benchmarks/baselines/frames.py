@@ -14,7 +14,7 @@ from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
 from jaxdet.reference._features import lateral
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Labels
 
-Space = Literal["xz", "xyz", "image"]
+Space = Literal["xz", "xyz", "frame", "image"]
 MAX_POINTS = 8192
 """Most points that a frame of :func:`grid_features` has."""
 
@@ -25,7 +25,7 @@ class Frame(NamedTuple):
     color: np.ndarray
     """``(H, W, 3)`` uint8, RGB."""
     z: np.ndarray
-    """``(H, W)`` uint16, z in the colour camera [depth units], 0 = none."""
+    """``(H, W)`` uint16, the depth that a feature gets, z in the colour camera [depth units]."""
     keep: np.ndarray
     """``(H, W)`` bool, in range and above the floor."""
     features: Features
@@ -50,8 +50,8 @@ def prepare(
     aligned = stages.align(frames.depth, calibration)
     plane = frames.plane or _plane(frames, np.asarray(aligned.z), config)
     keep = stages.ground(aligned, plane, calibration, config)
-    found = stages.features(frames.color, aligned, keep, calibration, config.features)
-    z, mask = np.asarray(aligned.z), np.asarray(keep.mask)
+    found = stages.features(frames.color, keep, calibration, config.features)
+    z, mask = np.asarray(keep.z), np.asarray(keep.mask)
     features = Features(*(np.asarray(a) for a in found))
     return [
         Frame(
@@ -76,7 +76,7 @@ def _plane(frames: Frames, z: np.ndarray, config: Config) -> GroundPlane:
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:
-    """The kept features in metres, ``(n, 2)`` x z, or ``(n, 3)`` x y z; for ``image`` as xyz."""
+    """The kept features in metres, ``(n, 2)`` x z, in other spaces ``(n, 3)`` x y z."""
     features, kept = frame.features, frame.features.kept[0]
     axes = (features.x, features.z) if space == "xz" else (features.x, features.y, features.z)
     return np.stack([a[0, kept] for a in axes], axis=-1) * frame.calibration.depth_unit

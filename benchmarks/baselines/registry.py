@@ -32,8 +32,9 @@ class Baseline:
         title: Its name in a table.
         run: ``run(points, **params) -> labels``. In the spaces ``xz`` and ``xyz`` the points are
             the frame's kept features, ``(n, 2)`` or ``(n, 3)`` float64 in metres, n >= 2, and the
-            labels ``(n,)`` integer, negative = noise. In the space ``image`` the argument is the
-            :class:`~benchmarks.baselines.frames.Frame` and the labels are ``(H, W)``.
+            labels ``(n,)`` integer, negative = noise. In the space ``frame`` it is ``run(frame,
+            config, **params)`` with the same labels, in the space ``image`` ``run(frame,
+            **params)`` with labels ``(H, W)``.
         space: See ``run``.
         defaults: Every parameter with a value for untuned use.
         grid: The values that :func:`benchmarks.baselines.tune` tries, by parameter.
@@ -69,28 +70,35 @@ class Baseline:
         ]
 
 
-def labels_of(baseline: Baseline, points: np.ndarray, config: Config, params: Params) -> np.ndarray:
-    """Labels of points by a baseline of the space ``xz`` or ``xyz``, before the size rule.
+def labels_of(
+    baseline: Baseline, frame: Frame, config: Config | None = None, params: Params | None = None
+) -> np.ndarray:
+    """What a baseline says of a frame, before the shared size rule; the part to be timed.
 
-    The parameter ``depth_scale``, where it is given, stretches z before the method sees it, since
-    a sensor's depth and its sides deserve different thresholds, as ours have.
+    The parameter ``depth_scale``, in the spaces ``xz`` and ``xyz``, stretches z before the method
+    sees it, since a sensor's depth and its sides deserve different thresholds, as ours have.
 
     Args:
         baseline: The method.
-        points: ``(n, d)`` [m].
+        frame: Preprocessed as for ours.
         config: For the size rule.
         params: Over the defaults.
 
     Returns:
-        ``(n,)`` int32.
+        ``(n,)`` int32 of the kept features; in the space ``image`` ``(H, W)`` int32.
     """
+    config, settings = config or Config(), {**baseline.defaults, **(params or {})}
+    if baseline.space == "image":
+        return baseline.run(frame, **settings)
+    if baseline.space == "frame":
+        return baseline.run(frame, config, **settings)
+    points = points_of(frame, baseline.space)
+    points[:, -1] *= settings.pop("depth_scale", 1.0)
     if len(points) < 2:
         return np.full(len(points), -1, np.int32)
-    settings = {**baseline.defaults, **params}
-    stretched = points * ([1.0] * (points.shape[1] - 1) + [settings.pop("depth_scale", 1.0)])
     if baseline.sized:
         settings["min_points"] = config.cluster.min_points
-    return np.asarray(baseline.run(stretched, **settings)).astype(np.int32)
+    return np.asarray(baseline.run(points, **settings)).astype(np.int32)
 
 
 def detect_with(
@@ -117,16 +125,12 @@ def detect_with(
     Raises:
         ValueError: A method of features is asked for a grid.
     """
-    config, params = config or Config(), params or {}
-    features = frame.features
-    if baseline.space != "image":
-        if on == "grid":
-            raise ValueError(f"{baseline.name} works on features")
-        labels = labels_of(baseline, points_of(frame, baseline.space), config, params)
-        return detections_of(frame, features, labels, config)
-    image = baseline.run(frame, **{**baseline.defaults, **params})
-    if on == "grid":
-        features = grid_features(frame)
-    kept = features.kept[0]
-    labels = labels_at(image, features.u[0, kept], features.v[0, kept])
+    config, features = config or Config(), frame.features
+    if baseline.space != "image" and on == "grid":
+        raise ValueError(f"{baseline.name} works on features")
+    labels = labels_of(baseline, frame, config, params)
+    if baseline.space == "image":
+        features = grid_features(frame) if on == "grid" else features
+        kept = features.kept[0]
+        labels = labels_at(labels, features.u[0, kept], features.v[0, kept])
     return detections_of(frame, features, labels, config)
