@@ -166,6 +166,7 @@ def test_tune(frame, truth):
     assert [value for _, value in best.trials] == [
         pytest.approx(v, nan_ok=True) for v in (0, 1, 1, 0)
     ]
+    assert tune(baseline, [frame, frame], [truth, truth]).trials == best.trials
     worst = tune(baseline, [frame], truth, lambda figures: -figures.f1)
     assert worst.params == {"distance_m": 0.01}
 

@@ -14,6 +14,10 @@ Objective = str | Callable[[Score], float]
 """A figure of :class:`jaxdet.eval.Score` by name, or a function of it; larger is better."""
 
 
+Truths = FrameTruth | Sequence[FrameTruth]
+"""Of ``B`` frames of one scene, or a truth with ``B = 1`` for each frame, of any scene."""
+
+
 class Tuned(NamedTuple):
     """The best parameters on the tuning frames."""
 
@@ -27,7 +31,7 @@ class Tuned(NamedTuple):
 def tune(
     baseline: Baseline,
     frames: Sequence[Frame],
-    truth: FrameTruth,
+    truth: Truths,
     objective: Objective = "f1",
     config: Config | None = None,
     eval_config: EvalConfig | None = None,
@@ -60,7 +64,7 @@ def tune(
 def run_frames(
     baseline: Baseline,
     frames: Sequence[Frame],
-    truth: FrameTruth,
+    truth: Truths,
     params: Mapping[str, Any] | None = None,
     config: Config | None = None,
     eval_config: EvalConfig | None = None,
@@ -78,11 +82,17 @@ def run_frames(
         on: See :func:`benchmarks.baselines.detect_with`.
     """
     tallies: list[Tally] = []
-    for b, frame in enumerate(frames):
+    for frame, own in zip(frames, split(truth), strict=True):
         found = detect_with(baseline, frame, config, params, on)
-        unit = frame.calibration.depth_unit
-        tallies += evaluate_frames(found, one_frame(truth, b), unit, eval_config)
+        tallies += evaluate_frames(found, own, frame.calibration.depth_unit, eval_config)
     return tallies
+
+
+def split(truth: Truths) -> Sequence[FrameTruth]:
+    """A truth for each frame."""
+    if not isinstance(truth, FrameTruth):
+        return truth
+    return [one_frame(truth, b) for b in range(len(truth.obstacle_id))]
 
 
 def one_frame(truth: FrameTruth, b: int) -> FrameTruth:
