@@ -16,9 +16,9 @@ def cases() -> list[Case]:
     features = jax.device_put(given.features)
     case = Case(
         name=f"reference.b{BATCH}",
-        run=lambda: stages.cluster(features, unit, CONFIG),
+        run=lambda: stages.cluster(features, given.plane, unit, CONFIG),
         frames=BATCH,
-        peer=lambda: reference.cluster(given.features, unit, CONFIG),
+        peer=lambda: reference.cluster(given.features, given.plane, unit, CONFIG),
         equal=True,
     )
     sklearn = case._replace(name=f"sklearn.b{BATCH}", peer=lambda: hierarchical(given), equal=False)

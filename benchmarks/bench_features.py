@@ -35,10 +35,10 @@ def opencv(given: Inputs) -> list[np.ndarray]:
 
 def _case(size: str) -> Case:
     given = inputs(size)
-    aligned, keep = jax.device_put((given.aligned, given.keep))
+    keep = jax.device_put(given.keep)
     return Case(
         name=f"{size}.b{BATCH}",
-        run=lambda: stages.features(given.color, aligned, keep, given.calibration, CONFIG.features),
+        run=lambda: stages.features(given.color, keep, given.calibration, CONFIG.features),
         frames=BATCH,
         peer=lambda: opencv(given),
     )

@@ -32,6 +32,9 @@ class GroundConfig:
     """Farthest depth used [m]."""
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
+    contour_radius: int = 0
+    """A pixel this near to a kept one is kept too and takes the nearest kept depth [pixel]:
+    contours often fall into the hole, or on the background, beside the object. 0: off."""
     camera_height_m: float | None = None
     """Optical centre above the floor [m]; unset: from the log's TF, else estimated."""
     camera_pitch_rad: float = 0.0
@@ -50,6 +53,7 @@ class GroundConfig:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
         _require(self.step_height_m >= 0, "ground.step-height-m", "at least 0")
+        _require(0 <= self.contour_radius <= 16, "ground.contour-radius", "from 0 to 16 pixels")
         _require(
             self.camera_height_m is None or 0 < self.camera_height_m < 20,
             "ground.camera-height-m",
@@ -76,6 +80,11 @@ class FeaturesConfig:
     """Lower hysteresis bound [grey levels of the L1 gradient]."""
     canny_high: float = 200.0
     """Upper hysteresis bound [grey levels of the L1 gradient]."""
+    canny_reference_level: float = 0.0
+    """Mean grey level at which the bounds hold; darker frames get lower bounds in proportion,
+    brighter ones keep them. 0: the bounds are fixed."""
+    canny_least_share: float = 0.2
+    """The bounds never fall below this share of themselves."""
     max_corners: int = 1024
     """Feature slots N: the strongest corners that are used."""
     quality_level: float = 0.01
@@ -84,6 +93,10 @@ class FeaturesConfig:
     """Least distance between two corners [pixel]; below 1: none."""
     block_size: int = 3
     """Side of the window summed for the minimum eigenvalue [pixel]: 3 or 5."""
+    tile_size: int = 80
+    """Side of the tiles that share out the slots [pixel]."""
+    max_per_tile: int = 0
+    """Most corners of a tile, so that one textured region can't use up the slots; 0: no limit."""
     use_mask: bool = True
     """Take corners only where the ground stage keeps the pixel; off: drop points afterwards."""
 
@@ -92,6 +105,10 @@ class FeaturesConfig:
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
         _require(self.min_distance >= 0, "features.min-distance", "at least 0")
         _require(self.block_size in (3, 5), "features.block-size", "3 or 5")
+        _require(0 <= self.canny_reference_level <= 255, "features.canny-reference-level", "a grey")
+        _require(0 < self.canny_least_share <= 1, "features.canny-least-share", "in (0, 1]")
+        _require(self.tile_size >= 8, "features.tile-size", "at least 8 pixels")
+        _require(self.max_per_tile >= 0, "features.max-per-tile", "at least 0")
 
 
 @dataclass(frozen=True)
@@ -100,15 +117,26 @@ class ClusterConfig:
 
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
+    depth_gap_per_m: float = 0.0
+    """Added to d_z in proportion to z squared [1/m], as stereo noise grows: the gap at depth z
+    is depth_gap_m + depth_gap_per_m * z * z."""
     lateral_gap_m: float = 0.40
     """d_x [m], the robot's width: a larger sideways gap starts a new set."""
     min_points: int = 10
     """N: sets of this many points or fewer are dropped."""
+    rounds: int = 1
+    """How often each set is split by depth and then sideways: a set that falls apart sideways
+    may fall apart in depth again."""
+    on_floor: bool = False
+    """Measure the gaps on the floor, forward and to the right of the camera, instead of along the
+    camera's axes: a tilted camera then sees an upright thing at one distance."""
 
     def __post_init__(self) -> None:
         _require(self.depth_gap_m >= 0, "cluster.depth-gap-m", "at least 0")
         _require(self.lateral_gap_m >= 0, "cluster.lateral-gap-m", "at least 0")
         _require(self.min_points >= 0, "cluster.min-points", "at least 0")
+        _require(self.depth_gap_per_m >= 0, "cluster.depth-gap-per-m", "at least 0")
+        _require(1 <= self.rounds <= 8, "cluster.rounds", "from 1 to 8")
 
 
 @dataclass(frozen=True)

@@ -34,12 +34,13 @@ class Backend(Protocol):
     def features(
         self,
         color: np.ndarray,
-        aligned: AlignedDepth,
         keep: Keep,
         calibration: Calibration,
         config: FeaturesConfig,
     ) -> Features: ...
-    def cluster(self, features: Features, depth_unit: float, config: Config) -> Labels: ...
+    def cluster(
+        self, features: Features, plane: GroundPlane, depth_unit: float, config: Config
+    ) -> Labels: ...
     def footprint(
         self,
         features: Features,
@@ -92,8 +93,8 @@ def detect(
     aligned = stages.align(frames.depth, calibration)
     plane = _plane_of(frames, aligned, config)
     keep = stages.ground(aligned, plane, calibration, config)
-    features = stages.features(frames.color, aligned, keep, calibration, config.features)
-    labels = stages.cluster(features, unit, config)
+    features = stages.features(frames.color, keep, calibration, config.features)
+    labels = stages.cluster(features, plane, unit, config)
     obstacles = stages.footprint(features, labels, plane, unit, config)
 
     return Detections(features, labels, obstacles, keep.has_depth)

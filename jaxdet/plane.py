@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from jaxdet.camera import pixel_rays
-from jaxdet.config import GroundConfig
+from jaxdet.config import ClusterConfig, GroundConfig
 from jaxdet.types import GroundPlane, Intrinsics
 
 GROUND_BITS = 13
@@ -112,6 +112,22 @@ def _floor_limit(
     # A true tie is floor: the nudge undoes the rounding of the operations above.
     first = np.ceil(first * (1 - 1e-12)) - 1
     return np.clip(first, 0, 65535).astype(np.uint16)
+
+
+@lru_cache(maxsize=16)
+def gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
+    """The largest step in depth within an obstacle, from a point at each depth.
+
+    ``d_z + c z^2``, rounded to whole depth units.
+
+    Returns:
+        ``(65536,)`` int32 [depth units], by z in depth units, read-only.
+    """
+    z = np.arange(65536) * depth_unit
+    gaps = np.rint((config.depth_gap_m + config.depth_gap_per_m * z * z) / depth_unit)
+    gaps = np.minimum(gaps, 1 << 20).astype(np.int32)
+    gaps.setflags(write=False)
+    return gaps
 
 
 def ground_axes(plane: GroundPlane) -> np.ndarray:

@@ -144,6 +144,8 @@ class Keep(NamedTuple):
 
     mask: Array
     """``(B, H, W)`` bool, the depth is in range and above the floor."""
+    z: Array
+    """``(B, H, W)`` uint16, the depth that a feature here gets [depth units]; 0 = none."""
     has_depth: Array
     """``(B,)`` bool, some pixel of the frame has a depth in range."""
 

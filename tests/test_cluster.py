@@ -12,7 +12,7 @@ from jaxdet import reference, stages
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.errors import ConfigError
 from jaxdet.types import Features
-from tests.scenes import assert_equal, points
+from tests.scenes import assert_equal, level, points
 
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
 
@@ -20,12 +20,19 @@ BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["referen
 def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) -> Config:
     """Gaps in depth units of 1 mm."""
     return replace(
-        Config(), cluster=ClusterConfig(depth_gap / 1000, lateral_gap / 1000, min_points)
+        Config(),
+        cluster=ClusterConfig(
+            depth_gap_m=depth_gap / 1000,
+            lateral_gap_m=lateral_gap / 1000,
+            min_points=min_points,
+        ),
     )
 
 
 def labels(backend, features: Features, settings_: Config) -> list:
-    return np.asarray(backend.cluster(features, 0.001, settings_).labels).tolist()
+    return np.asarray(
+        backend.cluster(features, level(len(features.z)), 0.001, settings_).labels
+    ).tolist()
 
 
 # by hand
@@ -70,15 +77,16 @@ def test_order_is_nearest_depth_then_smallest_x(backend):
 def test_only_kept_points_take_part(backend):
     z, kept = [500, 501, 502, 503], [True, False, True, True]
     assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
-    found = backend.cluster(points([0] * 4, z, [False] * 4), 0.001, config())
+    found = backend.cluster(points([0] * 4, z, [False] * 4), level(1), 0.001, config())
     assert np.asarray(found.num_obstacles).tolist() == [0]
 
 
 def test_gaps_follow_the_depth_unit():
     z = [5000, 6000, 7000]
-    found = reference.cluster(points([0] * 3, z), 0.0001, config())
+    found = reference.cluster(points([0] * 3, z), level(1), 0.0001, config())
     assert found.labels.tolist() == [[0, 0, 0]]
-    assert reference.cluster(points([0] * 3, z), 0.001, config()).labels.tolist() == [[-1] * 3]
+    found = reference.cluster(points([0] * 3, z), level(1), 0.001, config())
+    assert found.labels.tolist() == [[-1] * 3]
 
 
 def test_bad_values_name_the_flag():
@@ -115,7 +123,7 @@ def test_same_partition_as_scipy(backend, count, gaps):
     rng = np.random.default_rng(count)
     x, z = rng.integers(-2000, 2000, count), rng.integers(300, 4000, count)
     settings_ = config(*gaps, min_points=2)
-    found = np.asarray(backend.cluster(points(x, z), 0.001, settings_).labels)[0]
+    found = np.asarray(backend.cluster(points(x, z), level(1), 0.001, settings_).labels)[0]
     parts = [frozenset(np.flatnonzero(found == n).tolist()) for n in range(found.max() + 1)]
     assert sorted(parts, key=sorted) == single_linkage(x, z, settings_)
 
@@ -133,8 +141,69 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
 @pytest.mark.parametrize("spread", [3, 500, 65535])
 @pytest.mark.parametrize("min_points", [0, 2, 10])
 def test_twin(device, batch, n, spread, min_points):
-    given_ = random_points(n + spread, batch, n, spread), 0.001, config(30, 60, min_points)
+    features = random_points(n + spread, batch, n, spread)
+    given_ = features, level(batch), 0.001, config(30, 60, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+
+
+OPTIONS = {
+    "rounds": ClusterConfig(0.03, lateral_gap_m=0.06, min_points=2, rounds=3),
+    "noise": ClusterConfig(0.01, depth_gap_per_m=0.02, lateral_gap_m=0.06, min_points=2),
+    "floor": ClusterConfig(0.03, lateral_gap_m=0.06, min_points=2, on_floor=True),
+    "all": ClusterConfig(0.01, 0.01, 0.05, 1, rounds=2, on_floor=True),
+}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize("spread", [60, 900, 2500])
+def test_twin_with_options(device, name, spread):
+    rng = np.random.default_rng(spread)
+    features = random_points(spread, 3, 400, spread)
+    features = features._replace(y=rng.integers(-spread, spread, (3, 400)).astype(np.int32))
+    plane = level(3, 0.5, 0.4, -0.2)
+    plane.valid[1] = False
+    given_ = features, plane, 0.001, replace(Config(), cluster=OPTIONS[name])
+    want = reference.cluster(*given_)
+    assert want.num_obstacles.max() > 0
+    assert_equal(stages.cluster(*given_), want)
+
+
+# options, by hand
+
+
+@BACKENDS
+def test_the_gap_grows_with_depth(backend):
+    z = [1000, 1010, 1020, 1060, 1070, 1080, 3000, 3010, 3020, 3060, 3070, 3080]
+    settings_ = ClusterConfig(0.02, depth_gap_per_m=0.005, lateral_gap_m=1, min_points=2)
+    found = labels(backend, points([0] * 12, z), replace(Config(), cluster=settings_))
+    assert found == [[0, 0, 0, 1, 1, 1, 2, 2, 2, 2, 2, 2]]
+
+
+@BACKENDS
+def test_a_second_round_splits_what_fell_apart_sideways(backend):
+    # Two things at 1.0 and 1.1 m on the left, bridged in depth by one on the right.
+    x = [-900] * 6 + [900] * 6
+    z = [1000, 1001, 1002, 1100, 1101, 1102] + [1000, 1020, 1040, 1060, 1080, 1100]
+    once, twice = (
+        replace(Config(), cluster=ClusterConfig(0.03, lateral_gap_m=0.4, min_points=2, rounds=r))
+        for r in (1, 2)
+    )
+    assert labels(backend, points(x, z), once) == [[0] * 6 + [1] * 6]
+    assert labels(backend, points(x, z), twice) == [[0] * 3 + [2] * 3 + [1] * 6]
+
+
+@BACKENDS
+def test_on_the_floor_an_upright_pole_is_at_one_distance(backend):
+    pitch = np.radians(30.0)
+    up = np.arange(0, 1000, 200)
+    y = np.rint(-1500 * np.sin(pitch) + (600 - up) * np.cos(pitch)).astype(np.int32)
+    z = np.rint(1500 * np.cos(pitch) + (600 - up) * np.sin(pitch))
+    pole = points(0 * up, z)._replace(y=y[None])
+    plane = level(1, 0.6, pitch)
+    for on_floor, count in ((False, 0), (True, 1)):
+        settings_ = ClusterConfig(0.05, min_points=2, on_floor=on_floor)
+        found = backend.cluster(pole, plane, 0.001, replace(Config(), cluster=settings_))
+        assert np.asarray(found.num_obstacles).tolist() == [count]
 
 
 # laws
@@ -149,8 +218,13 @@ hostile = st.lists(
 @settings(max_examples=80)
 def test_twin_on_anything(rows, depth_gap, lateral_gap, min_points):
     x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
-    given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
+    given_ = points(x, z, kept), level(1), 0.001, config(depth_gap, lateral_gap, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+
+
+def found(features: Features) -> np.ndarray:
+    plane = level(len(features.z))
+    return np.asarray(stages.cluster(features, plane, 0.001, config(20, 60)).labels)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -159,18 +233,22 @@ def test_permuting_points_permutes_labels(seed):
     features = random_points(seed, 1, 200, 900)
     order = np.random.default_rng(seed).permutation(200)
     shuffled = Features(*(a[:, order] if a.ndim == 2 else a for a in features))
-    before = np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
-    after = np.asarray(stages.cluster(shuffled, 0.001, config(20, 60)).labels)
+    before = np.asarray(
+        stages.cluster(features, level(len(features.z)), 0.001, config(20, 60)).labels
+    )
+    after = found(shuffled)
     assert np.array_equal(after, before[:, order])
 
 
 def test_padding_and_batching_change_nothing(device):
     features = random_points(1, 5, 300, 900)
-    whole = np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
+    whole = np.asarray(
+        stages.cluster(features, level(len(features.z)), 0.001, config(20, 60)).labels
+    )
     for b in range(5):
         one = Features(*(a[b : b + 1] for a in features))
         padding = [(0, 0), (0, 33)]
         padded = Features(*(np.pad(a, padding) if a.ndim == 2 else a for a in one))
-        got = np.asarray(stages.cluster(padded, 0.001, config(20, 60)).labels)[0]
+        got = found(padded)[0]
         assert np.array_equal(got[:300], whole[b])
         assert np.all(got[300:] == -1)

@@ -12,10 +12,10 @@ from jaxdet import reference, stages
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference._canny import canny, grey
 from jaxdet.reference._corners import min_eigenvalue, strongest_corners
-from jaxdet.reference._features import lateral
+from jaxdet.reference._features import canny_bounds, lateral
 from jaxdet.stages._features import lateral as lateral_twin
 from jaxdet.types import Calibration, Distortion, Keep
-from tests.scenes import D435_COLOR, aligned, assert_equal, blocks, recorded_colors, resized
+from tests.scenes import D435_COLOR, assert_equal, blocks, recorded_colors, resized
 
 SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
 
@@ -113,9 +113,9 @@ def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
     color[0, 16:32, 20:44] = 255
     camera = resized(D435_COLOR, 64, 48)._replace(fx=50.0, fy=50.0, cx=32.0, cy=24.0)
     z = np.full((1, 48, 64), 1000, np.uint16)
-    keep = Keep(np.ones(z.shape, bool), np.ones(1, bool))
+    keep = Keep(np.ones(z.shape, bool), z, np.ones(1, bool))
     config = FeaturesConfig(canny=False, max_corners=8)
-    found = reference.features(color, aligned(z), keep, Calibration(camera), config)
+    found = reference.features(color, keep, Calibration(camera), config)
     assert found.valid[0].tolist() == [True] * 4 + [False] * 4
     at = sorted(zip(found.u[0, :4].tolist(), found.v[0, :4].tolist(), strict=True))
     assert np.allclose(at, [(20, 16), (20, 31), (43, 16), (43, 31)], atol=1)
@@ -128,25 +128,50 @@ def test_mask_frees_the_slots_for_what_matters():
     z = np.full((1, 96, 128), 1000, np.uint16)
     mask = np.zeros(z.shape, bool)
     mask[:, :, 64:] = True
-    keep, calibration = Keep(mask, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
+    keep, calibration = Keep(mask, z, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
     config = FeaturesConfig(max_corners=12)
-    with_mask = reference.features(color, aligned(z), keep, calibration, config)
-    paper = reference.features(
-        color, aligned(z), keep, calibration, replace(config, use_mask=False)
-    )
+    with_mask = reference.features(color, keep, calibration, config)
+    paper = reference.features(color, keep, calibration, replace(config, use_mask=False))
     assert with_mask.kept.sum() == 12
     assert paper.valid.sum() == 12
     assert 0 < paper.kept.sum() < 12
 
 
+def test_tiles_share_out_the_slots():
+    color = blocks(1, 96, 128, 2)
+    color[:, :, :64] = np.random.default_rng(0).integers(0, 256, (1, 96, 64, 3))
+    z = np.full((1, 96, 128), 1000, np.uint16)
+    keep, calibration = Keep(z > 0, z, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
+    plain = FeaturesConfig(max_corners=40)
+    shared = replace(plain, tile_size=32, max_per_tile=4)
+    crowded, fair = (
+        reference.features(color, keep, calibration, settings_) for settings_ in (plain, shared)
+    )
+    tiles = np.stack([fair.u[0], fair.v[0]])[:, fair.valid[0]] // 32
+    assert np.unique(tiles, axis=1, return_counts=True)[1].max() <= 4
+    assert np.sum(fair.u[0, fair.valid[0]] >= 64) > np.sum(crowded.u[0, crowded.valid[0]] >= 64)
+
+
+def test_bounds_follow_the_light():
+    """A frame at a third of the brightness keeps its edges with bounds that follow."""
+    bright = blocks(1, 96, 128, 4)[0]
+    dark = (bright // 4).astype(np.uint8)
+    fixed, follow = FeaturesConfig(), FeaturesConfig(canny_reference_level=128.0)
+    assert canny_bounds(grey(dark), fixed) == (100, 200)
+    low, high = canny_bounds(grey(dark), follow)
+    assert 20 <= low < 60
+    assert high == pytest.approx(2 * low, abs=1)
+    edges = [np.count_nonzero(canny(grey(dark), *b)) for b in ((100, 200), (low, high))]
+    assert edges[1] > edges[0]
+    assert canny_bounds(np.full((4, 4), 250, np.uint8), follow) == (100, 200)
+
+
 def test_overflow_is_flagged(device):
     color, z = blocks(2, 96, 128), np.full((2, 96, 128), 1000, np.uint16)
     color[1] = 7
-    keep, calibration = Keep(z > 0, np.ones(2, bool)), Calibration(resized(D435_COLOR, 128, 96))
+    keep, calibration = Keep(z > 0, z, np.ones(2, bool)), Calibration(resized(D435_COLOR, 128, 96))
     for backend in (reference, stages):
-        found = backend.features(
-            color, aligned(z), keep, calibration, FeaturesConfig(max_corners=5)
-        )
+        found = backend.features(color, keep, calibration, FeaturesConfig(max_corners=5))
         assert np.asarray(found.overflow).tolist() == [True, False]
         assert np.asarray(found.valid).sum(1).tolist() == [5, 0]
 
@@ -156,8 +181,8 @@ def test_undistorted_coordinates():
         distortion=Distortion.PLUMB_BOB, coefficients=(-0.3, 0.1, 0.001, -0.002, 0.0)
     )
     color, z = blocks(1, 480, 640), np.full((1, 480, 640), 2000, np.uint16)
-    keep = Keep(z > 0, np.ones(1, bool))
-    found = reference.features(color, aligned(z), keep, Calibration(camera), FeaturesConfig())
+    keep = Keep(z > 0, z, np.ones(1, bool))
+    found = reference.features(color, keep, Calibration(camera), FeaturesConfig())
     n = found.valid[0].sum()
     rays = np.stack([found.x[0, :n], found.y[0, :n], found.z[0, :n]], axis=1) / 2000
     pixels = cv2.projectPoints(
@@ -176,6 +201,8 @@ CONFIGS = {
     "grey": FeaturesConfig(canny=False, block_size=5),
     "few": FeaturesConfig(max_corners=20, min_distance=12.5),
     "dense": FeaturesConfig(max_corners=4000, min_distance=0, quality_level=0.0001),
+    "tiles": FeaturesConfig(max_corners=60, tile_size=24, max_per_tile=3),
+    "dim": FeaturesConfig(canny_reference_level=180.5),
 }
 
 
@@ -188,8 +215,8 @@ def test_twin(device, name, width):
     camera = resized(D435_COLOR, width, height)
     rng = np.random.default_rng(width)
     z = rng.integers(0, 5000, (3, height, width)).astype(np.uint16)
-    keep = Keep((z > 150) & (rng.random(z.shape) < 0.8), np.ones(3, bool))
-    given_ = color, aligned(z), keep, Calibration(camera), CONFIGS[name]
+    keep = Keep((z > 150) & (rng.random(z.shape) < 0.8), z, np.ones(3, bool))
+    given_ = color, keep, Calibration(camera), CONFIGS[name]
     want = reference.features(*given_)
     assert want.valid[:2].any()
     assert_equal(stages.features(*given_), want)

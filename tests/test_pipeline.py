@@ -36,7 +36,7 @@ def recorded_frames(shared_data: Path) -> Frames:
 CONFIGS = {
     **{name: PRESETS[name] for name in ("wheeled", "paper", "d455")},
     "few_slots": replace(Config(), features=FeaturesConfig(max_corners=60)),
-    "tight": replace(Config(), cluster=ClusterConfig(0.02, 0.05, 2)),
+    "tight": replace(Config(), cluster=ClusterConfig(0.02, lateral_gap_m=0.05, min_points=2)),
 }
 
 

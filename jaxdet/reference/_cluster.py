@@ -3,10 +3,12 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.types import Features, Labels
+from jaxdet.plane import gap_table
+from jaxdet.reference._footprint import to_ground
+from jaxdet.types import Features, GroundPlane, Labels
 
 
-def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
+def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: Config) -> Labels:
     """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
     Sorted by depth, neighbours with ``|P_n - P_n+1| <= d_z`` share a set; sets of N points or
@@ -14,10 +16,15 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     points or fewer are dropped. That is single linkage on a line, twice (Steps 1-5; the printed
     Algorithm 1 compares with the set's seed only, which contradicts Step 3).
 
+    Beyond the paper, by configuration: the gap in depth grows with z squared as the sensor's noise
+    does (taken at the nearer of the two points), the two splits are repeated, and the distances
+    are measured on the floor instead of along the camera's axes.
+
     Args:
         features: ``(B, N)`` points; only ``kept`` ones take part.
+        plane: The floor of each frame, used when the distances are measured on it.
         depth_unit: Metres in one depth unit.
-        config: The gaps and N of its cluster part.
+        config: The gaps, N and the options of its cluster part.
 
     Returns:
         Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
@@ -27,34 +34,46 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
         >>> yes = np.ones((1, 6), bool)
         >>> points = Features(z, z, 0 * z, z, z, yes, yes, np.array([False]))
         >>> from dataclasses import replace
+        >>> from jaxdet.plane import unknown_plane
         >>> config = replace(Config(), cluster=replace(Config().cluster, min_points=2))
-        >>> cluster(points, 0.001, config).labels.tolist()
+        >>> cluster(points, unknown_plane(1), 0.001, config).labels.tolist()
         [[0, 0, 0, 1, 1, 1]]
     """
     settings = config.cluster
-    depth_gap = round(settings.depth_gap_m / depth_unit)
+    depth_gaps = gap_table(settings, depth_unit)
     lateral_gap = round(settings.lateral_gap_m / depth_unit)
+    lateral, depth = features.x, features.z
+    if settings.on_floor:
+        lateral, forward = np.moveaxis(to_ground(features, plane), -1, 0)
+        depth = np.clip(forward, 0, 65535)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):
-        points = np.flatnonzero(kept)
-        z, x = features.z[b], features.x[b]
-        sets = [
-            part
-            for whole in _split(points, z, depth_gap, settings.min_points)
-            for part in _split(whole, x, lateral_gap, settings.min_points)
-        ]
+        z, x = depth[b], lateral[b]
+        gaps = depth_gaps[z]
+        sets = [np.flatnonzero(kept)]
+        for _ in range(settings.rounds):
+            sets = [
+                part
+                for whole in sets
+                for column in _split(whole, z, gaps, settings.min_points)
+                for part in _split(column, x, np.full_like(x, lateral_gap), settings.min_points)
+            ]
         sets.sort(key=lambda s, z=z, x=x: (z[s].min(), x[s].min()))
         for label, part in enumerate(sets):
             labels[b, part] = label
     return Labels(labels, (labels.max(axis=1, initial=-1) + 1).astype(np.int32))
 
 
-def _split(points: np.ndarray, axis: np.ndarray, gap: int, min_points: int) -> list[np.ndarray]:
-    """Splits ``points`` (indices) where neighbours along ``axis`` are more than ``gap`` apart.
+def _split(
+    points: np.ndarray, axis: np.ndarray, gap: np.ndarray, min_points: int
+) -> list[np.ndarray]:
+    """Splits ``points`` (indices) where neighbours along ``axis`` are too far apart.
+
+    The largest step from a point to the next one is its ``gap``.
 
     Returns:
         The parts of more than ``min_points`` points.
     """
     points = points[np.argsort(axis[points], kind="stable")]
-    starts = np.flatnonzero(np.diff(axis[points]) > gap) + 1
+    starts = np.flatnonzero(np.diff(axis[points]) > gap[points[:-1]]) + 1
     return [part for part in np.split(points, starts) if len(part) > min_points]

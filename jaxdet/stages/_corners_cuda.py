@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import warp as wp
 from jax import lax
 
@@ -27,7 +26,8 @@ _spread = wp.jax_kernel(kernels.corners_spread, num_outputs=5, block_dim=kernels
 def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
     """Whether the kernels cover images of ``(H, W)`` with this configuration."""
     height, width = size
-    return config.canny and config.block_size == 3 and 3 <= width <= MAX_WIDTH and height >= 3
+    settings = config.canny and config.block_size == 3 and not config.max_per_tile
+    return settings and 3 <= width <= MAX_WIDTH and height >= 3 and height * width < 1 << 20
 
 
 def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
@@ -61,6 +61,20 @@ def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     return found
 
 
+def canny_bounds(color: jax.Array, config: FeaturesConfig) -> tuple[jax.Array, jax.Array]:
+    """Canny's bounds of each frame ``(B,)`` int32, lower in darker frames if so configured."""
+    batch, height, width, _ = color.shape
+    low, high = sorted((int(config.canny_low // 1), int(config.canny_high // 1)))
+    level = int(16 * config.canny_reference_level)
+    if not level:
+        return jnp.full(batch, low, jnp.int32), jnp.full(batch, high, jnp.int32)
+    red, green, blue = (color[..., c].astype(jnp.uint32) for c in range(3))
+    grey = (9798 * red + 19235 * green + 3735 * blue + (1 << 14)) >> 15
+    mean = jnp.sum(grey, axis=(1, 2), dtype=jnp.uint32) * 16 // (height * width)
+    mean = jnp.clip(mean, int(config.canny_least_share * level), level)
+    return (low * mean // level).astype(jnp.int32), (high * mean // level).astype(jnp.int32)
+
+
 def strongest_corners(
     color: jax.Array, mask: jax.Array, config: FeaturesConfig
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -76,9 +90,7 @@ def strongest_corners(
         corners qualify ``(B,)`` int32, which may be more than there are slots.
     """
     batch, height, width = mask.shape
-    bounds = sorted((config.canny_low, config.canny_high))
-    low, high = (jnp.full(batch, int(np.floor(bound)), jnp.int32) for bound in bounds)
-    edge = edges(color, low, high)
+    edge = edges(color, *canny_bounds(color, config))
     rows = edge.shape
     best = jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32)
     blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)

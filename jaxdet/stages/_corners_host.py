@@ -3,39 +3,64 @@
 import cv2
 import numpy as np
 
+from jaxdet.config import FeaturesConfig
+
 LANES = 32
 """OpenCV's AVX2 Sobel leaves the fused multiply-add out in the last ``width mod 32`` columns."""
 
 
+def canny_bounds(image: np.ndarray, config: FeaturesConfig) -> tuple[int, int]:
+    """Canny's bounds for a grey image ``(H, W)`` uint8, lower in darker frames if so configured."""
+    low, high = sorted((int(config.canny_low // 1), int(config.canny_high // 1)))
+    level = int(16 * config.canny_reference_level)
+    if not level:
+        return low, high
+    mean = int(cv2.sumElems(image)[0]) * 16 // image.size
+    mean = min(max(mean, int(config.canny_least_share * level)), level)
+    return low * mean // level, high * mean // level
+
+
 def strongest_corners(
-    image: np.ndarray,
-    mask: np.ndarray | None,
-    *,
-    max_corners: int,
-    quality_level: float,
-    min_distance: float,
-    block_size: int,
+    image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig
 ) -> np.ndarray:
     """``cv2.goodFeaturesToTrack``, with bits that don't depend on the image width.
 
     Args:
-        image: ``(H, W)`` uint8.
+        image: ``(H, W)`` uint8, the edge image or the grey image.
         mask: ``(H, W)`` uint8, zero where no corner is allowed; None for everywhere.
-        max_corners: Stop after this many.
-        quality_level: Share of the strongest corner's strength.
-        min_distance: Least distance of two corners [pixel].
-        block_size: Side of the summed window [pixel].
+        config: The selection; one corner more than ``max_corners`` is looked for.
 
     Returns:
         ``(n, 2)`` int32, column and row, strongest first.
     """
+    most = 0 if config.max_per_tile else config.max_corners + 1
     if image.shape[1] % LANES == 0:
         found = cv2.goodFeaturesToTrack(
-            image, max_corners, quality_level, min_distance, mask=mask, blockSize=block_size
+            image,
+            most,
+            config.quality_level,
+            config.min_distance,
+            mask=mask,
+            blockSize=config.block_size,
         )
-        return np.zeros((0, 2), np.int32) if found is None else found[:, 0].astype(np.int32)
-    strength = _min_eigenvalue(image, block_size)
-    return _select(strength, mask, max_corners, quality_level, min_distance)
+        found = np.zeros((0, 2), np.int32) if found is None else found[:, 0].astype(np.int32)
+    else:
+        strength = _min_eigenvalue(image, config.block_size)
+        limit = most or image.size
+        found = _select(strength, mask, limit, config.quality_level, config.min_distance)
+    if config.max_per_tile:
+        found = _share_out(found, config)[: config.max_corners + 1]
+    return found
+
+
+def _share_out(corners: np.ndarray, config: FeaturesConfig) -> np.ndarray:
+    """Keeps the first ``max_per_tile`` corners of each tile, in their order."""
+    taken: dict[tuple[int, int], int] = {}
+    keep = np.zeros(len(corners), bool)
+    for i, (u, v) in enumerate((corners // config.tile_size).tolist()):
+        taken[u, v] = taken.get((u, v), 0) + 1
+        keep[i] = taken[u, v] <= config.max_per_tile
+    return corners[keep]
 
 
 def _min_eigenvalue(image: np.ndarray, block_size: int) -> np.ndarray:

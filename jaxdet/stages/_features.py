@@ -12,12 +12,11 @@ from jaxdet.camera import fixed_rays
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages import _corners_cuda, _corners_host
 from jaxdet.stages._device import on_cuda
-from jaxdet.types import AlignedDepth, Array, Calibration, Features, Keep
+from jaxdet.types import Array, Calibration, Features, Keep
 
 
 def features(
     color: Array,
-    aligned: AlignedDepth,
     keep: Keep,
     calibration: Calibration,
     config: FeaturesConfig,
@@ -29,8 +28,7 @@ def features(
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
-        aligned: Depth at the colour pixels.
-        keep: Where corners may be, from the ground stage.
+        keep: Where corners may be, and the depth there, from the ground stage.
         calibration: For the colour camera.
         config: Canny's bounds and the corner selection.
 
@@ -39,10 +37,10 @@ def features(
     """
     rays = _rays(calibration)
     if on_cuda() and _corners_cuda.supports(color.shape[1:3], config):
-        return _on_device(jnp.asarray(color), aligned.z, keep.mask, *rays, config)
+        return _on_device(jnp.asarray(color), keep.z, keep.mask, *rays, config)
     uv, count = _on_host(np.asarray(color), keep, config)
     u, v, found = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
-    return _look_up(u, v, found, aligned.z, keep.mask, *rays)
+    return _look_up(u, v, found, keep.z, keep.mask, *rays)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -83,15 +81,8 @@ def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig)
     """The corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
     source = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     if config.canny:
-        source = cv2.Canny(source, config.canny_low, config.canny_high)
-    return _corners_host.strongest_corners(
-        source,
-        mask,
-        max_corners=config.max_corners + 1,
-        quality_level=config.quality_level,
-        min_distance=config.min_distance,
-        block_size=config.block_size,
-    )
+        source = cv2.Canny(source, *_corners_host.canny_bounds(source, config))
+    return _corners_host.strongest_corners(source, mask, config)
 
 
 @lru_cache(maxsize=8)
