@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.settings import quiet_warp
 from jaxdet.errors import InputError
 from jaxdet.sim import SimConfig
 
@@ -37,6 +38,7 @@ def main(args: list[str]) -> int:
     command = parse_flags(SimCommand(missing), args, "jaxdet sim", DESCRIPTION)
     from jaxdet.sim import truth_path, write_log
 
+    quiet_warp()
     try:
         command.path.parent.mkdir(parents=True, exist_ok=True)
         truth = write_log(command.path, command.sim)

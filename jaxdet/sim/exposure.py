@@ -12,7 +12,8 @@
 5. Photon noise (Poisson, by its normal limit), read noise, full well, gain.
 6. Time and gain are set so that the mean of the picture comes to ``target``: first the time, as
    long as the frame rate allows, then the gain up to its limit. Beyond that the picture darkens.
-7. The camera's processor smooths the more the higher the gain, and encodes in sRGB with 8 bits.
+7. The camera's processor smooths the more the higher the gain, and encodes in sRGB with
+   a tone curve and 8 bits.
 """
 
 from dataclasses import dataclass
@@ -72,12 +73,16 @@ class ColorSensor:
     """Longest exposure [s]."""
     max_gain: float = 16.0
     """Greatest gain."""
-    target: float = 0.20
+    target: float = 0.18
     """Mean of the picture that the exposure aims at, linear, 1 = saturated."""
     blur_px: float = 0.55
     """Lens and demosaicing [pixel]."""
     smooth_px: float = 0.22
     """Smoothing for each doubling of the gain [pixel]."""
+    contrast: float = 1.3
+    """Slope of the tone curve (an S) at the middle grey, of display values; with it the pictures of
+    ``mixed`` in normal light are as contrasty as ten real ones of a D435 (spread 48 levels about
+    109), and edges as steep (a third of the step in a pixel)."""
     vignetting: float = 0.5
     """Part of the cos^4 law that is left after the camera's own correction."""
 
@@ -124,7 +129,7 @@ def expose(
         if width > 0.1:
             electrons = cv2.GaussianBlur(electrons, (9, 9), width)
     linear = np.minimum(electrons, sensor.full_well_e) * np.float32(gain / sensor.full_well_e)
-    return _encode(linear)
+    return _encode(linear, sensor.contrast if sensor.enabled else 1.0)
 
 
 def illuminate(
@@ -147,10 +152,11 @@ def _linear(value: np.ndarray) -> np.ndarray:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
-def _encode(linear: np.ndarray) -> np.ndarray:
+def _encode(linear: np.ndarray, contrast: float) -> np.ndarray:
     steps = np.arange(4096) / 4095
     curve = np.where(steps <= 0.0031308, steps * 12.92, 1.055 * steps ** (1 / 2.4) - 0.055)
-    table = np.rint(255 * curve).astype(np.uint8)
+    toned = curve - (contrast - 1) / (2 * np.pi) * np.sin(2 * np.pi * curve)
+    table = np.rint(255 * toned).astype(np.uint8)
     return table[np.clip(linear * np.float32(4095) + np.float32(0.5), 0, 4095).astype(np.uint16)]
 
 

@@ -89,7 +89,7 @@ def _mix(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         return np.clip(0.5 + 0.6 * spectral_noise(rng, 1.0), 0, 1), shade
     if kind == "cloth":
         folds = spectral_noise(rng, 1.3, stretch=0.35)
-        return np.clip(0.25 + 0.3 * folds, 0, 1), shade
+        return np.clip(0.25 + 0.16 * folds, 0, 1), shade
     if kind == "bark":
         ridges = np.abs(spectral_noise(rng, 0.9, stretch=0.25))
         return np.clip(1.1 - 1.4 * ridges, 0, 1), 10 * spectral_noise(rng, 0.8)

@@ -106,7 +106,7 @@ def _trunk(girth: float, shirt: Texture, trousers: Texture) -> list[Mesh]:
 
 
 def _ellipses(rows: list[tuple[float, float, float]], look: Texture) -> Mesh:
-    angle = np.arange(20) * (2 * np.pi / 20)
+    angle = np.pi + np.arange(20) * (2 * np.pi / 20)  # the texture's seam is at the back
     points = [
         np.stack([x * np.cos(angle), y * np.sin(angle), np.full(20, z)], axis=1) for z, y, x in rows
     ]
