@@ -177,6 +177,8 @@ def test_shapes():
     assert case.iou == pytest.approx(0.4)
     short = EvalConfig(coverage_range_m=1.2)
     assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
+    hidden = where._replace(nearest_forward_m=np.array([[1.1, np.nan, np.nan, 8.1]]))
+    assert evaluate(found, hidden, config=config).near_points == 0
     missed = detections([(0, 39, -1)], [], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
     got = evaluate(missed, where, config=config)
     assert (got.near_points, got.near_asked, got.near_safe) == (0, 101, 0)

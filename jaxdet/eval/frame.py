@@ -19,14 +19,10 @@ import numpy as np
 from jaxdet.eval.indices import davies_bouldin, silhouette
 from jaxdet.eval.match import eligible, feature_objects, match, vote_table
 from jaxdet.eval.partition import fowlkes_mallows, pair_counts
-from jaxdet.eval.polygon import inside, near_side, overlap
-from jaxdet.eval.tally import Case, Tally, total
+from jaxdet.eval.shapes import Shapes, count_shapes
+from jaxdet.eval.tally import Tally, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth
-from jaxdet.metric import rectangles
 from jaxdet.types import Detections
-
-NEAR_STEP_M = 0.01
-"""Distance of the footprint points that are asked for the coverage [m]."""
 
 
 def evaluate(
@@ -73,11 +69,11 @@ def evaluate_frames(
     for b in range(frames):
         if valid is None or valid[b]:
             frame = _match_frame(detections, truth, b, asked[b], config)
-            shapes = _Shapes(detections, truth, b, frame.count, depth_unit, config)
+            shapes = Shapes(detections, truth, b, frame.count, depth_unit, config)
             parts = [
                 _count_detections(frame, config),
                 _count_points(frame, _positions(detections, b, depth_unit), config),
-                _count_shapes(frame, shapes, config),
+                count_shapes(frame.asked, frame.pair, shapes, config),
             ]
             tallies.append(total(parts)._replace(frames=1))
     return tallies
@@ -173,74 +169,4 @@ def _count_points(frame: _Matched, positions: np.ndarray, config: EvalConfig) ->
         silhouette_sum=silhouette(positions, frame.labels),
         davies_bouldin_sum=davies_bouldin(positions, frame.labels),
         index_frames=1,
-    )
-
-
-class _Shapes:
-    """Outlines of one frame in metres; None where the truth does not have them."""
-
-    def __init__(
-        self,
-        detections: Detections,
-        truth: FrameTruth,
-        b: int,
-        count: int,
-        depth_unit: float,
-        config: EvalConfig,
-    ) -> None:
-        slots = detections.obstacles
-        self.forward = np.asarray(slots.c)[b, :count, 1] * depth_unit
-        self.true_forward = truth.nearest_forward_m[b]
-        self.width = self.true_low = self.true_width = self.outline = self.rectangle = None
-        if truth.ground_min is not None and truth.ground_max is not None:
-            self.width = (np.asarray(slots.b) - np.asarray(slots.a))[b, :count, 0] * depth_unit
-            self.true_low = truth.ground_min[b, :, 0]
-            self.true_width = truth.ground_max[b, :, 0] - self.true_low
-        if truth.footprint is not None:
-            one = slots._replace(
-                **{k: np.asarray(getattr(slots, k))[b, :count] for k in ("a", "b", "c")},
-                has_vertex=np.asarray(slots.has_vertex)[b, :count],
-            )
-            self.outline = truth.footprint[b]
-            self.rectangle = rectangles(one, depth_unit, config.footprint)
-
-    def near(self, j: int, config: EvalConfig) -> np.ndarray:
-        """Object ``j``'s footprint points that are seen: near side, in range, not hidden."""
-        if self.outline is None or self.true_low is None or self.true_width is None:
-            return np.zeros((0, 2))
-        points = near_side(self.outline[j], NEAR_STEP_M)
-        beyond = points[:, 0] - self.true_low[j]
-        seen = (beyond >= 0) & (beyond <= self.true_width[j])
-        return points[seen & (np.hypot(*points.T) <= config.coverage_range_m)]
-
-
-def _count_shapes(frame: _Matched, shapes: _Shapes, config: EvalConfig) -> Tally:
-    cases: list[Case] = []
-    points = covered = every = safe = 0
-    margin, nan = config.coverage_margin_m, math.nan
-    for number in np.flatnonzero(frame.asked).tolist():
-        j, which = number - 1, np.flatnonzero(frame.pair == number)
-        near, position, width, iou = shapes.near(j, config), nan, nan, nan
-        every += len(near)
-        if shapes.rectangle is not None and len(near):
-            hits = [inside(rectangle, near, margin) for rectangle in shapes.rectangle]
-            safe += int(np.any([np.zeros(len(near), bool), *hits], axis=0).sum())
-            if len(which):
-                points += len(near)
-                covered += int(hits[which[0]].sum())
-        if len(which):
-            k = int(which[0])
-            position = float(shapes.forward[k] - shapes.true_forward[j])
-            if shapes.width is not None and shapes.true_width is not None:
-                width = float(shapes.width[k] - shapes.true_width[j])
-            if shapes.rectangle is not None and shapes.outline is not None:
-                iou = overlap(shapes.rectangle[k], shapes.outline[j])
-        distance = float(shapes.true_forward[j])
-        cases.append(Case(number, distance, bool(len(which)), position, width, iou))
-    return Tally(
-        near_points=points,
-        near_covered=covered,
-        near_asked=every,
-        near_safe=safe,
-        cases=tuple(cases),
     )

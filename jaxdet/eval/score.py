@@ -43,8 +43,10 @@ class Score(NamedTuple):
     davies_bouldin: float
     """Mean of the frames' Davies-Bouldin indices."""
     coverage: float
-    """Of the points on the visible side of the footprints of obstacles found, the share in the
-    rectangle of the obstacle's detection, ``coverage_margin_m`` allowed."""
+    """Of the points on the visible side of the footprints of obstacles found (every centimetre
+    along the edges of the convex hull that face the camera, within ``coverage_range_m`` and the
+    visible surface's extent), the share in the rectangle of the obstacle's detection,
+    ``coverage_margin_m`` allowed."""
     safe_coverage: float
     """Of these points of all obstacles asked for, found or not, the share in any rectangle."""
     floor_kept: float

@@ -1,0 +1,97 @@
+"""Distance, width and outline of the obstacles of one frame, against the truth."""
+
+import math
+
+import numpy as np
+
+from jaxdet.eval.polygon import inside, near_side, overlap
+from jaxdet.eval.tally import Case, Tally
+from jaxdet.eval.truth import EvalConfig, FrameTruth
+from jaxdet.metric import rectangles
+from jaxdet.types import Detections
+
+NEAR_STEP_M = 0.01
+"""Distance of the footprint points that are asked for the coverage [m]."""
+
+
+class Shapes:
+    """Outlines of one frame in metres; None where the truth does not have them."""
+
+    def __init__(
+        self,
+        detections: Detections,
+        truth: FrameTruth,
+        b: int,
+        count: int,
+        depth_unit: float,
+        config: EvalConfig,
+    ) -> None:
+        slots = detections.obstacles
+        self.forward = np.asarray(slots.c)[b, :count, 1] * depth_unit
+        self.true_forward = truth.nearest_forward_m[b]
+        self.width = self.true_low = self.true_width = self.outline = self.rectangle = None
+        if truth.ground_min is not None and truth.ground_max is not None:
+            self.width = (np.asarray(slots.b) - np.asarray(slots.a))[b, :count, 0] * depth_unit
+            self.true_low = truth.ground_min[b, :, 0]
+            self.true_width = truth.ground_max[b, :, 0] - self.true_low
+        if truth.footprint is not None:
+            one = slots._replace(
+                **{k: np.asarray(getattr(slots, k))[b, :count] for k in ("a", "b", "c")},
+                has_vertex=np.asarray(slots.has_vertex)[b, :count],
+            )
+            self.outline = truth.footprint[b]
+            self.rectangle = rectangles(one, depth_unit, config.footprint)
+
+    def near(self, j: int, config: EvalConfig) -> np.ndarray:
+        """Object ``j``'s footprint points that are asked for.
+
+        On its near side, in range, within the width of its visible surface and not before that
+        surface: what the picture's edges cut off, no camera can cover.
+        """
+        if self.outline is None or self.true_low is None or self.true_width is None:
+            return np.zeros((0, 2))
+        points = near_side(self.outline[j], NEAR_STEP_M)
+        beyond = points[:, 0] - self.true_low[j]
+        seen = (beyond >= 0) & (beyond <= self.true_width[j])
+        seen &= points[:, 1] >= self.true_forward[j] - config.coverage_margin_m
+        return points[seen & (np.hypot(*points.T) <= config.coverage_range_m)]
+
+
+def count_shapes(asked: np.ndarray, pair: np.ndarray, shapes: Shapes, config: EvalConfig) -> Tally:
+    """A case for each obstacle asked for, and how much of its footprint is covered.
+
+    Args:
+        asked: ``(J + 1,)`` bool by number.
+        pair: ``(L,)`` number of the obstacle matched to each detection, 0 = none.
+        shapes: Of the same frame.
+        config: Margin and range.
+    """
+    cases: list[Case] = []
+    points = covered = every = safe = 0
+    margin, nan = config.coverage_margin_m, math.nan
+    for number in np.flatnonzero(asked).tolist():
+        j, which = number - 1, np.flatnonzero(pair == number)
+        near, position, width, iou = shapes.near(j, config), nan, nan, nan
+        every += len(near)
+        if shapes.rectangle is not None and len(near):
+            hits = [inside(rectangle, near, margin) for rectangle in shapes.rectangle]
+            safe += int(np.any([np.zeros(len(near), bool), *hits], axis=0).sum())
+            if len(which):
+                points += len(near)
+                covered += int(hits[which[0]].sum())
+        if len(which):
+            k = int(which[0])
+            position = float(shapes.forward[k] - shapes.true_forward[j])
+            if shapes.width is not None and shapes.true_width is not None:
+                width = float(shapes.width[k] - shapes.true_width[j])
+            if shapes.rectangle is not None and shapes.outline is not None:
+                iou = overlap(shapes.rectangle[k], shapes.outline[j])
+        distance = float(shapes.true_forward[j])
+        cases.append(Case(number, distance, bool(len(which)), position, width, iou))
+    return Tally(
+        near_points=points,
+        near_covered=covered,
+        near_asked=every,
+        near_safe=safe,
+        cases=tuple(cases),
+    )
