@@ -60,7 +60,7 @@ class SimConfig:
     exposure: ColorSensor = field(default_factory=ColorSensor)
     """The colour camera's chip, lens and processor."""
     light: LightName = "normal"
-    """How bright it is: strong 30 000 lx, normal 500, weaker 120, dim 30."""
+    """How bright it is: strong 30 000 lx, normal 500, weaker 120, dim 50."""
     slope_rad: float | None = None
     """Rise of a ramp ahead [rad]; unset: as the scene has it."""
     distance_m: float = 2.0

@@ -46,7 +46,7 @@ LIGHTS: dict[LightName, Illumination] = {
     "strong": Illumination(30_000.0, 0.82, 0.005, 1),
     "normal": Illumination(500.0, 0.50, 0.08, 2),
     "weaker": Illumination(120.0, 0.60, 0.06, 2),
-    "dim": Illumination(30.0, 0.60, 0.06, 2),
+    "dim": Illumination(50.0, 0.60, 0.06, 2),
 }
 """The paper's four lights. It gives no figures; ours: sun through thin cloud (10-100 klx out of
 doors); an office (500 lx, EN 12464-1); a corridor (100 lx there); a room at dusk or a street at

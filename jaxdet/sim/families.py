@@ -9,117 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxdet.sim.looks import (
-    CARTON,
-    DARK_CASE,
-    INDOOR_FLOORS,
-    OUTDOOR_FLOORS,
-    POST,
-    RED_CRATE,
-    WALLS,
-    WHITE_BOX,
-    Texture,
-    pick,
-    tinted,
-)
-from jaxdet.sim.scene import Box, Cylinder, Ground, Light, Model, Path, Scene, Wall
+from jaxdet.sim.draft import Draft
+from jaxdet.sim.looks import POST, Texture, pick
+from jaxdet.sim.scene import Cylinder, Model, Path, Scene
 
 DISTANCES_M = (3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
 """The paper's distances of its Table 4."""
 CYLINDER_RADIUS_M = 0.045
 """The paper's cylinder of 9 cm diameter (its Section 4.4)."""
-_STANDING = Path(length=0.0)
-_APPROACHED = ("person", "cone", "barrier", "bucket", "tree_trunk", "chair", "bin", "box", "table")
+_APPROACHED = ("person", "cone", "bucket", "tree_trunk", "chair", "bin", "box", "pole")
 
 
-class _Draft:
-    """A scene being drawn."""
-
-    def __init__(self, seed: int, family: str) -> None:
-        self.rng = np.random.default_rng([seed, *family.encode()])
-        self.models: list[Model] = []
-        self.boxes: list[Box] = []
-        self.cylinders: list[Cylinder] = []
-        self.taken: list[tuple[float, float, float]] = []
-
-    def put(self, kind: str, x: float, y: float, yaw: float | None = None) -> None:
-        """Place a model, turned by chance if not told."""
-        turn = float(self.rng.uniform(-np.pi, np.pi)) if yaw is None else yaw
-        self.models.append(Model(kind, (x, y), turn, int(self.rng.integers(1 << 30))))
-
-    def place(
-        self, near: float, far: float, radius: float, gap: float = 0.45
-    ) -> tuple[float, float]:
-        """A free place in the field of view, ``radius`` clear of what is there if it can be."""
-        x, y = 0.0, 0.0
-        for _ in range(60):
-            x = float(self.rng.uniform(near, far))
-            half = max(0.42 * x - 0.5 * radius, 0.1)
-            y = float(self.rng.uniform(-half, half))
-            if all(np.hypot(x - a, y - b) > radius + r + gap for a, b, r in self.taken):
-                break
-        self.taken.append((x, y, radius))
-        return x, y
-
-    def box(self, x: float, y: float) -> None:
-        """A box or case of 0.2-0.6 m."""
-        size = self.rng.uniform((0.2, 0.2, 0.15), (0.5, 0.5, 0.6)).tolist()
-        look = pick(self.rng, CARTON, CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
-        yaw = float(self.rng.uniform(-0.8, 0.8))
-        self.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, look))
-
-    def pole(self, x: float, y: float, radius: float) -> None:
-        """A pole of any diameter, plain or striped."""
-        plain = Texture("plain", tinted(self.rng, (150, 150, 150), 50))
-        height = float(self.rng.uniform(0.8, 1.6))
-        look = pick(self.rng, POST, plain)
-        self.cylinders.append(Cylinder((x, y), radius, height, look, name="pole"))
-
-    def thing(self, kind: str, x: float, y: float) -> None:
-        """Anything by name."""
-        if kind == "box":
-            self.box(x, y)
-        elif kind == "pole":
-            self.pole(x, y, float(self.rng.uniform(0.015, 0.08)))
-        else:
-            facing = kind in ("barrier", "table", "vehicle", "plank", "cable", "kerb")
-            self.put(kind, x, y, float(self.rng.normal(0, 0.35)) if facing else None)
-
-    def finish(self, family: str, *, outdoors: bool) -> Scene:
-        """The scene with floor, lamp, walls or a far building."""
-        rng = self.rng
-        floor = pick(rng, *(OUTDOOR_FLOORS if outdoors else INDOOR_FLOORS))
-        way, lift = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.25)
-        lamp = (float(np.cos(way) * np.cos(lift)), float(np.sin(way) * np.cos(lift)))
-        bumps = Ground(bump_m=float(rng.choice([0.0, 0.0, 0.006])), seed=int(rng.integers(1000)))
-        return Scene(
-            family,
-            tuple(self.boxes),
-            tuple(self.cylinders),
-            tuple(self.models),
-            _building(rng) if outdoors else _hall(rng),
-            floor,
-            bumps if outdoors else Ground(),
-            Light((*lamp, float(np.sin(lift)))),
-            _STANDING,
-        )
-
-
-def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
-    left, right, front = rng.uniform((2.4, 2.4, 5.0), (4.5, 4.5, 8.0)).tolist()
-    look, back = pick(rng, *WALLS), -3.0
-    corners = [(back, -right), (front, -right), (front, left), (back, left)]
-    pairs = zip(corners, [*corners[1:], corners[0]], strict=True)
-    return tuple(Wall(a, b, 2.8, texture=look, name=f"wall {i}") for i, (a, b) in enumerate(pairs))
-
-
-def _building(rng: np.random.Generator) -> tuple[Wall, ...]:
-    far, turn = float(rng.uniform(9, 14)), float(rng.normal(0, 1.5))
-    look = pick(rng, *WALLS)
-    return (Wall((far + turn, -14.0), (far - turn, 14.0), 6.0, 0.3, look, name="building"),)
-
-
-def _people_and_vehicle(draft: _Draft, distance_m: float) -> Scene:
+def _people_and_vehicle(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     rng = draft.rng
     x, y = float(rng.uniform(3.6, 5.0)), float(rng.uniform(-1.6, 1.6))
@@ -130,7 +31,7 @@ def _people_and_vehicle(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("people_and_vehicle", outdoors=True)
 
 
-def _roadblocks(draft: _Draft, distance_m: float) -> Scene:
+def _roadblocks(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     rng = draft.rng
     x, gap = float(rng.uniform(2.2, 3.4)), float(rng.uniform(1.7, 2.3))
@@ -144,7 +45,7 @@ def _roadblocks(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("roadblocks", outdoors=True)
 
 
-def _bucket(draft: _Draft, distance_m: float) -> Scene:
+def _bucket(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     for _ in range(int(draft.rng.integers(1, 4))):
         draft.put("bucket", *draft.place(1.0, 3.0, 0.18))
@@ -153,7 +54,7 @@ def _bucket(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("bucket", outdoors=bool(draft.rng.random() < 0.3))
 
 
-def _tree_trunk(draft: _Draft, distance_m: float) -> Scene:
+def _tree_trunk(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     for _ in range(int(draft.rng.integers(1, 4))):
         draft.put("tree_trunk", *draft.place(1.3, 3.8, 0.25))
@@ -162,7 +63,7 @@ def _tree_trunk(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("tree_trunk", outdoors=True)
 
 
-def _mixed(draft: _Draft, distance_m: float) -> Scene:
+def _mixed(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     kinds = [
         "person", "walker", "barrier", "cone", "bucket", "bin", "tree_trunk", "street_light",
@@ -175,22 +76,25 @@ def _mixed(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("mixed", outdoors=bool(draft.rng.random() < 0.5))
 
 
-def _cylinder(draft: _Draft, distance_m: float) -> Scene:
+def _cylinder(draft: Draft, distance_m: float) -> Scene:
     y = float(draft.rng.uniform(-0.15, 0.15) * distance_m)
     look = pick(draft.rng, POST, Texture("plain", (196, 198, 200)), Texture("plain", (60, 62, 66)))
     x = float(np.sqrt(distance_m**2 - y**2))
     draft.cylinders.append(Cylinder((x, y), CYLINDER_RADIUS_M, 1.0, look, name="cylinder"))
-    return draft.finish("cylinder", outdoors=bool(draft.rng.random() < 0.5))
+    return draft.finish("cylinder", outdoors=bool(draft.rng.random() < 0.5), clutter=False)
 
 
-def _approach(draft: _Draft, distance_m: float) -> Scene:
-    """The same obstacle, floor and lamp by the seed, at whichever distance."""
+def _approach(draft: Draft, distance_m: float) -> Scene:
+    """The same obstacle, floor and lamp by the seed, at whichever distance.
+
+    Of what fits into the view at 1 m: tables and barriers don't.
+    """
     kind, aside = str(draft.rng.choice(_APPROACHED)), float(draft.rng.uniform(-0.08, 0.08))
     draft.thing(kind, distance_m, aside * distance_m)
-    return draft.finish("approach", outdoors=bool(draft.rng.random() < 0.5))
+    return draft.finish("approach", outdoors=bool(draft.rng.random() < 0.5), clutter=False)
 
 
-def _queue(draft: _Draft, distance_m: float) -> Scene:
+def _queue(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     rng = draft.rng
     start, way = draft.place(1.5, 2.2, 0.3), float(rng.uniform(0.15, 1.2) * rng.choice([-1, 1]))
@@ -202,7 +106,7 @@ def _queue(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("queue", outdoors=bool(rng.random() < 0.4))
 
 
-def _low_things(draft: _Draft, distance_m: float) -> Scene:
+def _low_things(draft: Draft, distance_m: float) -> Scene:
     del distance_m
     rng = draft.rng
     kinds = ["brick", "plank", "cable", "book", "kerb", "bottle"]
@@ -211,7 +115,7 @@ def _low_things(draft: _Draft, distance_m: float) -> Scene:
     return draft.finish("low_things", outdoors=bool(rng.random() < 0.5))
 
 
-def _pedestrian(draft: _Draft, distance_m: float) -> Scene:
+def _pedestrian(draft: Draft, distance_m: float) -> Scene:
     """A person walks to and fro across the way of the rolling robot (the paper's Fig. 15)."""
     del distance_m
     rng = draft.rng
@@ -223,7 +127,7 @@ def _pedestrian(draft: _Draft, distance_m: float) -> Scene:
     return replace(scene, path=Path(length=1.6, speed=0.4, weave=0.05))
 
 
-_FAMILIES: dict[str, Callable[[_Draft, float], Scene]] = {
+_FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "people_and_vehicle": _people_and_vehicle,
     "roadblocks": _roadblocks,
     "bucket": _bucket,
@@ -247,4 +151,4 @@ def make_scene(family: str, seed: int, distance_m: float = 2.0) -> Scene:
         seed: Draws it.
         distance_m: Of the obstacle of ``cylinder`` and ``approach`` [m].
     """
-    return _FAMILIES[family](_Draft(seed, family), distance_m)
+    return _FAMILIES[family](Draft(seed, family), distance_m)

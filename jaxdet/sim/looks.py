@@ -53,6 +53,7 @@ MARKED = Texture("lines", color=(92, 94, 96), accent=(214, 208, 190), size_m=1.5
 ASPHALT = Texture("asphalt", color=(88, 88, 90), accent=(170, 168, 164), size_m=0.25, grain=6.0)
 PAVING = Texture("brick", color=(142, 128, 116), accent=(78, 74, 70), size_m=0.22, grain=5.0)
 GRASS = Texture("grass", color=(62, 84, 40), accent=(120, 136, 72), size_m=0.3, grain=6.0)
+HEDGE = Texture("grass", color=(34, 56, 28), accent=(96, 120, 60), size_m=0.12, grain=9.0)
 BRICK_WALL = Texture("brick", color=(150, 84, 66), accent=(178, 170, 160), size_m=0.16, grain=5.0)
 CONCRETE = Texture("noise", color=(150, 150, 148), accent=(130, 130, 128), size_m=0.8, grain=3.0)
 

@@ -1,0 +1,129 @@
+"""Drawing a scene by chance: placing things, and the floor, lamp and walls around them."""
+
+import numpy as np
+
+from jaxdet.sim.looks import (
+    CARTON,
+    DARK_CASE,
+    HEDGE,
+    INDOOR_FLOORS,
+    OUTDOOR_FLOORS,
+    POST,
+    RED_CRATE,
+    WALLS,
+    WHITE_BOX,
+    Texture,
+    pick,
+    tinted,
+)
+from jaxdet.sim.scene import Box, Cylinder, Ground, Light, Model, Path, Scene, Wall
+
+_STANDING = Path(length=0.0)
+
+
+class Draft:
+    """A scene being drawn."""
+
+    def __init__(self, seed: int, family: str) -> None:
+        self.rng = np.random.default_rng([seed, *family.encode()])
+        self.models: list[Model] = []
+        self.boxes: list[Box] = []
+        self.cylinders: list[Cylinder] = []
+        self.taken: list[tuple[float, float, float]] = []
+
+    def put(self, kind: str, x: float, y: float, yaw: float | None = None) -> None:
+        """Place a model, turned by chance if not told."""
+        turn = float(self.rng.uniform(-np.pi, np.pi)) if yaw is None else yaw
+        self.models.append(Model(kind, (x, y), turn, int(self.rng.integers(1 << 30))))
+
+    def place(
+        self, near: float, far: float, radius: float, gap: float = 0.45
+    ) -> tuple[float, float]:
+        """A free place in the field of view, ``radius`` clear of what is there if it can be."""
+        x, y = 0.0, 0.0
+        for _ in range(60):
+            x = float(self.rng.uniform(near, far))
+            half = max(0.42 * x - 0.5 * radius, 0.1)
+            y = float(self.rng.uniform(-half, half))
+            if all(np.hypot(x - a, y - b) > radius + r + gap for a, b, r in self.taken):
+                break
+        self.taken.append((x, y, radius))
+        return x, y
+
+    def box(self, x: float, y: float) -> None:
+        """A box or case of 0.2-0.6 m."""
+        size = self.rng.uniform((0.2, 0.2, 0.15), (0.5, 0.5, 0.6)).tolist()
+        look = pick(self.rng, CARTON, CARTON, DARK_CASE, RED_CRATE, WHITE_BOX)
+        yaw = float(self.rng.uniform(-0.8, 0.8))
+        self.boxes.append(Box((x, y), (size[0], size[1], size[2]), yaw, look))
+
+    def pole(self, x: float, y: float, radius: float) -> None:
+        """A pole of any diameter, plain or striped."""
+        plain = Texture("plain", tinted(self.rng, (150, 150, 150), 50))
+        height = float(self.rng.uniform(0.8, 1.6))
+        look = pick(self.rng, POST, plain)
+        self.cylinders.append(Cylinder((x, y), radius, height, look, name="pole"))
+
+    def thing(self, kind: str, x: float, y: float) -> None:
+        """Anything by name."""
+        if kind == "box":
+            self.box(x, y)
+        elif kind == "pole":
+            self.pole(x, y, float(self.rng.uniform(0.015, 0.08)))
+        else:
+            facing = kind in ("barrier", "table", "vehicle", "plank", "cable", "kerb")
+            self.put(kind, x, y, float(self.rng.normal(0, 0.35)) if facing else None)
+
+    def _clutter(self, *, outdoors: bool, far: float) -> None:
+        """Things before the far wall, or a hedge: out of range, but in the picture."""
+        rng = self.rng
+        if outdoors:
+            x, y = rng.uniform((4.6, -1.5), (6.5, 1.5)).tolist()
+            size = (0.6, float(rng.uniform(2, 5)), float(rng.uniform(0.6, 1.3)))
+            yaw = float(rng.normal(0, 0.2))
+            self.boxes.append(Box((x, y), size, yaw, HEDGE, name="hedge"))
+            return
+        for y in rng.uniform(-2.2, 2.2, int(rng.integers(1, 5))).tolist():
+            self.thing(str(rng.choice(["box", "box", "bin", "chair"])), far - 0.5, y)
+
+    def finish(self, family: str, *, outdoors: bool, clutter: bool = True) -> Scene:
+        """The scene with floor, lamp, walls or a far building.
+
+        Args:
+            family: Its name.
+            outdoors: Asphalt or grass and a building, or a hall.
+            clutter: Whether things may stand far away, or a hedge.
+        """
+        rng = self.rng
+        walls = _building(rng) if outdoors else _hall(rng)
+        if clutter and rng.random() < 0.5:
+            self._clutter(outdoors=outdoors, far=walls[1].start[0] if not outdoors else 6.0)
+        floor = pick(rng, *(OUTDOOR_FLOORS if outdoors else INDOOR_FLOORS))
+        way, lift = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.25)
+        lamp = (float(np.cos(way) * np.cos(lift)), float(np.sin(way) * np.cos(lift)))
+        bumps = Ground(bump_m=float(rng.choice([0.0, 0.0, 0.006])), seed=int(rng.integers(1000)))
+        return Scene(
+            family,
+            tuple(self.boxes),
+            tuple(self.cylinders),
+            tuple(self.models),
+            walls,
+            floor,
+            bumps if outdoors else Ground(),
+            Light((*lamp, float(np.sin(lift)))),
+            _STANDING,
+        )
+
+
+def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
+    left, right, front = rng.uniform((2.4, 2.4, 5.0), (4.5, 4.5, 8.0)).tolist()
+    look, back = pick(rng, *WALLS), -3.0
+    corners = [(back, -right), (front, -right), (front, left), (back, left)]
+    pairs = zip(corners, [*corners[1:], corners[0]], strict=True)
+    return tuple(Wall(a, b, 2.8, texture=look, name=f"wall {i}") for i, (a, b) in enumerate(pairs))
+
+
+def _building(rng: np.random.Generator) -> tuple[Wall, ...]:
+    far, turn = float(rng.uniform(9, 14)), float(rng.normal(0, 1.5))
+    look = pick(rng, *WALLS)
+    return (Wall((far + turn, -14.0), (far - turn, 14.0), 6.0, 0.3, look, name="building"),)
