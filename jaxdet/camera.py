@@ -146,6 +146,23 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
 
 @lru_cache(maxsize=16)
+def grid_pixels(width: int, height: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels of a regular grid with square meshes, row by row.
+
+    Args:
+        width: Of the image [pixel].
+        height: Of the image [pixel].
+        columns: About how many columns the grid has; 0: there is no grid.
+
+    Returns:
+        Columns and rows, each ``(G,)`` int32, read-only.
+    """
+    step = max(1, round(width / columns)) if columns else max(width, height) * 2
+    v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].astype(np.int32)
+    return _frozen(u.ravel()), _frozen(v.ravel())
+
+
+@lru_cache(maxsize=16)
 def corner_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
     """The rays through the corners of each depth pixel, in librealsense's float32 arithmetic.
 

@@ -97,6 +97,9 @@ class FeaturesConfig:
     """Side of the tiles that share out the slots [pixel]."""
     max_per_tile: int = 0
     """Most corners of a tile, so that one textured region can't use up the slots; 0: no limit."""
+    grid_columns: int = 0
+    """Columns of a regular grid whose kept pixels are points too, with square meshes, so that
+    surfaces without corners (plain, dim) are seen by their depth. 0: corners only."""
     use_mask: bool = True
     """Take corners only where the ground stage keeps the pixel; off: drop points afterwards."""
 
@@ -109,6 +112,7 @@ class FeaturesConfig:
         _require(0 < self.canny_least_share <= 1, "features.canny-least-share", "in (0, 1]")
         _require(self.tile_size >= 8, "features.tile-size", "at least 8 pixels")
         _require(self.max_per_tile >= 0, "features.max-per-tile", "at least 0")
+        _require(0 <= self.grid_columns <= 320, "features.grid-columns", "from 0 to 320")
 
 
 @dataclass(frozen=True)
@@ -163,11 +167,6 @@ class Config:
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
-
-    @property
-    def num_obstacle_slots(self) -> int:
-        """M: as many obstacles as N features can make, so the slots never overflow."""
-        return max(1, self.features.max_corners // (self.cluster.min_points + 1))
 
 
 def _with(ground: dict[str, float], footprint: dict[str, float] | None = None) -> Config:

@@ -23,6 +23,10 @@ Array = Any
 """A NumPy or a JAX array."""
 
 
+MAX_LATERAL = (1 << 18) - 1
+"""Largest sideways distance [depth units]: four times the largest depth."""
+
+
 class Distortion(StrEnum):
     """Lens distortion models; the values are the names ROS and Foxglove use."""
 
@@ -151,7 +155,7 @@ class Keep(NamedTuple):
 
 
 class Features(NamedTuple):
-    """Corner features with depth, strongest first (Sections 3.2, 3.3)."""
+    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then the grid's if any."""
 
     u: Array
     """``(B, N)`` int32, column [pixel]."""

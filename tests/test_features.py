@@ -203,6 +203,7 @@ CONFIGS = {
     "dense": FeaturesConfig(max_corners=4000, min_distance=0, quality_level=0.0001),
     "tiles": FeaturesConfig(max_corners=60, tile_size=24, max_per_tile=3),
     "dim": FeaturesConfig(canny_reference_level=180.5),
+    "grid": FeaturesConfig(max_corners=30, grid_columns=20),
 }
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxdet import reference, stages
-from jaxdet.config import Config, FeaturesConfig, FootprintConfig
+from jaxdet.config import ClusterConfig, Config, FootprintConfig
 from jaxdet.errors import ConfigError
 from jaxdet.plane import ground_axes
 from jaxdet.reference._footprint import to_ground
@@ -17,7 +17,7 @@ from jaxdet.types import Features, Labels
 from tests.scenes import assert_equal, level, points
 
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
-CONFIG = replace(Config(), features=FeaturesConfig(max_corners=50))
+CONFIG = replace(Config(), cluster=ClusterConfig(min_points=0))
 
 
 def measure(backend, x, z, labels, plane=None, config=CONFIG):

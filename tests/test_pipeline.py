@@ -35,6 +35,7 @@ def recorded_frames(shared_data: Path) -> Frames:
 
 CONFIGS = {
     **{name: PRESETS[name] for name in ("wheeled", "paper", "d455")},
+    "grid": replace(Config(), features=FeaturesConfig(max_corners=200, grid_columns=40)),
     "few_slots": replace(Config(), features=FeaturesConfig(max_corners=60)),
     "tight": replace(Config(), cluster=ClusterConfig(0.02, lateral_gap_m=0.05, min_points=2)),
 }

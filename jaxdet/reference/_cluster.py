@@ -5,7 +5,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.plane import gap_table
 from jaxdet.reference._footprint import to_ground
-from jaxdet.types import Features, GroundPlane, Labels
+from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels
 
 
 def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: Config) -> Labels:
@@ -44,8 +44,8 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     lateral_gap = round(settings.lateral_gap_m / depth_unit)
     lateral, depth = features.x, features.z
     if settings.on_floor:
-        lateral, forward = np.moveaxis(to_ground(features, plane), -1, 0)
-        depth = np.clip(forward, 0, 65535)
+        lateral, depth = np.moveaxis(to_ground(features, plane), -1, 0)
+        lateral, depth = np.clip(lateral, -MAX_LATERAL, MAX_LATERAL), np.clip(depth, 0, 65535)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):
         z, x = depth[b], lateral[b]

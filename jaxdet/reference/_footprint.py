@@ -29,7 +29,8 @@ def footprint(
     Returns:
         ``(B, M)`` obstacles in the order of their labels.
     """
-    batch, m = len(labels.labels), config.num_obstacle_slots
+    batch, n = labels.labels.shape
+    m = max(1, n // (config.cluster.min_points + 1))
     threshold = round(config.footprint.vertex_threshold_m / depth_unit)
     shapes = {"num_points": (m,), "has_vertex": (m,)}
     shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c"), (m, 2))

@@ -9,17 +9,20 @@ from jax import lax
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.plane import gap_table, ground_axes
 from jaxdet.stages._footprint import to_ground
-from jaxdet.types import Features, GroundPlane, Labels
+from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels
 
 LAST = jnp.iinfo(jnp.int32).max
+RANK_BITS = 13
+RANK_MASK = (1 << RANK_BITS) - 1
+"""A frame has at most 2^13 points; what is sorted has 19 bits."""
 
 
 def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: Config) -> Labels:
     """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
     Equals :func:`jaxdet.reference.cluster`. Every frame is an array program of its own, mapped
-    over the batch: sort by depth, flag gaps, count each set; sort by set and x, flag gaps, count
-    again; number what is left.
+    over the batch: sort by set and depth, flag gaps, count each set; the same by set and x; number
+    what is left.
 
     Args:
         features: ``(B, N)`` points; only ``kept`` ones take part.
@@ -57,7 +60,8 @@ def _cluster(
         x, depth = features.x, features.z
         if axes is not None:
             floor = to_ground(jnp.stack([x, features.y, depth], axis=-1), axes)
-            x, depth = floor[..., 0], jnp.clip(floor[..., 1], 0, 65535)
+            x = jnp.clip(floor[..., 0], -MAX_LATERAL, MAX_LATERAL)
+            depth = jnp.clip(floor[..., 1], 0, 65535)
         settings = (gaps, lateral_gap, min_points, rounds)
         return jax.vmap(lambda x, z, kept: _cluster_frame(x, z, kept, *settings))(
             x, depth, features.kept
@@ -73,31 +77,41 @@ def _cluster_frame(
     min_points: int,
     rounds: int,
 ) -> tuple[jax.Array, jax.Array]:
-    """One frame: ``(N,)`` each."""
-    n = z.shape[0]
-    group, z_sorted, slot = _sort_by_depth(z, kept)
-    part, x_sorted = group, x
-    for number in range(rounds):
-        if number:
-            group, z_sorted, slot = lax.sort((part, z[slot], slot), num_keys=2)
-        group = _gap_sets(z_sorted, group, gaps[z_sorted], min_points)
-        part, x_sorted, slot = lax.sort((group, x[slot], slot), num_keys=2)
-        part = _gap_sets(x_sorted, part, jnp.full(n, lateral_gap, jnp.int32), min_points)
-    return _number(part, x_sorted, z[slot], slot, n // (min_points + 1))
+    """One frame: ``(N,)`` each.
 
-
-def _sort_by_depth(z: jax.Array, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Sorts the kept points by depth, in one key: group (0, or ``LAST``), depth and slot.
-
-    Depth needs 16 bits and the slot at most 15, so one 32-bit key sorts both; what does not take
-    part is deeper than any depth.
+    The points are ranked along both axes once. A set's points are then in order after one sort
+    of ``set << RANK_BITS | rank``: every sort has a single 32-bit key, which is what XLA sorts
+    quickly on every device.
     """
-    slot = jnp.arange(z.shape[0], dtype=jnp.uint32)
-    depth = jnp.where(kept, z.astype(jnp.uint32), jnp.uint32(1 << 16))
-    key = jnp.sort((depth << 15) | slot)
-    depth = (key >> 15).astype(jnp.int32)
-    group = jnp.where(depth < (1 << 16), 0, LAST)
-    return group, jnp.minimum(depth, 65535), (key & 0x7FFF).astype(jnp.int32)
+    n = z.shape[0]
+    by_z, z_rank = _rank(z)
+    by_x, x_rank = _rank(x + MAX_LATERAL)
+    group = jnp.where(kept, 0, n)
+    for _ in range(rounds):
+        for values, order, rank, gap in (
+            (z, by_z, z_rank, gaps[jnp.clip(z, 0, 65535)]),
+            (x, by_x, x_rank, jnp.full(n, lateral_gap, jnp.int32)),
+        ):
+            key = jnp.sort((group.astype(jnp.uint32) << RANK_BITS) | rank)
+            slot = order[key & RANK_MASK]
+            sorted_group = (key >> RANK_BITS).astype(jnp.int32)
+            part = _gap_sets(values[slot], sorted_group, gap[slot], min_points)
+            group = jnp.zeros(n, jnp.int32).at[slot].set(part, unique_indices=True)
+    return _number(group, x, z, n // (min_points + 1))
+
+
+def _rank(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sorts ``(N,)`` int32 values in [0, 2^19).
+
+    Returns:
+        The slots in rising order, and each slot's rank, both ``(N,)``, int32 and uint32.
+    """
+    n = values.shape[0]
+    slot = jnp.arange(n, dtype=jnp.uint32)
+    order = (jnp.sort((values.astype(jnp.uint32) << RANK_BITS) | slot) & RANK_MASK).astype(
+        jnp.int32
+    )
+    return order, jnp.zeros(n, jnp.uint32).at[order].set(slot, unique_indices=True)
 
 
 def _gap_sets(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: int) -> jax.Array:
@@ -105,48 +119,46 @@ def _gap_sets(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: i
 
     Args:
         values: ``(N,)`` int32, rising within each group.
-        group: ``(N,)`` int32, rising; a new group starts a new run; ``LAST`` takes no part.
+        group: ``(N,)`` int32, rising; a new group starts a new run; N takes no part.
         gap: ``(N,)`` int32, the largest step from each entry to the next.
         min_points: Runs of this many entries or fewer are dropped.
 
     Returns:
-        ``(N,)`` int32, the run's number among all runs, or ``LAST`` where dropped.
+        ``(N,)`` int32, the run's number among all runs, or N where dropped.
     """
     n = values.shape[0]
     position = jnp.arange(n, dtype=jnp.int32)
-    valid = group != LAST
+    valid = group != n
     steps = (values[1:] - values[:-1] > gap[:-1]) | (group[1:] != group[:-1])
     starts = jnp.concatenate([jnp.ones(1, bool), steps]) | ~valid
     first = lax.cummax(jnp.where(starts, position, 0))
     next_start = jnp.concatenate([jnp.where(starts, position, n)[1:], jnp.full(1, n, jnp.int32)])
     size = lax.cummin(next_start, reverse=True) - first
-    return jnp.where(valid & (size > min_points), jnp.cumsum(starts, dtype=jnp.int32) - 1, LAST)
+    return jnp.where(valid & (size > min_points), jnp.cumsum(starts, dtype=jnp.int32) - 1, n)
 
 
 def _number(
-    part: jax.Array, x: jax.Array, z: jax.Array, slot: jax.Array, max_parts: int
+    part: jax.Array, x: jax.Array, z: jax.Array, max_parts: int
 ) -> tuple[jax.Array, jax.Array]:
-    """Numbers the parts by nearest z, then smallest x, and puts the labels back in their slots.
+    """Numbers the parts by nearest z, then smallest x.
 
     Args:
-        part: ``(N,)`` int32, equal within a part, rising but for ``LAST``.
+        part: ``(N,)`` int32, equal within a part; N takes no part.
         x: ``(N,)`` int32.
         z: ``(N,)`` int32.
-        slot: ``(N,)`` int32, the feature slot of each entry.
         max_parts: As many parts as there can be.
 
     Returns:
         ``labels`` ``(N,)`` int32 and their number, int32.
     """
-    m = max(1, max_parts)
-    kept = part != LAST
-    previous = jnp.concatenate([jnp.full(1, -1, jnp.int32), part[:-1]])
-    index = jnp.cumsum(kept & (part != previous), dtype=jnp.int32) - 1
-    index = jnp.where(kept, index, m)
+    n, m = part.shape[0], max(1, max_parts)
+    used = jnp.zeros(n, jnp.int32).at[part].set(1, mode="drop")
+    index = jnp.where(
+        part < n, (jnp.cumsum(used, dtype=jnp.int32) - 1)[jnp.minimum(part, n - 1)], m
+    )
     nearest = jnp.full(m, LAST).at[index].min(z, mode="drop")
     leftmost = jnp.full(m, LAST).at[index].min(x, mode="drop")
     *_, order = lax.sort((nearest, leftmost, jnp.arange(m, dtype=jnp.int32)), num_keys=2)
     label = jnp.zeros(m, jnp.int32).at[order].set(jnp.arange(m, dtype=jnp.int32))
-    labels = jnp.where(kept, label[jnp.minimum(index, m - 1)], -1)
-    count = jnp.sum(nearest != LAST, dtype=jnp.int32)
-    return jnp.full(part.shape, -1, jnp.int32).at[slot].set(labels, unique_indices=True), count
+    labels = jnp.where(part < n, label[jnp.minimum(index, m - 1)], -1)
+    return labels, jnp.sum(nearest != LAST, dtype=jnp.int32)

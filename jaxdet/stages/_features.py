@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdet.camera import fixed_rays
+from jaxdet.camera import fixed_rays, grid_pixels
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages import _corners_cuda, _corners_host
 from jaxdet.stages._device import on_cuda
@@ -33,9 +33,13 @@ def features(
         config: Canny's bounds and the corner selection.
 
     Returns:
-        ``N = config.max_corners`` slots a frame; empty slots are zero.
+        ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
+        are zero.
     """
-    rays = _rays(calibration)
+    rays = (
+        *_rays(calibration),
+        *_grid(keep.mask.shape[2], keep.mask.shape[1], config.grid_columns),
+    )
     if on_cuda() and _corners_cuda.supports(color.shape[1:3], config):
         return _on_device(jnp.asarray(color), keep.z, keep.mask, *rays, config)
     uv, count = _on_host(np.asarray(color), keep, config)
@@ -50,12 +54,14 @@ def _on_device(
     keep: jax.Array,
     ray_x: jax.Array,
     ray_y: jax.Array,
+    grid_u: jax.Array,
+    grid_v: jax.Array,
     config: FeaturesConfig,
 ) -> Features:
     with jax.named_scope("features"):
         mask = keep if config.use_mask else jnp.ones_like(keep)
         u, v, count = _corners_cuda.strongest_corners(color, mask, config)
-        return _look_up(u, v, count, z, keep, ray_x, ray_y)
+        return _look_up(u, v, count, z, keep, ray_x, ray_y, grid_u, grid_v)
 
 
 def _on_host(
@@ -86,6 +92,12 @@ def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig)
 
 
 @lru_cache(maxsize=8)
+def _grid(width: int, height: int, columns: int) -> tuple[jax.Array, jax.Array]:
+    u, v = grid_pixels(width, height, columns)
+    return jnp.asarray(u), jnp.asarray(v)
+
+
+@lru_cache(maxsize=8)
 def _rays(calibration: Calibration) -> tuple[jax.Array, jax.Array]:
     x, y = fixed_rays(calibration.color)
     return jnp.asarray(x), jnp.asarray(y)
@@ -100,11 +112,17 @@ def _look_up(
     keep: jax.Array,
     ray_x: jax.Array,
     ray_y: jax.Array,
+    grid_u: jax.Array,
+    grid_v: jax.Array,
 ) -> Features:
     """The features' depth, coordinates and flags, from their pixels ``(B, N)``."""
     with jax.named_scope("features"):
         n = u.shape[1]
         valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
+        kept = keep[:, grid_v, grid_u]
+        u = jnp.concatenate([u, jnp.where(kept, grid_u[None, :], 0)], axis=1)
+        v = jnp.concatenate([v, jnp.where(kept, grid_v[None, :], 0)], axis=1)
+        valid = jnp.concatenate([valid, kept], axis=1)
         frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
         z = jnp.where(valid, z[frame, v, u].astype(jnp.int32), 0)
         kept = valid & keep[frame, v, u]

@@ -32,7 +32,8 @@ def footprint(
     """
     threshold = round(config.footprint.vertex_threshold_m / depth_unit)
     axes = jnp.asarray(np.asarray(ground_axes(plane)))
-    return _footprint(features, labels.labels, axes, threshold, config.num_obstacle_slots)
+    m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
+    return _footprint(features, labels.labels, axes, threshold, m)
 
 
 @partial(jax.jit, static_argnames=("threshold", "m"))
