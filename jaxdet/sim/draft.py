@@ -39,13 +39,14 @@ class Draft:
     def place(
         self, near: float, far: float, radius: float, gap: float = 0.45
     ) -> tuple[float, float]:
-        """A free place in the field of view, ``radius`` clear of what is there if it can be."""
+        """A place in the field of view, ``gap`` clear of what is there if it can be, or 5 cm."""
         x, y = 0.0, 0.0
-        for _ in range(60):
+        for attempt in range(120):
             x = float(self.rng.uniform(near, far))
             half = max(0.42 * x - 0.5 * radius, 0.1)
             y = float(self.rng.uniform(-half, half))
-            if all(np.hypot(x - a, y - b) > radius + r + gap for a, b, r in self.taken):
+            clear = radius + (gap if attempt < 60 else 0.05)
+            if all(np.hypot(x - a, y - b) > clear + r for a, b, r in self.taken):
                 break
         self.taken.append((x, y, radius))
         return x, y
