@@ -52,35 +52,62 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     fixed ``extension_m``. With one, the opposite edge lies on the parallel to AB through C,
     cut by the perpendiculars through A and B.
 
+    With ``config.cover`` the rectangle is then widened along and across AB until all points of the
+    obstacle are inside ("ensuring absolute safety for the robot", Section 3.5): points beyond AB
+    or to the sides of A and B would be left out otherwise. ``margin_m`` is added on all sides.
+
     Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
     forward it has no side away from the camera; the normal that points away from the camera's
     own line of sight is taken (to the right on that line).
 
     Args:
-        obstacles: Integer outlines, ``(B, M)`` slots; ``a b c has_vertex`` are used.
+        obstacles: Integer outlines, ``(B, M)`` slots.
         depth_unit: Metres in one depth unit.
-        config: The fixed extension.
+        config: The fixed extension, the cover and the margin.
 
     Returns:
         ``(B, M, 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
         corner beyond B, the corner beyond A.
     """
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
-    normal = _backward_normal(a, b)
-    reach = np.sum((c - a) * normal, axis=-1) * depth_unit
-    reach = np.where(np.asarray(obstacles.has_vertex), reach, config.extension_m)
-    offset = normal * reach[..., None]
-    a, b = a * depth_unit, b * depth_unit
-    return np.stack([a, b, b + offset, a + offset], axis=-2)
-
-
-def _backward_normal(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The unit normals of the edges AB that point away from the camera, ``(..., 2)``."""
-    edge = b - a
+    edge = np.asarray(obstacles.direction).astype(np.float64) if config.cover else b - a
     length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
-    normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-    normal = np.where(length > 0, normal, [0.0, 1.0])
+    along = np.divide(edge, length, out=np.zeros_like(edge), where=length > 0)
+    along = np.where(length > 0, along, [1.0, 0.0])
+    across = _backward_normal(a, along)
+    has_vertex = np.asarray(obstacles.has_vertex)
+    left, right = np.sum(a * along, axis=-1), np.sum(b * along, axis=-1)
+    front = np.sum(a * across, axis=-1)
+    back = np.where(
+        has_vertex, np.sum(c * across, axis=-1), front + config.extension_m / depth_unit
+    )
+    if config.cover:
+        scale = np.where(length > 0, length, 1.0)
+        span = np.asarray(obstacles.span) / scale
+        low, high = _oriented(span[..., 2:], edge, across)
+        left, right = np.minimum(left, span[..., 0]), np.maximum(right, span[..., 1])
+        front = np.where(has_vertex, np.maximum(front, high), np.minimum(front, low))
+        back = np.where(has_vertex, np.minimum(back, low), np.maximum(back, high))
+    margin = config.margin_m / depth_unit
+    outward = np.where(front <= back, margin, -margin)
+    left, right, front, back = left - margin, right + margin, front - outward, back + outward
+    corners = [(left, front), (right, front), (right, back), (left, back)]
+    points = [s[..., None] * along + t[..., None] * across for s, t in corners]
+    return np.stack(points, axis=-2) * depth_unit
+
+
+def _oriented(
+    across_extremes: np.ndarray, edge: np.ndarray, backward: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest distance across the edge, counted along the ``backward`` normal."""
+    same = edge[..., 0] * backward[..., 1] - edge[..., 1] * backward[..., 0] >= 0
+    low, high = across_extremes[..., 0], across_extremes[..., 1]
+    return np.where(same, low, -high), np.where(same, high, -low)
+
+
+def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """The unit normals of edges of direction ``along`` that point away from the camera."""
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     sideways = np.where(a[..., 0] >= 0, 1.0, -1.0) * normal[..., 0]
     outward = np.where(normal[..., 1] != 0, normal[..., 1], sideways)
     return np.where(outward[..., None] < 0, -normal, normal)

@@ -5,7 +5,8 @@ from typing import Literal, Protocol, cast
 
 import numpy as np
 
-from jaxdet.config import Config, FeaturesConfig
+from jaxdet.camera import grid_pixels
+from jaxdet.config import MAX_POINTS, Config, FeaturesConfig
 from jaxdet.errors import ConfigError
 from jaxdet.floor import PlaneEstimate, fit_floor
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
@@ -16,6 +17,7 @@ from jaxdet.types import (
     Features,
     Frames,
     GroundPlane,
+    Intrinsics,
     Keep,
     Labels,
     Obstacles,
@@ -89,6 +91,7 @@ def detect(
     config = config or Config()
     stages = load_backend(backend)
     calibration, unit = frames.calibration, frames.calibration.depth_unit
+    _check_points(calibration.color, config.features)
 
     aligned = stages.align(frames.depth, calibration)
     plane = _plane_of(frames, aligned, config)
@@ -98,6 +101,15 @@ def detect(
     obstacles = stages.footprint(features, labels, plane, unit, config)
 
     return Detections(features, labels, obstacles, keep.has_depth)
+
+
+def _check_points(camera: Intrinsics, config: FeaturesConfig) -> None:
+    grid, _ = grid_pixels(camera.width, camera.height, config.grid_columns)
+    if config.max_corners + len(grid) > MAX_POINTS:
+        raise ConfigError(
+            f"{config.max_corners} corners and {len(grid)} grid pixels are more than {MAX_POINTS}",
+            remedy="lower --features.max-corners or --features.grid-columns",
+        )
 
 
 def _plane_of(frames: Frames, aligned: AlignedDepth, config: Config) -> GroundPlane:

@@ -211,6 +211,11 @@ class Obstacles(NamedTuple):
     """``(B, M, 2)`` int32, the nearest point (of those, the leftmost) [depth units]."""
     has_vertex: Array
     """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
+    direction: Array
+    """``(B, M, 2)`` int32, AB halved until both parts are below 512; (1, 0) where A is B."""
+    span: Array
+    """``(B, M, 4)`` int32, extremes of all points along ``direction`` (dot product) and across
+    (cross product): least and largest along, least and largest across."""
 
 
 class Detections(NamedTuple):

@@ -41,7 +41,7 @@ def detections(points, forward_mm, **outline):
     features = Features(u, v, u, v, v, used, used, np.zeros(1, bool))
     c = np.zeros((1, len(forward_mm) + 3, 2), np.int32)
     c[0, : len(forward_mm), 1] = forward_mm
-    obstacles = Obstacles(*[None] * 8, c, None)._replace(**outline)
+    obstacles = Obstacles(*[None] * 8, c, *[None] * 3)._replace(**outline)
     count = np.array([len(forward_mm)], np.int32)
     return Detections(features, Labels(labels, count), obstacles, np.ones(1, bool))
 
@@ -168,14 +168,17 @@ def test_shapes():
     a, b = np.zeros((1, 4, 2), int), np.zeros((1, 4, 2), int)
     a[0, 0], b[0, 0] = (0, 1000), (800, 1000)
     found = detections(on(1, 0), [1000], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
-    config = EvalConfig(footprint=FootprintConfig(extension_m=0.5), coverage_margin_m=0.005)
+    config = EvalConfig(
+        footprint=FootprintConfig(extension_m=0.5, cover=False, margin_m=0.0),
+        coverage_margin_m=0.005,
+    )
     got = evaluate(found, where, config=config)
     # Points every centimetre from 0 to 1; the last one covered is at 0.80.
     assert (got.near_points, got.near_covered, got.near_asked, got.near_safe) == (101, 81, 101, 81)
     case = got.cases[0]
     assert case.width_error_m == pytest.approx(-0.2) and case.position_error_m == 0
     assert case.iou == pytest.approx(0.4)
-    short = EvalConfig(coverage_range_m=1.2)
+    short = EvalConfig(footprint=config.footprint, coverage_range_m=1.2)
     assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
     hidden = where._replace(nearest_forward_m=np.array([[1.1, np.nan, np.nan, 8.1]]))
     assert evaluate(found, hidden, config=config).near_points == 0

@@ -30,6 +30,12 @@ def grey_images() -> list[np.ndarray]:
     return images
 
 
+def corners_only(**changes) -> FeaturesConfig:
+    """The paper's bounds and no grid, with a mask."""
+    plain = FeaturesConfig(canny_low=100, canny_high=200, min_distance=5.0, grid_columns=0)
+    return replace(plain, **changes)
+
+
 # OpenCV
 
 
@@ -114,7 +120,7 @@ def test_a_square_gives_its_corners_with_depth_and_metric_coordinates():
     camera = resized(D435_COLOR, 64, 48)._replace(fx=50.0, fy=50.0, cx=32.0, cy=24.0)
     z = np.full((1, 48, 64), 1000, np.uint16)
     keep = Keep(np.ones(z.shape, bool), z, np.ones(1, bool))
-    config = FeaturesConfig(canny=False, max_corners=8)
+    config = corners_only(canny=False, max_corners=8)
     found = reference.features(color, keep, Calibration(camera), config)
     assert found.valid[0].tolist() == [True] * 4 + [False] * 4
     at = sorted(zip(found.u[0, :4].tolist(), found.v[0, :4].tolist(), strict=True))
@@ -129,7 +135,7 @@ def test_mask_frees_the_slots_for_what_matters():
     mask = np.zeros(z.shape, bool)
     mask[:, :, 64:] = True
     keep, calibration = Keep(mask, z, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
-    config = FeaturesConfig(max_corners=12)
+    config = corners_only(max_corners=12)
     with_mask = reference.features(color, keep, calibration, config)
     paper = reference.features(color, keep, calibration, replace(config, use_mask=False))
     assert with_mask.kept.sum() == 12
@@ -142,7 +148,7 @@ def test_tiles_share_out_the_slots():
     color[:, :, :64] = np.random.default_rng(0).integers(0, 256, (1, 96, 64, 3))
     z = np.full((1, 96, 128), 1000, np.uint16)
     keep, calibration = Keep(z > 0, z, np.ones(1, bool)), Calibration(resized(D435_COLOR, 128, 96))
-    plain = FeaturesConfig(max_corners=40)
+    plain = corners_only(max_corners=40)
     shared = replace(plain, tile_size=32, max_per_tile=4)
     crowded, fair = (
         reference.features(color, keep, calibration, settings_) for settings_ in (plain, shared)
@@ -156,7 +162,7 @@ def test_bounds_follow_the_light():
     """A frame at a third of the brightness keeps its edges with bounds that follow."""
     bright = blocks(1, 96, 128, 4)[0]
     dark = (bright // 4).astype(np.uint8)
-    fixed, follow = FeaturesConfig(), FeaturesConfig(canny_reference_level=128.0)
+    fixed, follow = corners_only(), corners_only(canny_reference_level=128.0)
     assert canny_bounds(grey(dark), fixed) == (100, 200)
     low, high = canny_bounds(grey(dark), follow)
     assert 20 <= low < 60
@@ -171,7 +177,7 @@ def test_overflow_is_flagged(device):
     color[1] = 7
     keep, calibration = Keep(z > 0, z, np.ones(2, bool)), Calibration(resized(D435_COLOR, 128, 96))
     for backend in (reference, stages):
-        found = backend.features(color, keep, calibration, FeaturesConfig(max_corners=5))
+        found = backend.features(color, keep, calibration, corners_only(max_corners=5))
         assert np.asarray(found.overflow).tolist() == [True, False]
         assert np.asarray(found.valid).sum(1).tolist() == [5, 0]
 
@@ -182,7 +188,7 @@ def test_undistorted_coordinates():
     )
     color, z = blocks(1, 480, 640), np.full((1, 480, 640), 2000, np.uint16)
     keep = Keep(z > 0, z, np.ones(1, bool))
-    found = reference.features(color, keep, Calibration(camera), FeaturesConfig())
+    found = reference.features(color, keep, Calibration(camera), corners_only())
     n = found.valid[0].sum()
     rays = np.stack([found.x[0, :n], found.y[0, :n], found.z[0, :n]], axis=1) / 2000
     pixels = cv2.projectPoints(
@@ -197,12 +203,12 @@ def test_undistorted_coordinates():
 
 CONFIGS = {
     "default": FeaturesConfig(),
-    "no_mask": FeaturesConfig(use_mask=False),
-    "grey": FeaturesConfig(canny=False, block_size=5),
-    "few": FeaturesConfig(max_corners=20, min_distance=12.5),
-    "dense": FeaturesConfig(max_corners=4000, min_distance=0, quality_level=0.0001),
-    "tiles": FeaturesConfig(max_corners=60, tile_size=24, max_per_tile=3),
-    "dim": FeaturesConfig(canny_reference_level=180.5),
+    "no_mask": corners_only(use_mask=False),
+    "grey": corners_only(canny=False, block_size=5),
+    "few": corners_only(max_corners=20, min_distance=12.5),
+    "dense": corners_only(max_corners=4000, min_distance=0, quality_level=0.0001),
+    "tiles": corners_only(max_corners=60, tile_size=24, max_per_tile=3),
+    "dim": corners_only(canny_reference_level=180.5),
     "grid": FeaturesConfig(max_corners=30, grid_columns=20),
 }
 

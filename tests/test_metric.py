@@ -12,7 +12,7 @@ from jaxdet.config import FootprintConfig
 from jaxdet.plane import down_vector, ground_axes
 from jaxdet.types import GroundPlane, Obstacles
 
-CONFIG = FootprintConfig(extension_m=0.2)
+CONFIG = FootprintConfig(extension_m=0.2, cover=False, margin_m=0.0)
 
 
 def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles:
@@ -22,7 +22,8 @@ def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles
     pa, pb, pc = (np.array([[p]], np.int32) for p in (a, b, c))
     count = np.ones((1, 1), np.int32)
     vertex = np.array([[has_vertex]])
-    return Obstacles(count, uv, uv, point, point, point, pa, pb, pc, vertex)
+    span = np.zeros((*pa.shape[:-1], 4), np.int32)
+    return Obstacles(count, uv, uv, point, point, point, pa, pb, pc, vertex, pa, span)
 
 
 def corners(*args: Any) -> np.ndarray:

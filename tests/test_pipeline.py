@@ -88,6 +88,12 @@ def test_empty_depth_is_told_apart_from_no_obstacle():
     assert np.asarray(found.labels.num_obstacles)[1] == 0
 
 
+def test_too_many_points_are_an_error():
+    config = replace(Config(), features=FeaturesConfig(max_corners=8192, grid_columns=20))
+    with pytest.raises(ConfigError, match=r"features\.grid-columns"):
+        detect(made_frames(1), config)
+
+
 def test_unknown_names_are_errors():
     with pytest.raises(ConfigError, match="use one of reference, jax"):
         detect(made_frames(1), backend="torch")

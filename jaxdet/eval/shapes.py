@@ -35,10 +35,7 @@ class Shapes:
             self.true_low = truth.ground_min[b, :, 0]
             self.true_width = truth.ground_max[b, :, 0] - self.true_low
         if truth.footprint is not None:
-            one = slots._replace(
-                **{k: np.asarray(getattr(slots, k))[b, :count] for k in ("a", "b", "c")},
-                has_vertex=np.asarray(slots.has_vertex)[b, :count],
-            )
+            one = type(slots)(*(a if a is None else np.asarray(a)[b, :count] for a in slots))
             self.outline = truth.footprint[b]
             self.rectangle = rectangles(one, depth_unit, config.footprint)
 

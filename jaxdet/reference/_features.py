@@ -64,7 +64,7 @@ def _with_grid(
     u: np.ndarray, v: np.ndarray, valid: np.ndarray, keep: Keep, config: FeaturesConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Appends the grid's kept pixels to the corners' slots, ``(B, N)`` each."""
-    batch, height, width = keep.mask.shape
+    _, height, width = keep.mask.shape
     grid_u, grid_v = grid_pixels(width, height, config.grid_columns)
     kept = keep.mask[:, grid_v, grid_u]
     u = np.concatenate([u, np.where(kept, grid_u, 0)], axis=1)
@@ -103,7 +103,7 @@ def canny_bounds(image: np.ndarray, config: FeaturesConfig) -> tuple[int, int]:
     Example:
         >>> image = np.full((2, 2), 32, np.uint8)
         >>> canny_bounds(image, FeaturesConfig(canny_reference_level=64))
-        (50, 100)
+        (25, 50)
     """
     bounds = sorted((int(config.canny_low // 1), int(config.canny_high // 1)))
     level = int(16 * config.canny_reference_level)

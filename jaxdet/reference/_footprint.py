@@ -33,7 +33,8 @@ def footprint(
     m = max(1, n // (config.cluster.min_points + 1))
     threshold = round(config.footprint.vertex_threshold_m / depth_unit)
     shapes = {"num_points": (m,), "has_vertex": (m,)}
-    shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c"), (m, 2))
+    shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction"), (m, 2))
+    shapes |= {"span": (m, 4)}
     shapes |= dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (m, 3))
     out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
     floor = to_ground(features, plane)
@@ -50,6 +51,9 @@ def footprint(
             out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
             (_, d_a), (_, d_b), (_, d_c) = a_b_c
             out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
+            direction = shortened(a_b_c[1] - a_b_c[0])
+            out.direction[b, label] = direction
+            out.span[b, label] = _span(floor[b, own], direction)
     return out._replace(has_vertex=out.has_vertex.astype(bool))
 
 
@@ -71,3 +75,24 @@ def _outline(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     b = points[np.lexsort((forward, -right))[0]]
     c = points[np.lexsort((right, forward))[0]]
     return a, b, c
+
+
+def shortened(edge: np.ndarray) -> np.ndarray:
+    """The edge AB ``(2,)`` halved (rounding down) until both parts are below 512.
+
+    It is only a direction then, short enough for products in 32 bits. (1, 0) for no edge.
+
+    Example:
+        >>> shortened(np.array([3000, -5])).tolist()
+        [375, -1]
+    """
+    halvings = max(0, int(np.abs(edge).max()).bit_length() - 9)
+    short = edge >> halvings
+    return short if short.any() else np.array([1, 0], edge.dtype)
+
+
+def _span(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Extremes of the points ``(n, 2)`` along and across a direction, ``(4,)``."""
+    along = points @ direction
+    across = points[:, 1] * direction[0] - points[:, 0] * direction[1]
+    return np.array([along.min(), along.max(), across.min(), across.max()])

@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import cv2
 import jax
@@ -12,7 +13,22 @@ from jaxdet.camera import fixed_rays, grid_pixels
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages import _corners_cuda, _corners_host
 from jaxdet.stages._device import on_cuda
-from jaxdet.types import Array, Calibration, Features, Keep
+from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
+
+
+class _Tables(NamedTuple):
+    """What depends on the calibration and the grid only."""
+
+    ray_x: jax.Array
+    ray_y: jax.Array
+    grid_u: jax.Array
+    grid_v: jax.Array
+
+
+@lru_cache(maxsize=8)
+def _tables(camera: Intrinsics, columns: int) -> _Tables:
+    grid = grid_pixels(camera.width, camera.height, columns)
+    return _Tables(*(jnp.asarray(a) for a in (*fixed_rays(camera), *grid)))
 
 
 def features(
@@ -36,15 +52,12 @@ def features(
         ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
         are zero.
     """
-    rays = (
-        *_rays(calibration),
-        *_grid(keep.mask.shape[2], keep.mask.shape[1], config.grid_columns),
-    )
+    tables = _tables(calibration.color, config.grid_columns)
     if on_cuda() and _corners_cuda.supports(color.shape[1:3], config):
-        return _on_device(jnp.asarray(color), keep.z, keep.mask, *rays, config)
+        return _on_device(jnp.asarray(color), keep.z, keep.mask, tables, config)
     uv, count = _on_host(np.asarray(color), keep, config)
     u, v, found = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
-    return _look_up(u, v, found, keep.z, keep.mask, *rays)
+    return _look_up(u, v, found, keep.z, keep.mask, tables)
 
 
 @partial(jax.jit, static_argnames="config")
@@ -52,16 +65,13 @@ def _on_device(
     color: jax.Array,
     z: jax.Array,
     keep: jax.Array,
-    ray_x: jax.Array,
-    ray_y: jax.Array,
-    grid_u: jax.Array,
-    grid_v: jax.Array,
+    tables: _Tables,
     config: FeaturesConfig,
 ) -> Features:
     with jax.named_scope("features"):
         mask = keep if config.use_mask else jnp.ones_like(keep)
         u, v, count = _corners_cuda.strongest_corners(color, mask, config)
-        return _look_up(u, v, count, z, keep, ray_x, ray_y, grid_u, grid_v)
+        return _look_up(u, v, count, z, keep, tables)
 
 
 def _on_host(
@@ -91,18 +101,6 @@ def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig)
     return _corners_host.strongest_corners(source, mask, config)
 
 
-@lru_cache(maxsize=8)
-def _grid(width: int, height: int, columns: int) -> tuple[jax.Array, jax.Array]:
-    u, v = grid_pixels(width, height, columns)
-    return jnp.asarray(u), jnp.asarray(v)
-
-
-@lru_cache(maxsize=8)
-def _rays(calibration: Calibration) -> tuple[jax.Array, jax.Array]:
-    x, y = fixed_rays(calibration.color)
-    return jnp.asarray(x), jnp.asarray(y)
-
-
 @jax.jit
 def _look_up(
     u: jax.Array,
@@ -110,23 +108,20 @@ def _look_up(
     count: jax.Array,
     z: jax.Array,
     keep: jax.Array,
-    ray_x: jax.Array,
-    ray_y: jax.Array,
-    grid_u: jax.Array,
-    grid_v: jax.Array,
+    tables: _Tables,
 ) -> Features:
     """The features' depth, coordinates and flags, from their pixels ``(B, N)``."""
     with jax.named_scope("features"):
         n = u.shape[1]
         valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
-        kept = keep[:, grid_v, grid_u]
-        u = jnp.concatenate([u, jnp.where(kept, grid_u[None, :], 0)], axis=1)
-        v = jnp.concatenate([v, jnp.where(kept, grid_v[None, :], 0)], axis=1)
+        kept = keep[:, tables.grid_v, tables.grid_u]
+        u = jnp.concatenate([u, jnp.where(kept, tables.grid_u[None, :], 0)], axis=1)
+        v = jnp.concatenate([v, jnp.where(kept, tables.grid_v[None, :], 0)], axis=1)
         valid = jnp.concatenate([valid, kept], axis=1)
         frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
         z = jnp.where(valid, z[frame, v, u].astype(jnp.int32), 0)
         kept = valid & keep[frame, v, u]
-        x, y = (lateral(ray[v, u], z) for ray in (ray_x, ray_y))
+        x, y = (lateral(ray[v, u], z) for ray in (tables.ray_x, tables.ray_y))
         return Features(u, v, x, y, z, valid, kept, overflow=count > n)
 
 

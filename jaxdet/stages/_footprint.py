@@ -95,6 +95,13 @@ def _measure(
     a_right, a_forward = first_by(right, forward)
     b_left, b_forward = first_by(-right, forward)
     c_forward, c_right = first_by(forward, right)
+    a = jnp.stack([a_right, a_forward], axis=-1)
+    b = jnp.stack([-b_left, b_forward], axis=-1)
+    direction = jnp.where(some[:, None], _shortened(b - a), 0)
+    own_direction = direction[jnp.minimum(own, m - 1)]
+    along = jnp.sum(floor * own_direction, axis=-1, dtype=jnp.int32)
+    across = forward * own_direction[:, 0] - right * own_direction[:, 1]
+    extremes = [extreme(side, values) for values in (along, across) for side in ("min", "max")]
     return Obstacles(
         num_points=points,
         uv_min=extreme("min", uv),
@@ -102,8 +109,19 @@ def _measure(
         xyz_min=extreme("min", xyz),
         xyz_max=extreme("max", xyz),
         xyz_sum=reduce("add", xyz, 0),
-        a=jnp.stack([a_right, a_forward], axis=-1),
-        b=jnp.stack([-b_left, b_forward], axis=-1),
+        a=a,
+        b=b,
         c=jnp.stack([c_right, c_forward], axis=-1),
         has_vertex=some & (jnp.minimum(a_forward, b_forward) - c_forward >= threshold),
+        direction=direction,
+        span=jnp.stack(extremes, axis=-1),
     )
+
+
+def _shortened(edge: jax.Array) -> jax.Array:
+    """The edges AB ``(M, 2)`` halved until both parts are below 512; (1, 0) for no edge."""
+    largest = jnp.max(jnp.abs(edge), axis=-1, keepdims=True)
+    halvings = sum(((largest >> (9 + k)) > 0).astype(jnp.int32) for k in range(12))
+    short = edge >> halvings
+    none = jnp.all(short == 0, axis=-1, keepdims=True)
+    return jnp.where(none, jnp.array([1, 0], jnp.int32)[None, :], short)
