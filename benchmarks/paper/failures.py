@@ -1,0 +1,159 @@
+"""The worst frames of ours, pictured, and why obstacles were missed."""
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.pictures import encode, grid, shot_picture, titled
+from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES, TEST_SEEDS
+from benchmarks.paper.section import Section, percent
+from benchmarks.paper.shots import Shot, Spec
+from benchmarks.paper.systems import OURS, System, eval_config, found_in
+from benchmarks.paper.table4_distance import specs_of
+from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate_frames
+from jaxdet.eval.match import feature_objects
+from jaxdet.types import Detections
+
+NEAR_M = 2.0
+"""Obstacles missed nearer than this are pictured first."""
+
+
+class Failure(NamedTuple):
+    """A frame with mistakes."""
+
+    spec: Spec
+    number: int
+    tally: Tally
+
+    @property
+    def mistakes(self) -> float:
+        """Missed obstacles and false detections."""
+        return self.tally.visible - self.tally.found + self.tally.false
+
+
+def run(lab: Lab) -> Section:
+    """Failing scenes: counts of causes over all test frames, and pictures of the worst."""
+    section = Section("failures", "Where ours fails")
+    system = next(system for system in lab.systems if system.name == OURS)
+    failed = _failures(lab)
+    causes = {light: Counter[str]() for light in LIGHTS}
+    missed: list[str] = []
+    for failure in failed:
+        shot = lab.load([failure.spec])[failure.number]
+        for number, cause in reasons(shot, system, failure.tally):
+            causes[failure.spec.light][cause] += 1
+            missed.append(shot.names[number - 1])
+        causes[failure.spec.light]["false: a piece of a found obstacle"] += int(
+            failure.tally.splits
+        )
+        rest = failure.tally.false - failure.tally.splits
+        causes[failure.spec.light]["false: anything else"] += int(rest)
+    frames = sum(len(by[OURS]) for by in lab.scores.values())
+    section.say(
+        f"{len(failed)} of {frames} test frames have a missed obstacle or a false detection "
+        f"({percent(len(failed) / frames)}). Missed, by kind: "
+        + (", ".join(f"{k} {n}" for k, n in Counter(missed).most_common()) or "none")
+        + "."
+    )
+    names = sorted({cause for one in causes.values() for cause in one})
+    rows = [[name, *(str(causes[light][name]) for light in LIGHTS)] for name in names]
+    section.table(["Cause", *LIGHTS], rows)
+    for light in LIGHTS:
+        for name in names:
+            key = name.replace(":", "").replace(" ", "_")
+            section.add(f"{light}.{key}", causes[light][name], "", "lower")
+    _pictures(section, lab, system, failed)
+    _near(section, lab, system)
+    return section
+
+
+def _failures(lab: Lab) -> list[Failure]:
+    """All test frames with mistakes, the worst first."""
+    each = lab.counts.scenes
+    failed = [
+        Failure(lab.spec(scene, TEST_SEEDS[i // each], each, light), i % each, tally)
+        for scene in SCENES
+        for light in LIGHTS
+        for i, tally in enumerate(lab.scores[scene, light][OURS])
+    ]
+    failed = [failure for failure in failed if failure.mistakes > 0]
+    return sorted(failed, key=lambda failure: -failure.mistakes)
+
+
+def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
+    """Why each missed obstacle of a frame was missed: its number and the cause."""
+    missed = [case.number for case in tally.cases if not case.found]
+    if not missed:
+        return []
+    _, found = found_in([shot], system.config)[0]
+    counted = eval_config(system.config)
+    return [(number, _reason(found, shot.truth, number, counted, system)) for number in missed]
+
+
+def _reason(
+    found: Detections, truth: FrameTruth, number: int, counted: EvalConfig, system: System
+) -> str:
+    kept, features = found.features.kept[0], found.features
+    u, v, labels = features.u[0, kept], features.v[0, kept], found.labels.labels[0, kept]
+    ids = truth.obstacle_id[0]
+    objects = feature_objects(ids, truth.is_wall, u, v, counted.tolerance_px)
+    mine = labels[objects == number]
+    if len(mine) <= system.config.cluster.min_points:
+        return "missed: too few features with depth"
+    if (mine >= 0).sum() <= system.config.cluster.min_points:
+        return "missed: its features fell into small sets"
+    label = np.bincount(mine[mine >= 0]).argmax()
+    others = objects[labels == label]
+    solid = np.concatenate([[False], ~truth.is_wall])
+    strangers = others[others != number]
+    if np.mean(solid[strangers]) >= 0.5:
+        return "missed: joined with another obstacle"
+    return "missed: joined with wall or floor"
+
+
+def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure]) -> None:
+    """The worst of each light in turn, each scene once."""
+    chosen: list[Failure] = []
+    for light in LIGHTS:
+        mine = [f for f in failed if f.spec.light == light]
+        chosen += mine[: max(1, lab.counts.worst // len(LIGHTS))]
+    pictures = []
+    for failure in chosen:
+        shot, tally = lab.load([failure.spec])[failure.number], failure.tally
+        text = (
+            f"{shot.title}: {tally.visible - tally.found:.0f} of {tally.visible:.0f} missed, "
+            f"{tally.false:.0f} false"
+        )
+        why = "; ".join(cause.removeprefix("missed: ") for _, cause in reasons(shot, system, tally))
+        image = shot_picture(shot, system)
+        pictures.append(titled(image, f"{text} ({why})" if why else text, 640))
+    if pictures:
+        caption = "The worst test frames of each light: camera view and top view."
+        section.picture("worst", encode(grid(pictures, 2)), caption)
+
+
+def _near(section: Section, lab: Lab, system: System) -> None:
+    """Table 4's misses within two metres, the dangerous ones."""
+    if "table4" not in lab.sections:
+        return
+    cells = [(d, light) for d in DISTANCES_M if d <= NEAR_M for light in LIGHTS]
+    pictures, count = [], 0
+    for distance, light in cells:
+        for shot in lab.load(specs_of(lab, distance, light)):
+            _, found = found_in([shot], system.config)[0]
+            counted = eval_config(system.config)
+            tally = evaluate_frames(found, shot.truth, config=counted)[0]
+            if tally.found == tally.visible:
+                continue
+            count += 1
+            if len(pictures) < lab.counts.worst:
+                why = "; ".join(cause for _, cause in reasons(shot, system, tally))
+                kinds = ", ".join(shot.names[c.number - 1] for c in tally.cases if not c.found)
+                text = f"{kinds} at {distance:g} m, {light}: {why}"
+                pictures.append(titled(shot_picture(shot, system), text, 640))
+    section.say(f"Obstacles of Table 4 missed within {NEAR_M:g} m, all lights: {count}.")
+    if pictures:
+        caption = f"Obstacles of Table 4 missed within {NEAR_M:g} m, the farthest first."
+        section.picture("near", encode(grid(pictures, 2)), caption)

@@ -1,0 +1,117 @@
+"""Fig. 15: a pedestrian on the map of a rolling robot."""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from benchmarks.paper import plots
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.pictures import encode, frame_picture, grid, titled
+from benchmarks.paper.plan import TEST_SEEDS
+from benchmarks.paper.section import Section, bootstrap, percent, wilson
+from benchmarks.paper.shots import Shot, frames_of
+from benchmarks.paper.systems import eval_config, found_in
+from jaxdet.engine.occupancy import OccupancyMap
+from jaxdet.eval import evaluate_frames, total
+from jaxdet.metric import rectangles, to_world
+from jaxdet.render import draw_map
+from jaxdet.sim import load_scene
+
+RATE_HZ = 8.0
+PERSON = "person"
+
+
+def run(lab: Lab) -> Section:
+    """Fig. 15 (a) the pedestrian in the camera's picture, (b) the obstacles on the map."""
+    section = Section("fig15", "Fig. 15: a pedestrian on the map")
+    seed = TEST_SEEDS[0]
+    spec = lab.spec("pedestrian", seed, lab.counts.log_frames, log=True, rate_hz=RATE_HZ)
+    shots = lab.load([spec])
+    results = found_in(shots, lab.config)
+    corners: list[np.ndarray] = []
+    occupancy = OccupancyMap()
+    tallies = []
+    for shot, (_, found) in zip(shots, results, strict=True):
+        outline = rectangles(found.obstacles, shot.calibration.depth_unit, lab.config.footprint)
+        count = int(found.labels.num_obstacles[0])
+        world = to_world(outline, shot.T_world_camera[None])[0, :count]
+        corners.append(world)
+        occupancy.add(world.reshape(-1, 8).astype(np.float32))
+        occupancy.add_path(shot.T_world_camera[None])
+        counted = eval_config(lab.config)
+        tallies += evaluate_frames(found, shot.truth, config=counted)
+    _figures(section, shots, tallies)
+    pictures = []
+    for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():
+        frame, (_, found) = frames_of([shots[index]]), results[index]
+        title = f"pedestrian, frame {index}, {index / RATE_HZ:.1f} s"
+        pictures.append(titled(frame_picture(frame, found, lab.config, title), title, 640))
+    caption = "Fig. 15 (a): the walking person from the rolling robot, four moments."
+    section.picture("frames", encode(grid(pictures, 2)), caption)
+    _map(section, shots, corners, seed)
+    image = occupancy.image()
+    if image is not None:
+        drawn = draw_map(image, "pedestrian")
+        section.picture("counts", encode(drawn), "The same as the occupancy map of a run.")
+    return section
+
+
+def _figures(section: Section, shots: list[Shot], tallies: list) -> None:
+    walker = shots[0].names.index(PERSON) + 1
+    cases = [case for case in total(tallies).cases if case.number == walker]
+    found = [case for case in cases if case.found]
+    off = np.abs([case.position_error_m for case in found])
+    ends = wilson(len(found), len(cases))
+    rate = len(found) / len(cases) if cases else float("nan")
+    middle = float(np.median(off)) if len(off) else float("nan")
+    section.add("person.found", rate, "", "higher", ends)
+    section.add("person.position", middle, "m", "lower", bootstrap(off, 0.5))
+    section.say(
+        f"A simulated log of {len(shots)} frames at {RATE_HZ:g} Hz: the robot rolls 1.6 m to and "
+        "fro, a person crosses at 1.2 m/s. The paper shows one scene and no figures. The person "
+        f"was found in {len(found)} of the {len(cases)} frames in which it was to be found "
+        f"({percent(rate, ends)}); the distance of its nearest point was off by "
+        f"{100 * middle:.1f} cm (median)."
+    )
+
+
+def _map(section: Section, shots: list[Shot], corners: list[np.ndarray], seed: int) -> None:
+    """The map that navigation has (walls, by the scene), and on it what was detected."""
+    figure, axes = plots.canvas(1, 8, 5.6)
+    ax = axes[0]
+    scene = load_scene("pedestrian", seed)
+    for wall in scene.walls:
+        ax.plot(*zip(wall.start, wall.end, strict=True), color=plots.INK, lw=3)
+    for world in corners:
+        for polygon in world:
+            ax.fill(*polygon.T, color=plots.OURS, alpha=0.10, lw=0)
+    _true_outlines(ax, shots)
+    way = np.array([shot.T_world_camera[:2, 3] for shot in shots])
+    ax.plot(*way.T, color=plots.COLORS[2], lw=2, label="robot")
+    ax.plot([], [], color=plots.OURS, lw=6, alpha=0.4, label="detected outlines, all frames")
+    ax.set_aspect("equal")
+    ax.set_xlim(-0.6, 6.0)
+    ax.set_ylim(-2.6, 2.6)
+    ax.set_xlabel("world X [m]")
+    ax.set_ylabel("world Y [m]")
+    ax.legend(loc="upper left", fontsize=8, frameon=True)
+    caption = "Fig. 15 (b): outlines on the map by Eq. 8-9; what stands still adds up."
+    section.picture("map", plots.png(figure), caption)
+
+
+def _true_outlines(ax: Axes, shots: list[Shot]) -> None:
+    """What stands still once, the person every half second."""
+    step = max(1, round(RATE_HZ / 2))
+    label = "true outlines"
+    for shot in shots[::step]:
+        outline = shot.truth.footprint
+        assert outline is not None
+        for number, name in enumerate(shot.names):
+            still = name != PERSON
+            if shot.truth.is_wall[number] or (still and shot is not shots[0]):
+                continue
+            known = outline[:, number][np.isfinite(outline[:, number]).all(axis=-1)]
+            ring = to_world(known[None, None], shot.T_world_camera[None])[0, 0]
+            if len(ring):
+                ring = np.concatenate([ring, ring[:1]])
+                ax.plot(*ring.T, color=plots.COLORS[1], lw=1, label=label)
+                label = None

@@ -1,0 +1,144 @@
+"""What the report must show: each goal with its figure, reached or missed."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.plan import DISTANCES_M
+from benchmarks.paper.rivals import against, beating
+from benchmarks.paper.section import Figure, Section, percent
+from benchmarks.paper.systems import OURS
+from jaxdet.eval import Interval
+
+BRIGHT = ("strong", "normal", "weaker")
+Figures = Mapping[str, Figure]
+
+
+class Goal(NamedTuple):
+    """A goal and what came of it."""
+
+    key: str
+    text: str
+    shown: str = ""
+    """The figure as text."""
+    reached: bool | None = None
+    """None: not measured in this run."""
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        return {True: "reached", False: "MISSED", None: "not run"}[self.reached]
+
+
+def run(lab: Lab) -> Section:
+    """The list of goals; those whose experiment was not asked for are 'not run'."""
+    section = Section("goals", "Goals: reached and missed")
+    figures = {figure.key: figure for one in lab.sections.values() for figure in one.figures}
+    section.say(
+        "All on the test seeds and on simulated scenes. A goal on several cells is judged by its "
+        "worst cell, an accuracy by the 90th percentile of the errors."
+    )
+    found = against(lab) if "table2" in lab.sections else []
+    goals = [Goal(*one) for one in beating(found)] + goals_of(figures)
+    rows = [[goal.text, goal.shown, goal.verdict] for goal in goals]
+    section.table(["Goal", "Figure [95 % interval]", ""], rows)
+    for goal in goals:
+        value = math.nan if goal.reached is None else float(goal.reached)
+        section.add(goal.key, value, "reached", "higher")
+    for one in found:
+        key = f"difference.{one.condition}.{one.rival}.{one.figure}"
+        section.add(key, one.value, "", "higher", one.interval)
+    not_above = [one for one in found if one.interval.low <= 0]
+    if not_above:
+        shown = sorted(not_above, key=lambda one: one.value)
+        rows = [[d.condition, d.rival, d.figure, _signed(d.value, d.interval)] for d in shown]
+        header = ["Condition", "Baseline", "Figure", "Ours less the baseline"]
+        section.table(header, rows, "Differences whose interval is not above zero")
+    return section
+
+
+def goals_of(figures: Figures) -> list[Goal]:
+    """All goals but those on the baselines, from the figures of the experiments."""
+    lit, near = f"fig12.{OURS}", f"table4.{OURS}"
+    goals = [
+        _least("acc.all", "ACC >= 90 % over all", figures, [f"table2.{OURS}.accuracy"], 0.90),
+        _least(
+            "acc.normal", "ACC >= 95 %, normal light", figures, [f"{lit}.normal.accuracy"], 0.95
+        ),
+        _least("acc.dim", "ACC >= 80 %, dim light", figures, [f"{lit}.dim.accuracy"], 0.80),
+    ]
+    for light in (*BRIGHT, "dim"):
+        reach = 1.25 if light == "dim" else 2.0
+        keys = [f"{near}.{light}.{d:g}m" for d in DISTANCES_M if d <= reach]
+        text = f"success 100 % within {reach:g} m, {light} light"
+        goals.append(_least(f"success.{light}", text, figures, keys, 1.0))
+    text = "success >= 95 % at 3 m, normal light"
+    goals.append(_least("success.3m", text, figures, [f"{near}.normal.3m"], 0.95))
+    for name in ("width", "position"):
+        goals += [_cylinder(figures, name, *pair) for pair in ((3.0, 0.02), (1.5, 0.01))]
+    text = "footprint coverage >= 99 % within 3 m, all lights"
+    goals.append(_least("coverage", text, figures, [f"coverage.{OURS}.all.coverage"], 0.99))
+    for slope, ramp in (("level", "level floor"), ("all", "ramps to 4° too")):
+        tail = f"pitch to 25°, roll to 12°, {ramp}"
+        goals.append(_floor(figures, slope, "floor", f"floor kept <= 1 %, {tail}"))
+        goals.append(_floor(figures, slope, "obstacle", f"obstacle kept >= 97 %, {tail}"))
+    return goals
+
+
+def _known(figures: Figures, keys: Sequence[str]) -> list[Figure] | None:
+    """The figures of these keys; None where one was not measured."""
+    found = [figures[key] for key in keys if key in figures]
+    whole = len(found) == len(keys) and not any(math.isnan(f.value) for f in found)
+    return found if whole else None
+
+
+def _least(key: str, text: str, figures: Figures, keys: Sequence[str], bound: float) -> Goal:
+    """Every one of the figures is at least the bound."""
+    found = _known(figures, keys)
+    if found is None:
+        return Goal(key, text)
+    worst = min(found, key=lambda figure: figure.value)
+    shown = percent(worst.value, Interval(worst.low, worst.high))
+    where = worst.key.rpartition(".")[2]
+    shown += f" at {where}" if len(keys) > 1 else ""
+    return Goal(key, text, shown, worst.value >= bound)
+
+
+def _cylinder(figures: Figures, name: str, reach: float, bound: float) -> Goal:
+    """The 90th percentile is within the bound at every distance, normal light."""
+    key = f"cylinder.{name}.{reach:g}m"
+    text = f"cylinder's {name} within {100 * bound:g} cm up to {reach:g} m, normal light"
+    distances = [d for d in DISTANCES_M if d <= reach]
+    stems = [f"fig14.normal.{d:g}m.{name}" for d in distances]
+    high = _known(figures, [f"{stem}.p90" for stem in stems])
+    middle = _known(figures, [f"{stem}.median" for stem in stems])
+    if high is None or middle is None:
+        return Goal(key, text)
+    worst, half = max(f.value for f in high), max(f.value for f in middle)
+    at = distances[[f.value for f in high].index(worst)]
+    shown = f"90th percentile {_cm(worst)} at {at:g} m, largest median {_cm(half)}"
+    return Goal(key, text, shown, worst <= bound)
+
+
+def _floor(figures: Figures, slope: str, part: str, text: str) -> Goal:
+    """The worst pose is within the bound; the plane is the mount's."""
+    key = f"{part}.{slope}"
+    stem, name = f"floor.tf.{slope}", f"{part}_kept"
+    found = _known(figures, [f"{stem}.{name}", f"{stem}.worst.{name}"])
+    if found is None:
+        return Goal(key, text)
+    mean, worst = (figure.value for figure in found)
+    other = _known(figures, [f"floor.estimate.{slope}.{name}"])
+    shown = f"{percent(mean, Interval(found[0].low, found[0].high), 2)}, worst pose "
+    shown += percent(worst, digits=2)
+    shown += f"; plane estimated: {percent(other[0].value, digits=2)}" if other else ""
+    return Goal(key, text, shown, worst <= 0.01 if part == "floor" else worst >= 0.97)
+
+
+def _cm(metres: float) -> str:
+    return f"{100 * metres:.2f} cm" if math.isfinite(metres) else "infinite (not found)"
+
+
+def _signed(value: float, interval: Interval) -> str:
+    return f"{value:+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"

@@ -1,0 +1,176 @@
+"""The command: which experiments, how large, where to."""
+
+import hashlib
+import multiprocessing
+import os
+import platform
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import tyro
+import warp as wp
+
+from benchmarks.paper import realdata
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.plan import FULL, QUICK, TEST_SEEDS, TUNING_SEEDS
+from benchmarks.paper.report import write, write_json
+from benchmarks.paper.section import Section
+from jaxdet.config import PRESETS
+from jaxdet.engine import versions
+
+EXPERIMENTS = {
+    "table1": "table1_indices",
+    "fig11": "fig11_time",
+    "table2": "table2_detection",
+    "fig12": "fig12_light",
+    "table3": "table3_detectors",
+    "table4": "table4_distance",
+    "fig14": "fig14_cylinder",
+    "fig15": "fig15_pedestrian",
+    "table5": "table5_canny",
+    "fig2": "fig2_edges",
+    "floor": "floor",
+    "coverage": "coverage",
+    "failures": "failures",
+    "goals": "goals",
+}
+"""In the order in which they run; the goals are judged last and stand first."""
+Experiment = Callable[[Lab], Section]
+BENCH_PACKAGES = ("scikit-learn", "scipy", "matplotlib", "onnxruntime", "open3d")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The paper's experiments on simulated scenes, beside its figures."""
+
+    quick: bool = False
+    """Under 15 minutes on two cores; this is the default."""
+    full: bool = False
+    """Larger counts, for narrower intervals."""
+    output: Path = Path("out/paper")
+    """Folder of report.md, report.html and figures/."""
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    """Where to write all figures; by default figures.json in the output folder."""
+    only: tuple[str, ...] = ()
+    """Names of experiments; by default all."""
+    detector: tuple[str, ...] = ()
+    """Rows of Table 3 as NAME=FILE.onnx; weights are not part of the project."""
+    recordings: tuple[Path, ...] = ()
+    """Folders of real recordings, to be pictured."""
+    frames: Path | None = None
+    """Keeps the simulated frames here for the next run of the same code; by default they go."""
+    workers: int = 0
+    """Processes; 0: one for each core."""
+
+
+def main(options: Options) -> int:
+    """Runs what is asked for and writes the report; returns the exit code."""
+    if options.quick and options.full:
+        print("--quick or --full, not both", file=sys.stderr)
+        return 2
+    unknown = [name for name in options.only if name not in EXPERIMENTS]
+    if unknown:
+        names = ", ".join(EXPERIMENTS)
+        print(f"no experiment {', '.join(unknown)}; there are {names}", file=sys.stderr)
+        return 2
+    start = time.perf_counter()
+    with _folder(options.frames) as folder, _pool(options.workers or os.cpu_count() or 1) as pool:
+        models = dict(_named(item) for item in options.detector)
+        lab = Lab(FULL if options.full else QUICK, folder, pool, detectors=models)
+        sections = run(lab, options.only or tuple(EXPERIMENTS))
+        for number, place in enumerate(options.recordings):
+            lab.log(f"pictures of {place.name}")
+            sections.append(realdata.run(lab, place, number))
+        facts = _facts(lab, "full" if options.full else "quick", time.perf_counter() - start)
+    write(options.output, "The paper's experiments on simulated scenes", sections, facts)
+    write_json(options.json_file or options.output / "figures.json", sections, facts)
+    lab.log(f"report: {options.output / 'report.html'}")
+    return 0
+
+
+def run(lab: Lab, names: tuple[str, ...]) -> list[Section]:
+    """The sections of some experiments, the goals first."""
+    for name in (name for name in EXPERIMENTS if name in names):
+        lab.log(name)
+        experiment: Experiment = import_module(f"benchmarks.paper.{EXPERIMENTS[name]}").run
+        lab.sections[name] = experiment(lab)
+    return sorted(lab.sections.values(), key=lambda section: section.name != "goals")
+
+
+def _named(item: str) -> tuple[str, Path]:
+    name, _, path = item.rpartition("=")
+    return name or Path(path).stem, Path(path)
+
+
+@contextmanager
+def _folder(kept: Path | None) -> Iterator[Path]:
+    if kept:
+        yield kept / _fingerprint()
+        return
+    with tempfile.TemporaryDirectory(prefix="jaxdet-paper-") as folder:
+        yield Path(folder)
+
+
+def _fingerprint() -> str:
+    """Names the simulator's code, so that kept frames of other code are not used."""
+    root = Path(__file__).parents[2]
+    files = [*(root / "jaxdet/sim").glob("*.py"), root / "kernels/jaxdet_kernels/raycast.py"]
+    files += [Path(__file__).with_name("shots.py"), root / "jaxdet/eval/truth.py"]
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(files)))
+    return digest.hexdigest()[:12]
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor | None]:
+    start_worker()
+    if workers == 1:
+        yield None
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=start_worker) as pool:
+        yield pool
+
+
+def start_worker() -> None:
+    """Keeps a process to one thread and quiet."""
+    cv2.setNumThreads(1)
+    wp.config.log_level = wp.LOG_ERROR
+
+
+def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
+    """How the report came about."""
+    command = shlex.join(["python", "-m", "benchmarks.paper", *sys.argv[1:]])
+    found = {**versions(), **{name: _version(name) for name in BENCH_PACKAGES}}
+    name = next((name for name, one in PRESETS.items() if one == lab.config), "changed")
+    return {
+        "Data": "simulated scenes (jaxdet.sim); the paper's robot data is not public, so its "
+        "figures are for orientation only",
+        "Command": command,
+        "Size": f"{size}: {lab.counts}",
+        "Tuning seeds": f"{TUNING_SEEDS[0]} to {TUNING_SEEDS[-1]} (baselines' parameters only)",
+        "Test seeds": f"{TEST_SEEDS[0]} to {TEST_SEEDS[-1]} (every figure below)",
+        "Ours": f"preset {name}, not tuned here: {lab.config}",
+        "Frames drawn": str(lab.store.drawn),
+        "Intervals": "95 %, percentile bootstrap over scenes; shares of successes by Wilson",
+        "Machine": f"{os.cpu_count()} cores, {platform.machine()}",
+        "Run time": f"{seconds / 60:.1f} min",
+        "Versions": ", ".join(f"{k} {v or 'not installed'}" for k, v in found.items()),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,56 @@
+"""Figures with intervals from tallies."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jaxdet.eval import Interval, Score, Tally, difference_intervals, intervals, score
+
+
+class Measured(NamedTuple):
+    """A score and the intervals of its shares and indices."""
+
+    score: Score
+    intervals: dict[str, Interval]
+
+    def value(self, name: str) -> float:
+        """A figure by its name."""
+        return float(getattr(self.score, name))
+
+
+def bare(tallies: Sequence[Tally]) -> list[Tally]:
+    """Without the single cases, which shares don't need and which make intervals slow."""
+    return [tally._replace(cases=()) for tally in tallies]
+
+
+def measured(tallies: Sequence[Tally]) -> Measured:
+    """The figures of some units."""
+    units = bare(tallies)
+    return Measured(score(units), intervals(units))
+
+
+class Difference(NamedTuple):
+    """How much better ours is than another system in one condition."""
+
+    condition: str
+    rival: str
+    figure: str
+    value: float
+    """Ours less theirs."""
+    interval: Interval
+
+
+def differences(
+    condition: str,
+    rival: str,
+    ours: Sequence[Tally],
+    theirs: Sequence[Tally],
+    figures: Sequence[str],
+) -> list[Difference]:
+    """Ours against another system on the same units."""
+    mine, other = bare(ours), bare(theirs)
+    ends = difference_intervals(mine, other)
+    a, b = score(mine), score(other)
+    return [
+        Difference(condition, rival, name, float(getattr(a, name) - getattr(b, name)), ends[name])
+        for name in figures
+    ]

@@ -1,0 +1,75 @@
+"""Pictures of frames for the report, by the project's own drawing."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from benchmarks.baselines import prepare
+from benchmarks.paper.shots import Shot, frames_of
+from benchmarks.paper.systems import System, found_by
+from jaxdet.config import Config
+from jaxdet.metric import rectangles
+from jaxdet.render import canvas, draw_frame
+from jaxdet.render.camera import camera_view
+from jaxdet.types import Detections, Frames
+
+CAPTION = 30
+
+
+def encode(image: np.ndarray) -> bytes:
+    """An RGB picture as a PNG file."""
+    return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+
+
+def titled(image: np.ndarray, text: str, width: int) -> np.ndarray:
+    """A picture scaled to a width, under a line of text."""
+    height = round(image.shape[0] * width / image.shape[1])
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    out = canvas.canvas(height + CAPTION, width)
+    out[CAPTION:] = small
+    size = 15
+    while size > 9 and canvas.text_size(text, size)[0] > width - 12:
+        size -= 1
+    canvas.write(out, text, (6, 20), size=size)
+    return out
+
+
+def grid(images: Sequence[np.ndarray], columns: int, gap: int = 6) -> np.ndarray:
+    """Pictures of one width in rows."""
+    width = images[0].shape[1]
+    rows = [images[i : i + columns] for i in range(0, len(images), columns)]
+    heights = [max(image.shape[0] for image in row) for row in rows]
+    full = canvas.canvas(sum(heights) + gap * (len(rows) - 1), columns * (width + gap) - gap)
+    top = 0
+    for row, height in zip(rows, heights, strict=True):
+        for k, image in enumerate(row):
+            left = k * (width + gap)
+            full[top : top + image.shape[0], left : left + width] = image
+        top += height + gap
+    return full
+
+
+def frame_picture(frames: Frames, found: Detections, config: Config, title: str) -> np.ndarray:
+    """A batch of one frame as :func:`jaxdet.render.draw_frame` shows it."""
+    unit = frames.calibration.depth_unit
+    corners = rectangles(found.obstacles, unit, config.footprint)
+    return draw_frame(frames, found, corners, 0, config, title)
+
+
+def shot_picture(shot: Shot, system: System) -> np.ndarray:
+    """What a system finds in a frame."""
+    frame = prepare(frames_of([shot]), system.config)[0]
+    found = found_by(system, frame)
+    return frame_picture(frames_of([shot]), found, system.config, shot.title)
+
+
+def side_by_side(shot: Shot, systems: Sequence[System], titles: Sequence[str]) -> bytes:
+    """The camera's view by several systems, as a PNG file."""
+    views = []
+    for system, title in zip(systems, titles, strict=True):
+        frame = prepare(frames_of([shot]), system.config)[0]
+        found = found_by(system, frame)
+        view = camera_view(shot.color, found, 0, shot.calibration.depth_unit, 1.0)
+        views.append(titled(view, title, 420))
+    return encode(grid(views, len(views)))

@@ -1,0 +1,157 @@
+"""Pictures of every frame of real recordings, as contact sheets."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.pictures import encode, frame_picture, grid, titled
+from benchmarks.paper.section import Section
+from jaxdet.config import Config
+from jaxdet.engine import decide_planes
+from jaxdet.engine.rows import to_host
+from jaxdet.errors import InputError, JaxdetError
+from jaxdet.io import open_log
+from jaxdet.pipeline import detect, estimate_plane
+from jaxdet.plane import repeat_plane
+from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
+
+SHEET = (3, 5)
+"""Columns and rows of a sheet."""
+WIDTH = 620
+CAMERA_FILE = "cam_params_realsense.json"
+
+
+class Recording(NamedTuple):
+    """Frames of a folder or a log, each with its floor."""
+
+    name: str
+    frames: Frames
+    numbers: tuple[str, ...]
+    """What each frame is called."""
+
+
+def run(lab: Lab, place: Path, number: int = 0) -> Section:
+    """Contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
+    section = Section(f"recordings{number}", f"Real recordings: {place.name}")
+    section.say(
+        "No truth exists for these; the pictures are for reading. The floor is estimated from the "
+        "depth images: one plane for a recording of a camera that keeps its place, one for each "
+        "still of a camera held by hand."
+    )
+    try:
+        recordings = list(find(place, lab.config))
+    except JaxdetError as error:
+        section.say(f"Not read: {error}")
+        recordings = []
+    for recording in recordings:
+        add(section, recording, lab.config)
+    return section
+
+
+def find(place: Path, config: Config) -> Iterator[Recording]:
+    """The recordings in a folder.
+
+    Raises:
+        InputError: There are none.
+    """
+    data = place / "data" if (place / "data").is_dir() else place
+    if (data / CAMERA_FILE).is_file():
+        yield _stills(data, place.name, config)
+        return
+    logs = sorted(place.glob("*.mcap"))
+    if not logs:
+        raise InputError("no log and no camera file", path=str(place), remedy="name its folder")
+    for path in logs:
+        with open_log(str(path)) as log:
+            frames = log.read(range(log.num_frames)).frames
+            planes = decide_planes(log, config, "reference").of(frames.stamp_ns)
+            numbers = tuple(map(str, range(log.num_frames)))
+            yield Recording(path.stem, frames._replace(plane=planes), numbers)
+            if (data / "rgb").is_dir():
+                yield _pairs(data, place.name, log.calibration, config)
+                return
+
+
+def _stills(data: Path, name: str, config: Config) -> Recording:
+    """Aligned stills of a camera held by hand: a floor for each."""
+    about = json.loads((data / CAMERA_FILE).read_text(encoding="utf-8"))
+    K = np.reshape(about["intrinsic_matrix"], (3, 3)).T.tolist()
+    size = about["width"], about["height"]
+    camera = Intrinsics(*size, K[0][0], K[1][1], K[0][2], K[1][2])
+    frames, names = _read(data / "color", data / "depth", Calibration(camera))
+    planes = [_plane(frames, b, config) for b in range(len(names))]
+    joined = GroundPlane(*(np.concatenate(parts) for parts in zip(*planes, strict=True)))
+    return Recording(name, frames._replace(plane=joined), names)
+
+
+def _plane(frames: Frames, b: int, config: Config) -> GroundPlane:
+    return estimate_plane(_one(frames, b), config, backend="reference").plane
+
+
+def _pairs(data: Path, name: str, calibration: Calibration, config: Config) -> Recording:
+    """PNG pairs of a mounted camera with the calibration of the log beside them: one floor."""
+    frames, names = _read(data / "rgb", data / "depth", calibration)
+    plane = estimate_plane(frames, config, backend="reference").plane
+    return Recording(f"{name} pairs", frames._replace(plane=repeat_plane(plane, len(names))), names)
+
+
+def _read(color: Path, depth: Path, calibration: Calibration) -> tuple[Frames, tuple[str, ...]]:
+    """PNG pairs of the same names, in the order of their numbers."""
+    paths = sorted(color.glob("*.png"), key=lambda p: (len(p.stem), p.stem))
+    paths = [path for path in paths if (depth / path.name).is_file()]
+    images = [cv2.imread(str(path), cv2.IMREAD_COLOR) for path in paths]
+    depths = [cv2.imread(str(depth / path.name), cv2.IMREAD_UNCHANGED) for path in paths]
+    count, zero = len(paths), np.zeros(len(paths), np.int64)
+    colors = np.stack([np.asarray(image)[..., ::-1] for image in images])
+    frames = Frames(
+        np.ascontiguousarray(colors),
+        np.stack([np.asarray(image).astype(np.uint16) for image in depths]),
+        calibration,
+        np.arange(count),
+        zero,
+        zero,
+        np.ones(count, bool),
+    )
+    return frames, tuple(path.stem for path in paths)
+
+
+def _one(frames: Frames, b: int) -> Frames:
+    plane = frames.plane
+    return frames._replace(
+        color=frames.color[b : b + 1],
+        depth=frames.depth[b : b + 1],
+        number=frames.number[b : b + 1],
+        stamp_ns=frames.stamp_ns[b : b + 1],
+        depth_stamp_ns=frames.depth_stamp_ns[b : b + 1],
+        valid=frames.valid[b : b + 1],
+        T_world_camera=None,
+        plane=None if plane is None else GroundPlane(*(a[b : b + 1] for a in plane)),
+    )
+
+
+def add(section: Section, recording: Recording, config: Config) -> None:
+    """Adds a recording's sheets to a section, and how many obstacles were found."""
+    pictures: list[np.ndarray] = []
+    counts: list[int] = []
+    for b, number in enumerate(recording.numbers):
+        if not recording.frames.valid[b]:
+            continue
+        one = _one(recording.frames, b)
+        found = to_host(detect(one, config, backend="reference"))
+        counts.append(int(found.labels.num_obstacles[0]))
+        title = f"{recording.name} {number}"
+        pictures.append(titled(frame_picture(one, found, config, title), title, WIDTH))
+    columns, rows = SHEET
+    step = columns * rows
+    text = f"{recording.name}: {len(pictures)} frames, {np.mean(counts or [0]):.1f} obstacles each."
+    section.say(text)
+    section.add(f"{recording.name}.obstacles", float(np.mean(counts or [0])), "", "info")
+    for first in range(0, len(pictures), step):
+        sheet = encode(grid(pictures[first : first + step], columns))
+        name = f"{recording.name.replace(' ', '_')}_{first // step:02d}"
+        section.picture(name, sheet, f"{recording.name}, from frame {first}.")

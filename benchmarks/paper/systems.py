@@ -1,0 +1,148 @@
+"""The systems that are compared, and one task of a worker: run them on some frames and score."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
+from benchmarks.baselines.detector import OnnxDetector, detector_baseline
+from benchmarks.paper.shots import Shot, frames_of, load_shots
+from jaxdet.config import Config, preset
+from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, group_objects
+from jaxdet.types import Detections
+
+OURS = "ours"
+PRESET = "preset_paper"
+RIVALS = tuple(
+    name for name, b in BASELINES.items() if name not in (OURS, "paper") and not b.missing
+)
+"""The clustering baselines that can run here."""
+MISSING = {name: b.missing for name, b in BASELINES.items() if b.missing}
+JOIN_M = (0.40, 0.10)
+"""Lateral and depth gap that make two obstacles one by the paper's definition [m]."""
+JOINED = "joined:"
+"""Before a system's name: scored on the truth with such obstacles joined."""
+
+
+class System(NamedTuple):
+    """A method with all its parameters."""
+
+    name: str
+    title: str
+    method: str
+    """A key of :data:`benchmarks.baselines.BASELINES`, or ``onnx``."""
+    config: Config
+    params: tuple[tuple[str, Any], ...] = ()
+    model: Path | None = None
+    """Weights of a detector."""
+
+    @property
+    def baseline(self) -> Baseline:
+        """How it is run."""
+        return _detector(self.model, self.title) if self.model else BASELINES[self.method]
+
+
+@lru_cache(maxsize=4)
+def _detector(model: Path, title: str) -> Baseline:
+    return detector_baseline(OnnxDetector(model), title)
+
+
+def systems(config: Config, tuned: dict[str, dict[str, Any]]) -> list[System]:
+    """Ours as it comes, the paper's preset, and the baselines with their tuned parameters.
+
+    Args:
+        config: Ours; the baselines get the same preprocessing.
+        tuned: Parameters by the baseline's name.
+    """
+    ours = [
+        System(OURS, "Ours (default)", OURS, config),
+        System(PRESET, "Ours (preset paper)", OURS, preset("paper")),
+        System("paper", BASELINES["paper"].title, "paper", config),
+    ]
+    rivals = [
+        System(name, BASELINES[name].title, name, config, tuple(tuned.get(name, {}).items()))
+        for name in RIVALS
+    ]
+    return ours + rivals
+
+
+def eval_config(config: Config) -> EvalConfig:
+    """What counts, by the range and step of the configuration."""
+    ground = config.ground
+    return EvalConfig(
+        ground.min_depth_m,
+        ground.max_depth_m,
+        step_height_m=ground.step_height_m,
+        footprint=config.footprint,
+        indices=True,
+    )
+
+
+def found_by(system: System, frame: Frame) -> Detections:
+    """One frame's obstacles."""
+    on = "grid" if system.model else "features"
+    return detect_with(system.baseline, frame, system.config, dict(system.params), on)
+
+
+def joined(truth: FrameTruth) -> FrameTruth:
+    """The truth with obstacles joined that the robot can't pass between."""
+    return group_objects(truth, *JOIN_M)
+
+
+def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
+    """A worker's task: every system on every frame of a file.
+
+    Returns:
+        A tally for each frame by the system's name, and by ``joined:`` and its name.
+    """
+    path, chosen = task
+    shots = load_shots(path)
+    prepared: dict[Config, list[Frame]] = {}
+    out: dict[str, list[Tally]] = {}
+    for system in chosen:
+        config = system.config
+        if config not in prepared:
+            prepared[config] = prepare(frames_of(shots), config)
+        mine, together = [], []
+        for shot, frame in zip(shots, prepared[config], strict=True):
+            found, unit = found_by(system, frame), shot.calibration.depth_unit
+            mine += evaluate_frames(found, shot.truth, unit, eval_config(config))
+            together += evaluate_frames(found, joined(shot.truth), unit, eval_config(config))
+        out[system.name], out[JOINED + system.name] = mine, together
+    return out
+
+
+def tuning_objective(figures: Score) -> float:
+    """What the baselines are tuned for: the mean of the three figures they are judged by."""
+    return (figures.accuracy + figures.fmi + figures.f1) / 3
+
+
+class TuningTask(NamedTuple):
+    """A baseline to tune on the frames in some files."""
+
+    name: str
+    paths: tuple[Path, ...]
+    config: Config
+
+
+def tune_one(task: TuningTask) -> tuple[dict[str, Any], float]:
+    """A worker's task: the best parameters of a baseline, and the objective there."""
+    frames, truths = _tuning_frames(task.paths, task.config)
+    counted = eval_config(task.config)
+    best = tune(BASELINES[task.name], frames, truths, tuning_objective, task.config, counted)
+    return best.params, best.value
+
+
+@lru_cache(maxsize=1)
+def _tuning_frames(paths: tuple[Path, ...], config: Config) -> tuple[list[Frame], list[FrameTruth]]:
+    shots = [shot for path in paths for shot in load_shots(path)]
+    frames = [frame for shot in shots for frame in prepare(frames_of([shot]), config)]
+    return frames, [shot.truth for shot in shots]
+
+
+def found_in(shots: Sequence[Shot], config: Config) -> list[tuple[Frame, Detections]]:
+    """Ours on some frames, with the frames as prepared."""
+    frames = prepare(frames_of(shots), config)
+    system = System(OURS, "", OURS, config)
+    return [(frame, found_by(system, frame)) for frame in frames]

@@ -1,0 +1,91 @@
+"""Table 1 and Fig. 10: how compact and how far apart the clusters are, by scene."""
+
+import numpy as np
+
+from benchmarks.paper import paper_figures, plots
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.measure import Measured, measured
+from benchmarks.paper.pictures import side_by_side
+from benchmarks.paper.plan import SCENE_TITLES, SCENES, TEST_SEEDS
+from benchmarks.paper.section import Direction, Section, number
+from benchmarks.paper.systems import PRESET
+from jaxdet.eval import score
+
+ROWS = {"hierarchical_ward": "traditional", "rsc": "rsc", "ours": "ours", PRESET: "ours"}
+"""Our systems and the paper's rows they stand for."""
+INDICES: dict[str, Direction] = {"silhouette": "higher", "davies_bouldin": "lower"}
+LIGHT = "normal"
+
+
+def run(lab: Lab) -> Section:
+    """Table 1 (SC and DB in the four scenes) and Fig. 10 (the clusters in a picture of each)."""
+    section = Section("table1", "Table 1 and Fig. 10: clustering indices by scene")
+    section.say(
+        "Silhouette coefficient SC (larger is better) and Davies-Bouldin index DB (smaller is "
+        "better), means over the frames with at least two clusters, normal light. Points without a "
+        "label take no part, so these indices reward a method that throws points away; they "
+        "say nothing about the truth. DB is not bounded by 1. The paper has one picture of "
+        "each scene, we have a family of simulated ones."
+    )
+    found = {
+        (name, scene): measured(lab.tallies(name, [scene], [LIGHT]))
+        for name in ROWS
+        for scene in SCENES
+    }
+    titles = {system.name: system.title for system in lab.systems}
+    _table(section, found, titles)
+    _plot(section, found, titles)
+    _clusters(section, lab, titles)
+    return section
+
+
+def _table(
+    section: Section, found: dict[tuple[str, str], Measured], titles: dict[str, str]
+) -> None:
+    rows: list[list[str]] = []
+    for name, paper in ROWS.items():
+        row = [titles[name]]
+        for k, scene in enumerate(SCENES):
+            one = found[name, scene]
+            for j, (figure, direction) in enumerate(INDICES.items()):
+                theirs = paper_figures.INDICES[paper][k][j]
+                value, ends = one.value(figure), one.intervals[figure]
+                section.add(f"{name}.{scene}.{figure}", value, "", direction, ends, theirs)
+                row.append(f"{number(value, ends, 2)} ({theirs:.2f})")
+        rows.append(row)
+    header = ["Method", *(f"{t} {i}" for t in SCENE_TITLES for i in ("SC", "DB"))]
+    section.table(header, rows, "Ours on simulated scenes with 95 % intervals (the paper's value)")
+
+
+def _plot(section: Section, found: dict[tuple[str, str], Measured], titles: dict[str, str]) -> None:
+    figure, axes = plots.canvas(2, 11, 4)
+    for j, (ax, name) in enumerate(zip(axes, INDICES, strict=True)):
+        series = {
+            titles[system]: plots.Series(
+                [found[system, scene].value(name) for scene in SCENES],
+                [found[system, scene].intervals[name].low for scene in SCENES],
+                [found[system, scene].intervals[name].high for scene in SCENES],
+                [paper_figures.INDICES[paper][k][j] for k in range(len(SCENES))],
+            )
+            for system, paper in ROWS.items()
+        }
+        plots.bars(ax, SCENE_TITLES, series, ("SC, larger is better", "DB, smaller is better")[j])
+        plots.legend(ax, 3)
+    section.picture("indices", plots.png(figure), "Table 1 as a plot; diamonds are the paper's.")
+
+
+def _clusters(section: Section, lab: Lab, titles: dict[str, str]) -> None:
+    """Of each scene the frame whose number of obstacles is the usual one."""
+    chosen = [s for s in lab.systems if s.name in ("hierarchical_ward", "rsc", "ours")]
+    chosen.sort(key=lambda system: list(ROWS).index(system.name))
+    strips = []
+    for scene in SCENES:
+        visible = [score([t]).tally.visible for t in lab.scores[scene, LIGHT]["ours"]]
+        usual = int(np.argmin(np.abs(np.array(visible) - np.median(visible))))
+        each = lab.counts.scenes
+        spec = lab.spec(scene, TEST_SEEDS[usual // each], each, LIGHT)
+        shot = lab.load([spec])[usual % each]
+        strips.append(side_by_side(shot, chosen, [titles[s.name] for s in chosen]))
+    for scene, strip in zip(SCENES, strips, strict=True):
+        caption = f"Fig. 10, {scene}: points coloured by cluster, white in none, grey dropped."
+        section.picture(scene, strip, caption)

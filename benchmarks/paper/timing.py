@@ -1,0 +1,68 @@
+"""Times on this machine: in turns, so that a busy machine treats all alike."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.pipeline import detect
+from jaxdet.types import Frames
+
+
+def in_turns(functions: Mapping[str, Callable[[int], Any]], frames: int, rounds: int) -> dict:
+    """Milliseconds of each function on each frame.
+
+    Args:
+        functions: By name; called with a frame's number.
+        frames: How many.
+        rounds: The best of so many counts, after a first call that doesn't.
+
+    Returns:
+        ``(frames,)`` float64 by name.
+    """
+    best = {name: np.full(frames, np.inf) for name in functions}
+    for turn in range(rounds + 1):
+        for index in range(frames):
+            for name, function in functions.items():
+                start = time.perf_counter()
+                jax.block_until_ready(function(index))
+                ms = 1e3 * (time.perf_counter() - start)
+                if turn:
+                    best[name][index] = min(best[name][index], ms)
+    return best
+
+
+def split_batch(frames: Frames) -> list[Frames]:
+    """Batches of one frame each."""
+    plane = frames.plane
+    out: list[Frames] = []
+    for b in range(len(frames.color)):
+        one = slice(b, b + 1)
+        parts: dict[str, Any] = {
+            name: value[one] for name, value in frames._asdict().items() if _is_array(value)
+        }
+        own = plane._replace(**{k: v[one] for k, v in plane._asdict().items()}) if plane else None
+        out.append(frames._replace(**parts, plane=own))
+    return out
+
+
+def _is_array(value: object) -> bool:
+    return isinstance(value, np.ndarray)
+
+
+def process_ms(frames: Frames, config: Config, rounds: int) -> dict[str, np.ndarray]:
+    """Milliseconds of the whole process on single frames, by both backends."""
+    each = split_batch(frames)
+    functions = {
+        "reference": lambda i: detect(each[i], config, backend="reference"),
+        "jax": lambda i: detect(each[i], config, backend="jax"),
+    }
+    return in_turns(functions, len(each), min(rounds, 3))
+
+
+def medians(times: Mapping[str, np.ndarray], names: Sequence[str]) -> list[float]:
+    """The medians over the frames."""
+    return [float(np.median(times[name])) for name in names]
