@@ -51,7 +51,7 @@ def run(lab: Lab) -> Section:
         }
         plots.bars(ax, LIGHTS, series, label)
         ax.set_ylim(0, 1)
-    plots.legend(axes[1], 4)
+    plots.legend(shown, axes[0], 4)
     section.picture("light", plots.png(shown), "By illumination; diamonds are the paper's ACC.")
     _time(section, lab)
     return section

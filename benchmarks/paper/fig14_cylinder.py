@@ -89,7 +89,7 @@ def run(lab: Lab) -> Section:
         ax.axhline(2.0, color=plots.INK, lw=1, ls=":")
         ax.set_xlabel("distance [m]")
         ax.set_ylim(bottom=0)
-    plots.legend(axes[0], 4)
+    plots.legend(figure, axes[0], 4)
     caption = "Errors on the cylinder; dotted the paper's bound of 2 cm."
     section.picture("errors", plots.png(figure), caption)
     return section

@@ -100,7 +100,7 @@ def _least(key: str, text: str, figures: Figures, keys: Sequence[str], bound: fl
         return Goal(key, text)
     worst = min(found, key=lambda figure: figure.value)
     shown = percent(worst.value, Interval(worst.low, worst.high))
-    where = worst.key.rpartition(".")[2]
+    where = worst.key.split(".", 3)[-1]
     shown += f" at {where}" if len(keys) > 1 else ""
     return Goal(key, text, shown, worst.value >= bound)
 

@@ -25,7 +25,7 @@ class Counts:
 
     scenes: int = 2
     """Scenes a test seed of each of the four families, each in all lights."""
-    tuning_seeds: int = 5
+    tuning_seeds: int = 4
     """Tuning seeds used, one scene each of each family and light."""
     approach: int = 1
     """Scenes a test seed in each cell of Table 4."""

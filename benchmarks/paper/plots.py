@@ -88,6 +88,7 @@ def lines(axes: Axes, x: Sequence[float], series: Mapping[str, Series], unit: st
     axes.set_ylabel(unit)
 
 
-def legend(axes: Axes, columns: int = 1) -> None:
-    """A legend under the plot."""
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=columns, fontsize=9)
+def legend(figure: Figure, axes: Axes, columns: int = 1) -> None:
+    """One legend for the whole figure, under it."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=9)

@@ -82,6 +82,6 @@ def _plot(section: Section, cells: Cells, titles: dict[str, str]) -> None:
         ax.set_xlabel("distance [m]")
         ax.set_title(titles[name], fontsize=10)
         ax.set_ylim(-0.03, 1.03)
-    plots.legend(axes[0], 4)
+    plots.legend(figure, axes[0], 4)
     caption = "Success rate by distance; dashed the paper's on its own data, bands 95 %."
     section.picture("success", plots.png(figure), caption)
