@@ -155,7 +155,8 @@ def grid_pixels(width: int, height: int, columns: int) -> tuple[np.ndarray, np.n
         columns: About how many columns the grid has; 0: there is no grid.
 
     Returns:
-        Columns and rows, each ``(G,)`` int32, read-only."""
+        Columns and rows, each ``(G,)`` int32, read-only.
+    """
     step = max(1, round(width / columns)) if columns else max(width, height) * 2
     v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].astype(np.int32)
     return _frozen(u.ravel()), _frozen(v.ravel())

@@ -1,0 +1,43 @@
+"""The three ways to give depth agree on the same scene: raw, 32FC1 metres, aligned."""
+
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions, run
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.sim import SimConfig, write_log
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("forms")
+    found = {}
+    for form in ("raw", "metres", "aligned"):
+        log = folder / form / "sim.mcap"
+        log.parent.mkdir()
+        write_log(log, SimConfig(scene="row", frames=4, width=320, height=240, depth_form=form))
+        options = RunOptions(output=folder / f"{form}_out", pictures=0)
+        run(find_logs([str(log)]), Config(), LogOptions(), options)
+        names = ("frames", "obstacles")
+        found[form] = [pq.read_table(folder / f"{form}_out/{n}.parquet") for n in names]
+    return found
+
+
+def test_metres_are_the_same_rows(tables):
+    for raw, metres in zip(tables["raw"], tables["metres"], strict=True):
+        assert raw.num_rows > 0
+        assert raw.drop(["log"]).equals(metres.drop(["log"]))
+
+
+def test_aligned_depth_finds_the_same_obstacles(tables):
+    """Its noise is drawn anew on the colour camera's rays, so places differ by the sensor's."""
+    raw, aligned = (tables[form][1].to_pylist() for form in ("raw", "aligned"))
+    assert abs(len(raw) - len(aligned)) <= 0.15 * len(raw)
+    matched = 0
+    for row in raw:
+        near = [r for r in aligned if r["frame"] == row["frame"]]
+        matched += any(
+            abs(r["x"] - row["x"]) < 0.15 and abs(r["z"] - row["z"]) < 0.15 for r in near
+        )
+    assert matched >= 0.85 * len(raw)

@@ -1,0 +1,24 @@
+"""The README: its example runs, and what it names is there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+README = Path(__file__).resolve().parents[1] / "README.md"
+
+
+def test_the_example_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
+    assert len(example.splitlines()) <= 12
+    exec(compile(example, str(README), "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    counts = [int(line.split()[2]) for line in lines if line.startswith("frame ")]
+    assert len(counts) == 8
+    assert min(counts) >= 1
+
+
+@pytest.mark.parametrize("target", re.findall(r"\]\(([^)#:]+)\)", README.read_text(encoding="utf-8")))
+def test_links_lead_somewhere(target):
+    assert (README.parent / target).exists()
