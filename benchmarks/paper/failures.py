@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
-from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES, TEST_SEEDS
+from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, Spec
 from benchmarks.paper.systems import OURS, System, eval_config, found_in
@@ -73,7 +73,7 @@ def _failures(lab: Lab) -> list[Failure]:
     """All test frames with mistakes, the worst first."""
     each = lab.counts.scenes
     failed = [
-        Failure(lab.spec(scene, TEST_SEEDS[i // each], each, light), i % each, tally)
+        Failure(lab.spec(scene, lab.seeds[i // each], each, light), i % each, tally)
         for scene in SCENES
         for light in LIGHTS
         for i, tally in enumerate(lab.scores[scene, light][OURS])

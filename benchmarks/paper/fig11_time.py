@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.baselines import BASELINES, labels_of, prepare
 from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.plan import SCENES, TEST_SEEDS
+from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, bootstrap
 from benchmarks.paper.shots import frames_of
 from benchmarks.paper.systems import OURS, RIVALS
@@ -20,7 +20,7 @@ from jaxdet import stages
 def run(lab: Lab) -> Section:
     """Fig. 11 (clustering time of the methods) as time and as ratio to ours."""
     section = Section("fig11", "Fig. 11: clustering time")
-    specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in TEST_SEEDS for scene in SCENES]
+    specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in lab.seeds for scene in SCENES]
     shots = lab.load(specs[: lab.counts.timed])[: lab.counts.timed]
     frames = [frame for shot in shots for frame in prepare(frames_of([shot]), lab.config)]
     names = [OURS, *(name for name in RIVALS if BASELINES[name].space != "image")]

@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import Measured, measured
-from benchmarks.paper.plan import LIGHTS, TEST_SEEDS
+from benchmarks.paper.plan import LIGHTS
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.shots import frames_of
 from benchmarks.paper.systems import PRESET
@@ -65,7 +65,7 @@ def _cell(one: Measured, figure: str) -> str:
 def _time(section: Section, lab: Lab) -> None:
     rows: list[list[str]] = []
     for light in LIGHTS:
-        specs = [lab.spec("roadblocks", s, lab.counts.scenes, light) for s in TEST_SEEDS]
+        specs = [lab.spec("roadblocks", s, lab.counts.scenes, light) for s in lab.seeds]
         shots = lab.load(specs)[: lab.counts.timed]
         times = process_ms(frames_of(shots), lab.config, lab.counts.rounds)
         for name, ms in times.items():

@@ -50,6 +50,11 @@ class Lab:
         self.quiet = False
         self.start = time.perf_counter()
 
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The test seeds of this run."""
+        return TEST_SEEDS[: self.counts.test_seeds]
+
     def log(self, text: str) -> None:
         """Tells how far the run is."""
         if not self.quiet:
@@ -82,7 +87,7 @@ class Lab:
 
     def test_specs(self, scene: str, light: str) -> list[Spec]:
         """The test scenes of a family in a light."""
-        return [self.spec(scene, seed, self.counts.scenes, light) for seed in TEST_SEEDS]
+        return [self.spec(scene, seed, self.counts.scenes, light) for seed in self.seeds]
 
     @cached_property
     def tuned(self) -> dict[str, dict[str, Any]]:
@@ -116,7 +121,7 @@ class Lab:
         parts = iter(self.judge(specs, chosen))
         out: Scores = {}
         for key in keys:
-            mine = [next(parts) for _ in TEST_SEEDS]
+            mine = [next(parts) for _ in self.seeds]
             out[key] = {name: [t for part in mine for t in part[name]] for name in mine[0]}
         return out
 

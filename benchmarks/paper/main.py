@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +20,23 @@ import cv2
 import tyro
 import warp as wp
 
-from benchmarks.paper import realdata
+from benchmarks.paper import (
+    coverage,
+    failures,
+    fig2_edges,
+    fig11_time,
+    fig12_light,
+    fig14_cylinder,
+    fig15_pedestrian,
+    floor,
+    goals,
+    realdata,
+    table1_indices,
+    table2_detection,
+    table3_detectors,
+    table4_distance,
+    table5_canny,
+)  # fmt: skip
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import FULL, QUICK, TEST_SEEDS, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
@@ -29,24 +44,23 @@ from benchmarks.paper.section import Section
 from jaxdet.config import PRESETS
 from jaxdet.engine import versions
 
-EXPERIMENTS = {
-    "table1": "table1_indices",
-    "fig11": "fig11_time",
-    "table2": "table2_detection",
-    "fig12": "fig12_light",
-    "table3": "table3_detectors",
-    "table4": "table4_distance",
-    "fig14": "fig14_cylinder",
-    "fig15": "fig15_pedestrian",
-    "table5": "table5_canny",
-    "fig2": "fig2_edges",
-    "floor": "floor",
-    "coverage": "coverage",
-    "failures": "failures",
-    "goals": "goals",
+EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
+    "table1": table1_indices.run,
+    "fig11": fig11_time.run,
+    "table2": table2_detection.run,
+    "fig12": fig12_light.run,
+    "table3": table3_detectors.run,
+    "table4": table4_distance.run,
+    "fig14": fig14_cylinder.run,
+    "fig15": fig15_pedestrian.run,
+    "table5": table5_canny.run,
+    "fig2": fig2_edges.run,
+    "floor": floor.run,
+    "coverage": coverage.run,
+    "failures": failures.run,
+    "goals": goals.run,
 }
 """In the order in which they run; the goals are judged last and stand first."""
-Experiment = Callable[[Lab], Section]
 BENCH_PACKAGES = ("scikit-learn", "scipy", "matplotlib", "onnxruntime", "open3d")
 
 
@@ -103,8 +117,7 @@ def run(lab: Lab, names: tuple[str, ...]) -> list[Section]:
     """The sections of some experiments, the goals first."""
     for name in (name for name in EXPERIMENTS if name in names):
         lab.log(name)
-        experiment: Experiment = import_module(f"benchmarks.paper.{EXPERIMENTS[name]}").run
-        lab.sections[name] = experiment(lab)
+        lab.sections[name] = EXPERIMENTS[name](lab)
     return sorted(lab.sections.values(), key=lambda section: section.name != "goals")
 
 

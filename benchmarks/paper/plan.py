@@ -25,6 +25,8 @@ class Counts:
 
     scenes: int = 2
     """Scenes a test seed of each of the four families, each in all lights."""
+    test_seeds: int = len(TEST_SEEDS)
+    """Test seeds used, but for the experiments that say fewer."""
     tuning_seeds: int = 4
     """Tuning seeds used, one scene each of each family and light."""
     approach: int = 1

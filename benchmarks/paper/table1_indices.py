@@ -6,7 +6,7 @@ from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.pictures import side_by_side
-from benchmarks.paper.plan import SCENE_TITLES, SCENES, TEST_SEEDS
+from benchmarks.paper.plan import SCENE_TITLES, SCENES
 from benchmarks.paper.section import Direction, Section, number
 from benchmarks.paper.systems import PRESET
 
@@ -81,7 +81,7 @@ def _clusters(section: Section, lab: Lab, titles: dict[str, str]) -> None:
     for scene in SCENES:
         full = int(np.argmax([tally.visible for tally in lab.scores[scene, LIGHT]["ours"]]))
         each = lab.counts.scenes
-        spec = lab.spec(scene, TEST_SEEDS[full // each], each, LIGHT)
+        spec = lab.spec(scene, lab.seeds[full // each], each, LIGHT)
         shot = lab.load([spec])[full % each]
         strips.append(side_by_side(shot, chosen, [titles[s.name] for s in chosen]))
     for scene, strip in zip(SCENES, strips, strict=True):

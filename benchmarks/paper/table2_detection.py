@@ -3,7 +3,6 @@
 from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
-from benchmarks.paper.plan import TEST_SEEDS
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.systems import JOINED, MISSING, PRESET, System
 
@@ -16,12 +15,12 @@ def run(lab: Lab) -> Section:
     section = Section("table2", "Table 2: detection of obstacles")
     frames = sum(len(tallies["ours"]) for tallies in lab.scores.values())
     section.say(
-        f"{frames} simulated frames: the four scenes in the four lights, seeds {TEST_SEEDS[0]} to "
-        f"{TEST_SEEDS[-1]}; the paper has 100 images of its own robot. ACC is TP / (TP + FP + FN) "
+        f"{frames} simulated frames: the four scenes in the four lights, seeds {lab.seeds[0]} to "
+        f"{lab.seeds[-1]}; the paper has 100 images of its own robot. ACC is TP / (TP + FP + FN) "
         "over obstacles, FMI the Fowlkes-Mallows index over points, mean of the frames. All "
-        "methods get the same features of our default; each baseline's parameters were chosen "
-        "on the "
-        "tuning seeds for the mean of ACC, FMI and F1 (the last column; a star: at the end of what was tried), ours are the default's. "
+        "methods get the same features of our default; each baseline's parameters were chosen on "
+        "the tuning seeds for the mean of ACC, FMI and F1 (the last column; a star: at the end of "
+        "what was tried), ours are the default's. "
         "The preset paper has its own preprocessing and asks for obstacles to its own range of "
         "3 m. 'joined' scores on the truth in which obstacles that the robot can't pass between "
         "count as one, the paper's own definition, which favours rules with its gaps."
@@ -82,5 +81,5 @@ def _plot(section: Section, lab: Lab) -> None:
     plots.bars(axes[0], order, series, "")
     axes[0].set_xticks(range(len(order)), order, rotation=35, ha="right")
     axes[0].set_ylim(0, 1)
-    axes[0].legend(ncols=3, loc="upper right")
+    plots.legend(figure, axes[0], 3)
     section.picture("methods", plots.png(figure), "All methods on all test frames, best ACC first.")

@@ -2,7 +2,7 @@
 
 from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.plan import DISTANCES_M, LIGHTS, TEST_SEEDS
+from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Spec
 from benchmarks.paper.systems import OURS, PRESET
@@ -15,7 +15,7 @@ Cells = dict[tuple[str, float, str], Tally]
 def specs_of(lab: Lab, distance_m: float, light: str) -> list[Spec]:
     """The scenes of a cell: the same things in every cell, at its distance, in its light."""
     count = lab.counts.approach
-    return [lab.spec("approach", s, count, light, distance_m=distance_m) for s in TEST_SEEDS]
+    return [lab.spec("approach", s, count, light, distance_m=distance_m) for s in lab.seeds]
 
 
 def cells_of(lab: Lab) -> Cells:
@@ -27,7 +27,7 @@ def cells_of(lab: Lab) -> Cells:
     parts = iter(lab.judge(specs, chosen))
     cells: Cells = {}
     for distance, light in keys:
-        mine = [next(parts) for _ in TEST_SEEDS]
+        mine = [next(parts) for _ in lab.seeds]
         for system in chosen:
             tallies = [tally for part in mine for tally in part[system.name]]
             cells[system.name, distance, light] = total(tallies)

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.paper import paper_figures
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.plan import CANNY_BOUNDS, SCENES, TEST_SEEDS
+from benchmarks.paper.plan import CANNY_BOUNDS, SCENES
 from benchmarks.paper.section import Section, bootstrap, percent
 from benchmarks.paper.shots import frames_of
 from benchmarks.paper.systems import OURS, System
@@ -26,7 +26,7 @@ def with_bounds(config: Config, bounds: tuple[int, int]) -> Config:
 def run(lab: Lab) -> Section:
     """Table 5 (time of the feature extraction by Canny bounds, normal light)."""
     section = Section("table5", "Table 5: time by Canny bounds")
-    specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in TEST_SEEDS for scene in SCENES]
+    specs = [lab.spec(scene, seed, lab.counts.scenes) for seed in lab.seeds for scene in SCENES]
     shots = lab.load(specs[: lab.counts.timed])[: lab.counts.timed]
     frames = split_batch(frames_of(shots))
     configs = {bounds: with_bounds(lab.config, bounds) for bounds in CANNY_BOUNDS}
