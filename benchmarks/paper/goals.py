@@ -89,7 +89,7 @@ def goals_of(figures: Figures) -> list[Goal]:
 def _known(figures: Figures, keys: Sequence[str]) -> list[Figure] | None:
     """The figures of these keys; None where one was not measured."""
     found = [figures[key] for key in keys if key in figures]
-    whole = len(found) == len(keys) and not any(math.isnan(f.value) for f in found)
+    whole = bool(found) and len(found) == len(keys) and not any(math.isnan(f.value) for f in found)
     return found if whole else None
 
 

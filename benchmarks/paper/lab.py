@@ -126,11 +126,14 @@ class Lab:
         return out
 
     def tallies(
-        self, system: str, scenes: Sequence[str] = SCENES, lights: Sequence[str] = LIGHTS
+        self,
+        system: str,
+        scenes: Sequence[str] | None = None,
+        lights: Sequence[str] | None = None,
     ) -> list[Tally]:
         """A system's tallies, one for each scene: the same scene in several lights is one unit."""
         units: list[Tally] = []
-        for scene in scenes:
-            every = [self.scores[scene, light][system] for light in lights]
+        for scene in scenes or SCENES:
+            every = [self.scores[scene, light][system] for light in lights or LIGHTS]
             units += [total(one) for one in zip(*every, strict=True)]
         return units

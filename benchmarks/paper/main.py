@@ -61,6 +61,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "goals": goals.run,
 }
 """In the order in which they run; the goals are judged last and stand first."""
+RECORDINGS = "recordings"
 BENCH_PACKAGES = ("scikit-learn", "scipy", "matplotlib", "onnxruntime", "open3d")
 
 
@@ -77,7 +78,7 @@ class Options:
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
     """Where to write all figures; by default figures.json in the output folder."""
     only: tuple[str, ...] = ()
-    """Names of experiments; by default all."""
+    """Names of experiments; by default all. ``recordings`` alone: only the pictures of those."""
     detector: tuple[str, ...] = ()
     """Rows of Table 3 as NAME=FILE.onnx; weights are not part of the project."""
     recordings: tuple[Path, ...] = ()
@@ -93,7 +94,7 @@ def main(options: Options) -> int:
     if options.quick and options.full:
         print("--quick or --full, not both", file=sys.stderr)
         return 2
-    unknown = [name for name in options.only if name not in EXPERIMENTS]
+    unknown = [name for name in options.only if name not in (*EXPERIMENTS, RECORDINGS)]
     if unknown:
         names = ", ".join(EXPERIMENTS)
         print(f"no experiment {', '.join(unknown)}; there are {names}", file=sys.stderr)

@@ -76,7 +76,7 @@ def _plot(section: Section, cells: Cells, titles: dict[str, str]) -> None:
                 [t.found / t.visible if t.visible else float("nan") for t in mine],
                 [e.low for e in ends],
                 [e.high for e in ends],
-                paper_figures.SUCCESS[light],
+                paper_figures.SUCCESS[light][: len(DISTANCES_M)],
             )
         plots.lines(ax, DISTANCES_M, series, "success rate")
         ax.set_xlabel("distance [m]")
