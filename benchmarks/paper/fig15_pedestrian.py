@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from benchmarks.paper import plots
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.pictures import encode, frame_picture, grid, titled
+from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
 from benchmarks.paper.systems import eval_config, found_in
@@ -43,7 +43,7 @@ def run(lab: Lab) -> Section:
     for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():
         frame, (_, found) = frames_of([shots[index]]), results[index]
         title = f"pedestrian, frame {index}, {index / RATE_HZ:.1f} s"
-        pictures.append(titled(frame_picture(frame, found, lab.config, title), title, 640))
+        pictures.append(scaled(frame_picture(frame, found, lab.config, title), 640))
     caption = "Fig. 15 (a): the walking person from the rolling robot, four moments."
     section.picture("frames", encode(grid(pictures, 2)), caption)
     _map(section, shots, corners, seed)

@@ -22,11 +22,16 @@ def encode(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
+def scaled(image: np.ndarray, width: int) -> np.ndarray:
+    """A picture made smaller."""
+    height = round(image.shape[0] * width / image.shape[1])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
 def titled(image: np.ndarray, text: str, width: int) -> np.ndarray:
     """A picture scaled to a width, under a line of text."""
-    height = round(image.shape[0] * width / image.shape[1])
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    out = canvas.canvas(height + CAPTION, width)
+    small = scaled(image, width)
+    out = canvas.canvas(len(small) + CAPTION, width)
     out[CAPTION:] = small
     size = 15
     while size > 9 and canvas.text_size(text, size)[0] > width - 12:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.pictures import encode, frame_picture, grid, titled
+from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
@@ -145,7 +145,7 @@ def add(section: Section, recording: Recording, config: Config) -> None:
         found = to_host(detect(one, config, backend="reference"))
         counts.append(int(found.labels.num_obstacles[0]))
         title = f"{recording.name} {number}"
-        pictures.append(titled(frame_picture(one, found, config, title), title, WIDTH))
+        pictures.append(scaled(frame_picture(one, found, config, title), WIDTH))
     columns, rows = SHEET
     step = columns * rows
     text = f"{recording.name}: {len(pictures)} frames, {np.mean(counts or [0]):.1f} obstacles each."
