@@ -1,7 +1,7 @@
 """``detect``: the paper's five steps over a batch of frames, on either backend."""
 
 from importlib import import_module
-from typing import Literal, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 
@@ -93,6 +93,10 @@ def detect(
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     _check_points(calibration.color, config.features)
 
+    program = _program(stages, frames, config)
+    if program is not None:
+        return program
+
     aligned = stages.align(frames.depth, calibration)
     plane = _plane_of(frames, aligned, config)
     keep = stages.ground(aligned, plane, calibration, config)
@@ -101,6 +105,18 @@ def detect(
     obstacles = stages.footprint(features, labels, plane, unit, config)
 
     return Detections(features, labels, obstacles, keep.has_depth)
+
+
+def _program(stages: Backend, frames: Frames, config: Config) -> Detections | None:
+    """The same five stages in one compiled program, where the backend has one for the device."""
+    covers = getattr(stages, "covers", None)
+    if covers is None or not covers(frames, config):
+        return None
+    plane = _known_plane(frames, config)
+    if plane is None:
+        aligned = stages.align(frames.depth, frames.calibration)
+        plane = _plane_of(frames, aligned, config)
+    return cast(Any, stages).detect(frames, plane, config)
 
 
 def _check_points(camera: Intrinsics, config: FeaturesConfig) -> None:
@@ -114,14 +130,20 @@ def _check_points(camera: Intrinsics, config: FeaturesConfig) -> None:
 
 def _plane_of(frames: Frames, aligned: AlignedDepth, config: Config) -> GroundPlane:
     """The floor of each frame: given, from the configuration, or estimated."""
+    plane = _known_plane(frames, config)
+    if plane is None:
+        plane = repeat_plane(_fit(frames, aligned, config).plane, len(frames.depth))
+    return plane
+
+
+def _known_plane(frames: Frames, config: Config) -> GroundPlane | None:
+    """The floor that needs no estimate, or None."""
     if frames.plane is not None:
         return frames.plane
     batch = len(frames.depth)
     if config.ground.camera_height_m is not None:
         return repeat_plane(flagged_plane(config.ground), batch)
-    if config.ground.source == "none":
-        return unknown_plane(batch)
-    return repeat_plane(_fit(frames, aligned, config).plane, batch)
+    return unknown_plane(batch) if config.ground.source == "none" else None
 
 
 def estimate_plane(

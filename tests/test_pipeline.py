@@ -107,7 +107,7 @@ def test_calibration_is_not_a_compile_time_constant():
 
     given = made_frames(2)
     detect(given)
-    compiled = cast(Any, _align._align)._cache_size
+    compiled = cast(Any, _align.align_arrays)._cache_size
     before = compiled()
     moved = D435.color_from_depth._replace(translation=(0.02, 0.0, 0.0))
     detect(given._replace(calibration=given.calibration._replace(color_from_depth=moved)))

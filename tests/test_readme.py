@@ -19,6 +19,9 @@ def test_the_example_runs(tmp_path, monkeypatch, capsys):
     assert min(counts) >= 1
 
 
-@pytest.mark.parametrize("target", re.findall(r"\]\(([^)#:]+)\)", README.read_text(encoding="utf-8")))
+LINKS = re.findall(r"\]\(([^)#:]+)\)", README.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("target", LINKS)
 def test_links_lead_somewhere(target):
     assert (README.parent / target).exists()

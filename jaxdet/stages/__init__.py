@@ -5,5 +5,6 @@ from jaxdet.stages._cluster import cluster
 from jaxdet.stages._features import features
 from jaxdet.stages._footprint import footprint
 from jaxdet.stages._ground import ground
+from jaxdet.stages._program import covers, detect
 
-__all__ = ["align", "cluster", "features", "footprint", "ground"]
+__all__ = ["align", "cluster", "covers", "detect", "features", "footprint", "ground"]

@@ -10,6 +10,7 @@ import warp as wp
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
+from jaxdet_kernels import align_tiles as tile_kernels
 
 _MODELS = {
     Distortion.NONE: kernels.PINHOLE,
@@ -19,6 +20,11 @@ _MODELS = {
 }
 
 _splat = wp.jax_kernel(kernels.align_splat, in_out_argnames=["keys_out"])
+_splat_tiles = wp.jax_kernel(
+    tile_kernels.align_splat_tiles,
+    in_out_argnames=["keys_out"],
+    block_dim=tile_kernels.TILE_BLOCK,
+)
 _splat_rows = wp.jax_kernel(kernels.align_splat_rows, in_out_argnames=["keys_out"])
 
 
@@ -39,26 +45,29 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
     depth = jnp.asarray(depth)
     if calibration.is_aligned:
         return AlignedDepth(depth, depth)
-    x, y, parameters, model, fills = _tables(calibration)
     size = calibration.color.height, calibration.color.width
-    return AlignedDepth(*_align(depth, x, y, parameters, model, fills, size))
+    return AlignedDepth(*align_arrays(depth, *tables(calibration), size))
 
 
-@partial(jax.jit, static_argnames=("model", "fills", "size"))
-def _align(
+@partial(jax.jit, static_argnames=("model", "fills", "separable", "size"))
+def align_arrays(
     depth: jax.Array,
     x: jax.Array,
     y: jax.Array,
     parameters: jax.Array,
     model: int,
     fills: int,
+    separable: bool,
     size: tuple[int, int],
 ) -> tuple[jax.Array, jax.Array]:
+    """Depth and z at the colour pixels, from :func:`tables` and the colour image's size."""
     with jax.named_scope("align"):
         nothing = jnp.uint32(0xFFFFFFFF)
         keys = jnp.full((depth.shape[0], *size), nothing)
 
         def on_cuda(keys: jax.Array) -> jax.Array:
+            if separable:
+                return _splat_in_tiles(depth, x, y, parameters, fills, keys)
             out = _splat(depth, x, y, parameters, model, fills, keys, launch_dims=depth.shape)
             return out[0]
 
@@ -71,8 +80,17 @@ def _align(
         return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
 
 
+def _splat_in_tiles(
+    depth: jax.Array, x: jax.Array, y: jax.Array, parameters: jax.Array, fills: int, keys: jax.Array
+) -> jax.Array:
+    batch, height, width = depth.shape
+    tiles = -(-height // tile_kernels.TILE_ROWS) * -(-width // tile_kernels.TILE_COLUMNS)
+    threads = batch * tiles * tile_kernels.TILE_BLOCK
+    return _splat_tiles(depth, x, y, parameters, fills, keys, launch_dims=(threads,))[0]
+
+
 @lru_cache(maxsize=8)
-def _tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array, int, int]:
+def tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array, int, int, bool]:
     """The calibration's arrays on the device, and the kernel's static arguments."""
     assert calibration.depth is not None  # splat_parameters says so with an error
     splat = splat_parameters(calibration)
@@ -87,4 +105,5 @@ def _tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array, 
         jnp.asarray(parameters),
         _MODELS[splat.model],
         int(splat.fills_corners),
+        Distortion.NONE is splat.model is calibration.depth.distortion,
     )

@@ -33,39 +33,35 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     Returns:
         Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
     """
-    settings = config.cluster
-    lateral_gap = round(settings.lateral_gap_m / depth_unit)
-    gaps = _gaps(settings, depth_unit)
-    axes = jnp.asarray(ground_axes(plane)) if settings.on_floor else None
-    return Labels(
-        *_cluster(features, gaps, axes, lateral_gap, settings.min_points, settings.rounds)
-    )
+    axes = jnp.asarray(ground_axes(plane))
+    return labels(features, gaps(config.cluster, depth_unit), axes, depth_unit, config.cluster)
 
 
 @lru_cache(maxsize=8)
-def _gaps(config: ClusterConfig, depth_unit: float) -> jax.Array:
+def gaps(config: ClusterConfig, depth_unit: float) -> jax.Array:
+    """:func:`jaxdet.plane.gap_table` on the device."""
     return jnp.asarray(gap_table(config, depth_unit))
 
 
-@partial(jax.jit, static_argnames=("lateral_gap", "min_points", "rounds"))
-def _cluster(
+@partial(jax.jit, static_argnames=("depth_unit", "config"))
+def labels(
     features: Features,
-    gaps: jax.Array,
-    axes: jax.Array | None,
-    lateral_gap: int,
-    min_points: int,
-    rounds: int,
-) -> tuple[jax.Array, jax.Array]:
+    gap_by_depth: jax.Array,
+    axes: jax.Array,
+    depth_unit: float,
+    config: ClusterConfig,
+) -> Labels:
+    """The labels, from :func:`gaps` and :func:`jaxdet.plane.ground_axes`."""
     with jax.named_scope("cluster"):
         x, depth = features.x, features.z
-        if axes is not None:
+        if config.on_floor:
             floor = to_ground(jnp.stack([x, features.y, depth], axis=-1), axes)
             x = jnp.clip(floor[..., 0], -MAX_LATERAL, MAX_LATERAL)
             depth = jnp.clip(floor[..., 1], 0, 65535)
-        settings = (gaps, lateral_gap, min_points, rounds)
-        return jax.vmap(lambda x, z, kept: _cluster_frame(x, z, kept, *settings))(
-            x, depth, features.kept
-        )
+        lateral_gap = round(config.lateral_gap_m / depth_unit)
+        settings = (gap_by_depth, lateral_gap, config.min_points, config.rounds)
+        found = jax.vmap(lambda x, z, kept: _cluster_frame(x, z, kept, *settings))
+        return Labels(*found(x, depth, features.kept))
 
 
 def _cluster_frame(

@@ -15,7 +15,7 @@ _suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kerne
 _hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_BLOCK)
 _eigenvalue = wp.jax_kernel(
     kernels.corners_eigenvalue,
-    num_outputs=2,
+    num_outputs=3,
     in_out_argnames=["best_out"],
     block_dim=kernels.EIGENVALUE_BLOCK,
 )
@@ -94,19 +94,24 @@ def strongest_corners(
     rows = edge.shape
     best = jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32)
     blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)
-    best, strength = _eigenvalue(
+    best, strength, peak = _eigenvalue(
         edge,
         mask,
         best,
         launch_dims=(blocks * kernels.EIGENVALUE_BLOCK,),
-        output_dims={"best_out": (batch,), "strength_out": (batch, height, width)},
+        output_dims={
+            "best_out": (batch,),
+            "strength_out": (batch, height, width),
+            "peak_out": rows,
+        },
     )
     (maxima,) = _maxima(
         strength,
         mask,
         best,
+        peak,
         float(config.quality_level),
-        launch_dims=(-(-rows[0] * rows[1] * rows[2] // 8) * kernels.MAXIMA_BLOCK,),
+        launch_dims=(-(-batch * height * rows[2] // kernels.MAXIMA_BLOCK) * kernels.MAXIMA_BLOCK,),
         output_dims={"maxima_out": rows},
     )
     return _select(strength, maxima, config)

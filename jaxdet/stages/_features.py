@@ -16,7 +16,7 @@ from jaxdet.stages._device import on_cuda
 from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
 
 
-class _Tables(NamedTuple):
+class Tables(NamedTuple):
     """What depends on the calibration and the grid only."""
 
     ray_x: jax.Array
@@ -26,9 +26,10 @@ class _Tables(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _tables(camera: Intrinsics, columns: int) -> _Tables:
+def tables(camera: Intrinsics, columns: int) -> Tables:
+    """The tables on the device."""
     grid = grid_pixels(camera.width, camera.height, columns)
-    return _Tables(*(jnp.asarray(a) for a in (*fixed_rays(camera), *grid)))
+    return Tables(*(jnp.asarray(a) for a in (*fixed_rays(camera), *grid)))
 
 
 def features(
@@ -52,26 +53,27 @@ def features(
         ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
         are zero.
     """
-    tables = _tables(calibration.color, config.grid_columns)
+    arrays = tables(calibration.color, config.grid_columns)
     if on_cuda() and _corners_cuda.supports(color.shape[1:3], config):
-        return _on_device(jnp.asarray(color), keep.z, keep.mask, tables, config)
+        return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, config)
     uv, count = _on_host(np.asarray(color), keep, config)
     u, v, found = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
-    return _look_up(u, v, found, keep.z, keep.mask, tables)
+    return _look_up(u, v, found, keep.z, keep.mask, arrays)
 
 
 @partial(jax.jit, static_argnames="config")
-def _on_device(
+def on_device(
     color: jax.Array,
     z: jax.Array,
     keep: jax.Array,
-    tables: _Tables,
+    arrays: Tables,
     config: FeaturesConfig,
 ) -> Features:
+    """The features by kernels alone, from :func:`tables`."""
     with jax.named_scope("features"):
         mask = keep if config.use_mask else jnp.ones_like(keep)
         u, v, count = _corners_cuda.strongest_corners(color, mask, config)
-        return _look_up(u, v, count, z, keep, tables)
+        return _look_up(u, v, count, z, keep, arrays)
 
 
 def _on_host(
@@ -108,20 +110,20 @@ def _look_up(
     count: jax.Array,
     z: jax.Array,
     keep: jax.Array,
-    tables: _Tables,
+    arrays: Tables,
 ) -> Features:
     """The features' depth, coordinates and flags, from their pixels ``(B, N)``."""
     with jax.named_scope("features"):
         n = u.shape[1]
         valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
-        kept = keep[:, tables.grid_v, tables.grid_u]
-        u = jnp.concatenate([u, jnp.where(kept, tables.grid_u[None, :], 0)], axis=1)
-        v = jnp.concatenate([v, jnp.where(kept, tables.grid_v[None, :], 0)], axis=1)
+        kept = keep[:, arrays.grid_v, arrays.grid_u]
+        u = jnp.concatenate([u, jnp.where(kept, arrays.grid_u[None, :], 0)], axis=1)
+        v = jnp.concatenate([v, jnp.where(kept, arrays.grid_v[None, :], 0)], axis=1)
         valid = jnp.concatenate([valid, kept], axis=1)
         frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
         z = jnp.where(valid, z[frame, v, u].astype(jnp.int32), 0)
         kept = valid & keep[frame, v, u]
-        x, y = (lateral(ray[v, u], z) for ray in (tables.ray_x, tables.ray_y))
+        x, y = (lateral(ray[v, u], z) for ray in (arrays.ray_x, arrays.ray_y))
         return Features(u, v, x, y, z, valid, kept, overflow=count > n)
 
 

@@ -4,7 +4,6 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.plane import ground_axes
@@ -30,21 +29,23 @@ def footprint(
     Returns:
         ``(B, M)`` obstacles in the order of their labels.
     """
-    threshold = round(config.footprint.vertex_threshold_m / depth_unit)
-    axes = jnp.asarray(np.asarray(ground_axes(plane)))
-    m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
-    return _footprint(features, labels.labels, axes, threshold, m)
+    axes = jnp.asarray(ground_axes(plane))
+    return obstacles(features, labels, axes, depth_unit, config)
 
 
-@partial(jax.jit, static_argnames=("threshold", "m"))
-def _footprint(
-    features: Features, labels: jax.Array, axes: jax.Array, threshold: int, m: int
+@partial(jax.jit, static_argnames=("depth_unit", "config"))
+def obstacles(
+    features: Features, labels: Labels, axes: jax.Array, depth_unit: float, config: Config
 ) -> Obstacles:
+    """The obstacles, from :func:`jaxdet.plane.ground_axes`."""
     with jax.named_scope("footprint"):
+        threshold = round(config.footprint.vertex_threshold_m / depth_unit)
+        m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
         uv = jnp.stack([features.u, features.v], axis=-1)
         xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
         floor = to_ground(xyz, axes)
-        return jax.vmap(partial(_measure, threshold=threshold, m=m))(labels, uv, xyz, floor)
+        measure = jax.vmap(partial(_measure, threshold=threshold, m=m))
+        return measure(labels.labels, uv, xyz, floor)
 
 
 def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:

@@ -30,13 +30,19 @@ def ground(
         The mask, True where the pixel may belong to an obstacle, the depth that a feature there
         gets, and whether a frame has any depth in range.
     """
+    arrays = tables(plane, calibration, config)
+    return keep(aligned.z, *arrays, config.ground.contour_radius)
+
+
+def tables(
+    plane: GroundPlane, calibration: Calibration, config: Config
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """The limits of the different planes, each frame's plane, the nearest and farthest depth."""
     settings, unit = config.ground, calibration.depth_unit
     limits, which = floor_limits(calibration.color, plane, settings.step_height_m, unit)
     nearest = max(1, round(settings.min_depth_m / unit))
     farthest = min(65535, round(settings.max_depth_m / unit))
-    bounds = _bounds(nearest, farthest)
-    radius = settings.contour_radius
-    return _ground(aligned.z, jnp.asarray(limits), jnp.asarray(which), *bounds, radius)
+    return jnp.asarray(limits), jnp.asarray(which), *_bounds(nearest, farthest)
 
 
 @lru_cache(maxsize=16)
@@ -45,7 +51,7 @@ def _bounds(nearest: int, farthest: int) -> tuple[jax.Array, jax.Array]:
 
 
 @partial(jax.jit, static_argnames="radius")
-def _ground(
+def keep(
     z: jax.Array,
     limits: jax.Array,
     which: jax.Array,
@@ -53,6 +59,7 @@ def _ground(
     farthest: jax.Array,
     radius: int,
 ) -> Keep:
+    """The pixels kept, from :func:`tables`."""
     with jax.named_scope("ground"):
         in_range = (z >= nearest) & (z <= farthest)
         mask = in_range & (z <= limits[which])

@@ -19,28 +19,52 @@ _SUPPRESS = """
     const int b = block / (tiles_x * tiles_y), tile = block % (tiles_x * tiles_y);
     const int y0 = (tile / tiles_x) * 16, x0 = (tile % tiles_x) * 64;
     const unsigned char* rgb = color.data + (size_t)b * H * W * 3;
-    __shared__ short grey[20][68];
+    // Grey with a border of 2 rows and 4 columns; inside the image four pixels are three words.
+    __shared__ short grey[20][72];
     __shared__ short magnitude[18][66];
-    for (int i = thread; i < 20 * 68; i += 256) {
-        int r = i / 68, c = i - r * 68;
-        int y = min(max(y0 + r - 2, 0), H - 1), x = min(max(x0 + c - 2, 0), W - 1);
-        const unsigned char* p = rgb + ((size_t)y * W + x) * 3;
-        grey[r][c] = (9798 * p[0] + 19235 * p[1] + 3735 * p[2] + 16384) >> 15;
+    const bool whole = W % 4 == 0 && x0 >= 4 && x0 + 68 <= W;
+    for (int i = thread; i < 20 * 18; i += 256) {
+        const int r = i / 18, c = (i - r * 18) * 4;
+        const int y = min(max(y0 + r - 2, 0), H - 1);
+        const unsigned char* row = rgb + (size_t)y * W * 3;
+        unsigned char p[12];
+        if (whole) {
+            const unsigned* from = (const unsigned*)(row + (x0 + c - 4) * 3);
+            ((unsigned*)p)[0] = from[0];
+            ((unsigned*)p)[1] = from[1];
+            ((unsigned*)p)[2] = from[2];
+        } else {
+            for (int k = 0; k < 4; ++k) {
+                const unsigned char* from = row + min(max(x0 + c + k - 4, 0), W - 1) * 3;
+                for (int channel = 0; channel < 3; ++channel) p[3 * k + channel] = from[channel];
+            }
+        }
+        for (int k = 0; k < 4; ++k)
+            grey[r][c + k] =
+                (9798 * p[3 * k] + 19235 * p[3 * k + 1] + 3735 * p[3 * k + 2] + 16384) >> 15;
     }
     __syncthreads();
-    #define SOBEL_X(r, c) (grey[r - 1][c + 1] - grey[r - 1][c - 1] + grey[r + 1][c + 1] \\
-        - grey[r + 1][c - 1] + 2 * (grey[r][c + 1] - grey[r][c - 1]))
-    #define SOBEL_Y(r, c) (grey[r + 1][c - 1] - grey[r - 1][c - 1] + grey[r + 1][c + 1] \\
-        - grey[r - 1][c + 1] + 2 * (grey[r + 1][c] - grey[r - 1][c]))
-    for (int i = thread; i < 18 * 66; i += 256) {
-        int r = i / 66, c = i - r * 66;
-        int y = y0 + r - 1, x = x0 + c - 1;
-        int m = 0;
-        if (y >= 0 && y < H && x >= 0 && x < W)
-            m = abs(SOBEL_X(r + 1, c + 1)) + abs(SOBEL_Y(r + 1, c + 1));
-        magnitude[r][c] = m;
+    // A thread walks down 6 rows of a column, so each grey pixel is read three times, not eight.
+    if (thread < 198) {
+        const int c = thread % 66, first = (thread / 66) * 6, x = x0 + c - 1;
+        int h0, h1, s0, s1;
+        for (int r = first; r < first + 8; ++r) {
+            const int left = grey[r][c + 2], middle = grey[r][c + 3], right = grey[r][c + 4];
+            const int h2 = right - left, s2 = left + 2 * middle + right;
+            if (r >= first + 2) {
+                const int y = y0 + r - 3;
+                const bool in = y >= 0 && y < H && x >= 0 && x < W;
+                magnitude[r - 2][c] = in ? abs(h0 + 2 * h1 + h2) + abs(s2 - s0) : 0;
+            }
+            h0 = h1; h1 = h2; s0 = s1; s1 = s2;
+        }
     }
     __syncthreads();
+    #define GREY(r, c) grey[(r)][(c) + 2]
+    #define SOBEL_X(r, c) (GREY(r - 1, c + 1) - GREY(r - 1, c - 1) + GREY(r + 1, c + 1) \\
+        - GREY(r + 1, c - 1) + 2 * (GREY(r, c + 1) - GREY(r, c - 1)))
+    #define SOBEL_Y(r, c) (GREY(r + 1, c - 1) - GREY(r - 1, c - 1) + GREY(r + 1, c + 1) \\
+        - GREY(r - 1, c + 1) + 2 * (GREY(r + 1, c) - GREY(r - 1, c)))
     const int lo = low.data[b], hi = high.data[b];
     for (int job = thread / 32; job < 32; job += 8) {
         int r = job / 2 + 1, c = (job % 2) * 32 + thread % 32 + 1;

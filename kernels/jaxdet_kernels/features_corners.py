@@ -16,7 +16,7 @@ _EIGENVALUE = """
 #if defined(__CUDA_ARCH__)
     const int H = mask.shape[1], W = mask.shape[2], words = edges.shape[2];
     const int columns = (W + 127) / 128, b = block / columns, x = (block % columns) * 128 + thread;
-    __shared__ float xx[512], xy[512], yy[512];
+    __shared__ double xx[512], xy[512], yy[512];
     __shared__ int best;
     const double scale = 1.0 / (4.0 * 3.0 * 255.0);
     const float k1 = (float)scale, k0 = (float)(2.0 * scale);
@@ -29,7 +29,9 @@ _EIGENVALUE = """
         float top = __fmaf_rn(p[2], k1, __fmaf_rn(p[1], k0, __fmul_rn(p[0], k1)));
         float bottom = __fmaf_rn(p[8], k1, __fmaf_rn(p[7], k0, __fmul_rn(p[6], k1)));
         float dy = __fsub_rn(bottom, top);
-        xx[i] = __fmul_rn(dx, dx); xy[i] = __fmul_rn(dx, dy); yy[i] = __fmul_rn(dy, dy);
+        xx[i] = (double)__fmul_rn(dx, dx);
+        xy[i] = (double)__fmul_rn(dx, dy);
+        yy[i] = (double)__fmul_rn(dy, dy);
     }
     __syncthreads();
     const unsigned* rows = edges.data + (size_t)b * H * words;
@@ -51,43 +53,66 @@ _EIGENVALUE = """
         return THREE(row, xl) | (THREE(row, xc) << 3) | (THREE(row, xr) << 6);
     };
     auto mirrored = [&](int y) { return y < 0 ? -y : (y >= H ? 2 * H - 2 - y : y); };
-    double ring[3][3], total[3] = {0.0, 0.0, 0.0};
-    auto load = [&](int y, double* r) {
-        y = mirrored(y);
-        unsigned a = window(mirrored(y - 1)), m = window(y), c = window(mirrored(y + 1));
-        if (!(a | m | c)) { r[0] = 0.0; r[1] = 0.0; r[2] = 0.0; return; }
-        int p0 = (a & 7) | ((m & 7) << 3) | ((c & 7) << 6);
-        int p1 = ((a >> 3) & 7) | (((m >> 3) & 7) << 3) | (((c >> 3) & 7) << 6);
-        int p2 = ((a >> 6) & 7) | (((m >> 6) & 7) << 3) | (((c >> 6) & 7) << 6);
-        r[0] = __dadd_rn(__dadd_rn((double)xx[p0], (double)xx[p1]), (double)xx[p2]);
-        r[1] = __dadd_rn(__dadd_rn((double)xy[p0], (double)xy[p1]), (double)xy[p2]);
-        r[2] = __dadd_rn(__dadd_rn((double)yy[p0], (double)yy[p1]), (double)yy[p2]);
+    // Windows of the rows around the one that is added next, then the sums of three columns.
+    unsigned above, middle, below;
+    double ring[3][3], total[3];
+    auto add = [&](double* r) -> bool {
+        if (!(above | middle | below)) { r[0] = 0.0; r[1] = 0.0; r[2] = 0.0; return false; }
+        const int p0 = (above & 7) | ((middle & 7) << 3) | ((below & 7) << 6);
+        const int p1 = ((above >> 3) & 7) | (middle & 56) | ((below & 56) << 3);
+        const int p2 = (above >> 6) | ((middle >> 6) << 3) | (below & 448);
+        r[0] = __dadd_rn(__dadd_rn(xx[p0], xx[p1]), xx[p2]);
+        r[1] = __dadd_rn(__dadd_rn(xy[p0], xy[p1]), xy[p2]);
+        r[2] = __dadd_rn(__dadd_rn(yy[p0], yy[p1]), yy[p2]);
+        return true;
     };
-    load(-1, ring[0]);
-    load(0, ring[1]);
+    // Row -1 is row 1, and the rows around row 0 are row 1 twice.
+    above = window(0); middle = window(1); below = window(mirrored(2));
+    bool live0 = add(ring[0]);
+    below = middle; middle = above; above = below;
+    bool live1 = add(ring[1]), live2, was_live = true;
     for (int k = 0; k < 3; ++k) total[k] = __dadd_rn(ring[0][k], ring[1][k]);
+    above = middle; middle = below; below = window(mirrored(2));
     int strongest = (int)0x80000000;
+    float e = 0.0f;
     float* out = strength_out.data + (size_t)b * H * W + xc;
     const unsigned char* may = (const unsigned char*)mask.data + (size_t)b * H * W + xc;
     for (int y = 0; y < H; ++y) {
-        load(y + 1, ring[2]);
-        float s[3];
-        for (int k = 0; k < 3; ++k) {
-            double sum = __dadd_rn(total[k], ring[2][k]);
-            s[k] = __double2float_rn(sum);
-            total[k] = __dsub_rn(sum, ring[0][k]);
-            ring[0][k] = ring[1][k];
-            ring[1][k] = ring[2][k];
+        live2 = add(ring[2]);
+        // Adding and taking away zeros changes neither the sums nor, a row later, the strength.
+        const bool live = live0 | live1 | live2;
+        if (live | was_live) {
+            float s[3];
+            for (int k = 0; k < 3; ++k) {
+                double sum = __dadd_rn(total[k], ring[2][k]);
+                s[k] = __double2float_rn(sum);
+                total[k] = __dsub_rn(sum, ring[0][k]);
+                ring[0][k] = ring[1][k];
+                ring[1][k] = ring[2][k];
+            }
+            float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]), t = __fsub_rn(a, c);
+            float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
+            e = __fsub_rn(__fadd_rn(a, c), root);
         }
-        float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]), t = __fsub_rn(a, c);
-        float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
-        float e = __fsub_rn(__fadd_rn(a, c), root);
+        was_live = live;
+        live0 = live1;
+        live1 = live2;
+        const int bits = __float_as_int(e), ordered = bits < 0 ? bits ^ 0x7fffffff : bits;
         if (x < W) {
             out[(size_t)y * W] = e;
-            if (may[(size_t)y * W]) {
-                int bits = __float_as_int(e);
-                strongest = max(strongest, bits < 0 ? bits ^ 0x7fffffff : bits);
-            }
+            if (ordered > strongest && may[(size_t)y * W]) strongest = ordered;
+        }
+        // The strongest of each word lets the search for maxima skip what is flat.
+        const int peak = __reduce_max_sync(0xffffffffu, x < W ? ordered : (int)0x80000000);
+        if (thread % 32 == 0 && x / 32 < words)
+            peak_out.data[((size_t)b * H + y) * words + x / 32] = peak;
+        // The row after next: y + 3 comes under y + 2; beyond the border the rows come back.
+        const int next = y + 2;
+        if (next < H) {
+            above = middle; middle = below; below = window(mirrored(next + 1));
+        } else {
+            above = window(mirrored(mirrored(next) - 1)); middle = window(mirrored(next));
+            below = window(mirrored(mirrored(next) + 1));
         }
     }
     atomicMax(&best, strongest);
@@ -99,30 +124,44 @@ _EIGENVALUE = """
 _MAXIMA = """
 #if defined(__CUDA_ARCH__)
     const int H = mask.shape[1], W = mask.shape[2], words = maxima_out.shape[2];
-    const size_t job = ((size_t)block * 256 + thread) / 32;
-    const int lane = thread % 32;
-    if (job >= (size_t)mask.shape[0] * H * words) return;
-    const int b = job / ((size_t)H * words), left = job % ((size_t)H * words);
-    const int y = left / words, x = (left % words) * 32 + lane;
-    const int ordered = best.data[b];
-    bool corner = false;
-    if (y >= 1 && y < H - 1 && x >= 1 && x < W - 1 && ordered != (int)0x80000000) {
-        const float strongest = __int_as_float(ordered < 0 ? ordered ^ 0x7fffffff : ordered);
-        const float threshold = (float)((double)strongest * (double)quality);
-        const float* e = strength.data + ((size_t)b * H + y) * W + x;
-        const float v = e[0];
-        corner = v > threshold && v != 0.0f
-            && ((const unsigned char*)mask.data)[((size_t)b * H + y) * W + x];
-        if (corner) {
-            for (int dy = -1; dy <= 1; ++dy)
-                for (int dx = -1; dx <= 1; ++dx) {
-                    float near = e[dy * W + dx];
-                    corner = corner && !((near > threshold ? near : 0.0f) > v);
-                }
+    const unsigned frame = H * words, all = mask.shape[0] * frame, lane = thread % 32;
+    const unsigned first = ((unsigned)block * 256u + thread) / 32u * 32u, mine = first + lane;
+    unsigned result = 0, hot = 0;
+    float threshold = 0.0f;
+    if (mine < all) {
+        const int ordered = best.data[mine / frame];
+        if (ordered != (int)0x80000000) {
+            const float strongest = __int_as_float(ordered < 0 ? ordered ^ 0x7fffffff : ordered);
+            threshold = (float)((double)strongest * (double)quality);
+            const int bits = peak.data[mine];
+            hot = __int_as_float(bits < 0 ? bits ^ 0x7fffffff : bits) > threshold;
         }
     }
-    unsigned word = __ballot_sync(0xffffffffu, corner);
-    if (lane == 0) maxima_out.data[job] = word;
+    // Each lane looks after a word; those that aren't flat are then searched by the whole warp.
+    for (unsigned left = __ballot_sync(0xffffffffu, hot); left; left &= left - 1) {
+        const int turn = __ffs(left) - 1;
+        const float limit = __shfl_sync(0xffffffffu, threshold, turn);
+        const unsigned job = first + turn, b = job / frame, rest = job - b * frame;
+        const unsigned row = rest / words;
+        const int y = row, x = (rest - row * words) * 32 + lane;
+        bool corner = false;
+        if (y >= 1 && y < H - 1 && x >= 1 && x < W - 1) {
+            const float* e = strength.data + ((size_t)b * H + y) * W + x;
+            const float v = e[0];
+            corner = v > limit && v != 0.0f
+                && ((const unsigned char*)mask.data)[((size_t)b * H + y) * W + x];
+            if (corner) {
+                for (int dy = -1; dy <= 1; ++dy)
+                    for (int dx = -1; dx <= 1; ++dx) {
+                        const float near = e[dy * W + dx];
+                        corner = corner && !((near > limit ? near : 0.0f) > v);
+                    }
+            }
+        }
+        const unsigned word = __ballot_sync(0xffffffffu, corner);
+        if (lane == turn) result = word;
+    }
+    if (mine < all) maxima_out.data[mine] = result;
 #endif
 """
 
@@ -135,6 +174,7 @@ def _eigenvalue(
     mask: wp.array3d[wp.bool],
     best_out: wp.array[wp.int32],
     strength_out: wp.array3d[wp.float32],
+    peak_out: wp.array3d[wp.int32],
 ): ...
 
 
@@ -144,10 +184,11 @@ def corners_eigenvalue(
     mask: wp.array3d[wp.bool],
     best_out: wp.array[wp.int32],
     strength_out: wp.array3d[wp.float32],
+    peak_out: wp.array3d[wp.int32],
 ):
     """Minimum eigenvalue of an edge image, a thread a column; the strongest allowed one."""
     i = wp.tid()
-    _eigenvalue(i // 128, i % 128, edges, mask, best_out, strength_out)
+    _eigenvalue(i // 128, i % 128, edges, mask, best_out, strength_out, peak_out)
 
 
 @wp.func_native(_MAXIMA)
@@ -157,6 +198,7 @@ def _maxima(
     strength: wp.array3d[wp.float32],
     mask: wp.array3d[wp.bool],
     best: wp.array[wp.int32],
+    peak: wp.array3d[wp.int32],
     quality: wp.float64,
     maxima_out: wp.array3d[wp.uint32],
 ): ...
@@ -167,9 +209,10 @@ def corners_maxima(
     strength: wp.array3d[wp.float32],
     mask: wp.array3d[wp.bool],
     best: wp.array[wp.int32],
+    peak: wp.array3d[wp.int32],
     quality: wp.float64,
     maxima_out: wp.array3d[wp.uint32],
 ):
-    """Allowed 3x3 maxima above the quality threshold, a warp a word."""
+    """Allowed 3x3 maxima above the quality threshold, a thread a word."""
     i = wp.tid()
-    _maxima(i // 256, i % 256, strength, mask, best, quality, maxima_out)
+    _maxima(i // 256, i % 256, strength, mask, best, peak, quality, maxima_out)

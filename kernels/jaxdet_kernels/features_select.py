@@ -14,7 +14,7 @@ SPREAD_BLOCK = 1024
 _SPREAD = """
 #if defined(__CUDA_ARCH__)
     const int H = strength.shape[1], W = strength.shape[2], words = maxima.shape[2];
-    const int size = H * words, N = strength_key_out.shape[1];
+    const int size = H * words, N = strength_key_out.shape[1], LIST = 4096;
     unsigned* open = undecided_out.data + (size_t)block * size;
     unsigned* taken = taken_out.data + (size_t)block * size;
     const unsigned* start = maxima.data + (size_t)block * size;
@@ -27,63 +27,99 @@ _SPREAD = """
     }
     __syncthreads();
     // A corner is taken once no stronger one near it is undecided, and dropped next to a taken one.
-    int more = reach >= 0;
-    while (__syncthreads_or(more)) {
-        more = 0;
-        unsigned accept[16], reject[16];
-        for (int base = 0; base < size; base += 1024 * 16) {
-            for (int k = 0; k < 16; ++k) {
-                int i = base + k * 1024 + thread;
-                accept[k] = 0u; reject[k] = 0u;
-                if (i >= size) continue;
-                for (unsigned left = open[i]; left; left &= left - 1) {
-                    int bit = __ffs(left) - 1, y = i / words, x = (i % words) * 32 + bit;
-                    float own = e[(size_t)y * W + x];
-                    bool waits = false, drops = false;
-                    for (int dy = -reach; dy <= reach && !drops; ++dy) {
-                        int v = y + dy;
-                        if (v < 0 || v >= H) continue;
-                        int half = (int)sqrtf(fmaxf(limit - dy * dy, 0.0f));
-                        while ((float)(half * half + dy * dy) >= limit) --half;
-                        while ((float)((half + 1) * (half + 1) + dy * dy) < limit) ++half;
-                        if (half < 0) continue;
-                        int from = max(x - half, 0), to = min(x + half, W - 1);
-                        for (int w = from >> 5; w <= to >> 5; ++w) {
-                            unsigned in = 0xffffffffu;
-                            if (w == from >> 5) in &= 0xffffffffu << (from & 31);
-                            if (w == to >> 5) in &= 0xffffffffu >> (31 - (to & 31));
-                            if (taken[v * words + w] & in) { drops = true; break; }
-                            if (waits) continue;
-                            for (unsigned near = open[v * words + w] & in; near; near &= near - 1) {
-                                int u = w * 32 + __ffs(near) - 1;
-                                float other = e[(size_t)v * W + u];
-                                if (other > own || (other == own && v * W + u > y * W + x)) {
-                                    waits = true;
-                                    break;
-                                }
-                            }
-                        }
+    __shared__ int count, list[LIST];
+    auto decide = [&](int i, int bit) -> int {  // 1 takes the corner, -1 drops it, 0 waits
+        const int y = i / words, x = (i - y * words) * 32 + bit;
+        const float own = e[(size_t)y * W + x];
+        bool waits = false;
+        for (int dy = -reach; dy <= reach; ++dy) {
+            const int v = y + dy;
+            if (v < 0 || v >= H) continue;
+            int half = (int)sqrtf(fmaxf(limit - dy * dy, 0.0f));
+            while ((float)(half * half + dy * dy) >= limit) --half;
+            while ((float)((half + 1) * (half + 1) + dy * dy) < limit) ++half;
+            if (half < 0) continue;
+            const int from = max(x - half, 0), to = min(x + half, W - 1);
+            for (int w = from >> 5; w <= to >> 5; ++w) {
+                unsigned in = 0xffffffffu;
+                if (w == from >> 5) in &= 0xffffffffu << (from & 31);
+                if (w == to >> 5) in &= 0xffffffffu >> (31 - (to & 31));
+                if (taken[v * words + w] & in) return -1;
+                if (waits) continue;
+                for (unsigned near = open[v * words + w] & in; near; near &= near - 1) {
+                    const int u = w * 32 + __ffs(near) - 1;
+                    const float other = e[(size_t)v * W + u];
+                    if (other > own || (other == own && v * W + u > y * W + x)) {
+                        waits = true;
+                        break;
                     }
-                    if (drops) reject[k] |= 1u << bit;
-                    else if (!waits) accept[k] |= 1u << bit;
                 }
             }
+        }
+        return waits ? 0 : 1;
+    };
+    if (thread == 0) count = 0;
+    __syncthreads();
+    for (int i = thread; i < size && reach >= 0; i += 1024)
+        for (unsigned left = open[i]; left; left &= left - 1) {
+            const int at = atomicAdd(&count, 1);
+            if (at < LIST) list[at] = i * 32 + __ffs(left) - 1;
+        }
+    __syncthreads();
+    const int corners = count;
+    if (corners <= LIST) {
+        // Few: a thread keeps up to four corners of the list.
+        int undecided = 0;
+        for (int k = 0; k < LIST / 1024; ++k)
+            if (k * 1024 + thread < corners) undecided |= 1 << k;
+        while (__syncthreads_or(undecided)) {
+            int verdict[LIST / 1024];
+            for (int k = 0; k < LIST / 1024; ++k) {
+                const int corner = undecided >> k & 1 ? list[k * 1024 + thread] : 0;
+                verdict[k] = undecided >> k & 1 ? decide(corner / 32, corner % 32) : 0;
+            }
             __syncthreads();
-            for (int k = 0; k < 16; ++k) {
-                int i = base + k * 1024 + thread;
-                if (i >= size) continue;
-                if (accept[k] | reject[k]) {
+            for (int k = 0; k < LIST / 1024; ++k) {
+                if (verdict[k] == 0) continue;
+                const int corner = list[k * 1024 + thread];
+                if (verdict[k] > 0) atomicOr(&taken[corner / 32], 1u << corner % 32);
+                atomicAnd(&open[corner / 32], ~(1u << corner % 32));
+                undecided &= ~(1 << k);
+            }
+        }
+    } else {
+        // Many: a thread keeps words of the map.
+        int more = 1;
+        while (__syncthreads_or(more)) {
+            more = 0;
+            for (int base = 0; base < size; base += 1024 * 16) {
+                unsigned accept[16], reject[16];
+                for (int k = 0; k < 16; ++k) {
+                    const int i = base + k * 1024 + thread;
+                    accept[k] = 0u; reject[k] = 0u;
+                    if (i >= size) continue;
+                    for (unsigned left = open[i]; left; left &= left - 1) {
+                        const int bit = __ffs(left) - 1, verdict = decide(i, bit);
+                        if (verdict > 0) accept[k] |= 1u << bit;
+                        if (verdict < 0) reject[k] |= 1u << bit;
+                    }
+                }
+                __syncthreads();
+                for (int k = 0; k < 16; ++k) {
+                    const int i = base + k * 1024 + thread;
+                    if (i >= size) continue;
                     taken[i] |= accept[k];
                     open[i] &= ~(accept[k] | reject[k]);
+                    if (open[i]) more = 1;
                 }
-                if (open[i]) more = 1;
+                __syncthreads();
             }
-            __syncthreads();
         }
     }
+    __syncthreads();
     // Keep the strongest N: a radix search for the N-th key (strength, place), 4 bits a round.
     typedef unsigned long long u64;
-    __shared__ int bins[16], count;
+    __shared__ int bins[16];
     auto key_of = [&](int y, int x) -> u64 {
         int bits = __float_as_int(e[(size_t)y * W + x]);
         unsigned ordered = bits < 0 ? ~(unsigned)bits : (unsigned)bits | 0x80000000u;

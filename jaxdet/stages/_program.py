@@ -1,0 +1,80 @@
+"""All five stages as one compiled program, for CUDA."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxdet.config import Config
+from jaxdet.plane import ground_axes
+from jaxdet.stages import _align, _cluster, _corners_cuda, _features, _footprint, _ground
+from jaxdet.stages._device import on_cuda
+from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
+
+
+class _Tables(NamedTuple):
+    """What the stages take beside the images: arrays, so that no camera compiles anew."""
+
+    align: tuple[jax.Array, ...]
+    ground: tuple[jax.Array, ...]
+    features: _features.Tables
+    gaps: jax.Array
+    axes: jax.Array
+
+
+def covers(frames: Frames, config: Config) -> bool:
+    """Whether these frames run as one program: on CUDA, with settings that the kernels cover."""
+    return on_cuda() and _corners_cuda.supports(frames.color.shape[1:3], config.features)
+
+
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+    """Runs the five stages on the device without a stop at the host.
+
+    Args:
+        frames: ``B`` frames; images on the host or already on the device.
+        plane: The floor of each frame.
+        config: The method's parameters.
+
+    Returns:
+        What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
+    """
+    calibration, unit = frames.calibration, frames.calibration.depth_unit
+    align, static = _align_tables(calibration)
+    tables = _Tables(
+        align,
+        _ground.tables(plane, calibration, config),
+        _features.tables(calibration.color, config.features.grid_columns),
+        _cluster.gaps(config.cluster, unit),
+        jnp.asarray(ground_axes(plane)),
+    )
+    color, depth = jnp.asarray(frames.color), jnp.asarray(frames.depth)
+    return _detect(color, depth, tables, static, unit, config)
+
+
+def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], tuple | None]:
+    """The alignment's arrays and its static arguments; neither for aligned depth."""
+    if calibration.is_aligned:
+        return (), None
+    *arrays, model, fills, separable = _align.tables(calibration)
+    size = calibration.color.height, calibration.color.width
+    return tuple(arrays), (model, fills, separable, size)
+
+
+@partial(jax.jit, static_argnames=("align", "unit", "config"))
+def _detect(
+    color: jax.Array,
+    depth: jax.Array,
+    tables: _Tables,
+    align: tuple | None,
+    unit: float,
+    config: Config,
+) -> Detections:
+    aligned = AlignedDepth(depth, depth)
+    if align is not None:
+        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
+    keep = _ground.keep(aligned.z, *tables.ground, config.ground.contour_radius)
+    features = _features.on_device(color, keep.z, keep.mask, tables.features, config.features)
+    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config.cluster)
+    obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
+    return Detections(features, labels, obstacles, keep.has_depth)
