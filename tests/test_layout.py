@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
-STAGES_WITH_KERNELS = ("align",)
+STAGES_WITH_KERNELS = ("align", "features")
 MAX_LINES = 300
 HEAVY = ("cv2", "jax", "matplotlib", "mcap", "numba", "pyarrow", "warp")
 SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
