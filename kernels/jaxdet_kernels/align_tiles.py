@@ -14,7 +14,8 @@ TILE_BLOCK, TILE_ROWS, TILE_COLUMNS = 256, 16, 32
 
 _TILE = """
 #if defined(__CUDA_ARCH__)
-    const int Hd = depth.shape[1], Wd = depth.shape[2], H = keys_out.shape[1], W = keys_out.shape[2];
+    const int Hd = depth.shape[1], Wd = depth.shape[2];
+    const int H = keys_out.shape[1], W = keys_out.shape[2];
     const int tiles_x = (Wd + 31) / 32, tiles_y = (Hd + 15) / 16;
     const int b = block / (tiles_x * tiles_y), tile = block % (tiles_x * tiles_y);
     const int v0 = (tile / tiles_x) * 16 + thread / 32, u = (tile % tiles_x) * 32 + thread % 32;
@@ -25,7 +26,8 @@ _TILE = """
     const float* p = parameters.data;
     auto project = [&](float z, float x, float y, int& column, int& row, float& cz) -> bool {
         const float px = __fmul_rn(z, x), py = __fmul_rn(z, y);
-        #define MOVED(i) __fadd_rn(__fmul_rn(p[3 * i], px), __fadd_rn(__fmul_rn(p[3 * i + 1], py), \\
+        #define MOVED(i) __fadd_rn(__fmul_rn(p[3 * i], px), \\
+            __fadd_rn(__fmul_rn(p[3 * i + 1], py), \\
             __fadd_rn(__fmul_rn(p[3 * i + 2], z), p[9 + i])))
         const float cx = MOVED(0), cy = MOVED(1);
         cz = MOVED(2);
