@@ -10,14 +10,11 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.paper import goals, main, paper_figures, plan, realdata, report, rivals, section
+from benchmarks.paper import main, paper_figures, plan, realdata, report, section
 from benchmarks.paper.fig14_cylinder import errors_of
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.measure import Difference, differences
 from benchmarks.paper.plan import Counts
-from benchmarks.paper.section import Figure
 from benchmarks.paper.shots import Shot
-from benchmarks.paper.systems import OURS
 from benchmarks.paper.table4_distance import run as table4
 from jaxdet.eval import Case, Interval, Tally
 from jaxdet.sim import SimConfig, write_log
@@ -151,92 +148,6 @@ def test_recordings(lab, tmp_path):
 def test_wrong_options(options, said, capsys):
     assert main.main(options) == 2
     assert said in capsys.readouterr().err
-
-
-def figure(key, value, low=math.nan, high=math.nan):
-    return Figure(key, value, "", "higher", low, high)
-
-
-def all_figures(value=1.0):
-    """Figures that reach every goal."""
-    keys = [f"table2.{OURS}.accuracy", f"coverage.{OURS}.all.coverage"]
-    keys += [f"fig12.{OURS}.{light}.accuracy" for light in plan.LIGHTS]
-    distances = (3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
-    lights = ("strong", "normal", "weaker", "dim")
-    keys += [f"table4.{OURS}.{i}.{d:g}m" for i in lights for d in distances]
-    figures = {key: figure(key, value, value - 0.01, value) for key in keys}
-    for d in distances:
-        for name in ("width", "position"):
-            for part in ("median", "p90"):
-                key = f"fig14.normal.{d:g}m.{name}.{part}"
-                figures[key] = figure(key, 0.009 if d <= 1.5 else 0.019)
-    for slope in ("level", "all"):
-        for part, good in (("floor_kept", 0.005), ("obstacle_kept", 0.98)):
-            for stem in (f"floor.tf.{slope}", f"floor.tf.{slope}.worst"):
-                figures[f"{stem}.{part}"] = figure(f"{stem}.{part}", good)
-    return figures
-
-
-def test_goals_reached():
-    found = goals.goals_of(all_figures())
-    assert {goal.verdict for goal in found} == {"reached"}
-    assert len({goal.key for goal in found}) == len(found)
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "missed"),
-    [
-        (f"table2.{OURS}.accuracy", 0.8999, "acc.all"),
-        (f"fig12.{OURS}.normal.accuracy", 0.9499, "acc.normal"),
-        (f"fig12.{OURS}.dim.accuracy", 0.79, "acc.dim"),
-        (f"table4.{OURS}.weaker.1.25m", 0.99, "success.weaker"),
-        (f"table4.{OURS}.dim.1.25m", 0.95, "success.dim"),
-        (f"table4.{OURS}.normal.3m", 0.94, "success.3m"),
-        ("fig14.normal.2.5m.width.p90", 0.0201, "cylinder.width.3m"),
-        ("fig14.normal.1m.position.p90", 0.0101, "cylinder.position.1.5m"),
-        (f"coverage.{OURS}.all.coverage", 0.98, "coverage"),
-        ("floor.tf.level.worst.floor_kept", 0.011, "floor.level"),
-        ("floor.tf.all.worst.obstacle_kept", 0.96, "obstacle.all"),
-    ],
-)
-def test_one_goal_missed(key, value, missed):
-    figures = all_figures()
-    assert key in figures
-    figures[key] = figures[key]._replace(value=value)
-    verdicts = {goal.key: goal.verdict for goal in goals.goals_of(figures)}
-    assert [name for name, verdict in verdicts.items() if verdict == "MISSED"] == [missed]
-
-
-def test_what_is_no_goal_is_not_judged():
-    figures = all_figures()
-    for key in (f"table4.{OURS}.dim.1.5m", f"table4.{OURS}.strong.2.5m"):
-        figures[key] = figures[key]._replace(value=0.0)
-    assert {goal.verdict for goal in goals.goals_of(figures)} == {"reached"}
-
-
-def test_goals_without_figures_are_not_run():
-    found = goals.goals_of({})
-    assert {goal.verdict for goal in found} == {"not run"}
-    assert {v[3] for v in rivals.beating([])} == {None}
-
-
-def test_beating():
-    wide, above = Interval(-0.1, 0.2), Interval(0.01, 0.2)
-    found = [Difference("dim", "rsc", name, 0.1, above) for name in rivals.FIGURES]
-    assert all(verdict[3] for verdict in rivals.beating(found))
-    unsure = [*found, Difference("dim", "dbscan", "f1", 0.05, wide)]
-    verdicts = {verdict[0]: verdict[3] for verdict in rivals.beating(unsure)}
-    assert verdicts["beats.f1"] is True and verdicts["beats.f1.sure"] is False
-    worse = [*found, Difference("dim", "dbscan", "f1", 0.0, wide)]
-    assert {v[0]: v[3] for v in rivals.beating(worse)}["beats.f1"] is False
-
-
-def test_differences():
-    ours = [Tally(visible=4, found=4)] * 5
-    theirs = [Tally(visible=4, found=2, false=1)] * 5
-    (one,) = differences("dim", "rsc", ours, theirs, ["accuracy"])
-    assert one.value == pytest.approx(1 - 2 / 5)
-    assert one.interval == pytest.approx((0.6, 0.6))
 
 
 def test_a_cylinder_not_found_has_an_infinite_error():

@@ -115,23 +115,40 @@ def _reason(
 
 def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure]) -> None:
     """The worst of each light in turn, each scene once."""
-    chosen: list[Failure] = []
-    for light in LIGHTS:
-        mine = [f for f in failed if f.spec.light == light]
-        chosen += mine[: max(1, lab.counts.worst // len(LIGHTS))]
     pictures = []
-    for failure in chosen:
+    for failure in worst_of(failed, lab.counts.worst):
         shot, tally = lab.load([failure.spec])[failure.number], failure.tally
         text = (
             f"{shot.title}: {tally.visible - tally.found:.0f} of {tally.visible:.0f} missed, "
             f"{tally.false:.0f} false"
         )
-        why = "; ".join(cause.removeprefix("missed: ") for _, cause in reasons(shot, system, tally))
+        why = _text(reasons(shot, system, tally))
         image = shot_picture(shot, system)
         pictures.append(titled(image, f"{text} ({why})" if why else text, 640))
     if pictures:
         caption = "The worst test frames of each light: camera view and top view."
         section.picture("worst", encode(grid(pictures, 2)), caption)
+
+
+def worst_of(failed: list[Failure], count: int) -> list[Failure]:
+    """The worst frames of each light in turn, no scene twice."""
+    chosen: list[Failure] = []
+    seen: set[tuple[str, int, int]] = set()
+    for light in LIGHTS:
+        for failure in (f for f in failed if f.spec.light == light):
+            scene = failure.spec.family, failure.spec.seed, failure.number
+            if len(chosen) * len(LIGHTS) >= count * (LIGHTS.index(light) + 1):
+                break
+            if scene not in seen:
+                seen.add(scene)
+                chosen.append(failure)
+    return chosen
+
+
+def _text(causes: list[tuple[int, str]]) -> str:
+    """The causes, each once with how often."""
+    counted = Counter(cause.removeprefix("missed: ") for _, cause in causes)
+    return "; ".join(f"{cause} ({n})" for cause, n in counted.items())
 
 
 def _near(section: Section, lab: Lab, system: System) -> None:
@@ -149,7 +166,7 @@ def _near(section: Section, lab: Lab, system: System) -> None:
                 continue
             count += 1
             if len(pictures) < lab.counts.worst:
-                why = "; ".join(cause for _, cause in reasons(shot, system, tally))
+                why = _text(reasons(shot, system, tally))
                 kinds = ", ".join(shot.names[c.number - 1] for c in tally.cases if not c.found)
                 text = f"{kinds} at {distance:g} m, {light}: {why}"
                 pictures.append(titled(shot_picture(shot, system), text, 640))

@@ -58,9 +58,8 @@ def run(lab: Lab) -> Section:
         f"{lab.counts.cylinder_seeds} simulated scenes a cell. Position is the distance of the "
         "nearest point C, width the lateral distance from A to B, both against the visible "
         "surface. The table has the median and the 90th percentile of the absolute errors in "
-        "cm; a cylinder "
-        "that was not found counts with an infinite error. The paper draws its figure without "
-        f"numbers; by its text: {paper_figures.CYLINDER}."
+        "cm; a cylinder that was not found counts with an infinite error. The paper draws its "
+        f"figure without numbers; by its text: {paper_figures.CYLINDER}."
     )
     for name in NAMES:
         rows: list[list[str]] = []

@@ -85,10 +85,9 @@ def run(lab: Lab) -> Section:
         f"{lab.counts.floor_seeds} simulated scenes (family mixed) for each tilt, roll and ramp "
         "ahead, normal light. Of the pixels with a depth in range: the share of true floor that "
         "the ground stage keeps (wrong), and of true obstacle above the step height (right). "
-        "The plane "
-        "is either that of the camera's mount (tf), which doesn't know the ramp, or estimated "
-        "from each single frame (estimate), which takes the ramp and the level floor before it "
-        "for one plane. The paper has no such figure."
+        "The plane is either that of the camera's mount (tf), which doesn't know the ramp, or "
+        "estimated from each single frame (estimate), which takes the ramp and the level floor "
+        "before it for one plane. The paper has no such figure."
     )
     every = tallies_of(lab)
     _totals(section, every)

@@ -12,6 +12,8 @@ from benchmarks.paper.systems import OURS
 from jaxdet.eval import Interval
 
 BRIGHT = ("strong", "normal", "weaker")
+MOST = 20
+"""Rows of the table of differences."""
 Figures = Mapping[str, Figure]
 
 
@@ -54,7 +56,9 @@ def run(lab: Lab) -> Section:
         shown = sorted(not_above, key=lambda one: one.value)
         rows = [[d.condition, d.rival, d.figure, _signed(d.value, d.interval)] for d in shown]
         header = ["Condition", "Baseline", "Figure", "Ours less the baseline"]
-        section.table(header, rows, "Differences whose interval is not above zero")
+        caption = f"{len(rows)} of {len(found)} differences have an interval that is not above zero"
+        caption += f"; the least {min(len(rows), MOST)} (all are in the JSON file)"
+        section.table(header, rows[:MOST], caption)
     return section
 
 

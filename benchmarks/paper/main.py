@@ -38,7 +38,7 @@ from benchmarks.paper import (
     table5_canny,
 )  # fmt: skip
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.plan import FULL, QUICK, TEST_SEEDS, TUNING_SEEDS
+from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
 from jaxdet.config import PRESETS
@@ -166,14 +166,15 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
     """How the report came about."""
     command = shlex.join(["python", "-m", "benchmarks.paper", *sys.argv[1:]])
     found = {**versions(), **{name: _version(name) for name in BENCH_PACKAGES}}
+    tuned = TUNING_SEEDS[: lab.counts.tuning_seeds]
     name = next((name for name, one in PRESETS.items() if one == lab.config), "changed")
     return {
         "Data": "simulated scenes (jaxdet.sim); the paper's robot data is not public, so its "
         "figures are for orientation only",
         "Command": command,
         "Size": f"{size}: {lab.counts}",
-        "Tuning seeds": f"{TUNING_SEEDS[0]} to {TUNING_SEEDS[-1]} (baselines' parameters only)",
-        "Test seeds": f"{TEST_SEEDS[0]} to {TEST_SEEDS[-1]} (every figure below)",
+        "Tuning seeds": f"{_seeds(tuned)} (baselines' parameters only)",
+        "Test seeds": f"{_seeds(lab.seeds)} (every figure below)",
         "Ours": f"preset {name}, not tuned here: {lab.config}",
         "Frames drawn": str(lab.store.drawn),
         "Intervals": "95 %, percentile bootstrap over scenes; shares of successes by Wilson",
@@ -181,6 +182,10 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
         "Run time": f"{seconds / 60:.1f} min",
         "Versions": ", ".join(f"{k} {v or 'not installed'}" for k, v in found.items()),
     }
+
+
+def _seeds(seeds: tuple[int, ...]) -> str:
+    return f"{seeds[0]} to {seeds[-1]}"
 
 
 def _version(name: str) -> str | None:

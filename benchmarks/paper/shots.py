@@ -64,7 +64,8 @@ class Shot(NamedTuple):
     def title(self) -> str:
         """Which frame it is."""
         own = " ".join(f"{k} {v:.3g}" for k, v in self.spec.changes if k not in ("width", "height"))
-        return f"{self.spec.family} {self.spec.light} seed {self.spec.seed}.{self.number} {own}"
+        where = f"{self.spec.family} {self.spec.light} seed {self.spec.seed}.{self.number}"
+        return f"{where} {own}".strip()
 
 
 class Store:

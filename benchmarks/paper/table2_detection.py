@@ -18,12 +18,12 @@ def run(lab: Lab) -> Section:
         f"{frames} simulated frames: the four scenes in the four lights, seeds {lab.seeds[0]} to "
         f"{lab.seeds[-1]}; the paper has 100 images of its own robot. ACC is TP / (TP + FP + FN) "
         "over obstacles, FMI the Fowlkes-Mallows index over points, mean of the frames. All "
-        "methods get the same features of our default; each baseline's parameters were chosen on "
-        "the tuning seeds for the mean of ACC, FMI and F1 (the last column; a star: at the end of "
-        "what was tried), ours are the default's. "
-        "The preset paper has its own preprocessing and asks for obstacles to its own range of "
-        "3 m. 'joined' scores on the truth in which obstacles that the robot can't pass between "
-        "count as one, the paper's own definition, which favours rules with its gaps."
+        "methods get the same features of our default; each baseline's parameters were chosen "
+        "on the tuning seeds for the mean of ACC, FMI and F1 (the last column; a star: at the "
+        "end of what was tried), ours are the default's. The preset paper has its own "
+        "preprocessing and asks for obstacles to its own range of 3 m. 'joined' scores on the "
+        "truth in which obstacles that the robot can't pass between count as one, the paper's "
+        "own definition, which favours rules with its gaps."
     )
     rows: list[list[str]] = []
     for system in lab.systems:

@@ -40,12 +40,11 @@ def run(lab: Lab) -> Section:
     cells = cells_of(lab)
     asked = cells[OURS, DISTANCES_M[-1], "normal"].visible
     section.say(
-        f"One obstacle of the paper's kinds (person, cone, barrier, bucket, trunk, chair, bin, "
-        f"box, table) stands at the distance; {asked:.0f} simulated scenes a cell, the same in all "
-        "cells (the paper: 20 sets). Found means a detection of its own, at least half of whose "
-        "points "
-        "lie on it. Intervals are Wilson's: 20 of 20 still leaves room down to 84 %. The preset "
-        "paper sees no further than 3 m, so what stands beyond is not asked of it."
+        "One obstacle of the paper's kinds (person, cone, barrier, bucket, trunk, chair, bin, "
+        f"box, table) stands at the distance; {asked:.0f} simulated scenes a cell, the same in "
+        "all cells (the paper: 20 sets). Found means a detection of its own, at least half of "
+        "whose points lie on it. Intervals are Wilson's: 20 of 20 still leaves room down to 84 "
+        "%. The preset paper sees no further than 3 m, so what stands beyond is not asked of it."
     )
     titles = {system.name: system.title for system in lab.systems}
     for name in (OURS, PRESET):

@@ -52,9 +52,8 @@ def run(lab: Lab) -> Section:
     section.say(
         f"Feature extraction of {len(frames)} simulated frames in normal light, 640 x 480, one "
         "at a time on this machine, and the detection with these bounds on all test scenes in "
-        "normal "
-        "light. The paper's times are of its whole detection on a TX2, 'without affecting the "
-        "detection success rate'. Other feature settings are the default's."
+        "normal light. The paper's times are of its whole detection on a TX2, 'without "
+        "affecting the detection success rate'. Other feature settings are the default's."
     )
     rows: list[list[str]] = []
     for bounds in CANNY_BOUNDS:
