@@ -20,8 +20,8 @@ def cases_of(stage: str) -> list[Case]:
 
 
 def main(
-    device: tyro.conf.Positional[Literal["cpu", "cuda"]],
-    only: tuple[str, ...] = STAGES,
+    device: tyro.conf.Positional[Literal["cpu", "gpu"]],
+    only: tuple[str, ...] = (*STAGES, "pipeline"),
     seconds: float = 2.0,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
     gate: Path | None = None,
@@ -30,7 +30,7 @@ def main(
 
     Args:
         device: Where the stages run.
-        only: The stages to time.
+        only: The stages to time, and the whole pipeline.
         seconds: How long each case is repeated.
         json_file: Where to write the metrics, a list of key, value, unit, direction, tolerance.
         gate: A file written earlier on the same device; metrics worse than its tolerance fail.
@@ -46,6 +46,10 @@ def main(
         for stage in only:
             for case in cases_of(stage):
                 found = metrics_of(f"{stage}.{case.name}", case, seconds, rate)
+                metrics += found
+                print("\n".join(str(metric) for metric in found))
+            if stage == "pipeline" and device == "gpu":
+                found = importlib.import_module("benchmarks.bench_pipeline").throughput(seconds)
                 metrics += found
                 print("\n".join(str(metric) for metric in found))
     if json_file:

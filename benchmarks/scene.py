@@ -4,6 +4,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+import warp as wp
 
 from jaxdet import reference
 from jaxdet.config import Config
@@ -23,6 +24,8 @@ from jaxdet.types import (
     Labels,
 )
 
+RENDERER = "cuda" if wp.is_cuda_available() else "cpu"
+"""Where the scene is rendered; the depth is the same."""
 BATCH = 8
 HEIGHT_M = 0.35
 PITCH_RAD = 0.15
@@ -83,10 +86,12 @@ def inputs(size: str) -> Inputs:
     color, depth = [], []
     for frame in range(BATCH):
         # T_color_depth shifts points to the right, so the colour camera sits to the left.
-        ideal = render(room, calibration.color, _pose(0.05 * frame, -BASELINE_M))
+        left = _pose(0.05 * frame, -BASELINE_M)
+        ideal = render(room, calibration.color, left, device=RENDERER)
         shot = (ideal.color, ideal.light), calibration.color, LIGHTS["normal"]
         color.append(expose(*shot, COS_LAMP, ColorSensor(), rng))
-        z = render(room, calibration.depth, _pose(0.05 * frame, 0.0)).depth
+        here = _pose(0.05 * frame, 0.0)
+        z = render(room, calibration.depth, here, device=RENDERER).depth
         depth.append(measure_depth(z, calibration.depth, DepthSensor(), rng))
     one = GroundPlane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0, True)))
     plane = repeat_plane(one, BATCH)

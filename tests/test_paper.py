@@ -15,9 +15,11 @@ from benchmarks.paper.fig14_cylinder import errors_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import Counts
 from benchmarks.paper.shots import Shot
+from benchmarks.paper.table3_detectors import run as table3
 from benchmarks.paper.table4_distance import run as table4
 from jaxdet.eval import Case, Interval, Tally
 from jaxdet.sim import SimConfig, write_log
+from tests.test_baselines_detector import ROWS, save_model
 
 TINY = Counts(
     scenes=1, test_seeds=2, tuning_seeds=1, approach=1, cylinder_seeds=1, floor_seeds=1,
@@ -136,6 +138,21 @@ def test_recordings(lab, tmp_path):
     empty.mkdir()
     last = realdata.run(lab, empty).blocks[-1]
     assert isinstance(last, section.Text) and "Not read" in last.text
+
+
+def test_a_detector_s_row(lab, tmp_path):
+    pytest.importorskip("onnxruntime")
+    save_model(tmp_path / "tiny.onnx", ROWS)
+    lab.detectors = {"YOLOv7": tmp_path / "tiny.onnx"}
+    found = table3(lab)
+    lab.detectors = {}
+    values = {figure.key: figure for figure in found.figures}
+    assert values["table3.YOLOv7.accuracy"].paper == 0.8147
+    assert values["table3.YOLOv7.time"].value > 0
+    texts = [
+        row for block in found.blocks if isinstance(block, section.Table) for row in block.rows
+    ]
+    assert [row[1].startswith("not run") for row in texts] == [False, False, False, True]
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,10 @@ class Lab:
     @cached_property
     def scores(self) -> Scores:
         """Tallies of all systems on the test scenes, by scene and light, in the seeds' order."""
-        chosen = self.systems
+        return self.score_scenes(self.systems)
+
+    def score_scenes(self, chosen: Sequence[System]) -> Scores:
+        """The same of some systems."""
         keys = [(scene, light) for scene in SCENES for light in LIGHTS]
         specs = [spec for scene, light in keys for spec in self.test_specs(scene, light)]
         self.log(f"scoring {len(chosen)} systems on {sum(s.frames for s in specs)} test frames")
@@ -132,8 +135,13 @@ class Lab:
         lights: Sequence[str] | None = None,
     ) -> list[Tally]:
         """A system's tallies, one for each scene: the same scene in several lights is one unit."""
-        units: list[Tally] = []
-        for scene in scenes or SCENES:
-            every = [self.scores[scene, light][system] for light in lights or LIGHTS]
-            units += [total(one) for one in zip(*every, strict=True)]
-        return units
+        return units(self.scores, system, scenes or SCENES, lights or LIGHTS)
+
+
+def units(scores: Scores, system: str, scenes: Sequence[str], lights: Sequence[str]) -> list[Tally]:
+    """One tally for each scene, its lights together."""
+    found: list[Tally] = []
+    for scene in scenes:
+        every = [scores[scene, light][system] for light in lights]
+        found += [total(one) for one in zip(*every, strict=True)]
+    return found

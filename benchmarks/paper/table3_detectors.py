@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.baselines import prepare
 from benchmarks.paper import paper_figures
-from benchmarks.paper.lab import Lab
+from benchmarks.paper.lab import Lab, units
 from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
@@ -35,8 +35,7 @@ def run(lab: Lab) -> Section:
         rows.append(_row(section, titles[name], name, one, _seconds(system, shots), paper))
     for name, path in lab.detectors.items():
         system = System(name, name, "onnx", lab.config, model=path)
-        specs = [spec for s in SCENES for i in LIGHTS for spec in lab.test_specs(s, i)]
-        tallies = [tally for part in lab.judge(specs, [system]) for tally in part[name]]
+        tallies = units(lab.score_scenes([system]), name, SCENES, LIGHTS)
         paper = paper_figures.DETECTORS.get(name)
         one = measured(tallies)
         rows.append(_row(section, name, name, one, _seconds(system, shots), paper))

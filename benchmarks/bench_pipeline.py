@@ -1,0 +1,130 @@
+"""The whole pipeline: against the NumPy reference and a hand-written one, and its throughput."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import cache, partial
+from multiprocessing import get_context
+
+import cv2
+import jax
+import numpy as np
+from sklearn.cluster import DBSCAN
+
+from benchmarks.run import Case, Metric
+from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, inputs
+from jaxdet.config import Config, preset
+from jaxdet.pipeline import detect
+from jaxdet.plane import floor_limits, repeat_plane
+from jaxdet.types import Detections, Frames, GroundPlane
+
+SIZE = "640x480"
+RESIDENT_BATCH = 1024
+"""Frames of a batch on a GPU."""
+
+
+def frames_of(batch: int) -> Frames:
+    """``batch`` frames in host memory, those of the scene in turns."""
+    given = inputs(SIZE)
+    turns = np.arange(batch) % BATCH
+    number, valid = np.arange(batch, dtype=np.int64), np.ones(batch, bool)
+    one = GroundPlane(*(np.asarray(a)[:1] for a in given.plane))
+    color, depth = given.color[turns], given.depth[turns]
+    plane = repeat_plane(one, batch)
+    return Frames(color, depth, given.calibration, number, number, number, valid, None, plane)
+
+
+def cases() -> list[Case]:
+    """Frames in memory: the default and the paper's setting, beside both peers."""
+    frames = frames_of(4 * BATCH)
+    found = []
+    for name, config in (("default", CONFIG), ("paper", preset("paper"))):
+        case = Case(
+            name=f"{name}.reference",
+            run=lambda config=config: detect(frames, config),
+            frames=4 * BATCH,
+            peer=lambda config=config: detect(frames, config, backend="reference"),
+            equal=True,
+        )
+        found.append(case)
+    found.append(
+        found[0]._replace(name="vs_handwritten", peer=lambda: handwritten(frames), equal=False)
+    )
+    return found
+
+
+def handwritten(frames: Frames) -> list[np.ndarray]:
+    """What a good engineer would write: OpenCV and scikit-learn, frame by frame, on all cores."""
+    work = list(zip(frames.color, frames.depth, strict=True))
+    return list(_pool().map(_one_frame, work, chunksize=2))
+
+
+@cache
+def _pool() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(
+        mp_context=get_context("spawn"), initializer=cv2.setNumThreads, initargs=(1,)
+    )
+
+
+@cache
+def _limit() -> np.ndarray:
+    calibration = CALIBRATIONS[SIZE]
+    plane = GroundPlane(*(np.array([a]) for a in (0.35, 0.15, 0.0, True)))
+    return floor_limits(calibration.color, plane, 0.05, 0.001)[0][0]
+
+
+def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    color, depth = images
+    calibration = CALIBRATIONS[SIZE]
+    assert calibration.depth is not None and calibration.color_from_depth is not None
+    camera = calibration.color
+    motion = calibration.color_from_depth.T
+    size, none = (camera.width, camera.height), np.zeros(4)
+    aligned = cv2.registerDepth(
+        calibration.depth.K, camera.K, none, motion, depth, size, depthDilation=True
+    )
+    keep = (aligned >= 150) & (aligned <= 4000) & (aligned <= _limit())
+    edges = cv2.Canny(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), 100, 200)
+    corners = cv2.goodFeaturesToTrack(edges, 1000, 0.01, 5, mask=keep.astype(np.uint8))
+    if corners is None:
+        return np.zeros(0, int)
+    u, v = corners[:, 0].astype(int).T
+    z = aligned[v, u] * 0.001
+    points = np.column_stack([(u - camera.cx) * z / camera.fx, z])
+    return DBSCAN(eps=0.1, min_samples=5).fit_predict(points)
+
+
+def throughput(seconds: float) -> list[Metric]:
+    """Frames per second on a GPU: frames resident on the device, and from pinned host memory."""
+    device = jax.devices()[0]
+    frames = frames_of(RESIDENT_BATCH)
+    pinned = jax.sharding.SingleDeviceSharding(device, memory_kind="pinned_host")
+    host = [jax.device_put(a, pinned) for a in (frames.color, frames.depth)]
+    on_device = [jax.device_put(a, device) for a in (frames.color, frames.depth)]
+    metrics = []
+    corners = replace(CONFIG, features=replace(CONFIG.features, grid_columns=0))
+    settings = {"pipeline": CONFIG, "pipeline.corners": corners, "pipeline.paper": preset("paper")}
+
+    def step(source: list[jax.Array], config: Config) -> Detections:
+        color, depth = (jax.device_put(a, device) for a in source)
+        return detect(frames._replace(color=color, depth=depth), config)
+
+    for start, config in settings.items():
+        for key, source in (("resident", on_device), ("pinned", host)):
+            rate = _frames_per_s(partial(step, source, config), seconds)
+            metrics.append(Metric(f"{start}.{key}.fps", rate, "frames/s", "higher", 0.15))
+    return metrics
+
+
+def _frames_per_s(step: Callable[[], Detections], seconds: float, ahead: int = 4) -> float:
+    """Steady rate with a few batches in flight, as a long run has them."""
+    jax.block_until_ready([step() for _ in range(2)])
+    flying, done, start = [], 0, time.perf_counter()
+    while time.perf_counter() - start < seconds or done < 5:
+        flying.append(step())
+        if len(flying) > ahead:
+            jax.block_until_ready(flying.pop(0))
+            done += 1
+    jax.block_until_ready(flying)
+    return (done + len(flying)) * RESIDENT_BATCH / (time.perf_counter() - start)
