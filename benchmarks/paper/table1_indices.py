@@ -10,7 +10,7 @@ from benchmarks.paper.plan import SCENE_TITLES, SCENES
 from benchmarks.paper.section import Direction, Section, number
 from benchmarks.paper.systems import PRESET
 
-ROWS = {"hierarchical_ward": "traditional", "rsc": "rsc", "ours": "ours", PRESET: "ours"}
+ROWS = {"ours": "ours", PRESET: "ours", "hierarchical_ward": "traditional", "rsc": "rsc"}
 """Our systems and the paper's rows they stand for."""
 INDICES: dict[str, Direction] = {"silhouette": "higher", "davies_bouldin": "lower"}
 LIGHT = "normal"
