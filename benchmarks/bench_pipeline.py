@@ -101,13 +101,14 @@ def throughput(seconds: float) -> list[Metric]:
     frames = frames_of(RESIDENT_BATCH)
     pinned = jax.sharding.SingleDeviceSharding(device, memory_kind="pinned_host")
     host = [jax.device_put(a, pinned) for a in (frames.color, frames.depth)]
-    on_device = [jax.device_put(a, device) for a in (frames.color, frames.depth)]
+    there = jax.sharding.SingleDeviceSharding(device, memory_kind="device")
+    on_device = [jax.device_put(a, there) for a in (frames.color, frames.depth)]
     metrics = []
     corners = replace(CONFIG, features=replace(CONFIG.features, grid_columns=0))
     settings = {"pipeline": CONFIG, "pipeline.corners": corners, "pipeline.paper": preset("paper")}
 
     def step(source: list[jax.Array], config: Config) -> Detections:
-        color, depth = (jax.device_put(a, device) for a in source)
+        color, depth = (jax.device_put(a, there) for a in source)
         return detect(frames._replace(color=color, depth=depth), config)
 
     for start, config in settings.items():
