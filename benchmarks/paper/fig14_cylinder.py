@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.plan import DISTANCES_M, LIGHTS, TEST_SEEDS
+from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, bootstrap
 from benchmarks.paper.systems import OURS
 from jaxdet.eval import Tally, total
@@ -37,7 +37,7 @@ def errors_of(tally: Tally) -> Errors:
 
 def cells_of(lab: Lab) -> dict[tuple[float, str], Errors]:
     """The errors in every cell, by distance and light."""
-    seeds = TEST_SEEDS[: lab.counts.cylinder_seeds]
+    seeds = lab.seeds[: lab.counts.cylinder_seeds]
     chosen = [system for system in lab.systems if system.name == OURS]
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [

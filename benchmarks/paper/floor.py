@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.baselines import prepare
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
-from benchmarks.paper.plan import PITCHES_DEG, ROLLS_DEG, SLOPES_DEG, TEST_SEEDS
+from benchmarks.paper.plan import PITCHES_DEG, ROLLS_DEG, SLOPES_DEG
 from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import frames_of, load_shots
 from jaxdet.config import Config
@@ -52,7 +52,7 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 
 def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:
     """Tallies of frames by source, pitch, roll and slope [degree]."""
-    seeds = TEST_SEEDS[: lab.counts.floor_seeds]
+    seeds = lab.seeds[: lab.counts.floor_seeds]
     poses = list(product(PITCHES_DEG, ROLLS_DEG, SLOPES_DEG))
     specs = [
         lab.spec(

@@ -37,9 +37,10 @@ def run(lab: Lab) -> Section:
     """The list of goals; those whose experiment was not asked for are 'not run'."""
     section = Section("goals", "Goals: reached and missed")
     figures = {figure.key: figure for one in lab.sections.values() for figure in one.figures}
+    seeds = "rehearsal" if lab.rehearsal else "test"
     section.say(
-        "All on the test seeds and on simulated scenes. A goal on several cells is judged by its "
-        "worst cell, an accuracy by the 90th percentile of the errors."
+        f"All on the {seeds} seeds and on simulated scenes. A goal on several cells is judged by "
+        "its worst cell, an accuracy by the 90th percentile of the errors."
     )
     found = against(lab) if "table2" in lab.sections else []
     goals = [Goal(*one) for one in beating(found)] + goals_of(figures)

@@ -7,7 +7,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from benchmarks.paper.plan import LIGHTS, SCENES, TEST_SEEDS, TUNING_SEEDS, Counts
+from benchmarks.paper.plan import (
+    LIGHTS,
+    REHEARSAL_SEEDS,
+    SCENES,
+    TEST_SEEDS,
+    TUNING_SEEDS,
+    Counts,
+)
 from benchmarks.paper.section import Section
 from benchmarks.paper.shots import Shot, Spec, Store
 from benchmarks.paper.systems import (
@@ -33,6 +40,7 @@ class Lab:
         pool: Worker processes; None: everything runs here.
         config: Ours.
         detectors: Weights by the name of their row in Table 3.
+        rehearsal: Draw by other seeds than the test's.
     """
 
     def __init__(
@@ -42,18 +50,21 @@ class Lab:
         pool: Executor | None = None,
         config: Config | None = None,
         detectors: dict[str, Path] | None = None,
+        *,
+        rehearsal: bool = False,
     ) -> None:
         self.counts, self.config = counts, config or Config()
         self.store, self.pool = Store(folder, pool), pool
         self.detectors = detectors or {}
         self.sections: dict[str, Section] = {}
-        self.quiet = False
+        self.quiet, self.rehearsal = False, rehearsal
         self.start = time.perf_counter()
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """The test seeds of this run."""
-        return TEST_SEEDS[: self.counts.test_seeds]
+        """The test seeds of this run; in a rehearsal, others."""
+        every = REHEARSAL_SEEDS if self.rehearsal else TEST_SEEDS
+        return every[: self.counts.test_seeds]
 
     def log(self, text: str) -> None:
         """Tells how far the run is."""

@@ -73,6 +73,9 @@ class Options:
     """Under 15 minutes on two cores; this is the default."""
     full: bool = False
     """Larger counts, for narrower intervals."""
+    rehearsal: bool = False
+    """Draws by other seeds than the test's, for work on the method: nothing may be tuned on the
+    test seeds."""
     output: Path = Path("out/paper")
     """Folder of report.md, report.html and figures/."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
@@ -102,7 +105,8 @@ def main(options: Options) -> int:
     start = time.perf_counter()
     with _folder(options.frames) as folder, _pool(options.workers or os.cpu_count() or 1) as pool:
         models = dict(_named(item) for item in options.detector)
-        lab = Lab(FULL if options.full else QUICK, folder, pool, detectors=models)
+        counts, rehearsal = FULL if options.full else QUICK, options.rehearsal
+        lab = Lab(counts, folder, pool, detectors=models, rehearsal=rehearsal)
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):
             lab.log(f"pictures of {place.name}")
@@ -174,7 +178,7 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
         "Command": command,
         "Size": f"{size}: {lab.counts}",
         "Tuning seeds": f"{_seeds(tuned)} (baselines' parameters only)",
-        "Test seeds": f"{_seeds(lab.seeds)} (every figure below)",
+        f"{'Rehearsal' if lab.rehearsal else 'Test'} seeds": f"{_seeds(lab.seeds)} (all figures)",
         "Ours": f"preset {name}, not tuned here: {lab.config}",
         "Frames drawn": str(lab.store.drawn),
         "Intervals": "95 %, percentile bootstrap over scenes; shares of successes by Wilson",

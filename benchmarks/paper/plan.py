@@ -6,6 +6,8 @@ TUNING_SEEDS = tuple(range(100, 110))
 """Parameters are chosen on these and on no others."""
 TEST_SEEDS = tuple(range(900, 920))
 """The report's figures come from these and from no others."""
+REHEARSAL_SEEDS = tuple(range(500, 520))
+"""For looking at the report while the method is still being changed (``--rehearsal``)."""
 SCENES = ("people_and_vehicle", "roadblocks", "bucket", "tree_trunk")
 """The paper's four scenes, as families of :mod:`jaxdet.sim`."""
 SCENE_TITLES = ("People and vehicle", "Roadblocks", "Bucket", "Tree trunk")

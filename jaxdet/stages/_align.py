@@ -10,6 +10,7 @@ import warp as wp
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
+from jaxdet_kernels import align_lines as line_kernels
 from jaxdet_kernels import align_tiles as tile_kernels
 
 _MODELS = {
@@ -25,6 +26,7 @@ _splat_tiles = wp.jax_kernel(
     in_out_argnames=["keys_out"],
     block_dim=tile_kernels.TILE_BLOCK,
 )
+_splat_lines = wp.jax_kernel(line_kernels.align_splat_lines, in_out_argnames=["keys_out"])
 _splat_rows = wp.jax_kernel(kernels.align_splat_rows, in_out_argnames=["keys_out"])
 
 
@@ -73,6 +75,8 @@ def align_arrays(
 
         def on_cpu(keys: jax.Array) -> jax.Array:
             rows = depth.shape[:2]
+            if separable and depth.shape[2] <= line_kernels.MAX_WIDTH:
+                return _splat_lines(depth, x, y, parameters, fills, keys, launch_dims=rows)[0]
             return _splat_rows(depth, x, y, parameters, model, fills, keys, launch_dims=rows)[0]
 
         keys = jax.lax.platform_dependent(keys, cpu=on_cpu, cuda=on_cuda)
