@@ -63,7 +63,13 @@ def sections(lab):
 
 
 def test_seeds_are_disjoint():
-    assert not set(plan.TUNING_SEEDS) & set(plan.TEST_SEEDS)
+    every = [*plan.TUNING_SEEDS, *plan.TEST_SEEDS, *plan.REHEARSAL_SEEDS]
+    assert len(set(every)) == len(every)
+
+
+def test_a_rehearsal_leaves_the_test_seeds_alone(tmp_path):
+    lab = Lab(TINY, tmp_path, rehearsal=True)
+    assert not set(lab.seeds) & set(plan.TEST_SEEDS)
 
 
 def test_every_experiment_says_something(sections):
