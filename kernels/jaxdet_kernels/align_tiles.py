@@ -19,8 +19,8 @@ _TILE = """
     const int tiles_x = (Wd + 31) / 32, tiles_y = (Hd + 15) / 16;
     const int b = block / (tiles_x * tiles_y), tile = block % (tiles_x * tiles_y);
     const int v0 = (tile / tiles_x) * 16 + thread / 32, u = (tile % tiles_x) * 32 + thread % 32;
-    const int CAPACITY = 6144;
-    __shared__ unsigned hits[CAPACITY];
+    const int CAPACITY = 8192;
+    __shared__ __align__(16) unsigned hits[CAPACITY];
     __shared__ int bounds[4];
     unsigned* image = keys_out.data + (size_t)b * H * W;
     const float* p = parameters.data;
@@ -77,20 +77,34 @@ _TILE = """
     const int first_u = bounds[0], first_v = bounds[1];
     const int wide = bounds[2] - first_u + 1, tall = bounds[3] - first_v + 1;
     if (bounds[2] < 0) return;
-    if (wide <= CAPACITY / tall) {
-        for (int i = thread; i < wide * tall; i += 256) hits[i] = 0xffffffffu;
+    // Rows as long as a power of two, so that places and pixels need no division.
+    const int bits = wide <= 32 ? 5 : wide <= 64 ? 6 : wide <= 128 ? 7 : 8, pitch = 1 << bits;
+    if (wide <= pitch && tall <= CAPACITY >> bits) {
+        const uint4 nothing = make_uint4(0xffffffffu, 0xffffffffu, 0xffffffffu, 0xffffffffu);
+        for (int i = thread; i < tall << (bits - 2); i += 256) ((uint4*)hits)[i] = nothing;
         __syncthreads();
-        for (int k = 0; k < 2; ++k)
-            for (int row = top[k]; row <= bottom[k]; ++row)
-                for (int column = left[k]; column <= right[k]; ++column)
-                    atomicMin(&hits[(row - first_v) * wide + column - first_u], key[k]);
-        __syncthreads();
-        for (int row = thread / 32; row < tall; row += 8)
-            for (int column = thread % 32; column < wide; column += 32) {
-                const unsigned hit = hits[row * wide + column];
-                unsigned* to = &image[(size_t)(first_v + row) * W + first_u + column];
-                if (hit != 0xffffffffu) atomicMin(to, hit);
+        #pragma unroll
+        for (int k = 0; k < 2; ++k) {
+            const int more = right[k] - left[k], down = bottom[k] - top[k];
+            unsigned* at = hits + ((top[k] - first_v) << bits) + left[k] - first_u;
+            if (more < 0) continue;
+            if (more <= 2 && down <= 2) {
+                #pragma unroll
+                for (int i = 0; i < 9; ++i)
+                    if (i / 3 <= down && i % 3 <= more)
+                        atomicMin(at + ((i / 3) << bits) + i % 3, key[k]);
+            } else {
+                for (int row = 0; row <= down; ++row)
+                    for (int column = 0; column <= more; ++column)
+                        atomicMin(at + (row << bits) + column, key[k]);
             }
+        }
+        __syncthreads();
+        unsigned* corner = image + (size_t)first_v * W + first_u;
+        for (int i = thread; i < tall << bits; i += 256) {
+            const unsigned hit = hits[i];
+            if (hit != 0xffffffffu) atomicMin(corner + (i >> bits) * W + (i & (pitch - 1)), hit);
+        }
     } else {
         for (int k = 0; k < 2; ++k)
             for (int row = top[k]; row <= bottom[k]; ++row)
