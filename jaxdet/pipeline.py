@@ -114,8 +114,7 @@ def _program(stages: Backend, frames: Frames, config: Config) -> Detections | No
         return None
     plane = _known_plane(frames, config)
     if plane is None:
-        aligned = stages.align(frames.depth, frames.calibration)
-        plane = _plane_of(frames, aligned, config)
+        plane = repeat_plane(estimate_plane(frames, config).plane, len(frames.depth))
     return cast(Any, stages).detect(frames, plane, config)
 
 

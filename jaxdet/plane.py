@@ -70,6 +70,12 @@ def repeat_plane(plane: GroundPlane, batch: int) -> GroundPlane:
     return GroundPlane(*(np.repeat(a, batch) for a in plane))
 
 
+def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tuple[int, int]:
+    """The range in whole depth units, each bound rounded to the nearest, at least 1."""
+    nearest, farthest = round(min_depth_m / depth_unit), round(max_depth_m / depth_unit)
+    return max(1, nearest), min(65535, farthest)
+
+
 def floor_limits(
     camera: Intrinsics, plane: GroundPlane, step_height_m: float, depth_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:

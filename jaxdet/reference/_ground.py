@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import floor_limits
+from jaxdet.plane import depth_range, floor_limits
 from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep
 
 
@@ -52,9 +52,3 @@ def _window_minimum(values: np.ndarray, radius: int) -> np.ndarray:
         least = np.minimum.reduce(shifted)
         values = np.take(least, np.arange(values.shape[axis]), axis)
     return values
-
-
-def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tuple[int, int]:
-    """The range in whole depth units, each bound rounded to the nearest, at least 1."""
-    nearest, farthest = round(min_depth_m / depth_unit), round(max_depth_m / depth_unit)
-    return max(1, nearest), min(65535, farthest)

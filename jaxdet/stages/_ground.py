@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import floor_limits
+from jaxdet.plane import depth_range, floor_limits
 from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep
 
 
@@ -40,9 +40,8 @@ def tables(
     """The limits of the different planes, each frame's plane, the nearest and farthest depth."""
     settings, unit = config.ground, calibration.depth_unit
     limits, which = floor_limits(calibration.color, plane, settings.step_height_m, unit)
-    nearest = max(1, round(settings.min_depth_m / unit))
-    farthest = min(65535, round(settings.max_depth_m / unit))
-    return jnp.asarray(limits), jnp.asarray(which), *_bounds(nearest, farthest)
+    bounds = _bounds(*depth_range(settings.min_depth_m, settings.max_depth_m, unit))
+    return jnp.asarray(limits), jnp.asarray(which), *bounds
 
 
 @lru_cache(maxsize=16)
