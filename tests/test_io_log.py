@@ -1,5 +1,7 @@
 """Whole logs: every serialisation and every way to give depth, splits, and real recordings."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,9 @@ def test_the_same_scene_in_each_serialisation(tmp_path, form):
     with open_log(str(path)) as log:
         assert_holds(log, scene)
         assert_holds(log, scene, batch_size=5)
+        with pickle.loads(pickle.dumps(log)) as sent:
+            assert_holds(sent, scene, batch_size=2)
+            assert str(sent.description) == str(log.description)
         color, depth = log.calibration.color, log.calibration.depth
         assert (color.width, color.height) == COLOR_SIZE and color[2:6] == COLOR_K
         assert depth is not None and (depth.width, depth.height) == DEPTH_SIZE
@@ -124,3 +129,18 @@ def test_splits_are_one_log_and_share_static_transforms(tmp_path):
     with open_log(str(tmp_path / names[1])) as log:
         assert_holds(log, halves[1])
         assert any("split bag_2.mcap" in text for text in log.description.warnings)
+
+
+def test_images_are_decoded_where_the_caller_says(tmp_path):
+    scene = make_scene(5)
+    path = write_log(tmp_path / "log.mcap", scene)
+    with open_log(str(path)) as log:
+        shapes = log.image_shapes
+        memory = [np.full((4, *s), 7, t) for s, t in zip(shapes, ("u1", "u2"), strict=True)]
+        batches = log.batches(4, images=lambda: (memory[0], memory[1]))
+        for start, batch in zip((0, 4), batches, strict=True):
+            assert batch.frames.color is memory[0] and batch.frames.depth is memory[1]
+            count = len(batch.status)
+            np.testing.assert_array_equal(memory[0][:count], scene.color[start : start + 4])
+            np.testing.assert_array_equal(memory[1][:count], scene.depth[start : start + 4])
+            assert not any(images[count:].any() for images in memory)

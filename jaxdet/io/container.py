@@ -46,6 +46,10 @@ class McapFile:
             problem = "the MCAP file holds no records" if magic == MAGIC else problem
             raise InputError(problem, path=str(path), remedy="record it again or leave it out")
 
+    def __reduce__(self) -> tuple:
+        """In another process the file is opened again."""
+        return McapFile, (self.path, self.max_bytes)
+
     def close(self) -> None:
         """Closes the file."""
         self._file.close()

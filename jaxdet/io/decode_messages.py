@@ -35,6 +35,7 @@ class MessageDecoder:
         kind = kind_of(channel.schema_name)
         if kind is None:
             raise ValueError(f"schema {channel.schema_name!r} is of no use here")
+        self.channel = channel
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
@@ -42,6 +43,10 @@ class MessageDecoder:
         self.stamp_leads: bool = channel.message_encoding == "cdr" and _stamp_leads(
             channel.schema_text
         )
+
+    def __reduce__(self) -> tuple:
+        """In another process the decoder is made again from the schema."""
+        return MessageDecoder, (self.channel,)
 
     def decode(self, payload: bytes | memoryview) -> Message:
         """The message in a payload.

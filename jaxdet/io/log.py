@@ -1,6 +1,6 @@
 """A log as frames: calibration, stamps, poses, and batches of decoded images."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import NamedTuple, Self
 
@@ -28,12 +28,17 @@ class Batch(NamedTuple):
     """One line for each of them, empty where the status is OK."""
 
 
+ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
+"""Gives colour ``(B, H, W, 3)`` uint8 and depth ``(B, Hd, Wd)`` uint16 images to be written to."""
+
+
 class Log:
     """A recorded log; use :func:`open_log`, and ``with`` to close it.
 
     Memory: an index of 64 bytes for an image, pose or transform; 64 MiB of decompressed chunks
     (or one chunk, if larger); and the images of the batch being read. It doesn't grow with the
-    images. One thread may read at a time.
+    images. One thread may read at a time. A log can be pickled: another process opens the files
+    again, but doesn't read them through.
 
     Attributes:
         name: The log's name.
@@ -63,7 +68,7 @@ class Log:
         self.T_world_camera = found.poses.T_world_camera
         self.description = describe(files, opened.contents, found, options.pair_tolerance_s)
         self._depth_size = found.calibrated.depth_size
-        self._opened, self._tolerance_s = opened, options.pair_tolerance_s
+        self._files, self._tolerance_s = opened.files, options.pair_tolerance_s
         self._reader = ImageReader(
             opened.files,
             opened.contents.streams[found.choice.color],
@@ -89,10 +94,29 @@ class Log:
     def close(self) -> None:
         """Closes the files and stops the decoding threads."""
         self._reader.close()
-        self._opened.close()
+        for file in self._files:
+            file.close()
 
-    def batches(self, batch_size: int, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+    @property
+    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Shapes of a colour image, ``(H, W, 3)``, and of a depth image, ``(Hd, Wd)``."""
+        color, depth = self.calibration.color, self._depth_size
+        return (color.height, color.width, 3), (depth.height, depth.width)
+
+    def batches(
+        self,
+        batch_size: int,
+        start: int = 0,
+        stop: int | None = None,
+        images: ImageMemory | None = None,
+    ) -> Iterator[Batch]:
         """The frames ``start`` to ``stop`` (default: all) in batches, in order.
+
+        Args:
+            batch_size: Frames of each batch; the last is padded.
+            start: First frame.
+            stop: The frame after the last.
+            images: Where to decode to; by default new arrays.
 
         Raises:
             ValueError: ``batch_size`` is below 1, or the range leaves the log.
@@ -101,7 +125,8 @@ class Log:
         if batch_size < 1 or not 0 <= start <= stop <= self.num_frames:
             raise ValueError(f"batches of {batch_size}, frames {start} to {stop}")
         for first in range(start, stop, batch_size):
-            yield self._batch(range(first, min(first + batch_size, stop)), batch_size)
+            memory = images() if images else None
+            yield self._batch(range(first, min(first + batch_size, stop)), batch_size, memory)
 
     def read(self, indices: Sequence[int]) -> Batch:
         """The frames of these numbers, in the order given, without padding.
@@ -113,11 +138,22 @@ class Log:
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
         return self._batch(indices, len(indices))
 
-    def _batch(self, indices: Sequence[int], size: int) -> Batch:
-        count, color = len(indices), self.calibration.color
-        color_images = np.zeros((size, color.height, color.width, 3), np.uint8)
-        depth_images = np.zeros((size, self._depth_size.height, self._depth_size.width), np.uint16)
+    def _batch(
+        self,
+        indices: Sequence[int],
+        size: int,
+        memory: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> Batch:
+        count = len(indices)
         wanted = [i if self.statuses[i] is FrameStatus.OK else -1 for i in indices]
+        if memory is None:
+            color, depth = self.image_shapes
+            memory = np.zeros((size, *color), np.uint8), np.zeros((size, *depth), np.uint16)
+        else:
+            empty = [*np.flatnonzero(np.array(wanted, np.int64) < 0), *range(count, size)]
+            for images in memory:
+                images[empty] = 0
+        color_images, depth_images = memory
         failures = self._reader.read(wanted, color_images, depth_images)
         status, errors = [], []
         for index, failure in zip(indices, failures, strict=True):

@@ -76,6 +76,7 @@ class ImageReader:
         timeline: Their frames.
         depth_unit_m: Metres in one depth unit.
         max_pixels: Largest image decoded.
+        threads: Decoding threads.
     """
 
     def __init__(
@@ -86,12 +87,17 @@ class ImageReader:
         timeline: Timeline,
         depth_unit_m: float,
         max_pixels: int,
+        threads: int = min(_MAX_THREADS, os.cpu_count() or 1),
     ) -> None:
+        self._given = files, color, depth, timeline, depth_unit_m, max_pixels
         self._cache = ChunkCache(files)
         self._color, self._depth, self._timeline = color, depth, timeline
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
-        threads = min(_MAX_THREADS, os.cpu_count() or 1)
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="jaxdet-decode")
+
+    def __reduce__(self) -> tuple:
+        """In another process there is one thread, as processes share the cores."""
+        return ImageReader, (*self._given, 1)
 
     def close(self) -> None:
         """Stops the threads."""

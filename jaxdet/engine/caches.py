@@ -1,0 +1,91 @@
+"""Where compiled programs stay between runs: the caches of JAX and Warp, in one folder."""
+
+import os
+import platform
+import warnings
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+ENVIRONMENT = "JAXDET_CACHE"
+"""Environment variable: the folder, or ``off``."""
+
+
+class Caches(NamedTuple):
+    """Two folders; None: not kept."""
+
+    jax: Path | None
+    """Programs that XLA compiled."""
+    warp: Path | None
+    """Kernels that Warp compiled; without a folder Warp uses its own."""
+
+
+def cache_folders() -> Caches:
+    """The folders by the environment, none of them made yet.
+
+    ``JAXDET_CACHE`` names another folder than ``jaxdet`` in the user's cache folder, or is
+    ``off``. ``JAX_COMPILATION_CACHE_DIR`` and ``WARP_CACHE_PATH`` go before it. As both caches
+    hold machine code, each kind of processor has a folder of its own, so that a home folder may
+    be shared.
+    """
+    import warp
+
+    base = None
+    chosen = os.environ.get(ENVIRONMENT, "")
+    if chosen.lower() != "off":
+        base = Path(chosen).expanduser().absolute() if chosen else _user_cache()
+    own_jax = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    own_warp = os.environ.get("WARP_CACHE_PATH")
+    return Caches(
+        Path(own_jax) if own_jax else base and base / _processor() / "jax",
+        Path(own_warp) if own_warp else base and base / _processor() / f"warp-{warp.__version__}",
+    )
+
+
+def use_caches() -> Caches:
+    """Makes JAX and Warp keep what they compile; call it before either of them is used.
+
+    Returns:
+        The folders in use; None where it is switched off or the folder can't be written to.
+    """
+    import jax
+    import warp
+
+    folders = Caches(*(folder if _writable(folder) else None for folder in cache_folders()))
+    if folders.jax:
+        jax.config.update("jax_compilation_cache_dir", str(folders.jax))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        # A torn entry, of a process that was killed, costs a compilation and no warning.
+        warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
+    if folders.warp:
+        warp.config.kernel_cache_dir = str(folders.warp)
+    return folders
+
+
+def _user_cache() -> Path | None:
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxdet"
+    except RuntimeError:  # no home folder
+        return None
+
+
+def _processor() -> str:
+    """A name for what machine code made here runs on."""
+    features = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    features += next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    return f"{platform.machine()}-{zlib.crc32(features.encode()):08x}"
+
+
+def _writable(folder: Path | None) -> bool:
+    if folder is None:
+        return False
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
