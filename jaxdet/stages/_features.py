@@ -1,4 +1,4 @@
-"""Stage 3, features: Warp kernels on CUDA, OpenCV on host threads on the CPU."""
+"""Stage 3, features: Warp kernels, or OpenCV on host threads for what they don't cover."""
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxdet.camera import fixed_rays, grid_pixels
 from jaxdet.config import FeaturesConfig
-from jaxdet.stages import _corners_cuda, _corners_host
+from jaxdet.stages import _corners_cpu, _corners_cuda, _corners_host
 from jaxdet.stages._device import on_cuda
 from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
 
@@ -40,8 +40,8 @@ def features(
 ) -> Features:
     """Finds the strongest Shi-Tomasi corners of the Canny edge image and looks up their depth.
 
-    Equals :func:`jaxdet.reference.features`. On CUDA all of it is one program; on the CPU, and for
-    settings that the kernels don't cover, the corners come from OpenCV on host threads.
+    Equals :func:`jaxdet.reference.features`. All of it is one program; for settings that the
+    kernels don't cover, the corners come from OpenCV on host threads.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
@@ -54,7 +54,8 @@ def features(
         are zero.
     """
     arrays = tables(calibration.color, config.grid_columns)
-    if on_cuda() and _corners_cuda.supports(color.shape[1:3], config):
+    corners = _corners_cuda if on_cuda() else _corners_cpu
+    if corners.supports(color.shape[1:3], config):
         return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, config)
     uv, count = _on_host(np.asarray(color), keep, config)
     u, v, found = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
@@ -71,8 +72,13 @@ def on_device(
 ) -> Features:
     """The features by kernels alone, from :func:`tables`."""
     with jax.named_scope("features"):
-        mask = keep if config.use_mask else jnp.ones_like(keep)
-        u, v, count = _corners_cuda.strongest_corners(color, mask, config)
+
+        def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            mask = keep if config.use_mask else jnp.ones_like(keep)
+            return _corners_cuda.strongest_corners(color, mask, config)
+
+        by_lines = partial(_corners_cpu.strongest_corners, config=config)
+        u, v, count = jax.lax.platform_dependent(color, keep, cpu=by_lines, cuda=by_blocks)
         return _look_up(u, v, count, z, keep, arrays)
 
 

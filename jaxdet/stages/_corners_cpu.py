@@ -1,0 +1,72 @@
+"""Corners on the CPU: Canny, Shi-Tomasi and the selection, a frame after the other."""
+
+import jax
+import warp as wp
+
+from jaxdet.config import FeaturesConfig
+from jaxdet.stages._corners_cuda import canny_bounds
+from jaxdet_kernels import features_canny_lines as canny_kernels
+from jaxdet_kernels import features_select_lines as select_kernels
+
+MAX_HEIGHT = 4096
+"""Most rows of an image, for the kernels' tables."""
+
+_edges = wp.jax_kernel(canny_kernels.canny_lines, num_outputs=3)
+_corners = wp.jax_kernel(select_kernels.corners_lines, num_outputs=5)
+
+
+def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
+    """Whether the kernels cover images of ``(H, W)`` with this configuration."""
+    height, width = size
+    settings = config.canny and config.block_size == 3 and not config.max_per_tile
+    return settings and 3 <= width <= canny_kernels.MAX_WIDTH and 3 <= height <= MAX_HEIGHT
+
+
+def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """``cv2.Canny`` of the grey images; as :func:`jaxdet.stages._corners_cuda.edges`."""
+    batch, height, width, _ = color.shape
+    words = 2 * -(-width // 64)
+    rows = {"candidates_out": (height, words), "strong_out": (height, words)}
+    found, _, _ = _edges(
+        color,
+        low,
+        high,
+        launch_dims=(batch,),
+        output_dims={"edges_out": (batch, height, words), **rows},
+    )
+    return found
+
+
+def strongest_corners(
+    color: jax.Array, mask: jax.Array, config: FeaturesConfig
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The strongest corners of the Canny edge images, as the reference selects them.
+
+    Args:
+        color: ``(B, H, W, 3)`` uint8, RGB.
+        mask: ``(B, H, W)`` bool, where corners may be if the configuration uses a mask.
+        config: Canny's bounds and the corner selection, static.
+
+    Returns:
+        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
+        corners qualify ``(B,)`` int32, at most one more than there are slots.
+    """
+    batch, height, width = mask.shape
+    edge = edges(color, *canny_bounds(color, config))
+    slots = (batch, config.max_corners)
+    u, v, found, _, _ = _corners(
+        edge,
+        mask,
+        int(config.use_mask),
+        float(config.quality_level),
+        float(config.min_distance),
+        launch_dims=(batch,),
+        output_dims={
+            "u_out": slots,
+            "v_out": slots,
+            "found_out": (batch,),
+            "keys_out": (4 * height * width,),
+            "blocked_out": edge.shape[1:],
+        },
+    )
+    return u, v, found

@@ -1,0 +1,186 @@
+"""The strongest corners of an edge map on the CPU, one after the other: a frame a thread.
+
+The mask is asked only where the selection needs it. Corners above ``quality`` times the strongest
+pixel anywhere pass whatever the mask is; only if they leave slots empty does the strongest allowed
+pixel have to be known.
+"""
+
+import warp as wp
+
+from jaxdet_kernels.features_corners_lines import RUN, STRENGTH
+
+wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+
+_SELECT = """
+    const int N = u_out.shape[1], want = N + 1;
+    u64* list = (u64*)keys_out.data;
+    u64* other = list + (size_t)H * W;
+    wp::uint32* blocked = blocked_out.data;
+    const int reach = distance >= 1.0 ? (int)__builtin_ceil(distance) - 1 : -1;
+    const double nearest = distance * distance;
+    int halves[4096];
+    for (int dy = 0; dy <= reach && dy < H; ++dy) {
+        int half = (int)__builtin_sqrt(nearest - (double)dy * dy);
+        while (half >= 0 && (double)half * half + (double)dy * dy >= nearest) --half;
+        while ((double)(half + 1) * (half + 1) + (double)dy * dy < nearest) ++half;
+        halves[dy] = half < W ? half : W;
+    }
+    for (int i = 0; i < H * words * 2; ++i) blocked[i] = 0;
+    auto share = [&](float strength) { return (float)((double)strength * quality); };
+    auto value_of = [](u64 key) {
+        const wp::uint32 bits = (wp::uint32)(key >> 32);
+        float value;
+        __builtin_memcpy(&value, &bits, 4);
+        return value;
+    };
+    int count = 0, taken = 0;
+    float first = 0.0f;
+    // Lists the 3x3 maxima above a limit.
+    auto maxima = [&](int y, float limit) {
+        if (y < 2) return;
+        const int row = y - 1;
+        for (int g = 0; g < groups; ++g)
+            each(lived[1][g], g, [&](int x) {
+                const float* e = strengths[row % 3] + 16 + x;
+                const f16 v = *(const f16*)e;
+                i16 is = v > limit;
+                if (!__builtin_reduce_or(is)) return;
+                for (int k = 0; k < 3; ++k) {
+                    const float* near = strengths[k] + 16 + x;
+                    is &= v >= *(const f16*)(near - 1);
+                    is &= v >= *(const f16*)near;
+                    is &= v >= *(const f16*)(near + 1);
+                }
+                if (!__builtin_reduce_or(is)) return;
+                for (int k = 0; k < 16; ++k) {
+                    if (!is[k] || x + k < 1 || x + k > W - 2) continue;
+                    wp::uint32 bits;
+                    __builtin_memcpy(&bits, e + k, 4);
+                    list[count++] = ((u64)bits << 32) | (wp::uint32)(row * W + x + k);
+                }
+            });
+    };
+    auto gather = [&](float limit, bool relative) {
+        count = 0;
+        run(limit, relative, maxima);
+    };
+    // Rising by strength, ties by place, as the list is by place.
+    auto sort = [&]() {
+        wp::uint32 least = 0xffffffffu, greatest = 0;
+        for (int i = 0; i < count; ++i) {
+            const wp::uint32 bits = list[i] >> 32;
+            least = bits < least ? bits : least;
+            greatest = bits > greatest ? bits : greatest;
+        }
+        for (int shift = 0; shift < 32 && count && (greatest - least) >> shift; shift += 8) {
+            int bins[257] = {};
+            auto digit = [&](u64 key) {
+                return (((wp::uint32)(key >> 32) - least) >> shift) & 255;
+            };
+            for (int i = 0; i < count; ++i) ++bins[digit(list[i]) + 1];
+            for (int i = 1; i < 256; ++i) bins[i] += bins[i - 1];
+            for (int i = 0; i < count; ++i) other[bins[digit(list[i])]++] = list[i];
+            u64* swap = list; list = other; other = swap;
+        }
+    };
+    // Takes the listed corners in (above, up to], strongest first.
+    auto take = [&](float above, float up_to) {
+        int kept = 0;
+        for (int i = 0; i < count; ++i) {
+            const float value = value_of(list[i]);
+            if (value > above && value <= up_to) list[kept++] = list[i];
+        }
+        count = kept;
+        sort();
+        for (int i = count - 1; i >= 0 && taken < want; --i) {
+            const int place = (int)(wp::uint32)list[i], y = place / W, x = place - y * W;
+            if (blocked[y * words * 2 + x / 32] >> (x % 32) & 1) continue;
+            if (!allowed(x, y)) continue;
+            if (taken == 0) first = value_of(list[i]);
+            if (taken < N) {
+                u_out.data[(size_t)b * N + taken] = x;
+                v_out.data[(size_t)b * N + taken] = y;
+            }
+            ++taken;
+            for (int dy = -reach; dy <= reach; ++dy) {
+                const int row = y + dy;
+                if (row < 0 || row >= H) continue;
+                const int half = halves[dy < 0 ? -dy : dy];
+                const int from = x > half ? x - half : 0, to = x + half < W ? x + half : W - 1;
+                wp::uint32* line = blocked + row * words * 2;
+                for (int w = from / 32; w <= to / 32; ++w) {
+                    wp::uint32 in = ~0u;
+                    if (w == from / 32) in &= ~0u << from % 32;
+                    if (w == to / 32) in &= ~0u >> (31 - to % 32);
+                    line[w] |= in;
+                }
+            }
+        }
+    };
+    gather(0.0f, true);
+    const float top = strongest, sure = share(top);
+    if (top > 0.0f) take(sure, top);
+    if (top > 0.0f && taken < want && first < top && masked) {
+        float best = first;
+        // The strongest allowed pixel, where no maximum may be.
+        auto improve = [&](int y, float) {
+            for (int g = 0; g < groups; ++g)
+                each(lived[0][g], g, [&](int x) {
+                    const f16 v = *(const f16*)(strengths[y % 3] + 16 + x);
+                    if (!__builtin_reduce_or(v > best)) return;
+                    for (int k = 0; k < 16 && x + k < W; ++k)
+                        if (v[k] > best && allowed(x + k, y)) best = v[k];
+                });
+        };
+        run(0.0f, false, improve);
+        if (best > 0.0f) {
+            gather(share(best), false);
+            take(share(best), sure);
+        }
+    }
+    found_out.data[b] = taken;
+    for (size_t i = (size_t)b * N + taken; i < (size_t)(b + 1) * N; ++i)
+        u_out.data[i] = v_out.data[i] = 0;
+"""
+
+_MASKED = """
+    const int H = mask.shape[1], W = mask.shape[2];
+    const unsigned char* may = (const unsigned char*)mask.data + (size_t)b * H * W;
+    auto allowed = [&](int x, int y) { return !masked || may[(size_t)y * W + x]; };
+"""
+
+
+@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_MASKED}{STRENGTH}{RUN}{_SELECT}#endif\n")
+def _corners(
+    b: int,
+    edges: wp.array3d[wp.uint32],
+    mask: wp.array3d[wp.bool],
+    masked: int,
+    quality: wp.float64,
+    distance: wp.float64,
+    u_out: wp.array2d[wp.int32],
+    v_out: wp.array2d[wp.int32],
+    found_out: wp.array[wp.int32],
+    keys_out: wp.array[wp.uint32],
+    blocked_out: wp.array2d[wp.uint32],
+): ...
+
+
+@wp.kernel
+def corners_lines(
+    edges: wp.array3d[wp.uint32],
+    mask: wp.array3d[wp.bool],
+    masked: int,
+    quality: wp.float64,
+    distance: wp.float64,
+    u_out: wp.array2d[wp.int32],
+    v_out: wp.array2d[wp.int32],
+    found_out: wp.array[wp.int32],
+    keys_out: wp.array[wp.uint32],
+    blocked_out: wp.array2d[wp.uint32],
+):
+    """The corners of a frame a thread, strongest first; the last two outputs are scratch of all."""
+    b = wp.tid()
+    _corners(
+        b, edges, mask, masked, quality, distance, u_out, v_out, found_out, keys_out, blocked_out
+    )
