@@ -1,6 +1,7 @@
 """Corners on the CPU: Canny, Shi-Tomasi and the selection, a frame after the other."""
 
 import jax
+import jax.numpy as jnp
 import warp as wp
 
 from jaxdet.config import FeaturesConfig
@@ -12,7 +13,7 @@ MAX_HEIGHT = 4096
 """Most rows of an image, for the kernels' tables."""
 
 _edges = wp.jax_kernel(canny_kernels.canny_lines, num_outputs=3)
-_corners = wp.jax_kernel(select_kernels.corners_lines, num_outputs=5)
+_corners = wp.jax_kernel(select_kernels.corners_lines, num_outputs=6, in_out_argnames=["strength"])
 
 
 def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
@@ -53,15 +54,18 @@ def strongest_corners(
     """
     batch, height, width = mask.shape
     edge = edges(color, *canny_bounds(color, config))
+    strengths = height, 32 * edge.shape[2] + 32
     slots = (batch, config.max_corners)
-    u, v, found, _, _ = _corners(
+    _, u, v, found, _, _ = _corners(
         edge,
         mask,
         int(config.use_mask),
         float(config.quality_level),
         float(config.min_distance),
+        jnp.zeros(strengths, jnp.float32),
         launch_dims=(batch,),
         output_dims={
+            "strength": strengths,
             "u_out": slots,
             "v_out": slots,
             "found_out": (batch,),

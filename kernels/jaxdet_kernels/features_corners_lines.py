@@ -27,10 +27,10 @@ STRENGTH = """
         smooth[i] = (float)(r * k1 + (double)(float)(q * k0 + (double)(float)(p * k1)));
     }
     const float middle = (float)(255.0 * k0);
-    // Column x is at x + 16. Rows of edges, smoothed and differences; products; sums; strengths.
-    float smooths[3][2080], steps[3][2080], products[3][2080], strengths[3][2080];
+    // Column x is at x + 16. Rows of edges, smoothed and differences; products; their sums.
+    float smooths[3][2080], steps[3][2080], products[3][2080];
     double sums[3][3][2080], totals[3][2080];
-    u64 near_edge[3][2], lively[3][2], produced[2], lived[3][2];
+    u64 near_edge[3][2], lively[3][2], produced[2];
     auto mirrored = [&](int y) { return y < 0 ? -y : (y >= H ? 2 * H - 2 - y : y); };
     auto pick = [](wp::uint32 word, f16 yes, f16 no) {
         const wp::uint16 low = (wp::uint16)word;
@@ -117,26 +117,28 @@ STRENGTH = """
     };
 """
 
-RUN = """
-    float strongest;
-    // Calls take(y, limit) after each row; a relative limit is a share of the strongest so far.
-    auto run = [&](float limit, bool relative, auto take) {
+MEASURE = """
+    // Strengths of the whole frame; 0 where there is no edge near. Which blocks are not, by row.
+    const int pitch = strength.shape[1];
+    float* image_strength = strength.data + 16;
+    u64 lives[4096][2];
+    auto measure = [&]() -> float {
+        const int size = words * 64 + 32;
         for (int s = 0; s < 3; ++s)
-            for (int i = 0; i < 16 * 4 * words + 32; ++i) {
-                smooths[s][i] = steps[s][i] = products[s][i] = strengths[s][i] = 0.0f;
+            for (int i = 0; i < size; ++i) {
+                smooths[s][i] = steps[s][i] = products[s][i] = 0.0f;
                 for (int q = 0; q < 3; ++q) sums[s][q][i] = 0.0;
             }
         for (int g = 0; g < 2; ++g) {
             produced[g] = 0;
-            for (int s = 0; s < 3; ++s) near_edge[s][g] = lively[s][g] = lived[s][g] = 0;
+            for (int s = 0; s < 3; ++s) near_edge[s][g] = lively[s][g] = 0;
         }
-        strongest = 0.0f;
         for (int y = 0; y < 3; ++y) read(y, y);
         produce(0, 1, 2, 2);  // row -1 is row 1
         produce(1, 0, 1, 0);
         for (int q = 0; q < 3; ++q)
-            for (int i = 0; i < 16 * 4 * words + 32; ++i)
-                totals[q][i] = sums[2][q][i] + sums[0][q][i];
+            for (int i = 0; i < size; ++i) totals[q][i] = sums[2][q][i] + sums[0][q][i];
+        f16 peak = (f16)0.0f;
         for (int y = 0; y < H; ++y) {
             const int next = (y + 1) % 3, oldest = (y + 2) % 3;
             if (y + 1 == H) {
@@ -146,16 +148,10 @@ RUN = """
                 if (y > 0) read(mirrored(y + 2), (y + 2) % 3);
                 produce(y % 3, next, (y + 2) % 3, next);
             }
-            if (relative) limit = (float)((double)strongest * quality);
+            float* row = image_strength + (size_t)y * pitch;
             for (int g = 0; g < groups; ++g) {
-                const u64 live = lively[0][g] | lively[1][g] | lively[2][g];
-                const u64 fades = lived[0][g] & ~live;
-                const u64 stays = (lived[1][g] | lived[2][g]) & ~(live | lived[0][g]);
-                each(stays, g, [&](int x) {
-                    *(f16*)(strengths[y % 3] + 16 + x) = *(f16*)(strengths[oldest] + 16 + x);
-                });
-                f16 peak = (f16)0.0f;
-                each(live | fades, g, [&](int x) {
+                lives[y][g] = lively[0][g] | lively[1][g] | lively[2][g];
+                each(lives[y][g], g, [&](int x) {
                     const int i = 16 + x;
                     f16 sum[3];
                     for (int q = 0; q < 3; ++q) {
@@ -167,16 +163,19 @@ RUN = """
                     const f16 root = __builtin_elementwise_sqrt(t * t + sum[1] * sum[1]);
                     f16 e = (a + c) - root;
                     if (W - x < 16) e = pick((1u << (W - x > 0 ? W - x : 0)) - 1, e, 0.0f);
-                    *(f16*)(strengths[y % 3] + i) = e;
+                    *(f16*)(row + x) = e;
                     peak = e > peak ? e : peak;
                 });
-                for (int k = 0; k < 16; ++k)
-                    if (peak[k] > strongest) strongest = peak[k];
-                lived[2][g] = lived[1][g];
-                lived[1][g] = lived[0][g];
-                lived[0][g] = live;
             }
-            take(y, limit);
         }
+        return __builtin_reduce_max(peak);
+    };
+    // Leaves the image as it was found.
+    auto clear = [&]() {
+        for (int y = 0; y < H; ++y)
+            for (int g = 0; g < groups; ++g)
+                each(lives[y][g], g, [&](int x) {
+                    *(f16*)(image_strength + (size_t)y * pitch + x) = (f16)0.0f;
+                });
     };
 """

@@ -7,7 +7,7 @@ pixel have to be known.
 
 import warp as wp
 
-from jaxdet_kernels.features_corners_lines import RUN, STRENGTH
+from jaxdet_kernels.features_corners_lines import MEASURE, STRENGTH
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
@@ -35,34 +35,33 @@ _SELECT = """
     };
     int count = 0, taken = 0;
     float first = 0.0f;
-    // Lists the 3x3 maxima above a limit.
-    auto maxima = [&](int y, float limit) {
-        if (y < 2) return;
-        const int row = y - 1;
-        for (int g = 0; g < groups; ++g)
-            each(lived[1][g], g, [&](int x) {
-                const float* e = strengths[row % 3] + 16 + x;
-                const f16 v = *(const f16*)e;
-                i16 is = v > limit;
-                if (!__builtin_reduce_or(is)) return;
-                for (int k = 0; k < 3; ++k) {
-                    const float* near = strengths[k] + 16 + x;
-                    is &= v >= *(const f16*)(near - 1);
-                    is &= v >= *(const f16*)near;
-                    is &= v >= *(const f16*)(near + 1);
-                }
-                if (!__builtin_reduce_or(is)) return;
-                for (int k = 0; k < 16; ++k) {
-                    if (!is[k] || x + k < 1 || x + k > W - 2) continue;
-                    wp::uint32 bits;
-                    __builtin_memcpy(&bits, e + k, 4);
-                    list[count++] = ((u64)bits << 32) | (wp::uint32)(row * W + x + k);
-                }
-            });
-    };
-    auto gather = [&](float limit, bool relative) {
+    // Lists the 3x3 maxima above a limit, by place.
+    auto gather = [&](float limit) {
         count = 0;
-        run(limit, relative, maxima);
+        for (int y = 1; y < H - 1; ++y)
+            for (int g = 0; g < groups; ++g)
+                each(lives[y][g], g, [&](int x) {
+                    const float* e = image_strength + (size_t)y * pitch + x;
+                    const f16 v = *(const f16*)e;
+                    i16 is = v > limit;
+                    if (!__builtin_reduce_or(is)) return;
+                    for (int k = -1; k < 2; ++k) {
+                        const float* near = e + k * pitch;
+                        is &= v >= *(const f16*)(near - 1);
+                        is &= v >= *(const f16*)near;
+                        is &= v >= *(const f16*)(near + 1);
+                    }
+                    const b16 packed = __builtin_convertvector(is, b16);
+                    wp::uint16 left;
+                    __builtin_memcpy(&left, &packed, 2);
+                    for (; left; left &= left - 1) {
+                        const int u = x + __builtin_ctz(left);
+                        if (u < 1 || u > W - 2) continue;
+                        wp::uint32 bits;
+                        __builtin_memcpy(&bits, e - x + u, 4);
+                        list[count++] = ((u64)bits << 32) | (wp::uint32)(y * W + u);
+                    }
+                });
     };
     // Rising by strength, ties by place, as the list is by place.
     auto sort = [&]() {
@@ -117,27 +116,28 @@ _SELECT = """
             }
         }
     };
-    gather(0.0f, true);
-    const float top = strongest, sure = share(top);
-    if (top > 0.0f) take(sure, top);
+    const float top = measure(), sure = share(top);
+    if (top > 0.0f) {
+        gather(sure);
+        take(sure, top);
+    }
     if (top > 0.0f && taken < want && first < top && masked) {
-        float best = first;
         // The strongest allowed pixel, where no maximum may be.
-        auto improve = [&](int y, float) {
+        float best = first;
+        for (int y = 0; y < H; ++y)
             for (int g = 0; g < groups; ++g)
-                each(lived[0][g], g, [&](int x) {
-                    const f16 v = *(const f16*)(strengths[y % 3] + 16 + x);
-                    if (!__builtin_reduce_or(v > best)) return;
-                    for (int k = 0; k < 16 && x + k < W; ++k)
-                        if (v[k] > best && allowed(x + k, y)) best = v[k];
+                each(lives[y][g], g, [&](int x) {
+                    const float* e = image_strength + (size_t)y * pitch + x;
+                    if (!__builtin_reduce_or(*(const f16*)e > best)) return;
+                    for (int k = 0; k < 16; ++k)
+                        if (e[k] > best && allowed(x + k, y)) best = e[k];
                 });
-        };
-        run(0.0f, false, improve);
         if (best > 0.0f) {
-            gather(share(best), false);
+            gather(share(best));
             take(share(best), sure);
         }
     }
+    clear();
     found_out.data[b] = taken;
     for (size_t i = (size_t)b * N + taken; i < (size_t)(b + 1) * N; ++i)
         u_out.data[i] = v_out.data[i] = 0;
@@ -150,7 +150,7 @@ _MASKED = """
 """
 
 
-@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_MASKED}{STRENGTH}{RUN}{_SELECT}#endif\n")
+@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_MASKED}{STRENGTH}{MEASURE}{_SELECT}#endif\n")
 def _corners(
     b: int,
     edges: wp.array3d[wp.uint32],
@@ -158,6 +158,7 @@ def _corners(
     masked: int,
     quality: wp.float64,
     distance: wp.float64,
+    strength: wp.array2d[wp.float32],
     u_out: wp.array2d[wp.int32],
     v_out: wp.array2d[wp.int32],
     found_out: wp.array[wp.int32],
@@ -173,14 +174,27 @@ def corners_lines(
     masked: int,
     quality: wp.float64,
     distance: wp.float64,
+    strength: wp.array2d[wp.float32],
     u_out: wp.array2d[wp.int32],
     v_out: wp.array2d[wp.int32],
     found_out: wp.array[wp.int32],
     keys_out: wp.array[wp.uint32],
     blocked_out: wp.array2d[wp.uint32],
 ):
-    """The corners of a frame a thread, strongest first; the last two outputs are scratch of all."""
+    """The corners of a frame a thread, strongest first; the last two outputs are scratch of all, and so is
+    ``strength`` ``(H, 32 words + 32)``, which comes and goes with zeros."""
     b = wp.tid()
     _corners(
-        b, edges, mask, masked, quality, distance, u_out, v_out, found_out, keys_out, blocked_out
+        b,
+        edges,
+        mask,
+        masked,
+        quality,
+        distance,
+        strength,
+        u_out,
+        v_out,
+        found_out,
+        keys_out,
+        blocked_out,
     )
