@@ -17,7 +17,7 @@ STRENGTH = """
     typedef int i16 __attribute__((ext_vector_type(16)));
     typedef bool b16 __attribute__((ext_vector_type(16)));
     const int words = edges.shape[2] / 2, groups = (words + 15) / 16;
-    const u64* map = (const u64*)edges.data + (size_t)b * H * words;
+    const u64* map = (const u64*)edge_map;
     const double scale = 1.0 / (4.0 * 3.0 * 255.0);
     const double k1 = (float)scale, k0 = (float)(2.0 * scale);
     // Three neighbours in a row, smoothed: 8 values, by their bits from left to right.

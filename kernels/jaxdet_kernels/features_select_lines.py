@@ -3,6 +3,9 @@
 The mask is asked only where the selection needs it. Corners above ``quality`` times the strongest
 pixel anywhere pass whatever the mask is; only if they leave slots empty does the strongest allowed
 pixel have to be known.
+
+``SELECT`` is C++ for native functions: it calls ``allowed(x, y)`` and ``accept(slot, x, y)``, and
+leaves the number of corners in ``taken``, at most one more than the ``N`` slots.
 """
 
 import warp as wp
@@ -11,8 +14,8 @@ from jaxdet_kernels.features_corners_lines import MEASURE, STRENGTH
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
-_SELECT = """
-    const int N = u_out.shape[1], want = N + 1;
+SELECT = """
+    const int want = N + 1;
     u64* list = (u64*)keys_out.data;
     u64* other = list + (size_t)H * W;
     wp::uint32* blocked = blocked_out.data;
@@ -96,10 +99,7 @@ _SELECT = """
             if (blocked[y * words * 2 + x / 32] >> (x % 32) & 1) continue;
             if (!allowed(x, y)) continue;
             if (taken == 0) first = value_of(list[i]);
-            if (taken < N) {
-                u_out.data[(size_t)b * N + taken] = x;
-                v_out.data[(size_t)b * N + taken] = y;
-            }
+            if (taken < N) accept(taken, x, y);
             ++taken;
             for (int dy = -reach; dy <= reach; ++dy) {
                 const int row = y + dy;
@@ -138,19 +138,25 @@ _SELECT = """
         }
     }
     clear();
-    found_out.data[b] = taken;
-    for (size_t i = (size_t)b * N + taken; i < (size_t)(b + 1) * N; ++i)
-        u_out.data[i] = v_out.data[i] = 0;
 """
 
 _MASKED = """
-    const int H = mask.shape[1], W = mask.shape[2];
+    const int H = mask.shape[1], W = mask.shape[2], N = u_out.shape[1];
+    const wp::uint32* edge_map = edges.data + (size_t)b * H * edges.shape[2];
     const unsigned char* may = (const unsigned char*)mask.data + (size_t)b * H * W;
+    int* column = u_out.data + (size_t)b * N;
+    int* row_of = v_out.data + (size_t)b * N;
     auto allowed = [&](int x, int y) { return !masked || may[(size_t)y * W + x]; };
+    auto accept = [&](int slot, int x, int y) { column[slot] = x; row_of[slot] = y; };
+"""
+
+_REST = """
+    found_out.data[b] = taken;
+    for (int i = taken; i < N; ++i) column[i] = row_of[i] = 0;
 """
 
 
-@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_MASKED}{STRENGTH}{MEASURE}{_SELECT}#endif\n")
+@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_MASKED}{STRENGTH}{MEASURE}{SELECT}{_REST}#endif\n")
 def _corners(
     b: int,
     edges: wp.array3d[wp.uint32],
@@ -181,8 +187,11 @@ def corners_lines(
     keys_out: wp.array[wp.uint32],
     blocked_out: wp.array2d[wp.uint32],
 ):
-    """The corners of a frame a thread, strongest first; the last two outputs are scratch of all, and so is
-    ``strength`` ``(H, 32 words + 32)``, which comes and goes with zeros."""
+    """The corners of a frame a thread, strongest first.
+
+    The last two outputs are scratch of all frames, and so is ``strength`` ``(H, 32 words + 32)``,
+    which comes and goes with zeros.
+    """
     b = wp.tid()
     _corners(
         b,
