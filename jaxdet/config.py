@@ -120,20 +120,29 @@ class FeaturesConfig:
 
 @dataclass(frozen=True)
 class ClusterConfig:
-    """Gaps in depth, then sideways (Section 3.4, Eq. 6)."""
+    """Gaps in depth, then sideways (Section 3.4, Eq. 6), or slice by slice."""
 
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
     depth_gap_per_m: float = 0.0
     """Added to d_z in proportion to z squared [1/m], as stereo noise grows: the gap at depth z
     is depth_gap_m + depth_gap_per_m * z * z."""
-    lateral_gap_m: float = 0.40
-    """d_x [m], the robot's width: a larger sideways gap starts a new set."""
-    min_points: int = 10
-    """N: sets of this many points or fewer are dropped."""
+    lateral_gap_m: float = 0.15
+    """d_x [m]: a larger sideways gap starts a new set. The paper's is the robot's width, 0.40."""
+    min_points: int = 15
+    """N: sets of this many points or fewer are dropped. The paper's is 10."""
+    slice_m: float = 0.15
+    """Sideways gaps are looked for in slices of this depth [m], cut twice, half a slice apart;
+    sets that share a point are one. What stands at the same depth far away, or to the same side
+    farther back, then joins nothing. 0: the paper's order, all depths first and then sideways."""
+    occluder_m: float = 1.0
+    """With slices: surfaces in a row of the grid on both sides of a nearer thing, at most this far
+    apart [m], are one when their depths are within d_z. 0: off."""
+    max_holes: int = 2
+    """With slices: so many pixels of the grid without depth may lie between such surfaces."""
     rounds: int = 1
-    """How often each set is split by depth and then sideways: a set that falls apart sideways
-    may fall apart in depth again."""
+    """Without slices: how often each set is split by depth and then sideways: a set that falls
+    apart sideways may fall apart in depth again."""
     on_floor: bool = False
     """Measure the gaps on the floor, forward and to the right of the camera, instead of along the
     camera's axes: a tilted camera then sees an upright thing at one distance."""
@@ -143,6 +152,9 @@ class ClusterConfig:
         _require(self.lateral_gap_m >= 0, "cluster.lateral-gap-m", "at least 0")
         _require(self.min_points >= 0, "cluster.min-points", "at least 0")
         _require(self.depth_gap_per_m >= 0, "cluster.depth-gap-per-m", "at least 0")
+        _require(self.slice_m >= 0, "cluster.slice-m", "at least 0")
+        _require(self.occluder_m >= 0, "cluster.occluder-m", "at least 0")
+        _require(self.max_holes >= 0, "cluster.max-holes", "at least 0")
         _require(1 <= self.rounds <= 8, "cluster.rounds", "from 1 to 8")
 
 
@@ -192,6 +204,7 @@ PRESETS: dict[str, Config] = {
         features=FeaturesConfig(
             canny_low=100.0, canny_high=200.0, min_distance=5.0, grid_columns=0, use_mask=False
         ),
+        cluster=ClusterConfig(lateral_gap_m=0.40, min_points=10, slice_m=0.0),
         footprint=FootprintConfig(cover=False, margin_m=0.0),
     ),
     "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),

@@ -155,7 +155,11 @@ class Keep(NamedTuple):
 
 
 class Features(NamedTuple):
-    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then the grid's if any."""
+    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then the grid's if any.
+
+    Empty slots are zero, but a grid pixel that is not kept still tells its place and depth: what
+    is seen there may part two obstacles.
+    """
 
     u: Array
     """``(B, N)`` int32, column [pixel]."""

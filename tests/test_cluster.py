@@ -1,6 +1,7 @@
 """cluster: by hand, against SciPy's single linkage, and the twin."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from jaxdet.errors import ConfigError
 from jaxdet.types import Features
 from tests.scenes import assert_equal, level, points
 
+gap_rule = partial(ClusterConfig, slice_m=0.0)
+"""The paper's: gaps in depth, then sideways."""
+
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
 
 
@@ -21,7 +25,7 @@ def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) ->
     """Gaps in depth units of 1 mm."""
     return replace(
         Config(),
-        cluster=ClusterConfig(
+        cluster=gap_rule(
             depth_gap_m=depth_gap / 1000,
             lateral_gap_m=lateral_gap / 1000,
             min_points=min_points,
@@ -147,10 +151,10 @@ def test_twin(device, batch, n, spread, min_points):
 
 
 OPTIONS = {
-    "rounds": ClusterConfig(0.03, lateral_gap_m=0.06, min_points=2, rounds=3),
-    "noise": ClusterConfig(0.01, depth_gap_per_m=0.02, lateral_gap_m=0.06, min_points=2),
-    "floor": ClusterConfig(0.03, lateral_gap_m=0.06, min_points=2, on_floor=True),
-    "all": ClusterConfig(0.01, 0.01, 0.05, 1, rounds=2, on_floor=True),
+    "rounds": gap_rule(0.03, lateral_gap_m=0.06, min_points=2, rounds=3),
+    "noise": gap_rule(0.01, depth_gap_per_m=0.02, lateral_gap_m=0.06, min_points=2),
+    "floor": gap_rule(0.03, lateral_gap_m=0.06, min_points=2, on_floor=True),
+    "all": gap_rule(0.01, 0.01, 0.05, 1, rounds=2, on_floor=True),
 }
 
 
@@ -174,7 +178,7 @@ def test_twin_with_options(device, name, spread):
 @BACKENDS
 def test_the_gap_grows_with_depth(backend):
     z = [1000, 1010, 1020, 1060, 1070, 1080, 3000, 3010, 3020, 3060, 3070, 3080]
-    settings_ = ClusterConfig(0.02, depth_gap_per_m=0.005, lateral_gap_m=1, min_points=2)
+    settings_ = gap_rule(0.02, depth_gap_per_m=0.005, lateral_gap_m=1, min_points=2)
     found = labels(backend, points([0] * 12, z), replace(Config(), cluster=settings_))
     assert found == [[0, 0, 0, 1, 1, 1, 2, 2, 2, 2, 2, 2]]
 
@@ -185,7 +189,7 @@ def test_a_second_round_splits_what_fell_apart_sideways(backend):
     x = [-900] * 6 + [900] * 6
     z = [1000, 1001, 1002, 1100, 1101, 1102] + [1000, 1020, 1040, 1060, 1080, 1100]
     once, twice = (
-        replace(Config(), cluster=ClusterConfig(0.03, lateral_gap_m=0.4, min_points=2, rounds=r))
+        replace(Config(), cluster=gap_rule(0.03, lateral_gap_m=0.4, min_points=2, rounds=r))
         for r in (1, 2)
     )
     assert labels(backend, points(x, z), once) == [[0] * 6 + [1] * 6]
@@ -201,7 +205,7 @@ def test_on_the_floor_an_upright_pole_is_at_one_distance(backend):
     pole = points(0 * up, z)._replace(y=y[None])
     plane = level(1, 0.6, pitch)
     for on_floor, count in ((False, 0), (True, 1)):
-        settings_ = ClusterConfig(0.05, min_points=2, on_floor=on_floor)
+        settings_ = gap_rule(0.05, min_points=2, on_floor=on_floor)
         found = backend.cluster(pole, plane, 0.001, replace(Config(), cluster=settings_))
         assert np.asarray(found.num_obstacles).tolist() == [count]
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from jaxdet.config import Config
+from jaxdet.config import ClusterConfig, Config
 from jaxdet.plane import gap_table
 from jaxdet.reference._footprint import to_ground
+from jaxdet.reference._slices import linked_sets
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels
 
 
@@ -17,8 +18,9 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     Algorithm 1 compares with the set's seed only, which contradicts Step 3).
 
     Beyond the paper, by configuration: the gap in depth grows with z squared as the sensor's noise
-    does (taken at the nearer of the two points), the two splits are repeated, and the distances
-    are measured on the floor instead of along the camera's axes.
+    does (taken at the nearer of the two points), the two splits are repeated, the distances are
+    measured on the floor instead of along the camera's axes, and the sideways gaps are looked for
+    slice by slice (:func:`jaxdet.reference._slices.linked_sets`), which is the default.
 
     Args:
         features: ``(B, N)`` points; only ``kept`` ones take part.
@@ -35,7 +37,7 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         >>> points = Features(z, z, 0 * z, z, z, yes, yes, np.array([False]))
         >>> from dataclasses import replace
         >>> from jaxdet.plane import unknown_plane
-        >>> config = replace(Config(), cluster=replace(Config().cluster, min_points=2))
+        >>> config = replace(Config(), cluster=replace(Config().cluster, min_points=2, slice_m=0))
         >>> cluster(points, unknown_plane(1), 0.001, config).labels.tolist()
         [[0, 0, 0, 1, 1, 1]]
     """
@@ -50,18 +52,37 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     for b, kept in enumerate(features.kept):
         z, x = depth[b], lateral[b]
         gaps = depth_gaps[z]
-        sets = [np.flatnonzero(kept)]
-        for _ in range(settings.rounds):
-            sets = [
-                part
-                for whole in sets
-                for column in _split(whole, z, gaps, settings.min_points)
-                for part in _split(column, x, np.full_like(x, lateral_gap), settings.min_points)
-            ]
+        if settings.slice_m:
+            row = np.where(np.arange(len(z)) < config.features.max_corners, -1, features.v[b])
+            parts = linked_sets(x, z, kept, features.z[b] > 0, row, gaps, depth_unit, settings)
+            sets = [part for part in parts if len(part) > settings.min_points]
+        else:
+            sets = _gap_sets(x, z, np.flatnonzero(kept), gaps, lateral_gap, settings)
         sets.sort(key=lambda s, z=z, x=x: (z[s].min(), x[s].min()))
         for label, part in enumerate(sets):
             labels[b, part] = label
     return Labels(labels, (labels.max(axis=1, initial=-1) + 1).astype(np.int32))
+
+
+def _gap_sets(
+    x: np.ndarray,
+    z: np.ndarray,
+    points: np.ndarray,
+    depth_gaps: np.ndarray,
+    lateral_gap: int,
+    settings: ClusterConfig,
+) -> list[np.ndarray]:
+    """The sets of Steps 1-5, from the indices of a frame's kept points."""
+    lateral_gaps = np.full_like(x, lateral_gap)
+    sets = [points]
+    for _ in range(settings.rounds):
+        sets = [
+            part
+            for whole in sets
+            for column in _split(whole, z, depth_gaps, settings.min_points)
+            for part in _split(column, x, lateral_gaps, settings.min_points)
+        ]
+    return sets
 
 
 def _split(

@@ -30,7 +30,7 @@ def features(
 
     Returns:
         ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
-        are zero.
+        are zero, but a grid pixel that is not kept still tells its place and depth.
     """
     slots = [
         _corners(image, mask if config.use_mask else None, config)
@@ -46,7 +46,8 @@ def features(
         valid[b, :count] = True
     u, v, valid = _with_grid(u, v, valid, keep, config)
     frame = np.arange(batch)[:, None]
-    z = np.where(valid, keep.z[frame, v, u], 0).astype(np.int32)
+    known = valid | (np.arange(u.shape[1]) >= n)
+    z = np.where(known, keep.z[frame, v, u], 0).astype(np.int32)
     ray_x, ray_y = fixed_rays(calibration.color)
     return Features(
         u=u,
@@ -63,12 +64,12 @@ def features(
 def _with_grid(
     u: np.ndarray, v: np.ndarray, valid: np.ndarray, keep: Keep, config: FeaturesConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Appends the grid's kept pixels to the corners' slots, ``(B, N)`` each."""
+    """Appends the grid's pixels to the corners' slots, ``(B, N)`` each; kept ones are valid."""
     _, height, width = keep.mask.shape
     grid_u, grid_v = grid_pixels(width, height, config.grid_columns)
     kept = keep.mask[:, grid_v, grid_u]
-    u = np.concatenate([u, np.where(kept, grid_u, 0)], axis=1)
-    v = np.concatenate([v, np.where(kept, grid_v, 0)], axis=1)
+    u = np.concatenate([u, np.broadcast_to(grid_u, kept.shape)], axis=1)
+    v = np.concatenate([v, np.broadcast_to(grid_v, kept.shape)], axis=1)
     return u, v, np.concatenate([valid, kept], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Stage 4, cluster: two sorts, gap flags and segmented scans."""
+"""Stage 4, cluster: sorts, gap flags and segmented scans."""
 
 from functools import lru_cache, partial
 
@@ -9,20 +9,20 @@ from jax import lax
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.plane import gap_table, ground_axes
 from jaxdet.stages._footprint import to_ground
+from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
+from jaxdet.stages._slices import linked_sets
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels
 
 LAST = jnp.iinfo(jnp.int32).max
-RANK_BITS = 13
-RANK_MASK = (1 << RANK_BITS) - 1
-"""A frame has at most 2^13 points; what is sorted has 19 bits."""
 
 
 def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: Config) -> Labels:
     """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
-    Equals :func:`jaxdet.reference.cluster`. Every frame is an array program of its own, mapped
-    over the batch: sort by set and depth, flag gaps, count each set; the same by set and x; number
-    what is left.
+    Equals :func:`jaxdet.reference.cluster`. By default the points are linked slice by slice
+    (:mod:`jaxdet.stages._slices`). Without slices every frame is an array program of its own,
+    mapped over the batch: sort by set and depth, flag gaps, count each set; the same by set and
+    x; number what is left.
 
     Args:
         features: ``(B, N)`` points; only ``kept`` ones take part.
@@ -34,7 +34,7 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
     """
     axes = jnp.asarray(ground_axes(plane))
-    return labels(features, gaps(config.cluster, depth_unit), axes, depth_unit, config.cluster)
+    return labels(features, gaps(config.cluster, depth_unit), axes, depth_unit, config)
 
 
 @lru_cache(maxsize=8)
@@ -49,65 +49,71 @@ def labels(
     gap_by_depth: jax.Array,
     axes: jax.Array,
     depth_unit: float,
-    config: ClusterConfig,
+    config: Config,
 ) -> Labels:
     """The labels, from :func:`gaps` and :func:`jaxdet.plane.ground_axes`."""
+    settings = config.cluster
     with jax.named_scope("cluster"):
         x, depth = features.x, features.z
-        if config.on_floor:
+        if settings.on_floor:
             floor = to_ground(jnp.stack([x, features.y, depth], axis=-1), axes)
             x = jnp.clip(floor[..., 0], -MAX_LATERAL, MAX_LATERAL)
             depth = jnp.clip(floor[..., 1], 0, 65535)
-        lateral_gap = round(config.lateral_gap_m / depth_unit)
-        settings = (gap_by_depth, lateral_gap, config.min_points, config.rounds)
-        found = jax.vmap(lambda x, z, kept: _cluster_frame(x, z, kept, *settings))
-        return Labels(*found(x, depth, features.kept))
+        gap = gap_by_depth[jnp.clip(depth, 0, 65535)]
+        if settings.slice_m:
+            first_grid = min(config.features.max_corners, x.shape[1])
+            root = linked_sets(features, x, depth, gap, first_grid, depth_unit, settings)
+            part = jax.vmap(partial(_large, min_points=settings.min_points))(root, features.kept)
+        else:
+            lateral_gap = round(settings.lateral_gap_m / depth_unit)
+            split = partial(
+                _gap_parts,
+                lateral_gap=lateral_gap,
+                min_points=settings.min_points,
+                rounds=settings.rounds,
+            )
+            part = jax.vmap(split)(x, depth, features.kept, gap)
+        number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
+        return Labels(*jax.vmap(number)(part, x, depth))
 
 
-def _cluster_frame(
+def _large(root: jax.Array, kept: jax.Array, min_points: int) -> jax.Array:
+    """The root of each kept point of a frame whose set has more points than N, else ``N``."""
+    n = root.shape[0]
+    size = jnp.zeros(n, jnp.int32).at[root].add(kept.astype(jnp.int32))
+    return jnp.where(kept & (size[root] > min_points), root, n)
+
+
+def _gap_parts(
     x: jax.Array,
     z: jax.Array,
     kept: jax.Array,
-    gaps: jax.Array,
+    depth_gap: jax.Array,
     lateral_gap: int,
     min_points: int,
     rounds: int,
-) -> tuple[jax.Array, jax.Array]:
-    """One frame: ``(N,)`` each.
+) -> jax.Array:
+    """The sets of Steps 1-5 of one frame, ``(N,)`` each: a number a set, N for none.
 
     The points are ranked along both axes once. A set's points are then in order after one sort
-    of ``set << RANK_BITS | rank``: every sort has a single 32-bit key, which is what XLA sorts
+    of ``set << RANK_BITS | place``: every sort has a single 32-bit key, which is what XLA sorts
     quickly on every device.
     """
     n = z.shape[0]
-    by_z, z_rank = _rank(z)
-    by_x, x_rank = _rank(x + MAX_LATERAL)
+    by_z, z_rank = rank(z)
+    by_x, x_rank = rank(x + MAX_LATERAL)
     group = jnp.where(kept, 0, n)
     for _ in range(rounds):
-        for values, order, rank, gap in (
-            (z, by_z, z_rank, gaps[jnp.clip(z, 0, 65535)]),
+        for values, order, place, gap in (
+            (z, by_z, z_rank, depth_gap),
             (x, by_x, x_rank, jnp.full(n, lateral_gap, jnp.int32)),
         ):
-            key = jnp.sort((group.astype(jnp.uint32) << RANK_BITS) | rank)
+            key = jnp.sort((group.astype(jnp.uint32) << RANK_BITS) | place)
             slot = order[key & RANK_MASK]
             sorted_group = (key >> RANK_BITS).astype(jnp.int32)
             part = _gap_sets(values[slot], sorted_group, gap[slot], min_points)
             group = jnp.zeros(n, jnp.int32).at[slot].set(part, unique_indices=True)
-    return _number(group, x, z, n // (min_points + 1))
-
-
-def _rank(values: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Sorts ``(N,)`` int32 values in [0, 2^19).
-
-    Returns:
-        The slots in rising order, and each slot's rank, both ``(N,)``, int32 and uint32.
-    """
-    n = values.shape[0]
-    slot = jnp.arange(n, dtype=jnp.uint32)
-    order = (jnp.sort((values.astype(jnp.uint32) << RANK_BITS) | slot) & RANK_MASK).astype(
-        jnp.int32
-    )
-    return order, jnp.zeros(n, jnp.uint32).at[order].set(slot, unique_indices=True)
+    return group
 
 
 def _gap_sets(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: int) -> jax.Array:

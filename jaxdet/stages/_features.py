@@ -123,11 +123,14 @@ def _look_up(
         n = u.shape[1]
         valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
         kept = keep[:, arrays.grid_v, arrays.grid_u]
-        u = jnp.concatenate([u, jnp.where(kept, arrays.grid_u[None, :], 0)], axis=1)
-        v = jnp.concatenate([v, jnp.where(kept, arrays.grid_v[None, :], 0)], axis=1)
+        known = jnp.concatenate([valid, jnp.ones_like(kept)], axis=1)
         valid = jnp.concatenate([valid, kept], axis=1)
+        u, v = (
+            jnp.concatenate([corner, jnp.broadcast_to(grid, kept.shape)], axis=1)
+            for corner, grid in ((u, arrays.grid_u), (v, arrays.grid_v))
+        )
         frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
-        z = jnp.where(valid, z[frame, v, u].astype(jnp.int32), 0)
+        z = jnp.where(known, z[frame, v, u].astype(jnp.int32), 0)
         kept = valid & keep[frame, v, u]
         x, y = (lateral(ray[v, u], z) for ray in (arrays.ray_x, arrays.ray_y))
         return Features(u, v, x, y, z, valid, kept, overflow=count > n)

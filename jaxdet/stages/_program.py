@@ -75,6 +75,6 @@ def _detect(
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
     keep = _ground.keep(aligned.z, *tables.ground, config.ground.contour_radius)
     features = _features.on_device(color, keep.z, keep.mask, tables.features, config.features)
-    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config.cluster)
+    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
     obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
     return Detections(features, labels, obstacles, keep.has_depth)

@@ -1,0 +1,108 @@
+"""Sets of points linked slice by slice, and along the grid's rows behind nearer things."""
+
+import jax
+import jax.numpy as jnp
+import warp as wp
+
+from jaxdet.config import ClusterConfig
+from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
+from jaxdet.types import MAX_LATERAL, Features
+from jaxdet_kernels import components as kernels
+
+REACH = 16
+"""A surface is looked for so many grid pixels to the left."""
+
+_components = wp.jax_kernel(kernels.components, block_dim=kernels.COMPONENTS_BLOCK)
+
+
+def linked_sets(
+    features: Features,
+    x: jax.Array,
+    z: jax.Array,
+    depth_gap: jax.Array,
+    first_grid: int,
+    depth_unit: float,
+    settings: ClusterConfig,
+) -> jax.Array:
+    """Groups each frame's kept points; twin of ``jaxdet.reference._slices.linked_sets``.
+
+    Args:
+        features: ``(B, N)`` points.
+        x: ``(B, N)`` int32, to the right [depth units].
+        z: ``(B, N)`` int32, forward [depth units].
+        depth_gap: ``(B, N)`` int32, d_z at each point [depth units].
+        first_grid: The slot of the grid's first pixel.
+        depth_unit: Metres in one depth unit.
+        settings: The distances.
+
+    Returns:
+        ``(B, N)`` int32, the smallest slot of each point's set.
+    """
+    depth = max(1, round(settings.slice_m / depth_unit))
+    gap, reach = (round(m / depth_unit) for m in (settings.lateral_gap_m, settings.occluder_m))
+    order, place = jax.vmap(rank)(x + MAX_LATERAL)
+    kinds = [
+        _sideways(features.kept, x, (z + start) // depth, order, place, gap)
+        for start in (0, depth // 2)
+    ]
+    if reach and first_grid < x.shape[1]:
+        kinds.append(_behind(features, x, z, depth_gap, first_grid, reach, settings.max_holes))
+    links = jnp.stack(kinds, axis=1)
+    batch, n = x.shape
+
+    def find(threads: int) -> jax.Array:
+        return _components(
+            links, launch_dims=(batch * threads,), output_dims={"root_out": (batch, n)}
+        )[0]
+
+    return jax.lax.platform_dependent(
+        cpu=lambda: find(1), cuda=lambda: find(kernels.COMPONENTS_BLOCK)
+    )
+
+
+def _sideways(
+    kept: jax.Array, x: jax.Array, part: jax.Array, order: jax.Array, place: jax.Array, gap: int
+) -> jax.Array:
+    """Each point's left neighbour in its slice, if it is near; -1 = none; ``(B, N)`` int32."""
+    nowhere = jnp.uint32(1 << 18)
+    key = jnp.where(kept, part.astype(jnp.uint32), nowhere) << RANK_BITS | place
+    key = jnp.sort(key, axis=1)
+    slot = jnp.take_along_axis(order, (key & RANK_MASK).astype(jnp.int32), axis=1)
+    own = key >> RANK_BITS
+    side = jnp.take_along_axis(x, slot, axis=1)
+    near = (own[:, 1:] == own[:, :-1]) & (side[:, 1:] - side[:, :-1] <= gap)
+    near &= own[:, 1:] != nowhere
+    left = jnp.where(near, slot[:, :-1], -1)
+    frame = jnp.arange(x.shape[0])[:, None]
+    return jnp.full_like(slot, -1).at[frame, slot[:, 1:]].set(left, unique_indices=True)
+
+
+def _behind(
+    features: Features,
+    x: jax.Array,
+    z: jax.Array,
+    depth_gap: jax.Array,
+    first: int,
+    reach: int,
+    max_holes: int,
+) -> jax.Array:
+    """The point at the other side of what stands before each; -1 = none; ``(B, N)`` int32.
+
+    All points look one grid pixel farther to the left in each step.
+    """
+    n = x.shape[1]
+    row, kept, seen = (a[:, first:] for a in (features.v, features.kept, features.z > 0))
+    x, z, depth_gap = (a[:, first:] for a in (x, z, depth_gap))
+    slot = jnp.arange(first, n, dtype=jnp.int32)[None, :]
+    link, holes, looking = jnp.full_like(x, -1), jnp.zeros_like(x), kept
+    for away in range(1, min(REACH, n - first - 1) + 1):
+        row_j, kept_j, seen_j, x_j, z_j = (
+            jnp.pad(a[:, :-away], ((0, 0), (away, 0))) for a in (row, kept, seen, x, z)
+        )
+        looking &= (row_j == row) & (slot - away >= first)
+        ends = looking & kept_j & (z_j >= z - depth_gap)
+        hit = ends & (z_j <= z + depth_gap) & (jnp.abs(x - x_j) <= reach)
+        link = jnp.where(hit, slot - away, link)
+        holes += 1 - kept_j.astype(jnp.int32)
+        looking &= ~ends & (kept_j | ~seen_j & (holes <= max_holes))
+    return jnp.pad(link, ((0, 0), (first, 0)), constant_values=-1)
