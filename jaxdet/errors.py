@@ -36,6 +36,10 @@ class ConfigError(JaxdetError):
     """A configuration value is out of its range or unknown."""
 
 
+class WorkerError(JaxdetError):
+    """A worker process ended, or failed in a way that nobody foresaw."""
+
+
 class FrameError(JaxdetError):
     """One frame can't be used; the run goes on and the frame gets ``status``."""
 

@@ -112,10 +112,7 @@ def _program(stages: Backend, frames: Frames, config: Config) -> Detections | No
     covers = getattr(stages, "covers", None)
     if covers is None or not covers(frames, config):
         return None
-    plane = _known_plane(frames, config)
-    if plane is None:
-        plane = repeat_plane(estimate_plane(frames, config).plane, len(frames.depth))
-    return cast(Any, stages).detect(frames, plane, config)
+    return cast(Any, stages).detect(frames, floor_of(frames, config), config)
 
 
 def _check_points(camera: Intrinsics, config: FeaturesConfig) -> None:
@@ -125,6 +122,15 @@ def _check_points(camera: Intrinsics, config: FeaturesConfig) -> None:
             f"{config.max_corners} corners and {len(grid)} grid pixels are more than {MAX_POINTS}",
             remedy="lower --features.max-corners or --features.grid-columns",
         )
+
+
+def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:
+    """The floor of each frame as :func:`detect` takes it: given, configured or estimated."""
+    plane = _known_plane(frames, config)
+    if plane is None:
+        found = estimate_plane(frames, config, backend=backend)
+        plane = repeat_plane(found.plane, len(frames.depth))
+    return plane
 
 
 def _plane_of(frames: Frames, aligned: AlignedDepth, config: Config) -> GroundPlane:

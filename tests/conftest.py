@@ -16,6 +16,7 @@ os.environ["XLA_FLAGS"] = " ".join(
 os.environ["JAX_NUMPY_DTYPE_PROMOTION"] = "strict"
 os.environ["JAX_NUMPY_RANK_PROMOTION"] = "raise"
 os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".cache" / "warp"))
+os.environ.setdefault("JAXDET_CACHE", str(ROOT / ".cache" / "jaxdet"))
 os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(ROOT / ".cache" / "hypothesis"))
 
 import hypothesis  # noqa: E402  (it reads its folder when it is imported)

@@ -8,7 +8,6 @@ import numpy as np
 import tyro
 
 import jaxdet
-from jaxdet.cli.settings import quiet_warp
 
 DESCRIPTION = """\
 Checks this installation: versions, the devices that JAX and Warp find, and whether the jitted
@@ -27,10 +26,10 @@ class DoctorCommand:
 def main(args: list[str]) -> int:
     """Runs the command; returns 0 when all checks pass, else 1."""
     command = tyro.cli(DoctorCommand, args=args, prog="jaxdet doctor", description=DESCRIPTION)
-    from jaxdet.engine import versions
+    from jaxdet.engine import start_up, versions
     from jaxdet.io.results import to_json
 
-    quiet_warp()
+    start_up()
     about = {"jaxdet": jaxdet.__version__, **versions()}
     checks = {name: _checked(check) for name, check in CHECKS.items()}
     failed = [name for name, (passed, _) in checks.items() if not passed]
@@ -109,8 +108,17 @@ def small_case() -> "jaxdet.Frames":
     )
 
 
+def caches() -> tuple[bool, str]:
+    """Where compiled programs stay between runs."""
+    from jaxdet.engine import use_caches
+
+    names = [f"{name} {folder or 'not kept'}" for name, folder in use_caches()._asdict().items()]
+    return True, ", ".join(names)
+
+
 CHECKS = {
     "jax devices": jax_devices,
     "warp devices": warp_devices,
+    "caches": caches,
     "backends agree": backends_agree,
 }

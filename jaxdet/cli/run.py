@@ -9,7 +9,7 @@ import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
-from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given, quiet_warp
+from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given
 from jaxdet.config import (
     ClusterConfig,
     Config,
@@ -53,6 +53,9 @@ class RunCommand:
     """jax: jitted, on the GPU when there is one; reference: plain NumPy. Equal results."""
     batch_size: int = 16
     """Frames computed together; changes no result."""
+    workers: int | None = None
+    """Processes to share the frames; changes no result. By default one a core on the CPU for logs
+    of 500 frames or more, else one."""
     pictures: int = 8
     """Frames of each log to draw, evenly spaced."""
     truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
@@ -91,7 +94,7 @@ def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     command = parse(args)
     from jaxdet.cli.progress import reporting
-    from jaxdet.engine import RunOptions, run
+    from jaxdet.engine import RunOptions, run, start_up
     from jaxdet.io import find_logs
     from jaxdet.io.results import to_json
 
@@ -110,9 +113,10 @@ def main(args: list[str]) -> int:
         command.overwrite,
         command.truth,
         command.preset,
+        command.workers,
     )
     if command.backend == "jax":
-        quiet_warp()
+        start_up()
     silent = command.quiet or command.json
     with reporting(silent) as progress:
         summary = run(logs, config, command.log, options, progress)

@@ -2,8 +2,6 @@
 
 import argparse
 import dataclasses
-import os
-import sys
 import tomllib
 import types
 import typing
@@ -133,19 +131,3 @@ def given(logs: Sequence[str]) -> Sequence[str]:
     if not logs:
         raise ConfigError("no log given", remedy="name MCAP files, folders or globs, see --help")
     return logs
-
-
-def quiet_warp() -> None:
-    """Starts Warp without its banner, and without its note that there is no CUDA driver."""
-    import warp
-
-    warp.config.log_level = warp.LOG_ERROR
-    sys.stderr.flush()
-    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)  # the note comes from native code
-        warp.init()
-    finally:
-        os.dup2(stderr, 2)
-        os.close(stderr)
-        os.close(nowhere)

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import tyro
 
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.settings import quiet_warp
 from jaxdet.errors import InputError
 from jaxdet.sim import SimConfig
 
@@ -36,9 +35,10 @@ def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     missing: Any = tyro.MISSING
     command = parse_flags(SimCommand(missing), args, "jaxdet sim", DESCRIPTION)
+    from jaxdet.engine import start_up
     from jaxdet.sim import truth_path, write_log
 
-    quiet_warp()
+    start_up()
     try:
         command.path.parent.mkdir(parents=True, exist_ok=True)
         truth = write_log(command.path, command.sim)

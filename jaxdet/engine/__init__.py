@@ -1,7 +1,9 @@
 """Runs the pipeline over whole logs and writes the results."""
 
 from jaxdet.engine.loop import Progress, ProgressCallback, RunOptions, run
+from jaxdet.engine.many import Workers
 from jaxdet.engine.planes import GroundRecord, Planes, decide_planes
+from jaxdet.engine.startup import start_up, use_caches
 from jaxdet.engine.summary import LogSummary, Summary, plain, versions
 
 __all__ = [
@@ -12,8 +14,11 @@ __all__ = [
     "ProgressCallback",
     "RunOptions",
     "Summary",
+    "Workers",
     "decide_planes",
     "plain",
     "run",
+    "start_up",
+    "use_caches",
     "versions",
 ]

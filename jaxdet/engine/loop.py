@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.batch import Done, LogJob, LogWork
 from jaxdet.engine.occupancy import OccupancyMap, save_map
-from jaxdet.engine.planes import Planes, decide_planes, evenly
-from jaxdet.engine.prefetch import prefetch
-from jaxdet.engine.rows import Rows, batch_rows
-from jaxdet.engine.scoring import Scorer
+from jaxdet.engine.planes import decide_planes, evenly
+from jaxdet.engine.processes import Processes
+from jaxdet.engine.scoring import scores
 from jaxdet.engine.summary import LogSummary, Summary, plain
 from jaxdet.errors import JaxdetError
 from jaxdet.io import open_log
 from jaxdet.io.results import ResultWriter
-from jaxdet.pipeline import BackendName, detect
-from jaxdet.render import draw_frame, draw_map, write_png
-from jaxdet.types import Detections, GroundPlane
+from jaxdet.pipeline import BackendName
+from jaxdet.render import draw_map, write_png
 
 if TYPE_CHECKING:
-    from jaxdet.io import Batch, Log, LogFiles, LogOptions
+    from jaxdet.io import Log, LogFiles, LogOptions
 
 MAX_FRAME_ERRORS = 20
 
@@ -44,6 +43,9 @@ class RunOptions:
     """A simulated log whose truth the results are compared with."""
     preset: str | None = None
     """Name of the preset the configuration started from, for config.json."""
+    workers: int | None = None
+    """Processes that share the frames; None: one a core on the CPU for logs long enough to be
+    worth their start, else one."""
 
 
 class Progress(NamedTuple):
@@ -92,16 +94,19 @@ def run(
     """
     start = time.perf_counter()
     summary = Summary(options.backend, options.batch_size)
-    with ResultWriter(options.output, overwrite=options.overwrite) as writer:
+    with (
+        ResultWriter(options.output, overwrite=options.overwrite) as writer,
+        Processes(options.workers, options.backend) as processes,
+    ):
         ordered = sorted(logs, key=lambda log: log.name)
         for number, files in enumerate(ordered):
             part = LogSummary(files.name, tuple(map(str, files.paths)))
             summary.logs.append(part)
-            job = _LogJob(part, config, options, writer, _file_names(ordered)[number])
-            job.report = _reporter(progress, part, number, len(ordered))
+            one = _LogRun(part, config, options, writer, _file_names(ordered)[number])
+            one.report = _reporter(progress, part, number, len(ordered))
             try:
                 with open_log(files, log_options) as log:
-                    job.run(log)
+                    one.run(log, processes)
             except JaxdetError as error:
                 part.error = str(error)
         summary.seconds = time.perf_counter() - start
@@ -138,14 +143,8 @@ def _file_names(logs: Sequence["LogFiles"]) -> list[str]:
     return names
 
 
-class _Work(NamedTuple):
-    batch: "Batch"
-    plane: GroundPlane
-    detections: Detections
-
-
 @dataclass
-class _LogJob:
+class _LogRun:
     """One log of a run."""
 
     part: LogSummary
@@ -157,75 +156,59 @@ class _LogJob:
     first: int = 0
     """Frames of the first batch."""
 
-    def run(self, log: "Log") -> None:
+    def run(self, log: "Log", processes: Processes) -> None:
         part = self.part
         part.description, part.calibration = log.description, log.calibration
         part.warnings += log.description.warnings
-        planes = decide_planes(log, self.config, self.options.backend)
-        part.ground = planes.records
-        part.warnings += planes.warnings
-        sample = self._sample(log)
-        scorer = Scorer(self.options.truth, self.config) if self.options.truth else None
-        occupancy = OccupancyMap()
+        work = LogWork(log, self._job(log))
+        occupancy, tallies = OccupancyMap(), []
         start = time.perf_counter()
-        for work in self._one_behind(log, planes):
-            rows = batch_rows(part.log, work.batch, work.plane, work.detections, self.config)
-            self.writer.add(rows.frames, rows.obstacles)
-            self._count(work.batch, rows, time.perf_counter() - start)
-            occupancy.add_path(work.batch.frames.T_world_camera)
-            occupancy.add(rows.obstacles["corners_world"])
-            self._draw(work, rows, sample)
-            if scorer:
-                scorer.add(work.batch, rows.detections)
-            self.report(log.num_frames)
-        part.score = scorer.result() if scorer else None
+        with closing(processes.work_through(work)) as batches:
+            for done in batches:
+                self.writer.add(done.frames, done.obstacles)
+                self._count(done, time.perf_counter() - start)
+                occupancy.add_path(done.T_world_camera)
+                occupancy.add(done.obstacles["corners_world"])
+                tallies += [done.tally] if done.tally else []
+                self.report(log.num_frames)
+        part.score = scores(tallies)
         self._write_map(occupancy)
 
-    def _one_behind(self, log: "Log", planes: Planes) -> Iterator[_Work]:
-        """Starts each batch before the one before it is waited for."""
-        pending = None
-        with closing(prefetch(log.batches(self.options.batch_size))) as batches:
-            for batch in batches:
-                plane = planes.of(batch.frames.stamp_ns)
-                frames = batch.frames._replace(plane=plane)
-                detections = detect(frames, self.config, backend=self.options.backend)
-                if pending:
-                    yield pending
-                pending = _Work(batch, plane, detections)
-            if pending:
-                yield pending
+    def _job(self, log: "Log") -> LogJob:
+        planes = decide_planes(log, self.config, self.options.backend)
+        self.part.ground = planes.records
+        self.part.warnings += planes.warnings
+        return LogJob(
+            self.part.log,
+            self.config,
+            self.options.backend,
+            min(self.options.batch_size, max(1, log.num_frames)),
+            planes,
+            self._sample(log),
+            self.writer.staging,
+            self.file_name,
+            self.options.truth,
+        )
 
-    def _count(self, batch: "Batch", rows: Rows, seconds: float) -> None:
+    def _count(self, done: Done, seconds: float) -> None:
         part = self.part
-        count = len(batch.status)
+        count = len(done.frames["status"])
         if not part.frames:
             part.first_batch_s, self.first = seconds, count
         elif seconds > part.first_batch_s:
             rest = part.frames + count - self.first
             if rest >= 2 * self.first:
                 part.frames_per_s = round(rest / (seconds - part.first_batch_s), 2)
-        part.count(rows.frames)
+        part.count(done.frames)
         part.seconds = seconds
-        for index, error in zip(batch.frames.number.tolist(), batch.errors, strict=False):
-            if error and len(part.frame_errors) < MAX_FRAME_ERRORS:
-                part.frame_errors.append(f"frame {index}: {error}")
+        part.pictures += done.pictures
+        part.frame_errors += done.errors[: MAX_FRAME_ERRORS - len(part.frame_errors)]
 
-    def _sample(self, log: "Log") -> set[int]:
+    def _sample(self, log: "Log") -> frozenset[int]:
+        if not self.options.pictures:
+            return frozenset()
         paired = np.flatnonzero(np.asarray(log.depth_stamp_ns) >= 0)
-        return (
-            set(evenly(paired, self.options.pictures).tolist()) if self.options.pictures else set()
-        )
-
-    def _draw(self, work: _Work, rows: Rows, sample: set[int]) -> None:
-        frames = work.batch.frames
-        for row, index in enumerate(frames.number[: len(work.batch.status)].tolist()):
-            if index in sample and frames.valid[row]:
-                name = f"pictures/{self.file_name}_{index:06d}.png"
-                one = work.batch.frames._replace(plane=work.plane)
-                title = f"{self.part.log}   frame {index}"
-                picture = draw_frame(one, rows.detections, rows.corners, row, self.config, title)
-                write_png(self.writer.path(name), picture)
-                self.part.pictures.append(name)
+        return frozenset(evenly(paired, self.options.pictures).tolist())
 
     def _write_map(self, occupancy: OccupancyMap) -> None:
         if not any(path.size for path in occupancy.path):

@@ -1,5 +1,6 @@
 """Comparison of a run with the truth of a simulated log, while the detections are at hand."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ _SUFFIX = ".truth.npz"
 
 
 class Scorer:
-    """Adds up the scores of the frames whose stamps the truth knows.
+    """Compares the frames whose stamps the truth knows.
 
     Args:
         path: The simulated log, or the truth file beside it.
@@ -38,9 +39,8 @@ class Scorer:
             step_height_m=ground.step_height_m,
             footprint=config.footprint,
         )
-        self.tallies: list[Tally] = []
 
-    def add(self, batch: "Batch", found: Detections) -> None:
+    def tally(self, batch: "Batch", found: Detections) -> Tally:
         """Compares a batch, ``found`` as NumPy arrays."""
         frames = batch.frames
         numbers = [self.number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
@@ -48,11 +48,10 @@ class Scorer:
         which = np.where(known, numbers, 0)
         truth = truth_of(self.truth, which, load_obstacle_ids(self.log, which))
         unit, valid = frames.calibration.depth_unit, frames.valid & known
-        self.tallies.append(evaluate(found, truth, unit, self.config, valid))
+        return evaluate(found, truth, unit, self.config, valid)
 
-    def result(self) -> dict[str, Any] | None:
-        """The figures for the summary; None when no frame was compared."""
-        figures = score(self.tallies)
-        if not figures.tally.frames:
-            return None
-        return figures.to_dict()
+
+def scores(tallies: Sequence[Tally]) -> dict[str, Any] | None:
+    """The figures for the summary; None when no frame was compared."""
+    figures = score(tallies)
+    return figures.to_dict() if figures.tally.frames else None

@@ -1,7 +1,8 @@
-"""Where compiled programs stay between runs: the caches of JAX and Warp, in one folder."""
+"""What each process does before it computes: caches between runs, and a quiet Warp."""
 
 import os
 import platform
+import sys
 import warnings
 import zlib
 from pathlib import Path
@@ -43,7 +44,7 @@ def cache_folders() -> Caches:
 
 
 def use_caches() -> Caches:
-    """Makes JAX and Warp keep what they compile; call it before either of them is used.
+    """Makes JAX and Warp keep what they compile; to be called before Warp starts.
 
     Returns:
         The folders in use; None where it is switched off or the folder can't be written to.
@@ -61,6 +62,28 @@ def use_caches() -> Caches:
     if folders.warp:
         warp.config.kernel_cache_dir = str(folders.warp)
     return folders
+
+
+def quiet_warp() -> None:
+    """Starts Warp without its banner, and without its note that there is no CUDA driver."""
+    import warp
+
+    warp.config.log_level = warp.LOG_ERROR
+    sys.stderr.flush()
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)  # the note comes from native code
+        warp.init()
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
+
+
+def start_up() -> None:
+    """Both, in the order that they need."""
+    use_caches()
+    quiet_warp()
 
 
 def _user_cache() -> Path | None:

@@ -1,0 +1,135 @@
+"""Worker processes that share the items of a job and give the results in order."""
+
+import os
+import pickle
+import signal
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+from jaxdet.engine.process import Result, WorkerProcess
+from jaxdet.engine.worker import AHEAD, Job
+
+_QUOTA = Path("/sys/fs/cgroup/cpu.max")
+
+
+def cores() -> int:
+    """Cores that this process may use, by its affinity and its control group's quota."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    try:
+        quota, period = _QUOTA.read_text(encoding="ascii").split()
+        return max(1, min(count or 1, round(int(quota) / int(period))))
+    except (OSError, ValueError):  # no control group, or "max"
+        return count or 1
+
+
+class Pool:
+    """Processes, one thread each; a context manager.
+
+    They start with the first job and stay for the next. Each has a pipe of its own and no lock
+    in common with another, so one that dies holds up nobody. Every worker has two items at a
+    time, so it doesn't wait for this process.
+
+    Args:
+        count: Number of processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._workers: list[WorkerProcess] = []
+
+    def __enter__(self) -> "Pool":
+        """The pool itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Ends the processes."""
+        self.close()
+
+    @property
+    def started(self) -> bool:
+        """Whether the processes are there."""
+        return bool(self._workers)
+
+    def map(self, job: Job, items: Iterable[Any]) -> Generator[Any, None, None]:
+        """Yields the result of each item, in order.
+
+        A process that died since the last job is replaced.
+        Items are taken as workers become free, at most a few ahead of the results; so memory
+        doesn't grow with their number. When the generator is left before its end, or an item
+        fails, the processes are ended, and the next job starts new ones.
+
+        Raises:
+            WorkerError: A worker died, or failed in a way that nobody foresaw.
+            JaxdetError: As the job raised it.
+        """
+        if not all(worker.process.is_alive() for worker in self._workers):
+            self._end(at_once=True)
+        if not self._workers:
+            with _interrupts_held_back():
+                self._workers = [WorkerProcess() for _ in range(self.count)]
+        ended = False
+        try:
+            pickled = pickle.dumps(job, 5)
+            for worker in self._workers:
+                worker.send(pickled)
+            yield from self._in_order(job, enumerate(items))
+            ended = True
+        finally:
+            if not ended:
+                self._end(at_once=True)
+
+    def close(self) -> None:
+        """Ends the processes."""
+        self._end(at_once=False)
+
+    def _in_order(self, job: Job, items: Iterator[tuple[int, Any]]) -> Iterator[Any]:
+        window = 2 * AHEAD * self.count
+        found: dict[int, Result] = {}
+        given = taken = 0
+        more = True
+        while True:
+            while more and given - taken < window and (worker := self._free()):
+                number, item = next(items, (-1, None))
+                more = number >= 0
+                if more:
+                    worker.give(number, item, job.where(item))
+                    given += 1
+            if taken in found:
+                yield found.pop(taken).value
+                taken += 1
+            elif taken == given:
+                return
+            else:
+                found.update(worker.receive() for worker in self._answering())
+
+    def _free(self) -> WorkerProcess | None:
+        worker = min(self._workers, key=lambda worker: len(worker.flying))
+        return worker if len(worker.flying) < AHEAD else None
+
+    def _answering(self) -> list[WorkerProcess]:
+        busy = {worker.pipe: worker for worker in self._workers if worker.flying}
+        ready: list[Any] = wait(list(busy))
+        return [busy[pipe] for pipe in ready]
+
+    def _end(self, *, at_once: bool) -> None:
+        workers, self._workers = self._workers, []
+        for worker in workers:
+            worker.end(at_once=at_once)
+        for worker in workers:
+            worker.wait()
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """A Ctrl-C waits meanwhile; processes started here never get one, their parent does."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,69 @@
+"""Where a log's batches are worked on: in this process, or in workers."""
+
+import importlib.util
+import os
+from collections.abc import Generator
+from typing import Any
+
+from jaxdet.engine.batch import Done, LogWork
+from jaxdet.engine.local import batches_here
+from jaxdet.engine.pool import Pool, cores
+from jaxdet.errors import ConfigError
+from jaxdet.pipeline import BackendName
+
+FRAMES_WORTH_WORKERS = 500
+"""Fewer are done sooner than workers have started."""
+
+
+class Processes:
+    """Chooses for each log; a context manager that ends the workers.
+
+    Args:
+        count: Number of processes, or None for the default: one a core on the CPU, where a log
+            has ``FRAMES_WORTH_WORKERS`` or the workers are there already, and one on a GPU.
+        backend: What computes.
+
+    Raises:
+        ConfigError: ``count`` is below 1.
+    """
+
+    def __init__(self, count: int | None, backend: BackendName) -> None:
+        if count is not None and count < 1:
+            raise ConfigError(f"{count} workers", remedy="give --workers 1 or more")
+        self._automatic = count is None
+        self._backend = backend
+        self._pool = Pool(cores() if count is None else count)
+
+    def __enter__(self) -> "Processes":
+        """The object itself."""
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        """Ends the workers."""
+        self._pool.close()
+
+    def work_through(self, work: LogWork) -> Generator[Done, None, None]:
+        """The batches of a log, in order.
+
+        Raises:
+            JaxdetError: A batch failed, or a worker.
+        """
+        if not self._shared(work.log.num_frames):
+            return batches_here(work)
+        return self._pool.map(work, range(0, work.log.num_frames, work.job.batch_size))
+
+    def _shared(self, frames: int) -> bool:
+        if self._pool.count == 1:
+            return False
+        if not self._automatic or self._pool.started:
+            return True
+        return frames >= FRAMES_WORTH_WORKERS and not (self._backend == "jax" and _has_gpu())
+
+
+def _has_gpu() -> bool:
+    """Whether JAX computes on a GPU; without its plugin for them JAX needn't be loaded."""
+    if os.environ.get("JAX_PLATFORMS") == "cpu" or not importlib.util.find_spec("jax_plugins"):
+        return False
+    from jaxdet.stages._device import on_cuda
+
+    return on_cuda()
