@@ -6,7 +6,7 @@ from jaxdet.stages._cluster import cluster
 from jaxdet.stages._features import features
 from jaxdet.stages._footprint import footprint
 from jaxdet.stages._ground import ground
-from jaxdet.stages._program import covers, detect
+from jaxdet.stages._programs import covers, detect
 
 __all__ = [
     "align",

@@ -157,23 +157,25 @@ _HYSTERESIS = """
 
 
 @wp.func_native(_SUPPRESS)
-def _suppress(
+def canny_suppress_lines(
     b: int,
     color: wp.array4d[wp.uint8],
     low: wp.array[wp.int32],
     high: wp.array[wp.int32],
     candidates_out: wp.array2d[wp.uint32],
     strong_out: wp.array2d[wp.uint32],
-): ...
+):
+    """Grey, Sobel and suppression of frame b into rows of bits."""
 
 
 @wp.func_native(_HYSTERESIS)
-def _hysteresis(
+def canny_hysteresis_lines(
     b: int,
     candidates: wp.array2d[wp.uint32],
     strong: wp.array2d[wp.uint32],
     edges_out: wp.array3d[wp.uint32],
-): ...
+):
+    """Candidates reachable from strong ones, as frame b of the edges."""
 
 
 @wp.kernel
@@ -187,5 +189,5 @@ def canny_lines(
 ):
     """The edges of a frame a thread; the last two outputs are scratch that all frames share."""
     b = wp.tid()
-    _suppress(b, color, low, high, candidates_out, strong_out)
-    _hysteresis(b, candidates_out, strong_out, edges_out)
+    canny_suppress_lines(b, color, low, high, candidates_out, strong_out)
+    canny_hysteresis_lines(b, candidates_out, strong_out, edges_out)

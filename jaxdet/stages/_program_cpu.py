@@ -1,0 +1,137 @@
+"""All five stages as one compiled program, for the CPU."""
+
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import warp as wp
+
+from jaxdet.config import Config, FeaturesConfig
+from jaxdet.plane import ground_axes
+from jaxdet.stages import _align_points, _cluster, _corners_cpu, _features, _footprint, _ground
+from jaxdet.stages._corners_cuda import canny_bounds
+from jaxdet.stages._device import on_cuda
+from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane
+from jaxdet_kernels import features_depth_lines as kernels
+from jaxdet_kernels.align_search import TILE
+
+_find = wp.jax_kernel(kernels.features_depth_lines, num_outputs=17, in_out_argnames=["strength"])
+
+
+class _Tables(NamedTuple):
+    """What the stages take beside the images: arrays, so that no camera compiles anew."""
+
+    align: tuple[jax.Array, ...]
+    ground: tuple[jax.Array, ...]
+    features: _features.Tables
+    gaps: jax.Array
+    axes: jax.Array
+
+
+def covers(frames: Frames, config: Config) -> bool:
+    """Whether these frames run as one program: on the CPU, with what the kernels cover."""
+    calibration = frames.calibration
+    return (
+        not on_cuda()
+        and _corners_cpu.supports(frames.color.shape[1:3], config.features)
+        and not config.ground.contour_radius
+        and (calibration.is_aligned or _align_points.covers(calibration))
+    )
+
+
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+    """Runs the five stages without a dense alignment, a frame after the other.
+
+    Args:
+        frames: ``B`` frames; images whose memory starts at a multiple of 64 bytes aren't copied.
+        plane: The floor of each frame.
+        config: The method's parameters.
+
+    Returns:
+        What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
+    """
+    calibration, unit = frames.calibration, frames.calibration.depth_unit
+    arrays, aligned, fills = _align_tables(calibration)
+    tables = _Tables(
+        arrays,
+        _ground.tables(plane, calibration, config),
+        _features.tables(calibration.color, config.features.grid_columns),
+        _cluster.gaps(config.cluster, unit),
+        jnp.asarray(ground_axes(plane)),
+    )
+    color, depth = jnp.asarray(frames.color), jnp.asarray(frames.depth)
+    return _detect(color, depth, tables, aligned, fills, unit, config)
+
+
+@lru_cache(maxsize=8)
+def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], int, int]:
+    """The search's arrays, whether depth is aligned already, and whether corners are filled."""
+    if calibration.is_aligned:
+        none = jnp.zeros((1, 1), jnp.float32)
+        return (none, none, none[0], none[0]), 1, 0
+    *arrays, fills = _align_points.tables(calibration)
+    return tuple(arrays), 0, fills
+
+
+@partial(jax.jit, static_argnames=("aligned", "fills", "unit", "config"))
+def _detect(
+    color: jax.Array,
+    depth: jax.Array,
+    tables: _Tables,
+    aligned: int,
+    fills: int,
+    unit: float,
+    config: Config,
+) -> Detections:
+    features, has_depth = _points(color, depth, tables, aligned, fills, config.features)
+    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
+    obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
+    return Detections(features, labels, obstacles, has_depth)
+
+
+def _points(
+    color: jax.Array,
+    depth: jax.Array,
+    tables: _Tables,
+    aligned: int,
+    fills: int,
+    config: FeaturesConfig,
+) -> tuple[Features, jax.Array]:
+    """The first three stages: the features, and whether a frame has any depth in range."""
+    with jax.named_scope("features"):
+        batch, height, width, _ = color.shape
+        words, tiles = 2 * -(-width // 64), (-(-depth.shape[1] // TILE), -(-depth.shape[2] // TILE))
+        limits, which, nearest, farthest = tables.ground
+        n = config.max_corners
+        slots = batch, n + len(tables.features.grid_u)
+        rows = height, words
+        strengths = height, 32 * words + 32
+        _, u, v, x, y, z, valid, kept, found, has_depth, *_ = _find(
+            color,
+            *canny_bounds(color, config),
+            depth,
+            *tables.align,
+            limits,
+            which,
+            jnp.stack([nearest, farthest]).astype(jnp.int32),
+            *tables.features,
+            aligned,
+            fills,
+            int(config.use_mask),
+            float(config.quality_level),
+            float(config.min_distance),
+            jnp.zeros(strengths, jnp.float32),
+            launch_dims=(batch,),
+            output_dims={
+                "strength": strengths,
+                **dict.fromkeys(("u_out", "v_out", "x_out", "y_out", "z_out"), slots),
+                **dict.fromkeys(("valid_out", "kept_out"), slots),
+                **dict.fromkeys(("found_out", "seen_out", "ranges_out"), (batch,)),
+                "tiles_out": (batch, *tiles),
+                "keys_out": (4 * height * width,),
+                **dict.fromkeys(("blocked_out", "weak_out", "strong_out"), rows),
+                "edges_out": (1, *rows),
+            },
+        )
+        return Features(u, v, x, y, z, valid, kept, overflow=found > n), has_depth

@@ -1,0 +1,228 @@
+"""Stages 1 to 3 on the CPU in one go: a frame a thread, depth looked up only where it is asked.
+
+The edges of ``features_canny_lines``, the selection of ``features_select_lines`` and the depth of
+``align_search``. Equal to align, ground and features one after the other, at every feature.
+"""
+
+import warp as wp
+
+from jaxdet_kernels.align_search import SEARCH, TILE
+from jaxdet_kernels.features_canny_lines import canny_hysteresis_lines, canny_suppress_lines
+from jaxdet_kernels.features_corners_lines import MEASURE, STRENGTH
+from jaxdet_kernels.features_select_lines import SELECT
+
+wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+
+_RANGES = """
+    // Nearest depth << 16 | farthest of each tile and of the frame; 65535 << 16 where none.
+    {
+        typedef unsigned short lanes __attribute__((ext_vector_type(32), aligned(2)));
+        const int Hd = depth.shape[1], Wd = depth.shape[2], across = tiles.shape[2];
+        unsigned frame_least = 65535, frame_most = 0;
+        for (int i = 0; i < tiles.shape[1]; ++i) {
+            const int y0 = i * TILE, y1 = y0 + TILE < Hd ? y0 + TILE : Hd;
+            const unsigned short* rows = depth.data + ((size_t)b * Hd + y0) * Wd;
+            unsigned* out = tiles.data + ((size_t)b * tiles.shape[1] + i) * across;
+            auto note = [&](int j, unsigned short least, unsigned short most) {
+                const unsigned nearest = least == 65535 ? 65535u : least + 1u;
+                out[j] = (nearest << 16) | most;
+                if (nearest < frame_least) frame_least = nearest;
+                if (most > frame_most) frame_most = most;
+            };
+            int j = 0;
+            for (; (j + 2) * TILE <= Wd; j += 2) {
+                lanes least = (lanes)(unsigned short)65535, most = (lanes)(unsigned short)0;
+                for (int y = 0; y < y1 - y0; ++y) {
+                    const lanes units = *(const lanes*)(rows + (size_t)y * Wd + j * TILE);
+                    // No measurement, 0, wraps to the largest number.
+                    least = __builtin_elementwise_min(least, units - (unsigned short)1);
+                    most = __builtin_elementwise_max(most, units);
+                }
+                note(j, __builtin_reduce_min(least.lo), __builtin_reduce_max(most.lo));
+                note(j + 1, __builtin_reduce_min(least.hi), __builtin_reduce_max(most.hi));
+            }
+            for (; j < across; ++j) {
+                unsigned short least = 65535, most = 0;
+                for (int y = 0; y < y1 - y0; ++y)
+                    for (int x = j * TILE; x < (j + 1) * TILE && x < Wd; ++x) {
+                        const unsigned short units = rows[(size_t)y * Wd + x];
+                        const unsigned short less = (unsigned short)(units - 1);
+                        least = less < least ? less : least;
+                        most = units > most ? units : most;
+                    }
+                note(j, least, most);
+            }
+        }
+        ranges.data[b] = (frame_least << 16) | frame_most;
+    }
+""".replace("TILE", str(TILE))
+
+_ASK = """
+    const int H = limits.shape[1], W = limits.shape[2], G = grid_u.shape[0];
+    const int P = u_out.shape[1], N = P - G;
+    const wp::uint32* edge_map = edges.data;
+    const unsigned short* limit = limits.data + (size_t)which.data[b] * H * W;
+    const unsigned nearest_kept = bounds.data[0], farthest_kept = bounds.data[1];
+    bool seen = false;
+    auto in_range = [&](unsigned z) { return z >= nearest_kept && z <= farthest_kept; };
+    auto depth_at = [&](int x, int y) -> unsigned {
+        if (aligned) return image[(size_t)y * W + x];
+        const unsigned key = smallest_key(x, y);
+        return key == 0xffffffffu ? 0u : key & 0xffffu;
+    };
+    auto keeps = [&](unsigned z, int x, int y) {
+        const bool in = in_range(z);
+        seen |= in;
+        return in && z <= limit[(size_t)y * W + x];
+    };
+    unsigned last = 0;
+    auto allowed = [&](int x, int y) {
+        if (!masked) return true;
+        last = depth_at(x, y);
+        return keeps(last, x, y);
+    };
+    auto put = [&](int slot, int x, int y, unsigned z, bool valid, bool kept) {
+        const size_t at = (size_t)b * P + slot, pixel = (size_t)y * W + x;
+        const long long half = 1 << (RAY_BITS - 1);
+        u_out.data[at] = x;
+        v_out.data[at] = y;
+        x_out.data[at] = (int)((fixed_x.data[pixel] * (long long)z + half) >> RAY_BITS);
+        y_out.data[at] = (int)((fixed_y.data[pixel] * (long long)z + half) >> RAY_BITS);
+        z_out.data[at] = (int)z;
+        valid_out.data[at] = valid;
+        kept_out.data[at] = kept;
+    };
+    auto accept = [&](int slot, int x, int y) {
+        const unsigned z = masked ? last : depth_at(x, y);
+        put(slot, x, y, z, true, masked || keeps(z, x, y));
+    };
+""".replace("RAY_BITS", "20")
+
+_FINISH = """
+    found_out.data[b] = taken;
+    for (int slot = taken; slot < N; ++slot) put(slot, 0, 0, 0, false, false);
+    for (int i = 0; i < G; ++i) {
+        const int x = grid_u.data[i], y = grid_v.data[i];
+        const unsigned z = depth_at(x, y);
+        const bool kept = keeps(z, x, y);
+        put(N + i, x, y, z, kept, kept);
+    }
+    // Only where no pixel asked for was in range: is there any? Depth pixels in range show where.
+    const int rows = depth.shape[1], columns = depth.shape[2];
+    for (int i = 0; i < rows && !seen; ++i) {
+        const unsigned short* line = image + (size_t)i * columns;
+        if (aligned) {
+            for (int j = 0; j < columns; ++j) seen |= in_range(line[j]);
+            continue;
+        }
+        auto moved = [&](int j) {
+            const float z = moved_z(line[j], i, j) / p[25] + 0.5f;
+            return line[j] ? (unsigned)(int)(z > 0.0f ? LEAST(z, 65534.0f) : 0.0f) : 0u;
+        };
+        bool any = false;
+        for (int j = 0; j < columns; ++j) any |= in_range(moved(j));
+        for (int j = 0; j < columns && any && !seen; ++j) {
+            int left, top, right, bottom;
+            if (!in_range(moved(j)) || !project(line[j], i, j, left, top)) continue;
+            right = left;
+            bottom = top;
+            if (fills && !project(line[j], i + 1, j + 1, right, bottom)) continue;
+            for (int y = MOST(top, 0); y <= LEAST(bottom, H - 1) && !seen; ++y)
+                for (int x = MOST(left, 0); x <= LEAST(right, W - 1) && !seen; ++x)
+                    seen = in_range(depth_at(x, y));
+        }
+    }
+    seen_out.data[b] = seen;
+"""
+
+_BODY = "".join([_RANGES, SEARCH, _ASK, STRENGTH, MEASURE, SELECT, _FINISH])
+
+
+@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_BODY}#endif\n")
+def _features(
+    b: int,
+    edges: wp.array3d[wp.uint32],
+    depth: wp.array3d[wp.uint16],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    search: wp.array[wp.float32],
+    limits: wp.array3d[wp.uint16],
+    which: wp.array[wp.int32],
+    bounds: wp.array[wp.int32],
+    fixed_x: wp.array2d[wp.int32],
+    fixed_y: wp.array2d[wp.int32],
+    grid_u: wp.array[wp.int32],
+    grid_v: wp.array[wp.int32],
+    aligned: int,
+    fills: int,
+    masked: int,
+    quality: wp.float64,
+    distance: wp.float64,
+    strength: wp.array2d[wp.float32],
+    u_out: wp.array2d[wp.int32],
+    v_out: wp.array2d[wp.int32],
+    x_out: wp.array2d[wp.int32],
+    y_out: wp.array2d[wp.int32],
+    z_out: wp.array2d[wp.int32],
+    valid_out: wp.array2d[wp.bool],
+    kept_out: wp.array2d[wp.bool],
+    found_out: wp.array[wp.int32],
+    seen_out: wp.array[wp.bool],
+    tiles: wp.array3d[wp.uint32],
+    ranges: wp.array[wp.uint32],
+    keys_out: wp.array[wp.uint32],
+    blocked_out: wp.array2d[wp.uint32],
+): ...
+
+
+@wp.kernel
+def features_depth_lines(
+    color: wp.array4d[wp.uint8],
+    low: wp.array[wp.int32],
+    high: wp.array[wp.int32],
+    depth: wp.array3d[wp.uint16],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    search: wp.array[wp.float32],
+    limits: wp.array3d[wp.uint16],
+    which: wp.array[wp.int32],
+    bounds: wp.array[wp.int32],
+    fixed_x: wp.array2d[wp.int32],
+    fixed_y: wp.array2d[wp.int32],
+    grid_u: wp.array[wp.int32],
+    grid_v: wp.array[wp.int32],
+    aligned: int,
+    fills: int,
+    masked: int,
+    quality: wp.float64,
+    distance: wp.float64,
+    strength: wp.array2d[wp.float32],
+    u_out: wp.array2d[wp.int32],
+    v_out: wp.array2d[wp.int32],
+    x_out: wp.array2d[wp.int32],
+    y_out: wp.array2d[wp.int32],
+    z_out: wp.array2d[wp.int32],
+    valid_out: wp.array2d[wp.bool],
+    kept_out: wp.array2d[wp.bool],
+    found_out: wp.array[wp.int32],
+    seen_out: wp.array[wp.bool],
+    tiles_out: wp.array3d[wp.uint32],
+    ranges_out: wp.array[wp.uint32],
+    keys_out: wp.array[wp.uint32],
+    blocked_out: wp.array2d[wp.uint32],
+    weak_out: wp.array2d[wp.uint32],
+    strong_out: wp.array2d[wp.uint32],
+    edges_out: wp.array3d[wp.uint32],
+):
+    """The features of a frame a thread; what follows ``seen_out`` is scratch."""
+    b = wp.tid()
+    canny_suppress_lines(b, color, low, high, weak_out, strong_out)
+    canny_hysteresis_lines(0, weak_out, strong_out, edges_out)
+    _features(
+        b, edges_out, depth, corner_x, corner_y, parameters, search, limits, which, bounds,
+        fixed_x, fixed_y, grid_u, grid_v, aligned, fills, masked, quality, distance, strength,
+        u_out, v_out, x_out, y_out, z_out, valid_out, kept_out, found_out, seen_out,
+        tiles_out, ranges_out, keys_out, blocked_out,
+    )  # fmt: skip
