@@ -1,8 +1,10 @@
 """``python -m benchmarks cpu --json FILE``: time the stages on a device, write the metrics."""
 
-import importlib
-import json
 import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,58 +12,85 @@ import jax
 import tyro
 import warp as wp
 
-from benchmarks.run import Case, Metric, copy_rate, metrics_of, regressions
+from benchmarks import gate, report
+from benchmarks.fit import fits_of
+from benchmarks.run import Metric, Missing, copy_rate, metrics_of
+from benchmarks.sweep import case_at, points_of
 from jaxdet.config import STAGES
 
 
-def cases_of(stage: str) -> list[Case]:
-    """The cases that ``bench_<stage>.py`` declares."""
-    return importlib.import_module(f"benchmarks.bench_{stage}").cases()
+@dataclass(frozen=True)
+class Options:
+    """Times each stage on a device beside its peers, in one run."""
+
+    device: tyro.conf.Positional[Literal["cpu", "gpu"]]
+    """Where the stages run."""
+    only: tuple[str, ...] = (*STAGES, "pipeline")
+    """The stages to time, and the whole pipeline."""
+    seconds: float = 1.0
+    """How long each case is repeated; the points of the sweep a third of it."""
+    sweep: bool = False
+    """More batch sizes and feature counts."""
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    """Where to write the metrics, a list of key, value, unit, direction, tolerance."""
+    gate: Path | None = None
+    """A file written earlier on the same device; metrics worse than its tolerance fail."""
+    output: Path | None = None
+    """A folder for the table and the plots (these with the extra ``bench``)."""
 
 
-def main(
-    device: tyro.conf.Positional[Literal["cpu", "gpu"]],
-    only: tuple[str, ...] = (*STAGES, "pipeline"),
-    seconds: float = 2.0,
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-    gate: Path | None = None,
-) -> int:
-    """Times each stage on a device beside its peer, in one run.
+class Run:
+    """The metrics of one run so far, and the peers that were missing."""
 
-    Args:
-        device: Where the stages run.
-        only: The stages to time, and the whole pipeline.
-        seconds: How long each case is repeated.
-        json_file: Where to write the metrics, a list of key, value, unit, direction, tolerance.
-        gate: A file written earlier on the same device; metrics worse than its tolerance fail.
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        self.metrics: list[Metric] = []
+        self.missing: dict[str, Missing] = {}
+        self.rate = copy_rate(options.seconds)
 
-    Returns:
-        The exit code: 1 where the gate failed.
-    """
+    def stage(self, stage: str) -> Iterator[list[Metric]]:
+        """Times a stage beside its peers, then along its axes; yields what is new."""
+        options, module = self.options, import_module(f"benchmarks.bench_{stage}")
+        for case in module.cases():
+            key = f"{stage}.{case.name}"
+            if isinstance(case, Missing):
+                self.missing[key] = case
+            else:
+                yield metrics_of(key, case, options.seconds, self.rate)
+        times = {}
+        for point in points_of(stage, options.device, options.sweep):
+            key, case = f"{stage}.{point.name}", case_at(stage, point)
+            found = metrics_of(key, case, options.seconds / 3, self.rate)
+            times[point] = found[0].value
+            yield found
+        yield fits_of(stage, times)
+        if stage == "pipeline" and options.device == "gpu":
+            yield module.throughput(options.seconds)
+
+
+def main(options: Options) -> int:
+    """Returns the exit code: 1 where the gate failed."""
     wp.config.log_level = wp.LOG_WARNING
-    metrics: list[Metric] = []
-    with jax.default_device(jax.devices(device)[0]):
-        rate = copy_rate(seconds)
-        print(f"{jax.devices(device)[0].device_kind}: copies {rate / 1e9:.1f} GB/s")
-        for stage in only:
-            for case in cases_of(stage):
-                found = metrics_of(f"{stage}.{case.name}", case, seconds, rate)
-                metrics += found
-                print("\n".join(str(metric) for metric in found))
-            if stage == "pipeline" and device == "gpu":
-                found = importlib.import_module("benchmarks.bench_pipeline").throughput(seconds)
-                metrics += found
-                print("\n".join(str(metric) for metric in found))
-    if json_file:
-        rows = [metric._asdict() for metric in metrics]
-        json_file.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    if gate is None:
+    start, device = time.perf_counter(), jax.devices(options.device)[0]
+    with jax.default_device(device):
+        run = Run(options)
+        print(f"{device.device_kind}: copies {run.rate / 1e9:.1f} GB/s\n\n{report.HEADER}")
+        for stage in options.only:
+            for found in run.stage(stage):
+                run.metrics += found
+                print("\n".join([*report.rows(found), *report.others(found)]), flush=True)
+    print("\n".join(["", *report.absent(run.missing), f"{time.perf_counter() - start:.0f} s"]))
+    if options.json_file:
+        gate.write(options.json_file, run.metrics)
+    if options.output:
+        report.write(options.output, run.metrics, run.missing)
+    if options.gate is None:
         return 0
-    baseline = [Metric(**row) for row in json.loads(gate.read_text("utf-8"))]
-    worse = regressions(metrics, [old for old in baseline if old.key.split(".")[0] in only])
+    old = [metric for metric in gate.read(options.gate) if metric.key.split(".")[0] in options.only]
+    worse = gate.regressions(run.metrics, old, run.missing)
     print("\n".join(worse) or "gate: passed")
     return int(bool(worse))
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m benchmarks"))
+    sys.exit(main(tyro.cli(Options, prog="python -m benchmarks")))

@@ -1,22 +1,89 @@
-"""Stage 1, align, against the reference."""
+"""Stage 1, align, against librealsense and OpenCV."""
 
-from benchmarks.run import Case
-from benchmarks.scene import BATCH, CALIBRATIONS, inputs
+from typing import Any
+
+import cv2
+import jax
+import numpy as np
+
+from benchmarks.run import Case, Missing, with_peer
+from benchmarks.scene import BATCH, CALIBRATIONS, inputs, repeated
+from benchmarks.sweep import Point
 from jaxdet import reference, stages
 
+ORACLE = "install the extra oracle; the system needs libusb-1.0-0 and libudev1"
 
-def cases() -> list[Case]:
-    """Depth to colour at two sizes; the depth images come from the host each time."""
-    return [_case(size) for size in CALIBRATIONS]
+
+def cases() -> list[Case | Missing]:
+    """Depth images from the host, to colour; librealsense's results are equal."""
+    first = _case("640x480")
+    found: list[Case | Missing] = [
+        first._replace(
+            name="vs_reference",
+            peer=lambda: reference.align(inputs("640x480").depth, inputs("640x480").calibration),
+            compared=lambda result: result,
+        ),
+        first._replace(
+            name="vs_registerDepth", peer=lambda: register_depth("640x480"), equal=False
+        ),
+    ]
+    for size in CALIBRATIONS:
+        name = "vs_rs_align" if size == "640x480" else f"{size}.vs_rs_align"
+        found.append(
+            with_peer(
+                name,
+                "tests.oracles.realsense",
+                ORACLE,
+                lambda module, size=size, name=name: _with_librealsense(module, size, name),
+            )
+        )
+    return found
+
+
+def at(point: Point) -> Case:
+    """Depth images on the device."""
+    given = inputs(point.size)
+    depth = jax.device_put(repeated(given.depth, point.batch))
+    return Case(
+        name=point.name,
+        run=lambda: stages.align(depth, given.calibration),
+        frames=point.batch,
+        bytes_read=depth.nbytes,
+    )
+
+
+def register_depth(size: str) -> list[np.ndarray]:
+    """OpenCV's alignment: a point a depth pixel, so it leaves holes that librealsense fills."""
+    calibration = CALIBRATIONS[size]
+    assert calibration.depth is not None and calibration.color_from_depth is not None
+    color = calibration.color
+    return [
+        cv2.registerDepth(
+            calibration.depth.K,
+            color.K,
+            np.zeros(4),
+            calibration.color_from_depth.T,
+            depth,
+            (color.width, color.height),
+            depthDilation=True,
+        )
+        for depth in inputs(size).depth
+    ]
 
 
 def _case(size: str) -> Case:
     given = inputs(size)
     return Case(
-        name=f"{size}.b{BATCH}",
+        name=size,
         run=lambda: stages.align(given.depth, given.calibration),
         frames=BATCH,
-        peer=lambda: reference.align(given.depth, given.calibration),
         equal=True,
-        bytes_moved=given.depth.nbytes + given.aligned.depth.nbytes + given.aligned.z.nbytes,
+        compared=lambda result: result.depth,
     )
+
+
+def _with_librealsense(realsense: Any, size: str, name: str) -> Case:
+    given = inputs(size)
+    pairs = realsense.framesets(given.depth, given.calibration)
+    process = realsense.aligner()
+    return _case(size)._replace(name=name, peer=lambda: realsense.aligned(process, pairs))

@@ -1,38 +1,124 @@
-"""Stage 4, cluster, against the reference and scikit-learn's hierarchical clustering."""
+"""Stage 4, cluster, against a NumPy loop, scikit-learn, SciPy, RSC (our reading) and Open3D."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
-from sklearn.cluster import AgglomerativeClustering
 
-from benchmarks.run import Case
-from benchmarks.scene import BATCH, CONFIG, Inputs, inputs
+from benchmarks.baselines.sortgap import sort_and_gap
+from benchmarks.points import camera, plane_of, points, settings
+from benchmarks.run import Case, Missing, with_peer
+from benchmarks.scene import CONFIG
+from benchmarks.sweep import Point
 from jaxdet import reference, stages
+from jaxdet.config import Config, preset
+from jaxdet.stages._device import on_cuda
+from jaxdet.types import Features
+
+COUNT = 1000
+BATCHES = {"cpu": 64, "gpu": 1024}
+PEER_FRAMES = 4
+"""Of the slow peers."""
+UNIT = camera().depth_unit
+PEERS = {
+    "ward": "hierarchical_ward",
+    "complete": "hierarchical_complete",
+    "average": "hierarchical_average",
+    "single": "hierarchical_single",
+    "dbscan": "dbscan",
+    "hdbscan": "hdbscan",
+    "scipy": "scipy_single",
+    "rsc": "rsc",
+}
+"""Cases ``vs_<name>`` and the baselines they stand for, at their default parameters."""
+PAPER_PEERS = "ward", "rsc"
+OPEN3D_REMEDY = "an environment of its own, see benchmarks/README.md"
 
 
-def cases() -> list[Case]:
-    """One batch of features on the device, two peers."""
-    given = inputs("640x480")
-    unit = given.calibration.depth_unit
-    features = jax.device_put(given.features)
-    case = Case(
-        name=f"reference.b{BATCH}",
-        run=lambda: stages.cluster(features, given.plane, unit, CONFIG),
-        frames=BATCH,
-        peer=lambda: reference.cluster(given.features, given.plane, unit, CONFIG),
-        equal=True,
-    )
-    sklearn = case._replace(name=f"sklearn.b{BATCH}", peer=lambda: hierarchical(given), equal=False)
-    return [case, sklearn]
+def cases() -> list[Case | Missing]:
+    """1000 kept points a frame, on the device; the peers take a frame at a time.
+
+    Cases ``vs_<peer>`` have the default configuration, ``paper.vs_<peer>`` the paper's rule, which
+    the NumPy loop follows too: there their labels are equal.
+    """
+    host = points(BATCHES[_platform()], COUNT)
+    few = Features(*(a[:PEER_FRAMES] for a in host))
+    clouds = [_metres(few, b) for b in range(PEER_FRAMES)]
+    found: list[Case | Missing] = []
+    for start, config in (("", CONFIG), ("paper.", preset("paper"))):
+        ours = _case(host, settings(config, COUNT))
+        numpy = ours._replace(
+            name=f"{start}vs_numpy",
+            peer=partial(sort_and_gap, host, UNIT, preset("paper")),
+            equal=start == "paper.",
+            compared=lambda result: result.labels,
+        )
+        first = ours._replace(
+            name=f"{start}vs_reference",
+            peer=partial(_reference, few, settings(config, COUNT)),
+            equal=True,
+            peer_frames=PEER_FRAMES,
+            compared=lambda result: result.labels[:PEER_FRAMES],
+        )
+        found += [numpy, first]
+        slow = ours._replace(peer_frames=PEER_FRAMES)
+        for name in PEERS if start == "" else PAPER_PEERS:
+            key = f"{start}vs_{name}"
+            make = partial(_with_baseline, slow, key, PEERS[name], clouds)
+            found.append(with_peer(key, "benchmarks.baselines", "install the extra bench", make))
+        if not start:
+            make = partial(_with_open3d, slow, clouds)
+            found.append(with_peer("vs_open3d", "open3d", OPEN3D_REMEDY, make))
+    return found
 
 
-def hierarchical(given: Inputs) -> list[np.ndarray]:
-    """Single linkage of the kept points in x and z; another rule than ours, the same job."""
-    gap = CONFIG.cluster.depth_gap_m / given.calibration.depth_unit
-    single = AgglomerativeClustering(
-        n_clusters=None,  # pyright: ignore[reportArgumentType] (scikit-learn documents None)
-        linkage="single",
-        distance_threshold=gap,
-    )
-    x, z, kept = given.features.x, given.features.z, given.features.kept
-    points = [np.stack([x[i, kept[i]], z[i, kept[i]]], axis=1) for i in range(BATCH)]
-    return [single.fit_predict(p) for p in points if len(p) > 1]
+def at(point: Point) -> Case:
+    """``slots`` kept points a frame, on the device, the default configuration."""
+    host = points(point.batch, point.slots)
+    read = host.x.nbytes + host.z.nbytes + host.kept.nbytes
+    return _case(host, settings(CONFIG, point.slots))._replace(name=point.name, bytes_read=read)
+
+
+def _case(host: Features, config: Config) -> Case:
+    features, plane = jax.device_put(host), plane_of(len(host.x))
+    return Case("", partial(stages.cluster, features, plane, UNIT, config), len(host.x))
+
+
+def _reference(features: Features, config: Config) -> np.ndarray:
+    return reference.cluster(features, plane_of(len(features.x)), UNIT, config).labels
+
+
+def _platform() -> str:
+    return "gpu" if on_cuda() else "cpu"
+
+
+def _metres(features: Features, b: int) -> np.ndarray:
+    """``(N, 3)`` float64, x y z."""
+    return np.stack([features.x[b], features.y[b], features.z[b]], axis=1) * UNIT
+
+
+def _each(
+    method: Callable[..., np.ndarray], clouds: list[np.ndarray], **settings: Any
+) -> list[np.ndarray]:
+    return [method(cloud, **settings) for cloud in clouds]
+
+
+def _with_baseline(
+    case: Case, name: str, baseline: str, clouds: list[np.ndarray], module: Any
+) -> Case:
+    method = module.BASELINES[baseline]
+    chosen = dict(method.defaults)
+    if method.sized:
+        chosen["min_points"] = CONFIG.cluster.min_points
+    flat = [cloud[:, [0, 2]] for cloud in clouds]
+    return case._replace(name=name, peer=partial(_each, method.run, flat, **chosen))
+
+
+def _with_open3d(case: Case, clouds: list[np.ndarray], open3d: Any) -> Case:
+    def dbscan(cloud: np.ndarray) -> np.ndarray:
+        points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud))
+        return np.asarray(points.cluster_dbscan(eps=0.15, min_points=5))
+
+    return case._replace(name="vs_open3d", peer=partial(_each, dbscan, clouds))

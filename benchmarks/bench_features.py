@@ -1,44 +1,113 @@
-"""Stage 3, features, against OpenCV one frame at a time."""
+"""Stage 3, features, against OpenCV one frame at a time, and with kornia-rs's Canny."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import cv2
 import jax
 import numpy as np
 
-from benchmarks.run import Case
-from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, Inputs, inputs
+from benchmarks.run import Case, Missing, with_peer
+from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, repeated
+from benchmarks.sweep import Point
 from jaxdet import stages
+from jaxdet.types import Features
+
+CORNERS = replace(CONFIG.features, grid_columns=0)
+"""Corners alone, as the peers have no grid."""
+Canny = Callable[[np.ndarray], np.ndarray]
 
 
-def cases() -> list[Case]:
-    """Corners at two sizes; the colour images come from the host each time."""
-    return [_case(size) for size in CALIBRATIONS]
+def cases() -> list[Case | Missing]:
+    """Colour images from the host; every peer's corners are equal to ours, in order."""
+    found: list[Case | Missing] = []
+    for size in ("640x480", "1280x720"):
+        given, case = inputs(size), _case(size)
+        name = "vs_cv2" if size == "640x480" else f"{size}.vs_cv2"
+        found.append(case._replace(name=name, peer=lambda given=given: opencv(given)))
+    given, case = inputs("640x480"), _case("640x480")
+    found.append(case._replace(name="vs_cv2_threads", peer=lambda: opencv_threads(given)))
+    remedy = "install the extra bench"
+    found.append(
+        with_peer("vs_kornia", "kornia_rs.imgproc", remedy, lambda module: _kornia(case, module))
+    )
+    return found
+
+
+def at(point: Point) -> Case:
+    """Colour images and keep mask on the device, ``slots`` corner slots, no grid."""
+    given, config = inputs(point.size), replace(CORNERS, max_corners=point.slots)
+    color, keep = jax.device_put(repeated((given.color, given.keep), point.batch))
+    return Case(
+        name=point.name,
+        run=lambda: stages.features(color, keep, given.calibration, config),
+        frames=point.batch,
+        bytes_read=color.nbytes + keep.mask.nbytes,
+    )
 
 
 def opencv(given: Inputs) -> list[np.ndarray]:
-    """Grey, Canny, Shi-Tomasi under the mask: corners without their depth."""
-    config = CONFIG.features
-    found = []
-    for color, keep in zip(given.color, given.keep.mask, strict=True):
-        grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-        edges = cv2.Canny(grey, config.canny_low, config.canny_high)
-        corners = cv2.goodFeaturesToTrack(
-            edges,
-            config.max_corners,
-            config.quality_level,
-            config.min_distance,
-            mask=keep.astype(np.uint8),
-            blockSize=config.block_size,
-        )
-        found.append(np.zeros((0, 1, 2)) if corners is None else corners)
-    return found
+    """Grey, Canny, Shi-Tomasi under the mask, frame by frame; OpenCV uses its own threads."""
+    return [_one_frame(*frame, cv2_canny) for frame in _frames(given)]
+
+
+def opencv_threads(given: Inputs) -> list[np.ndarray]:
+    """The same with a thread a frame."""
+    colors, masks = zip(*_frames(given), strict=True)
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(partial(_one_frame, canny=cv2_canny), colors, masks))
+
+
+def cv2_canny(grey: np.ndarray) -> np.ndarray:
+    """OpenCV's edges."""
+    return cv2.Canny(grey, CORNERS.canny_low, CORNERS.canny_high)
+
+
+def corners_of(features: Features) -> list[np.ndarray]:
+    """Column and row of each frame's corners, as OpenCV returns them."""
+    uv = np.stack([features.u, features.v], axis=-1)
+    return [a[valid] for a, valid in zip(uv, np.asarray(features.valid), strict=True)]
+
+
+def _frames(given: Inputs) -> list[tuple[np.ndarray, np.ndarray]]:
+    return list(zip(given.color, given.keep.mask.view(np.uint8), strict=True))
+
+
+def _one_frame(color: np.ndarray, mask: np.ndarray, canny: Canny) -> np.ndarray:
+    corners = cv2.goodFeaturesToTrack(
+        canny(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)),
+        CORNERS.max_corners,
+        CORNERS.quality_level,
+        CORNERS.min_distance,
+        mask=mask,
+        blockSize=CORNERS.block_size,
+    )
+    return np.zeros((0, 2), int) if corners is None else corners[:, 0].astype(int)
 
 
 def _case(size: str) -> Case:
     given = inputs(size)
     keep = jax.device_put(given.keep)
     return Case(
-        name=f"{size}.b{BATCH}",
-        run=lambda: stages.features(given.color, keep, given.calibration, CONFIG.features),
+        name=size,
+        run=lambda: stages.features(given.color, keep, given.calibration, CORNERS),
         frames=BATCH,
-        peer=lambda: opencv(given),
+        equal=True,
+        compared=corners_of,
+    )
+
+
+def _kornia(case: Case, imgproc: Any) -> Case:
+    """kornia-rs has the edges only: grey and corners come from OpenCV."""
+
+    def canny(grey: np.ndarray) -> np.ndarray:
+        edges = imgproc.canny(grey[..., None], CORNERS.canny_low, CORNERS.canny_high)
+        return np.asarray(edges)[..., 0]
+
+    frames = _frames(inputs("640x480"))
+    return case._replace(
+        name="vs_kornia", peer=lambda: [_one_frame(*frame, canny) for frame in frames]
     )

@@ -2,22 +2,39 @@
 
 import jax
 
+from benchmarks.points import camera, plane_of, points, settings
 from benchmarks.run import Case
-from benchmarks.scene import BATCH, CONFIG, inputs
+from benchmarks.scene import BATCH, CONFIG
+from benchmarks.sweep import DEFAULT_SLOTS, Point
 from jaxdet import reference, stages
+
+UNIT = camera().depth_unit
 
 
 def cases() -> list[Case]:
-    """One batch of labelled features on the device."""
-    given = inputs("640x480")
-    plane, unit = given.plane, given.calibration.depth_unit
-    features, labels = jax.device_put((given.features, given.labels))
+    """One batch of labelled features on the device; no other library has this step."""
+    host, plane = points(BATCH, DEFAULT_SLOTS), plane_of(BATCH)
+    config = settings(CONFIG, DEFAULT_SLOTS)
+    labels = reference.cluster(host, plane, UNIT, config)
     return [
-        Case(
-            name=f"b{BATCH}",
-            run=lambda: stages.footprint(features, labels, plane, unit, CONFIG),
-            frames=BATCH,
-            peer=lambda: reference.footprint(given.features, given.labels, plane, unit, CONFIG),
+        at(Point("", DEFAULT_SLOTS, BATCH))._replace(
+            name="vs_reference",
+            peer=lambda: reference.footprint(host, labels, plane, UNIT, config),
             equal=True,
+            bytes_read=0,
         )
     ]
+
+
+def at(point: Point) -> Case:
+    """``slots`` labelled points a frame, on the device."""
+    features, plane = jax.device_put(points(point.batch, point.slots)), plane_of(point.batch)
+    config = settings(CONFIG, point.slots)
+    labels = jax.block_until_ready(stages.cluster(features, plane, UNIT, config))
+    read = *features[:5], features.kept, labels.labels
+    return Case(
+        name=point.name,
+        run=lambda: stages.footprint(features, labels, plane, UNIT, config),
+        frames=point.batch,
+        bytes_read=sum(a.nbytes for a in read),
+    )

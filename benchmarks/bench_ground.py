@@ -3,23 +3,34 @@
 import jax
 
 from benchmarks.run import Case
-from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, inputs
+from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, repeated
+from benchmarks.sweep import Point
 from jaxdet import reference, stages
 
 
 def cases() -> list[Case]:
-    """The keep mask at two sizes, aligned depth on the device."""
-    return [_case(size) for size in CALIBRATIONS]
+    """The keep mask, aligned depth on the device; no other library has this step."""
+    given = inputs("640x480")
+    return [
+        _case("vs_reference", given, BATCH)._replace(
+            peer=lambda: reference.ground(given.aligned, given.plane, given.calibration, CONFIG),
+            equal=True,
+        )
+    ]
 
 
-def _case(size: str) -> Case:
-    given = inputs(size)
-    aligned = jax.device_put(given.aligned)
+def at(point: Point) -> Case:
+    """Aligned depth on the device."""
+    case = _case(point.name, inputs(point.size), point.batch)
+    depth = inputs(point.size).aligned.z
+    return case._replace(bytes_read=depth[0].nbytes * point.batch)
+
+
+def _case(name: str, given: Inputs, batch: int) -> Case:
+    aligned, plane = repeated((given.aligned, given.plane), batch)
+    aligned = jax.device_put(aligned)
     return Case(
-        name=f"{size}.b{BATCH}",
-        run=lambda: stages.ground(aligned, given.plane, given.calibration, CONFIG),
-        frames=BATCH,
-        peer=lambda: reference.ground(given.aligned, given.plane, given.calibration, CONFIG),
-        equal=True,
-        bytes_moved=given.aligned.z.nbytes + given.keep.mask.nbytes,
+        name=name,
+        run=lambda: stages.ground(aligned, plane, given.calibration, CONFIG),
+        frames=batch,
     )

@@ -1,8 +1,12 @@
 """The runner: warm up, block until ready, compile time apart, ratio to the peer of the same run."""
 
+import os
 import statistics
 import time
 from collections.abc import Callable
+from importlib import import_module
+from multiprocessing import active_children
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -14,7 +18,7 @@ class Case(NamedTuple):
     """One thing to time."""
 
     name: str
-    """Last part of the metric keys, for instance ``640x480.b8``."""
+    """Last part of the metric keys, for instance ``640x480.b8`` or ``vs_cv2``."""
     run: Callable[[], Any]
     """Ours; may return JAX arrays, which are waited for."""
     frames: int
@@ -23,8 +27,20 @@ class Case(NamedTuple):
     """Somebody else's code, or the reference, on the same frames."""
     equal: bool = False
     """The peer must return equal arrays; checked before anything is timed."""
-    bytes_moved: int = 0
-    """Bytes that one call has to read and write at least; 0: not of interest."""
+    peer_frames: int = 0
+    """Frames that one call of the peer works on; 0: as many as ours."""
+    compared: Callable[[Any], Any] = lambda result: result
+    """The part of our result that must equal the peer's."""
+    bytes_read: int = 0
+    """Bytes that one call has to read at least; 0: bandwidth is not of interest."""
+
+
+class Missing(NamedTuple):
+    """A case whose peer this machine lacks; it is listed, never dropped silently."""
+
+    name: str
+    reason: str
+    remedy: str
 
 
 class Metric(NamedTuple):
@@ -43,13 +59,34 @@ class Metric(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Seconds of one function."""
+    """One function's times."""
 
     first: float
-    """The first call, compilation included."""
+    """The first call, compilation included [s]."""
     median: float
+    """[s]"""
     spread: float
-    """Half the distance of the quartiles."""
+    """Half the distance of the quartiles [s]."""
+    cores: float
+    """CPU time over wall time: how many cores it kept busy."""
+    result_bytes: int
+    """Size of the arrays it returned."""
+
+
+def with_peer(name: str, module: str, remedy: str, make: Callable[[Any], Case]) -> Case | Missing:
+    """The case that ``make`` builds from a module, or a note that the machine lacks it.
+
+    Args:
+        name: Of the case.
+        module: What the peer imports.
+        remedy: What to do where it can't be imported.
+        make: Takes the module.
+    """
+    try:
+        found = import_module(module)
+    except (ImportError, OSError) as error:
+        return Missing(name, str(error), remedy)
+    return make(found)
 
 
 def call(function: Callable[[], Any]) -> tuple[float, Any]:
@@ -59,18 +96,38 @@ def call(function: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
+def cpu_seconds() -> float:
+    """CPU time of all threads so far; worker processes count where the system has ``/proc``."""
+    total = time.process_time()
+    for child in active_children():
+        stat = Path(f"/proc/{child.pid}/stat")
+        if stat.exists():
+            fields = stat.read_text("utf-8").rpartition(")")[2].split()
+            total += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return total
+
+
 def timed(functions: list[Callable[[], Any]], seconds: float) -> list[Timing]:
     """Times functions in turns, so that a busy machine treats them alike; at least 5 rounds."""
-    first = [call(function)[0] for function in functions]
-    rounds: list[list[float]] = []
+    first = [call(function) for function in functions]
+    sizes = [_nbytes(result) for _, result in first]
+    wall: list[list[float]] = [[] for _ in functions]
+    busy = [0.0 for _ in functions]
     end = time.perf_counter() + seconds
-    while len(rounds) < 5 or time.perf_counter() < end:
-        rounds.append([call(function)[0] for function in functions])
+    while len(wall[0]) < 5 or time.perf_counter() < end:
+        for i, function in enumerate(functions):
+            before = cpu_seconds()
+            wall[i].append(call(function)[0])
+            busy[i] += cpu_seconds() - before
     timings = []
-    for start, samples in zip(first, zip(*rounds, strict=True), strict=True):
+    for (start, _), size, samples, cpu in zip(first, sizes, wall, busy, strict=True):
         low, median, high = statistics.quantiles(samples, n=4)
-        timings.append(Timing(start, median, (high - low) / 2))
+        timings.append(Timing(start, median, (high - low) / 2, cpu / sum(samples), size))
     return timings
+
+
+def _nbytes(tree: Any) -> int:
+    return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(tree))
 
 
 def copy_rate(seconds: float, size: int = 1 << 28) -> float:
@@ -95,10 +152,10 @@ def check_equal(name: str, ours: object, theirs: object) -> None:
 
 
 def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric]:
-    """The metrics of a case: time a frame, spread, compile time, peer's time, ratio, bandwidth.
+    """The metrics of a case; the ratio's key is the case's own, the others' begin with it.
 
     Args:
-        key: Start of the metric keys, ``<stage>.<case>``.
+        key: ``<stage>.<case>``.
         case: What to time.
         seconds: How long to repeat it.
         rate: The device's copy rate [byte/s].
@@ -107,38 +164,30 @@ def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric
         The metrics, most important first.
     """
     if case.equal and case.peer:
-        check_equal(key, case.run(), case.peer())
+        check_equal(key, case.compared(case.run()), case.peer())
         jax.clear_caches()  # so that the first timed call compiles again
-    timings = timed([case.run, *([case.peer] if case.peer else [])], seconds)
-    ours = timings[0]
-    per_frame = 1e3 / case.frames
+    ours, *peers = timed([case.run, *([case.peer] if case.peer else [])], seconds)
+    mine = 1e3 / case.frames
     metrics = [
-        Metric(f"{key}.time", ours.median * per_frame, "ms/frame", "lower", 0.3),
-        Metric(f"{key}.spread", ours.spread * per_frame, "ms/frame", "info", 0.0),
+        Metric(f"{key}.time", ours.median * mine, "ms/frame", "info", 0.0),
+        Metric(f"{key}.spread", ours.spread * mine, "ms/frame", "info", 0.0),
         Metric(f"{key}.compile", max(0.0, ours.first - ours.median), "s", "info", 0.0),
+        Metric(f"{key}.cores", ours.cores, "", "info", 0.0),
     ]
-    if case.peer:
-        peer = timings[1]
-        metrics.append(Metric(f"{key}.peer", peer.median * per_frame, "ms/frame", "info", 0.0))
-        metrics.append(Metric(f"{key}.ratio", peer.median / ours.median, "x", "higher", 0.2))
-    if case.bytes_moved:
-        moved = case.bytes_moved / ours.median
-        metrics.append(Metric(f"{key}.rate", moved / 1e9, "GB/s", "info", 0.0))
-        metrics.append(Metric(f"{key}.copy_share", moved / rate, "", "higher", 0.3))
+    for peer in peers:
+        theirs = 1e3 / (case.peer_frames or case.frames)
+        ratio = peer.median * theirs / (ours.median * mine)
+        metrics.insert(0, Metric(key, ratio, "x", "higher", 0.3))
+        metrics += [
+            Metric(f"{key}.peer", peer.median * theirs, "ms/frame", "info", 0.0),
+            Metric(f"{key}.peer_spread", peer.spread * theirs, "ms/frame", "info", 0.0),
+            Metric(f"{key}.peer_cores", peer.cores, "", "info", 0.0),
+        ]
+    if case.bytes_read:
+        moved = case.bytes_read + ours.result_bytes
+        metrics += [
+            Metric(f"{key}.bytes", moved / case.frames, "byte/frame", "info", 0.0),
+            Metric(f"{key}.rate", moved / ours.median / 1e9, "GB/s", "info", 0.0),
+            Metric(f"{key}.copy_share", moved / ours.median / rate, "", "higher", 0.5),
+        ]
     return metrics
-
-
-def regressions(metrics: list[Metric], baseline: list[Metric]) -> list[str]:
-    """A line for each gated metric that is worse than the baseline allows, or is gone."""
-    now = {metric.key: metric for metric in metrics}
-    lines = []
-    for old in baseline:
-        if old.direction == "info":
-            continue
-        if (new := now.get(old.key)) is None:
-            lines.append(f"gate: {old.key} was not measured")
-            continue
-        worse = new.value / old.value if old.direction == "lower" else old.value / new.value
-        if worse > 1 + old.tolerance:
-            lines.append(f"gate: {old.key} {old.value:.4g} -> {new.value:.4g} {old.unit}")
-    return lines

@@ -1,8 +1,9 @@
 """What the stages are timed on: the simulator's demo room, seen by a D435-like camera."""
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import warp as wp
 
@@ -18,6 +19,7 @@ from jaxdet.types import (
     Calibration,
     Extrinsics,
     Features,
+    Frames,
     GroundPlane,
     Intrinsics,
     Keep,
@@ -39,13 +41,18 @@ CALIBRATIONS = {
         Intrinsics(640, 480, 380.0, 380.0, 319.5, 239.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
-    "1280x720": Calibration(
+    "848x480-1280x720": Calibration(
         Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
         Intrinsics(848, 480, 422.0, 422.0, 423.5, 239.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
+    "1280x720": Calibration(
+        Intrinsics(1280, 720, 915.0, 915.0, 639.5, 359.5),
+        Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5),
+        Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
+    ),
 }
-"""By the colour image's size."""
+"""By the size of both images, or of the depth image and the colour image."""
 
 
 class Inputs(NamedTuple):
@@ -101,3 +108,17 @@ def inputs(size: str) -> Inputs:
     features = reference.features(colors, keep, calibration, CONFIG.features)
     labels = reference.cluster(features, plane, calibration.depth_unit, CONFIG)
     return Inputs(calibration, colors, depths, plane, aligned, keep, features, labels)
+
+
+def repeated(tree: Any, batch: int) -> Any:
+    """Arrays of ``BATCH`` frames made into arrays of ``batch`` frames, in turns."""
+    turns = np.arange(batch) % BATCH
+    return jax.tree.map(lambda a: a[turns], tree)
+
+
+def frames_of(size: str, batch: int) -> Frames:
+    """``batch`` frames in host memory, those of the scene in turns, with their floor."""
+    given = inputs(size)
+    number, valid = np.arange(batch, dtype=np.int64), np.ones(batch, bool)
+    color, depth, plane = repeated((given.color, given.depth, given.plane), batch)
+    return Frames(color, depth, given.calibration, number, number, number, valid, None, plane)

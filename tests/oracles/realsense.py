@@ -3,6 +3,8 @@
 Follows librealsense's example ``align-with-software-device.py``.
 """
 
+import itertools
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -20,6 +22,21 @@ _MODELS = {
 
 def align(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
     """One depth image ``(Hd, Wd)`` uint16 aligned to colour, ``(H, W)`` uint16."""
+    return aligned(aligner(), framesets(depth[None], calibration))[0]
+
+
+def aligner() -> Callable[[Any], Any]:
+    """librealsense's processing block; it keeps its tables from one frame to the next."""
+    return rs.align(rs.stream.color).process
+
+
+def aligned(process: Callable[[Any], Any], pairs: list[Any]) -> np.ndarray:
+    """What :func:`framesets` returned, aligned to colour, ``(B, H, W)`` uint16."""
+    return np.stack([process(pair).get_depth_frame().get_data() for pair in pairs])
+
+
+def framesets(depth: np.ndarray, calibration: Calibration) -> list[Any]:
+    """Depth images ``(B, Hd, Wd)`` uint16, each paired with a black colour image by the syncer."""
     device = rs.software_device()
     sensors = device.add_sensor("Depth"), device.add_sensor("Color")
     sensors[0].add_read_only_option(rs.option.depth_units, calibration.depth_unit)
@@ -33,19 +50,24 @@ def align(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
     profiles[0].register_extrinsics_to(profiles[1], motion)
     device.create_matcher(rs.matchers.default)
     syncer = rs.syncer()
-    color = np.zeros((calibration.color.height, calibration.color.width, 3), np.uint8)
+    black = np.zeros((calibration.color.height, calibration.color.width, 3), np.uint8)
     for sensor, profile in zip(sensors, profiles, strict=True):
         sensor.open(profile)
         sensor.start(syncer)
-    try:
-        for number in range(1, 9):
-            for sensor, profile, image in zip(sensors, profiles, (depth, color), strict=True):
+    numbers = itertools.count(1)
+
+    def send(*images: np.ndarray) -> Any:
+        for number in itertools.islice(numbers, 9):
+            for sensor, profile, image in zip(sensors, profiles, images, strict=True):
                 sensor.on_video_frame(_frame(image, profile, calibration.depth_unit, number))
-            frames = syncer.wait_for_frames()
-            if frames.size() == 2:
-                aligned = rs.align(rs.stream.color).process(frames).get_depth_frame()
-                return np.array(aligned.get_data(), np.uint16)
+            pair = syncer.wait_for_frames()
+            if pair.size() == 2 and pair.get_depth_frame().get_frame_number() == number:
+                pair.keep()
+                return pair
         raise RuntimeError("the syncer gave no pair")
+
+    try:
+        return [send(image, black) for image in depth]
     finally:
         for sensor in sensors:
             sensor.stop()

@@ -1,0 +1,165 @@
+"""The benchmark's own parts: the gate, the fits, the report, and what cases promise."""
+
+import doctest
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import fit, gate, report
+from benchmarks.baselines.sortgap import sort_and_gap
+from benchmarks.points import plane_of, points, settings
+from benchmarks.run import Case, Metric, Missing, metrics_of, with_peer
+from benchmarks.sweep import AXES, Point, points_of
+from jaxdet import reference
+from jaxdet.config import STAGES, preset
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+ISSUE_KEYS = {
+    "pipeline.vs_handwritten",
+    "align.vs_rs_align",
+    "align.vs_registerDepth",
+    "features.vs_cv2",
+    "features.vs_kornia",
+    "cluster.vs_ward",
+    "cluster.vs_dbscan",
+    "cluster.vs_hdbscan",
+    "cluster.vs_scipy",
+    "cluster.vs_rsc",
+    "cluster.vs_numpy",
+}
+BASELINE = [
+    Metric("align.vs_rs_align", 4.0, "x", "higher", 0.3),
+    Metric("pipeline.seconds", 2.0, "s", "lower", 0.3),
+    Metric("align.vs_rs_align.time", 1.0, "ms/frame", "info", 0.0),
+]
+
+
+def with_value(key: str, value: float) -> list[Metric]:
+    return [m._replace(value=value) if m.key == key else m for m in BASELINE]
+
+
+# the gate
+
+
+def test_the_gate_passes_on_equal_and_better_figures() -> None:
+    assert gate.regressions(BASELINE, BASELINE) == []
+    assert gate.regressions(with_value("align.vs_rs_align", 40.0), BASELINE) == []
+    assert gate.regressions(with_value("pipeline.seconds", 0.2), BASELINE) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "inside", "outside"),
+    [("align.vs_rs_align", 4.0 / 1.29, 4.0 / 1.31), ("pipeline.seconds", 2.58, 2.62)],
+)
+def test_the_gate_fails_beyond_the_tolerance(key: str, inside: float, outside: float) -> None:
+    assert gate.regressions(with_value(key, inside), BASELINE) == []
+    for bad in (outside, float("nan")):
+        (line,) = gate.regressions(with_value(key, bad), BASELINE)
+        assert line.startswith(f"gate: {key} ")
+
+
+def test_the_gate_fails_on_a_missing_figure_and_says_why() -> None:
+    gone = BASELINE[1:]
+    assert gate.regressions(gone, BASELINE) == ["gate: align.vs_rs_align was not measured"]
+    missing = {"align.vs_rs_align": Missing("vs_rs_align", "no module", "install it")}
+    (line,) = gate.regressions(gone, BASELINE, missing)
+    assert line.endswith("was not measured: no module; install it")
+    assert gate.regressions(BASELINE[:2], BASELINE) == []  # for information only
+
+
+def test_a_baseline_is_the_median_and_twice_the_worst_loss(tmp_path: Path) -> None:
+    runs = [with_value("align.vs_rs_align", value) for value in (5.0, 2.5, 4.0)]
+    found = gate.baseline_of(runs)
+    assert [(m.key, m.value, m.tolerance) for m in found] == [
+        ("align.vs_rs_align", 4.0, 1.2),
+        ("pipeline.seconds", 2.0, gate.LEAST_TOLERANCE),
+    ]
+    files = [tmp_path / f"{i}.json" for i in range(3)]
+    for file, run in zip(files, runs, strict=True):
+        gate.write(file, run)
+    assert gate.main(tmp_path / "out" / "baseline.json", tuple(files)) == 0
+    assert gate.read(tmp_path / "out" / "baseline.json") == found
+
+
+def test_the_committed_baseline_gates_what_the_issue_names() -> None:
+    baseline = gate.read(FOLDER / "baseline_cpu.json")
+    gated = {m.key for m in baseline if m.direction == "higher" and m.value > 0}
+    assert gated >= ISSUE_KEYS
+    assert gate.regressions(baseline, baseline) == []
+    halved = [m._replace(value=m.value / (1.01 + m.tolerance)) for m in baseline]
+    assert len(gate.regressions(halved, baseline)) == len(baseline)
+
+
+# cases
+
+
+def tiny(peer: np.ndarray) -> Case:
+    return Case("tiny", lambda: np.arange(4), 2, lambda: peer, equal=True, bytes_read=8)
+
+
+def test_a_case_is_timed_and_its_ratio_has_its_own_key() -> None:
+    found = metrics_of("align.tiny", tiny(np.arange(4))._replace(peer_frames=1), 0.0, 1e9)
+    values = {m.key: m.value for m in found}
+    assert values["align.tiny"] == pytest.approx(
+        values["align.tiny.peer"] / values["align.tiny.time"]
+    )
+    assert values["align.tiny.bytes"] == (8 + np.arange(4).nbytes) / 2
+    json.dumps([m._asdict() for m in found])
+
+
+def test_unequal_results_are_not_timed() -> None:
+    with pytest.raises(AssertionError, match=r"align\.tiny: array 0"):
+        metrics_of("align.tiny", tiny(np.arange(4) + 1), 0.0, 1e9)
+
+
+def test_a_peer_that_is_not_installed_is_listed() -> None:
+    case = with_peer("vs_none", "no_such_module", "install it", lambda module: tiny(module))
+    assert isinstance(case, Missing)
+    (line,) = report.absent({"align.vs_none": case})
+    assert "align.vs_none" in line and "no_such_module" in line and line.endswith("install it")
+
+
+@pytest.mark.parametrize("n", [1, 16, 40, 700])
+def test_the_numpy_loop_equals_the_reference(n: int) -> None:
+    found, config = points(6, n, seed=n), settings(preset("paper"), n)
+    some = found._replace(kept=np.arange(6 * n).reshape(6, n) % 7 > 0)
+    none = found._replace(kept=np.zeros((6, n), bool))
+    for features in (found, some, none):
+        want = reference.cluster(features, plane_of(6), 0.001, config).labels
+        np.testing.assert_array_equal(sort_and_gap(features, 0.001, config), want)
+    assert n < 700 or want.max() < reference.cluster(found, plane_of(6), 0.001, config).labels.max()
+
+
+# the sweep and its fits
+
+
+@pytest.mark.parametrize("module", [fit, report])
+def test_examples(module) -> None:
+    assert doctest.testmod(module).failed == 0
+
+
+@pytest.mark.parametrize("stage", [*STAGES, "pipeline"])
+@pytest.mark.parametrize("kind", ["cpu", "gpu"])
+def test_fits_find_the_cost_that_was_put_in(stage: str, kind: str) -> None:
+    def cost(p: Point) -> float:
+        return 0.5 / p.batch + 0.1 + (1e-5 * p.slots * np.log2(p.slots) if p.slots else 0.0)
+
+    times = {point: cost(point) for point in points_of(stage, kind, full=True)}
+    values = {m.key.removeprefix(f"{stage}."): m.value for m in fit.fits_of(stage, times)}
+    assert values["batch_fit.fixed"] == pytest.approx(0.5)
+    assert values["batch_fit.residual"] == pytest.approx(0.0, abs=1e-9)
+    if "slots" in AXES[stage]:
+        assert values["slots_fit.per_n_log_n"] == pytest.approx(10.0)
+        assert values["slots_fit.residual_n_log_n"] == pytest.approx(0.0, abs=1e-9)
+        assert values["slots_fit.residual_n"] > 0.01
+        assert values["slots_fit.residual_n2"] > values["slots_fit.residual_n"]
+
+
+def test_points_have_names_that_the_plots_read() -> None:
+    plots = pytest.importorskip("benchmarks.plots", exc_type=ImportError)
+    for stage in AXES:
+        want = dict.fromkeys(points_of(stage, "cpu", full=True), 1.0)
+        metrics = [Metric(f"{stage}.{p.name}.time", 1.0, "ms/frame", "info", 0.0) for p in want]
+        assert plots.sweep_of(metrics, "time") == {stage: want}
