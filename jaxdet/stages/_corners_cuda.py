@@ -76,50 +76,67 @@ def canny_bounds(color: jax.Array, config: FeaturesConfig) -> tuple[jax.Array, j
 
 
 def strongest_corners(
-    color: jax.Array, mask: jax.Array, config: FeaturesConfig
+    color: jax.Array, mask: jax.Array | None, config: FeaturesConfig
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The strongest corners of the Canny edge images, as the reference selects them.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
-        mask: ``(B, H, W)`` bool, where corners may be.
+        mask: ``(B, H, W)`` bool, where corners may be; None for everywhere.
         config: Canny's bounds and the corner selection, static.
 
     Returns:
         Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
         corners qualify ``(B,)`` int32, which may be more than there are slots.
     """
-    batch, height, width = mask.shape
+    masked = mask is not None
+    mask = jnp.ones((1, 1, 1), bool) if mask is None else mask
+    strength, best, peak = strengths(color, mask, masked, config)
+    batch, height, words = peak.shape
+    (maxima,) = _maxima(
+        strength,
+        mask,
+        int(masked),
+        best,
+        peak,
+        float(config.quality_level),
+        launch_dims=(-(-batch * height * words // kernels.MAXIMA_BLOCK) * kernels.MAXIMA_BLOCK,),
+        output_dims={"maxima_out": peak.shape},
+    )
+    return select(strength, maxima, config)
+
+
+def strengths(
+    color: jax.Array, mask: jax.Array, masked: bool, config: FeaturesConfig
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The minimum eigenvalue of the edge images ``(B, H, W)`` float32.
+
+    With it, as integers of the same order, the strongest of each frame ``(B,)``, of those that
+    ``mask`` allows if ``masked``, and of each 32 columns of a row.
+    """
+    batch, height, width, _ = color.shape
     edge = edges(color, *canny_bounds(color, config))
-    rows = edge.shape
     best = jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32)
     blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)
     best, strength, peak = _eigenvalue(
         edge,
         mask,
+        int(masked),
         best,
         launch_dims=(blocks * kernels.EIGENVALUE_BLOCK,),
         output_dims={
             "best_out": (batch,),
             "strength_out": (batch, height, width),
-            "peak_out": rows,
+            "peak_out": edge.shape,
         },
     )
-    (maxima,) = _maxima(
-        strength,
-        mask,
-        best,
-        peak,
-        float(config.quality_level),
-        launch_dims=(-(-batch * height * rows[2] // kernels.MAXIMA_BLOCK) * kernels.MAXIMA_BLOCK,),
-        output_dims={"maxima_out": rows},
-    )
-    return _select(strength, maxima, config)
+    return strength, best, peak
 
 
-def _select(
+def select(
     strength: jax.Array, maxima: jax.Array, config: FeaturesConfig
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The corners among ``maxima``, a bit a pixel; see :func:`strongest_corners`."""
     batch, _, width = strength.shape
     slots = (batch, config.max_corners)
     strength_key, place_key, found, _, _ = _spread(

@@ -8,9 +8,18 @@ import jax.numpy as jnp
 
 from jaxdet.config import Config
 from jaxdet.plane import ground_axes
-from jaxdet.stages import _align, _cluster, _corners_cuda, _features, _footprint, _ground
+from jaxdet.stages import (
+    _align,
+    _align_points,
+    _cluster,
+    _corners_cuda,
+    _features,
+    _footprint,
+    _ground,
+    _sparse,
+)
 from jaxdet.stages._device import on_cuda
-from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
+from jaxdet.types import AlignedDepth, Calibration, Detections, Features, Frames, GroundPlane
 
 
 class _Tables(NamedTuple):
@@ -40,7 +49,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
     """
     calibration, unit = frames.calibration, frames.calibration.depth_unit
-    align, static = _align_tables(calibration)
+    align, static = _align_tables(calibration, config)
     tables = _Tables(
         align,
         _ground.tables(plane, calibration, config),
@@ -52,10 +61,19 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     return _detect(color, depth, tables, static, unit, config)
 
 
-def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], tuple | None]:
-    """The alignment's arrays and its static arguments; neither for aligned depth."""
+def _align_tables(
+    calibration: Calibration, config: Config
+) -> tuple[tuple[jax.Array, ...], tuple | None]:
+    """The alignment's arrays and its static arguments.
+
+    One static argument for a look-up at the features, four for the dense alignment, none for
+    depth that is aligned already.
+    """
     if calibration.is_aligned:
         return (), None
+    if _sparse.covers(calibration, config):
+        *arrays, fills = _align_points.tables(calibration)
+        return tuple(arrays), (fills,)
     *arrays, model, fills, separable = _align.tables(calibration)
     size = calibration.color.height, calibration.color.width
     return tuple(arrays), (model, fills, separable, size)
@@ -70,11 +88,24 @@ def _detect(
     unit: float,
     config: Config,
 ) -> Detections:
+    features, has_depth = _features_of(color, depth, tables, align, config)
+    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
+    obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
+    return Detections(features, labels, obstacles, has_depth)
+
+
+def _features_of(
+    color: jax.Array, depth: jax.Array, tables: _Tables, align: tuple | None, config: Config
+) -> tuple[Features, jax.Array]:
+    """The first three stages: the features, and whether a frame has depth in range."""
+    if align is not None and len(align) == 1:
+        floor, settings = _sparse.Floor(*tables.ground), config.features
+        return _sparse.features(
+            color, depth, tables.align, *align, floor, tables.features, settings
+        )
     aligned = AlignedDepth(depth, depth)
     if align is not None:
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
     keep = _ground.keep(aligned.z, *tables.ground, config.ground.contour_radius)
-    features = _features.on_device(color, keep.z, keep.mask, tables.features, config.features)
-    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
-    obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
-    return Detections(features, labels, obstacles, keep.has_depth)
+    found = _features.on_device(color, keep.z, keep.mask, tables.features, config.features)
+    return found, keep.has_depth

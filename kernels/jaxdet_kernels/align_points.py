@@ -9,8 +9,8 @@ wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 _POINT = (
     SEARCH
     + """
-    keys_out.data[(size_t)b * u.shape[1] + m] =
-        smallest_key(u.data[(size_t)b * u.shape[1] + m], v.data[(size_t)b * u.shape[1] + m]);
+    const size_t at = (size_t)b * u.shape[1] + m;
+    keys_out.data[at] = u.data[at] < 0 ? 0xffffffffu : smallest_key(u.data[at], v.data[at]);
 """
 )
 
@@ -19,7 +19,27 @@ _TILE_RANGE = """
     const int last = (i + 1) * TILE < Hd ? (i + 1) * TILE : Hd;
     const int end = (j + 1) * TILE < Wd ? (j + 1) * TILE : Wd;
     unsigned short least = 65535, most = 0;
-    for (int y = i * TILE; y < last; ++y) {
+    #if defined(__CUDA_ARCH__)
+    const bool whole = Wd % 8 == 0;
+    if (whole) {
+        unsigned low = 0xffffffffu, high = 0;
+        for (int y = i * TILE; y < last; ++y)
+            for (int x = j * TILE; x < end; x += 8) {
+                const uint4 eight = *(const uint4*)(depth.data + ((size_t)b * Hd + y) * Wd + x);
+                const unsigned pairs[4] = {eight.x, eight.y, eight.z, eight.w};
+                #pragma unroll
+                for (int k = 0; k < 4; ++k) {
+                    low = __vminu2(low, __vsub2(pairs[k], 0x00010001u));
+                    high = __vmaxu2(high, pairs[k]);
+                }
+            }
+        least = min(low & 0xffffu, low >> 16);
+        most = max(high & 0xffffu, high >> 16);
+    }
+    #else
+    const bool whole = false;
+    #endif
+    for (int y = i * TILE; y < last && !whole; ++y) {
         const unsigned short* row = depth.data + ((size_t)b * Hd + y) * Wd;
         for (int x = j * TILE; x < end; ++x) {
             // No measurement, 0, wraps to the largest number.
@@ -79,7 +99,10 @@ def align_points(
     v: wp.array2d[wp.int32],
     keys_out: wp.array2d[wp.uint32],
 ):
-    """A thread a point: the key at its column ``u`` and row ``v``, all bits set where none is."""
+    """A thread a point: the key at its column ``u`` and row ``v``, all bits set where none is.
+
+    Where ``u`` is negative there is no pixel, and none is looked for.
+    """
     b, m = wp.tid()
     _point(
         b, m, depth, tiles, ranges, corner_x, corner_y, parameters, search, fills, u, v, keys_out

@@ -19,11 +19,13 @@ from jaxdet_kernels.features_corners import (
     corners_eigenvalue,
     corners_maxima,
 )
+from jaxdet_kernels.features_lookup import LOOKUP_BLOCK, corners_lookup, ground_has_depth
 from jaxdet_kernels.features_select import SPREAD_BLOCK, corners_spread
 
 __all__ = [
     "EIGENVALUE_BLOCK",
     "HYSTERESIS_BLOCK",
+    "LOOKUP_BLOCK",
     "MAXIMA_BLOCK",
     "SPREAD_BLOCK",
     "SUPPRESS_BLOCK",
@@ -32,6 +34,8 @@ __all__ = [
     "canny_hysteresis",
     "canny_suppress",
     "corners_eigenvalue",
+    "corners_lookup",
     "corners_maxima",
     "corners_spread",
+    "ground_has_depth",
 ]

@@ -14,7 +14,7 @@ MAXIMA_BLOCK = 256
 
 _EIGENVALUE = """
 #if defined(__CUDA_ARCH__)
-    const int H = mask.shape[1], W = mask.shape[2], words = edges.shape[2];
+    const int H = strength_out.shape[1], W = strength_out.shape[2], words = edges.shape[2];
     const int columns = (W + 127) / 128, b = block / columns, x = (block % columns) * 128 + thread;
     __shared__ double xx[512], xy[512], yy[512];
     __shared__ int best;
@@ -100,7 +100,7 @@ _EIGENVALUE = """
         const int bits = __float_as_int(e), ordered = bits < 0 ? bits ^ 0x7fffffff : bits;
         if (x < W) {
             out[(size_t)y * W] = e;
-            if (ordered > strongest && may[(size_t)y * W]) strongest = ordered;
+            if (ordered > strongest && (!masked || may[(size_t)y * W])) strongest = ordered;
         }
         // The strongest of each word lets the search for maxima skip what is flat.
         const int peak = __reduce_max_sync(0xffffffffu, x < W ? ordered : (int)0x80000000);
@@ -123,8 +123,8 @@ _EIGENVALUE = """
 
 _MAXIMA = """
 #if defined(__CUDA_ARCH__)
-    const int H = mask.shape[1], W = mask.shape[2], words = maxima_out.shape[2];
-    const unsigned frame = H * words, all = mask.shape[0] * frame, lane = thread % 32;
+    const int H = strength.shape[1], W = strength.shape[2], words = maxima_out.shape[2];
+    const unsigned frame = H * words, all = strength.shape[0] * frame, lane = thread % 32;
     const unsigned first = ((unsigned)block * 256u + thread) / 32u * 32u, mine = first + lane;
     unsigned result = 0, hot = 0;
     float threshold = 0.0f;
@@ -149,7 +149,7 @@ _MAXIMA = """
             const float* e = strength.data + ((size_t)b * H + y) * W + x;
             const float v = e[0];
             corner = v > limit && v != 0.0f
-                && ((const unsigned char*)mask.data)[((size_t)b * H + y) * W + x];
+                && (!masked || mask.data[((size_t)b * H + y) * W + x]);
             if (corner) {
                 for (int dy = -1; dy <= 1; ++dy)
                     for (int dx = -1; dx <= 1; ++dx) {
@@ -172,6 +172,7 @@ def _eigenvalue(
     thread: int,
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.bool],
+    masked: int,
     best_out: wp.array[wp.int32],
     strength_out: wp.array3d[wp.float32],
     peak_out: wp.array3d[wp.int32],
@@ -182,13 +183,17 @@ def _eigenvalue(
 def corners_eigenvalue(
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.bool],
+    masked: int,
     best_out: wp.array[wp.int32],
     strength_out: wp.array3d[wp.float32],
     peak_out: wp.array3d[wp.int32],
 ):
-    """Minimum eigenvalue of an edge image, a thread a column; the strongest allowed one."""
+    """Minimum eigenvalue of an edge image, a thread a column; the strongest allowed one.
+
+    ``mask`` is read where ``masked`` is not 0; else every pixel is allowed.
+    """
     i = wp.tid()
-    _eigenvalue(i // 128, i % 128, edges, mask, best_out, strength_out, peak_out)
+    _eigenvalue(i // 128, i % 128, edges, mask, masked, best_out, strength_out, peak_out)
 
 
 @wp.func_native(_MAXIMA)
@@ -197,6 +202,7 @@ def _maxima(
     thread: int,
     strength: wp.array3d[wp.float32],
     mask: wp.array3d[wp.bool],
+    masked: int,
     best: wp.array[wp.int32],
     peak: wp.array3d[wp.int32],
     quality: wp.float64,
@@ -208,11 +214,12 @@ def _maxima(
 def corners_maxima(
     strength: wp.array3d[wp.float32],
     mask: wp.array3d[wp.bool],
+    masked: int,
     best: wp.array[wp.int32],
     peak: wp.array3d[wp.int32],
     quality: wp.float64,
     maxima_out: wp.array3d[wp.uint32],
 ):
-    """Allowed 3x3 maxima above the quality threshold, a thread a word."""
+    """Allowed 3x3 maxima above the quality threshold, a thread a word; ``masked`` as above."""
     i = wp.tid()
-    _maxima(i // 256, i % 256, strength, mask, best, peak, quality, maxima_out)
+    _maxima(i // 256, i % 256, strength, mask, masked, best, peak, quality, maxima_out)
