@@ -122,10 +122,13 @@ def test_footprints_and_boxes_hold_their_points(family):
         T = truth.T_world_camera[0]
         assert truth.visible_pixels[0].sum() == (frame.truth.obstacle_id > 0).sum()
         for j in np.flatnonzero(truth.visible_pixels[0]):
-            points = frame.truth.points[frame.truth.obstacle_id == j + 1]
+            chosen = frame.truth.obstacle_id == j + 1
+            points = frame.truth.points[chosen]
             outline = truth.footprint_world[0, j]
             outline = outline[~np.isnan(outline[:, 0])].astype(np.float64)
-            low = points[points[:, 2] < 2.2]
+            above = points[:, 2] - (truth.box_world[0, j, 4, 2] - truth.height_m[0, j])
+            step = 0.05 if truth.height_m[0, j] > 0.05 else -np.inf
+            low = points[(above > step + 1e-3) & (above < 2.2)]
             edge = np.roll(outline, -1, axis=0) - outline
             to = low[:, None, :2] - outline
             side = (edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0]) / np.hypot(*edge.T)
@@ -134,6 +137,8 @@ def test_footprints_and_boxes_hold_their_points(family):
             axes = box[[1, 3, 4]] - box[0]
             share = (points - box[0]) @ axes.T / (axes**2).sum(1)
             assert share.min() > -1e-3 and share.max() < 1 + 1e-3
+            counts = frame.truth.height[chosen] > 0.05
+            points = points[counts] if counts.any() else points
             assert (to_camera(T, points)[:, 2].min()) == pytest.approx(
                 truth.nearest_m[0, j], rel=1e-6
             )

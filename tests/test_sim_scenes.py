@@ -8,6 +8,7 @@ import pytest
 
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import FAMILIES, SCENES, SimConfig, load_scene, read_scene, simulate, write_scene
+from jaxdet.sim.mesh import shift
 from jaxdet.sim.models import KINDS, LOW_THINGS, build_model
 from jaxdet.sim.render import render
 from jaxdet.sim.robot import mount
@@ -57,6 +58,20 @@ def test_models_have_plausible_sizes(kind):
         x, y = outline(mesh).T
         assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0
     assert len(LOW_THINGS) == 6
+
+
+def test_a_footprint_is_what_wheels_do_not_climb():
+    """The foot of a cone is lower than 5 cm; a low thing counts as a whole."""
+    cone = build_model("cone", 0, 0.0)
+    points = cone.corners.reshape(-1, 3)
+    x, y = outline(cone).T
+    assert np.ptp(x) < 0.9 * np.ptp(points[:, 0]) and np.ptp(y) < 0.9 * np.ptp(points[:, 1])
+    raised = cone.moved(shift(0.0, 0.0, 1.0))
+    np.testing.assert_allclose(outline(raised, 1.0), outline(cone), atol=1e-6)
+    low = cone.scaled(0.04 / points[:, 2].max())
+    np.testing.assert_allclose(
+        np.ptp(outline(low), axis=0), np.ptp(low.corners.reshape(-1, 3)[:, :2], axis=0), atol=1e-6
+    )
 
 
 def test_no_such_model():

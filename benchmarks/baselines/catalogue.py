@@ -1,6 +1,7 @@
 """The baselines, each with its parameters and where it is from."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from benchmarks.baselines import clustering, dense, rsc
 from benchmarks.baselines.registry import Baseline, Params
@@ -9,9 +10,9 @@ from jaxdet.config import preset
 SCALES = (1.0, 4.0)
 """Stretch of z: none, or as our default gaps have it, 0.40 m to the side and 0.10 m in depth."""
 DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
-GAPS_M = {
-    "depth_gap_m": (0.03, 0.05, 0.07, 0.10, 0.15, 0.2),
-    "lateral_gap_m": (0.1, 0.15, 0.2, 0.3, 0.4),
+SLICES_M = {
+    "slice_m": (0.07, 0.10, 0.15, 0.2, 0.3),
+    "lateral_gap_m": (0.07, 0.1, 0.15, 0.2, 0.3),
 }
 SKLEARN = "scikit-learn: Pedregosa et al., JMLR 12 (2011), 2825-2830"
 RSC = "Xie et al., Information Sciences 527 (2020), 279-292; our reading"
@@ -55,11 +56,10 @@ def _ours(
     )
 
 
-PAPER = {name: getattr(preset("paper").cluster, name) for name in ("depth_gap_m", "lateral_gap_m")}
-PLAIN = {"depth_gap_per_m": 0.0, "rounds": 1, "on_floor": False}
+PAPER = asdict(preset("paper").cluster)
 _ALL = (
-    _ours("ours", "Ours", {}, GAPS_M),
-    _ours("paper", "The paper's rule (reference)", {**PAPER, **PLAIN}, {}),
+    _ours("ours", "Ours", {}, SLICES_M),
+    _ours("paper", "The paper's rule (reference)", PAPER, {}),
     _hierarchical("ward", 1.0, (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)),
     _hierarchical("complete", 0.6, (0.3, 0.4, 0.6, 0.9, 1.3, 2.0)),
     _hierarchical("average", 0.4, DISTANCES_M),

@@ -20,7 +20,7 @@ from jaxdet.sim.frames import SimFrame, simulate_frame
 from jaxdet.sim.ground import ground_height
 from jaxdet.sim.robot import ground_frame
 from jaxdet.sim.scene import Scene
-from jaxdet.sim.world import OUTLINE_CORNERS, bounds, heading, object_mesh, outline
+from jaxdet.sim.world import OUTLINE_CORNERS, STEP_M, bounds, heading, object_mesh, outline
 
 
 class Truth(NamedTuple):
@@ -50,15 +50,17 @@ class Truth(NamedTuple):
     """``(F, J, 8, 3)`` float32, corners of the upright box around each, turned with the object,
     bottom first, counter-clockwise from above [m]; :func:`to_camera` has them in the camera."""
     footprint_world: np.ndarray
-    """``(F, J, 64, 2)`` float32, outline on the floor of what is lower than 2.2 m: its convex
-    hull from above, counter-clockwise, NaN after the last corner [m]."""
+    """``(F, J, 64, 2)`` float32, outline on the floor of what is between 0.05 m, which wheels
+    climb, and 2.2 m: its convex hull from above, counter-clockwise, NaN after the last corner
+    [m]."""
     visible_pixels: np.ndarray
     """``(F, J)`` int32, colour pixels that show the object."""
     nearest_m: np.ndarray
-    """``(F, J)`` float32, smallest z of its visible surface in the colour camera [m]."""
+    """``(F, J)`` float32, smallest z in the colour camera of its visible surface, what is lower
+    than 0.05 m left out unless that is all [m]."""
     ground_min: np.ndarray
-    """``(F, J, 2)`` float32, smallest right, forward of its visible surface in the camera's
-    ground frame [m]; forward is the distance of its nearest face."""
+    """``(F, J, 2)`` float32, smallest right, forward of the same in the camera's ground frame
+    [m]; forward is the distance of its nearest face."""
     ground_max: np.ndarray
     """``(F, J, 2)`` float32, largest right, forward of the same [m]."""
 
@@ -154,10 +156,11 @@ def _placed(scene: Scene, time_s: float) -> tuple[np.ndarray, np.ndarray, np.nda
     for j in range(count):
         mesh = object_mesh(scene, j, time_s)
         boxes[j] = bounds(mesh, heading(scene, j, time_s))
-        around = outline(mesh)
-        outlines[j, : len(around)] = around
         x, y = boxes[j, :4, :2].mean(0)
-        heights[j] = boxes[j, 4, 2] - ground_height(scene.ground, x, y)
+        floor_z = float(ground_height(scene.ground, x, y))
+        around = outline(mesh, floor_z)
+        outlines[j, : len(around)] = around
+        heights[j] = boxes[j, 4, 2] - floor_z
     return heights, boxes, outlines
 
 
@@ -180,8 +183,11 @@ def visible_extents(
     pixels = pixels.astype(np.int32)
     nearest = np.full(objects, np.nan, np.float32)
     low, high = np.full((2, objects, 2), np.nan, np.float32)
+    height = frame.truth.height
     for j in np.flatnonzero(pixels):
         chosen = frame.truth.obstacle_id == j + 1
+        above = chosen & (height > STEP_M)
+        chosen = above if above.any() else chosen
         ground = frame.truth.points[chosen] @ T[:2, :3].T + T[:2, 3]
         nearest[j] = frame.truth.depth[chosen].min()
         low[j], high[j] = ground.min(0), ground.max(0)

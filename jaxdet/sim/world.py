@@ -15,8 +15,9 @@ from jaxdet.sim.scene import Box, Cylinder, Model, Path, Scene, Wall
 
 OUTLINE_CORNERS = 64
 """Slots for the corners of a footprint."""
-REACH_M = 2.2
-"""Only what of an object is lower counts for its footprint [m]: what a robot could run into."""
+STEP_M, REACH_M = 0.05, 2.2
+"""Only what of an object is between these heights counts for its footprint [m]: what a robot could
+run into. Lower is what its wheels climb (the foot of a cone), higher what it passes under."""
 _WALL_FOOT_M = 1.5
 """How far walls go down below z = 0 where the ground is not level [m]."""
 
@@ -90,22 +91,30 @@ def _walk(path: Path, time_s: float) -> tuple[float, float, float, float]:
     return pose.x, pose.y, pose.yaw + (np.pi if backing else 0.0), pose.travelled
 
 
-def outline(mesh: Mesh) -> np.ndarray:
-    """The footprint of an object: the convex hull, seen from above, of all that is below REACH_M.
+def outline(mesh: Mesh, floor_z: float = 0.0) -> np.ndarray:
+    """The footprint of an object: the convex hull, seen from above, of what a robot could run into.
+
+    That is all between STEP_M and REACH_M above the floor; all of an object that is lower.
+
+    Args:
+        mesh: The object in the world.
+        floor_z: World z of the floor under it [m].
 
     Returns:
         ``(n, 2)`` float64, counter-clockwise, n at most OUTLINE_CORNERS [m]; of more corners those
         that matter least are left out, which moves the outline by less than 1 mm.
     """
-    corners = mesh.corners
-    low = corners.reshape(-1, 3)
-    if low[:, 2].max() > REACH_M:
-        a, b = corners, np.roll(corners, -1, axis=1)
-        crosses = (a[..., 2] - REACH_M) * (b[..., 2] - REACH_M) < 0
-        a, b = a[crosses], b[crosses]
-        share = (REACH_M - a[:, 2]) / (b[:, 2] - a[:, 2])
-        cut = a + share[:, None] * (b - a)
-        low = np.concatenate([low[low[:, 2] <= REACH_M], cut])
+    a, b = mesh.corners, np.roll(mesh.corners, -1, axis=1)
+    points = mesh.corners.reshape(-1, 3)
+    step, reach = floor_z + STEP_M, floor_z + REACH_M
+    if points[:, 2].max() <= step:
+        step = -np.inf
+    low = [points[(points[:, 2] >= step) & (points[:, 2] <= reach)]]
+    for level in (step, reach):
+        crosses = (a[..., 2] - level) * (b[..., 2] - level) < 0
+        share = (level - a[crosses, 2]) / (b[crosses, 2] - a[crosses, 2])
+        low.append(a[crosses] + share[:, None] * (b[crosses] - a[crosses]))
+    low = np.concatenate(low)
     # Small numbers keep OpenCV's float32 exact to a tenth of a micrometre.
     middle = low[:, :2].mean(0)
     hull = cv2.convexHull((low[:, :2] - middle).astype(np.float32), returnPoints=False)
