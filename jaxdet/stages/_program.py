@@ -1,7 +1,7 @@
 """All five stages as one compiled program, for CUDA."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jaxdet.stages import (
     _footprint,
     _ground,
     _sparse,
+    _spread,
 )
 from jaxdet.stages._device import on_cuda
 from jaxdet.types import AlignedDepth, Calibration, Detections, Features, Frames, GroundPlane
@@ -32,16 +33,26 @@ class _Tables(NamedTuple):
     axes: jax.Array
 
 
+SPECS = cast(Any, _Tables)(
+    align=_spread.WHOLE,
+    ground=(_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE),
+    features=_spread.WHOLE,
+    gaps=_spread.WHOLE,
+    axes=_spread.ROWS,
+)
+"""Which tables have a row for each frame."""
+
+
 def covers(frames: Frames, config: Config) -> bool:
     """Whether these frames run as one program: on CUDA, with settings that the kernels cover."""
     return on_cuda() and _corners_cuda.supports(frames.color.shape[1:3], config.features)
 
 
 def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Runs the five stages on the device without a stop at the host.
+    """Runs the five stages on the devices without a stop at the host.
 
     Args:
-        frames: ``B`` frames; images on the host or already on the device.
+        frames: ``B`` frames; images on the host, which all devices share, or already on devices.
         plane: The floor of each frame.
         config: The method's parameters.
 
@@ -49,6 +60,8 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
     """
     calibration, unit = frames.calibration, frames.calibration.depth_unit
+    among, count = _spread.devices_for(frames.color), len(frames.color)
+    color, depth, plane = _spread.even(frames.color, frames.depth, plane, len(among))
     align, static = _align_tables(calibration, config)
     tables = _Tables(
         align,
@@ -57,8 +70,8 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         _cluster.gaps(config.cluster, unit),
         jnp.asarray(ground_axes(plane)),
     )
-    color, depth = jnp.asarray(frames.color), jnp.asarray(frames.depth)
-    return _detect(color, depth, tables, static, unit, config)
+    found = _spread.run(_detect, color, depth, tables, SPECS, static, unit, config)
+    return found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
 
 
 def _align_tables(

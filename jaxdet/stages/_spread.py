@@ -1,0 +1,115 @@
+"""The batch axis over several devices of one host."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxdet.types import GroundPlane
+
+ROWS = PartitionSpec("frames")
+"""An array with a row for each frame."""
+WHOLE = PartitionSpec()
+"""An array that every device needs."""
+_COPIES = 32
+
+Devices = tuple[jax.Device, ...]
+
+
+def devices_for(images: Any) -> Devices:
+    """The devices that work on images.
+
+    Images on devices are worked on there. Those on the host go to all devices of the default
+    kind, or to the one that is chosen as default.
+    """
+    if isinstance(images, jax.Array):
+        return tuple(sorted(images.devices(), key=lambda device: device.id))
+    chosen = getattr(jax.config, "jax_default_device", None)
+    return (chosen,) if isinstance(chosen, jax.Device) else tuple(jax.local_devices())
+
+
+def rows_over(among: Devices) -> NamedSharding:
+    """Rows in equal parts, the first ones on the first device."""
+    return NamedSharding(_mesh(among), ROWS)
+
+
+def even(color: Any, depth: Any, plane: GroundPlane, parts: int) -> tuple[Any, Any, GroundPlane]:
+    """Host images and planes with rows added, until they make equal parts."""
+    missing = -len(color) % parts
+    if not missing:
+        return color, depth, plane
+
+    def padded(rows: np.ndarray, mode: Any) -> np.ndarray:
+        return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode=mode)
+
+    plane = GroundPlane(*(padded(np.asarray(values), "edge") for values in plane))
+    return padded(color, "constant"), padded(depth, "constant"), plane
+
+
+def run(
+    program: Callable[..., Any], color: Any, depth: Any, tables: Any, specs: Any, *static: Any
+) -> Any:
+    """Calls ``program(color, depth, tables, *static)``, each device with its part of the rows.
+
+    Args:
+        program: Jitted; no frame may depend on another.
+        color: ``(B, ...)`` images; ``B`` makes equal parts, see :func:`even`.
+        depth: ``(B, ...)`` images.
+        tables: A tree of further arrays.
+        specs: The same tree, or the upper part of it, with ``ROWS`` or ``WHOLE`` at each end.
+        static: Further arguments, hashable.
+
+    Returns:
+        What the program returns, its rows on the devices that computed them.
+    """
+    among = devices_for(color)
+    if len(among) == 1:
+        return program(jax.device_put(color), jax.device_put(depth), tables, *static)
+    rows = rows_over(among)
+    color, depth = jax.device_put((color, depth), rows)
+    return _spread(program, specs, among, static)(color, depth, _placed(tables, specs, among))
+
+
+@lru_cache(maxsize=16)
+def _spread(program: Callable[..., Any], specs: Any, among: Devices, static: tuple) -> Any:
+    def part(color: jax.Array, depth: jax.Array, tables: Any) -> Any:
+        return program(color, depth, tables, *static)
+
+    return jax.jit(
+        jax.shard_map(
+            part,
+            mesh=_mesh(among),
+            in_specs=(ROWS, ROWS, specs),
+            out_specs=ROWS,
+            check_vma=False,  # there is no communication to be checked
+        )
+    )
+
+
+@lru_cache(maxsize=8)
+def _mesh(among: Devices) -> Mesh:
+    return Mesh(np.array(among), ("frames",))
+
+
+def _placed(tables: Any, specs: Any, among: Devices) -> Any:
+    """The tables on the devices; those that each needs are copied when they are new."""
+    each = jax.tree.broadcast(specs, tables, is_leaf=lambda spec: isinstance(spec, PartitionSpec))
+    return jax.tree.map(lambda array, spec: _copy(array, spec, among), tables, each)
+
+
+_copies: OrderedDict[tuple[int, PartitionSpec, Devices], tuple[Any, jax.Array]] = OrderedDict()
+
+
+def _copy(array: Any, spec: PartitionSpec, among: Devices) -> jax.Array:
+    key = id(array), spec, among
+    if key not in _copies:
+        # The array is kept beside its copy, so that no other gets its id.
+        _copies[key] = array, jax.device_put(array, NamedSharding(_mesh(among), spec))
+        if len(_copies) > _COPIES:
+            _copies.popitem(last=False)
+    _copies.move_to_end(key)
+    return _copies[key][1]
