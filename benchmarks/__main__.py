@@ -14,7 +14,7 @@ import warp as wp
 
 from benchmarks import gate, report
 from benchmarks.fit import fits_of
-from benchmarks.run import Metric, Missing, copy_rate, metrics_of
+from benchmarks.run import Metric, Missing, copy_rate, metrics_of, sweep_metrics
 from benchmarks.sweep import case_at, points_of
 from jaxdet.config import STAGES
 
@@ -28,7 +28,7 @@ class Options:
     only: tuple[str, ...] = (*STAGES, "pipeline")
     """The stages to time, and the whole pipeline."""
     seconds: float = 1.0
-    """How long each case is repeated; the points of the sweep a third of it."""
+    """How long each case is repeated; the points of the sweep half of it."""
     sweep: bool = False
     """More batch sizes and feature counts."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
@@ -57,12 +57,11 @@ class Run:
                 self.missing[key] = case
             else:
                 yield metrics_of(key, case, options.seconds, self.rate)
-        times = {}
-        for point in points_of(stage, options.device, options.sweep):
-            key, case = f"{stage}.{point.name}", case_at(stage, point)
-            found = metrics_of(key, case, options.seconds / 3, self.rate)
-            times[point] = found[0].value
-            yield found
+        points = points_of(stage, options.device, options.sweep)
+        cases = {f"{stage}.{point.name}": case_at(stage, point) for point in points}
+        found = sweep_metrics(cases, options.seconds / 2 * len(cases), self.rate)
+        yield from found
+        times = dict(zip(points, (metrics[0].value for metrics in found), strict=True))
         yield fits_of(stage, times)
         if stage == "pipeline" and options.device == "gpu":
             yield module.throughput(options.seconds)

@@ -167,22 +167,42 @@ def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric
         check_equal(key, case.compared(case.run()), case.peer())
         jax.clear_caches()  # so that the first timed call compiles again
     ours, *peers = timed([case.run, *([case.peer] if case.peer else [])], seconds)
-    mine = 1e3 / case.frames
+    metrics = _of_ours(key, case, ours, rate)
+    for peer in peers:
+        a_frame = 1e3 / (case.peer_frames or case.frames)
+        ratio = peer.median * a_frame / metrics[0].value
+        metrics.insert(0, Metric(key, ratio, "x", "higher", 0.3))
+        metrics += [
+            Metric(f"{key}.peer", peer.median * a_frame, "ms/frame", "info", 0.0),
+            Metric(f"{key}.peer_spread", peer.spread * a_frame, "ms/frame", "info", 0.0),
+            Metric(f"{key}.peer_cores", peer.cores, "", "info", 0.0),
+        ]
+    return metrics
+
+
+def sweep_metrics(cases: dict[str, Case], seconds: float, rate: float) -> list[list[Metric]]:
+    """The metrics of cases that take turns, so that a curve through them means something.
+
+    Args:
+        cases: By metric key; peers are left out.
+        seconds: How long all of them together are repeated.
+        rate: The device's copy rate [byte/s].
+
+    Returns:
+        The metrics of each case, its time first.
+    """
+    timings = timed([case.run for case in cases.values()], seconds)
+    return [_of_ours(*item, ours, rate) for item, ours in zip(cases.items(), timings, strict=True)]
+
+
+def _of_ours(key: str, case: Case, ours: Timing, rate: float) -> list[Metric]:
+    a_frame = 1e3 / case.frames
     metrics = [
-        Metric(f"{key}.time", ours.median * mine, "ms/frame", "info", 0.0),
-        Metric(f"{key}.spread", ours.spread * mine, "ms/frame", "info", 0.0),
+        Metric(f"{key}.time", ours.median * a_frame, "ms/frame", "info", 0.0),
+        Metric(f"{key}.spread", ours.spread * a_frame, "ms/frame", "info", 0.0),
         Metric(f"{key}.compile", max(0.0, ours.first - ours.median), "s", "info", 0.0),
         Metric(f"{key}.cores", ours.cores, "", "info", 0.0),
     ]
-    for peer in peers:
-        theirs = 1e3 / (case.peer_frames or case.frames)
-        ratio = peer.median * theirs / (ours.median * mine)
-        metrics.insert(0, Metric(key, ratio, "x", "higher", 0.3))
-        metrics += [
-            Metric(f"{key}.peer", peer.median * theirs, "ms/frame", "info", 0.0),
-            Metric(f"{key}.peer_spread", peer.spread * theirs, "ms/frame", "info", 0.0),
-            Metric(f"{key}.peer_cores", peer.cores, "", "info", 0.0),
-        ]
     if case.bytes_read:
         moved = case.bytes_read + ours.result_bytes
         metrics += [
