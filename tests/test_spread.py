@@ -8,7 +8,7 @@ import pytest
 
 from jaxdet import detect
 from jaxdet.config import Config
-from jaxdet.stages import _align_points, _program, _program_cpu, _spread
+from jaxdet.stages import _align_points, _program, _program_cpu
 from jaxdet.types import Frames
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
