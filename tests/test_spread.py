@@ -1,14 +1,20 @@
 """A batch over several devices: equal to one device, for any number of rows."""
 
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
+import warp as wp
 
-from jaxdet import detect
+from jaxdet import detect, engine
 from jaxdet.config import Config
-from jaxdet.stages import _align_points, _program, _program_cpu
+from jaxdet.engine import local
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.stages import _align_points, _program, _program_cpu, _upload
 from jaxdet.types import Frames
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
@@ -31,6 +37,7 @@ def test_two_devices_equal_the_reference(monkeypatch, batch):
         *arrays, fills = _align_points.tables(calibration)
         return tuple(arrays), (fills,)
 
+    monkeypatch.setattr(jax, "local_devices", lambda: jax.devices("cpu"))
     monkeypatch.setattr(_program, "_detect", on_cpu)
     monkeypatch.setattr(_program, "_align_tables", tables)
     assert len(jax.devices("cpu")) == 2
@@ -41,3 +48,72 @@ def test_two_devices_equal_the_reference(monkeypatch, batch):
         shards = found.features.u.addressable_shards
         assert [shard.data.shape[0] for shard in shards] == [1, 1]
         assert [shard.device for shard in shards] == jax.devices("cpu")
+
+
+def runs(path: Path, output: Path, ways: list[tuple[Any, int]]) -> None:
+    """Runs of each backend and batch size give the same bytes."""
+    for backend, size in ways:
+        options = engine.RunOptions(output / f"{backend}{size}", backend, size, workers=1)
+        engine.run(find_logs([str(path)]), Config(), LogOptions(), options)
+    for name in ("frames.parquet", "obstacles.parquet", "map_sim.npz", "pictures/sim_000000.png"):
+        found = {(output / f"{b}{size}" / name).read_bytes() for b, size in ways}
+        assert len(found) == 1, name
+
+
+def test_rings_of_buffers_keep_what_is_in_use(monkeypatch, tmp_path):
+    """The engine's way to a GPU, with the host's memory in place of pinned and device memory."""
+    path = tmp_path / "sim.mcap"
+    write_log(path, SimConfig(frames=23, width=160, height=120))
+    copies = []
+
+    def copy(to: wp.array, source: wp.array, src_offset: int, count: int, stream: object) -> None:
+        copies.append(count)
+        to.numpy().reshape(-1)[:] = source.numpy().reshape(-1)[src_offset : src_offset + count]
+
+    def empty(*shapes: tuple[int, ...], **_: object) -> tuple[wp.array, ...]:
+        kinds = _upload.UINT8, _upload.UINT16
+        return tuple(wp.empty(s, dtype=k, device="cpu") for s, k in zip(shapes, kinds, strict=True))
+
+    nothing = {"Stream": lambda device: None, "synchronize_stream": lambda stream: None}
+    stand_in = SimpleNamespace(
+        copy=copy, to_jax=wp.to_jax, device_from_jax=wp.device_from_jax, **nothing
+    )
+    monkeypatch.setattr(_upload, "wp", stand_in)
+    monkeypatch.setattr(_upload, "_empty", empty)
+    monkeypatch.setattr(local, "_on_cuda", lambda work: True)
+    with jax.default_device(jax.devices("cpu")[0]):
+        runs(path, tmp_path, [("reference", 23), ("jax", 1), ("jax", 3)])
+    assert len(copies) == 2 * (23 + 8)
+
+
+@pytest.fixture
+def gpus() -> list:
+    """All CUDA devices, which are JAX's default then."""
+    try:
+        return jax.devices("cuda")
+    except RuntimeError:
+        pytest.skip("no CUDA device")
+
+
+@pytest.mark.gpu
+def test_a_log_through_page_locked_memory_gives_the_bytes_of_the_reference(gpus, tmp_path):
+    path = tmp_path / "sim.mcap"
+    write_log(path, SimConfig(frames=41, width=320, height=240))
+    runs(path, tmp_path, [("reference", 41), ("jax", 1), ("jax", 3), ("jax", 64)])
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("batch", [1, 5, 16])
+def test_all_gpus_share_a_batch(gpus, batch):
+    if len(gpus) < 2:
+        pytest.skip(f"needs 2 GPUs, found {len(gpus)}")
+    given = scene(batch)
+    want = detect(given, backend="reference")
+    found = detect(given)
+    assert_equal(found, want)
+    if batch % len(gpus) == 0:
+        assert found.features.u.devices() == set(gpus)
+        uploader = _upload.Uploader(given.color.shape, given.depth.shape)
+        color, depth = uploader.upload(_upload.pin(given.color, given.depth))
+        assert color.devices() == set(gpus)
+        assert_equal(detect(given._replace(color=color, depth=depth)), want)

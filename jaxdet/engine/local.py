@@ -20,11 +20,13 @@ def batches_here(work: LogWork) -> Generator[Done, None, None]:
     """Works through a log, in order.
 
     Each batch is started before the one before it is waited for. On CUDA its images are read
-    into page-locked memory and copied on a stream of their own.
+    into page-locked memory and copied on streams of their own.
     """
-    upload = _Upload(work) if work.job.backend == "jax" and _on_cuda() else None
-    memory = upload.ring.images if upload else None
-    reading = work.log.batches(work.job.batch_size, **({"images": memory} if memory else {}))
+    upload = None
+    reading = work.log.batches(work.job.batch_size)
+    if work.job.backend == "jax" and _on_cuda(work):
+        upload = _Upload(work)
+        reading = work.log.batches(upload.size, images=upload.ring.images)
     pending = None
     with closing(prefetch(reading, READ_AHEAD)) as batches:
         for batch in batches:
@@ -40,20 +42,23 @@ class _Upload:
     """Page-locked images for the reader, and their way to the devices."""
 
     def __init__(self, work: LogWork) -> None:
+        from jaxdet.stages._spread import devices_for
         from jaxdet.stages._upload import PinnedRing, Uploader
 
-        color, depth = work.log.image_shapes
-        size = work.job.batch_size
-        self.ring = PinnedRing((size, *color), (size, *depth), _HELD)
-        self.uploader = Uploader((size, *color), (size, *depth))
+        parts = len(devices_for(None))
+        self.size = -(-work.job.batch_size // parts) * parts
+        shapes = [(self.size, *shape) for shape in work.log.image_shapes]
+        self.ring = PinnedRing(shapes[0], shapes[1], _HELD)
+        self.uploader = Uploader(shapes[0], shapes[1])
 
     def __call__(self, batch: "Batch") -> dict[str, Any]:
-        images = self.ring.pinned(batch.frames.color)
-        color, depth = self.uploader.upload(images)
+        color, depth = self.uploader.upload(self.ring.pinned(batch.frames.color))
         return {"color": color, "depth": depth}
 
 
-def _on_cuda() -> bool:
+def _on_cuda(work: LogWork) -> bool:
+    """Whether the log's frames run as one program on CUDA."""
+    from jaxdet import stages
     from jaxdet.stages._device import on_cuda
 
-    return on_cuda()
+    return on_cuda() and stages.covers(work.log.read([]).frames, work.job.config)
