@@ -8,6 +8,7 @@ from jax import lax
 
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.plane import gap_table, ground_axes
+from jaxdet.stages import _cluster_cpu
 from jaxdet.stages._footprint import to_ground
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
 from jaxdet.stages._slices import linked_sets
@@ -22,7 +23,7 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     Equals :func:`jaxdet.reference.cluster`. By default the points are linked slice by slice
     (:mod:`jaxdet.stages._slices`). Without slices every frame is an array program of its own,
     mapped over the batch: sort by set and depth, flag gaps, count each set; the same by set and
-    x; number what is left.
+    x; number what is left. On the CPU one kernel does a frame after the other.
 
     Args:
         features: ``(B, N)`` points; only ``kept`` ones take part.
@@ -59,22 +60,39 @@ def labels(
             floor = to_ground(jnp.stack([x, features.y, depth], axis=-1), axes)
             x = jnp.clip(floor[..., 0], -MAX_LATERAL, MAX_LATERAL)
             depth = jnp.clip(floor[..., 1], 0, 65535)
-        gap = gap_by_depth[jnp.clip(depth, 0, 65535)]
-        if settings.slice_m:
-            first_grid = min(config.features.max_corners, x.shape[1])
-            root = linked_sets(features, x, depth, gap, first_grid, depth_unit, settings)
-            part = jax.vmap(partial(_large, min_points=settings.min_points))(root, features.kept)
-        else:
-            lateral_gap = round(settings.lateral_gap_m / depth_unit)
-            split = partial(
-                _gap_parts,
-                lateral_gap=lateral_gap,
-                min_points=settings.min_points,
-                rounds=settings.rounds,
-            )
-            part = jax.vmap(split)(x, depth, features.kept, gap)
-        number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
-        return Labels(*jax.vmap(number)(part, x, depth))
+        first_grid = min(config.features.max_corners, x.shape[1])
+        given = features, x, depth, gap_by_depth
+        static = {"first_grid": first_grid, "depth_unit": depth_unit, "settings": settings}
+        by_frames, by_arrays = (
+            partial(f, **static) for f in (_cluster_cpu.labels_by_frames, _labels_by_arrays)
+        )
+        return Labels(*lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays))
+
+
+def _labels_by_arrays(
+    features: Features,
+    x: jax.Array,
+    depth: jax.Array,
+    gap_by_depth: jax.Array,
+    first_grid: int,
+    depth_unit: float,
+    settings: ClusterConfig,
+) -> tuple[jax.Array, jax.Array]:
+    gap = gap_by_depth[jnp.clip(depth, 0, 65535)]
+    if settings.slice_m:
+        root = linked_sets(features, x, depth, gap, first_grid, depth_unit, settings)
+        part = jax.vmap(partial(_large, min_points=settings.min_points))(root, features.kept)
+    else:
+        lateral_gap = round(settings.lateral_gap_m / depth_unit)
+        split = partial(
+            _gap_parts,
+            lateral_gap=lateral_gap,
+            min_points=settings.min_points,
+            rounds=settings.rounds,
+        )
+        part = jax.vmap(split)(x, depth, features.kept, gap)
+    number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
+    return jax.vmap(number)(part, x, depth)
 
 
 def _large(root: jax.Array, kept: jax.Array, min_points: int) -> jax.Array:

@@ -1,0 +1,54 @@
+"""Labels on the CPU, a frame after the other: XLA's sorts and scatters are slow there."""
+
+import jax
+import warp as wp
+
+from jaxdet.config import ClusterConfig
+from jaxdet.types import Features
+from jaxdet_kernels import cluster_frames as kernels
+
+_cluster = wp.jax_kernel(kernels.cluster_frames, num_outputs=2)
+
+
+def labels_by_frames(
+    features: Features,
+    x: jax.Array,
+    depth: jax.Array,
+    gap_by_depth: jax.Array,
+    first_grid: int,
+    depth_unit: float,
+    settings: ClusterConfig,
+) -> tuple[jax.Array, jax.Array]:
+    """Numbers each frame's obstacles.
+
+    Args:
+        features: ``(B, N)`` points.
+        x: ``(B, N)`` int32, to the right [depth units].
+        depth: ``(B, N)`` int32, forward [depth units], in [0, 65536).
+        gap_by_depth: ``(65536,)`` int32, d_z at each depth [depth units].
+        first_grid: The slot of the grid's first pixel.
+        depth_unit: Metres in one depth unit.
+        settings: The distances.
+
+    Returns:
+        ``labels`` ``(B, N)`` int32 and their number ``(B,)`` int32.
+    """
+    slice_units = max(1, round(settings.slice_m / depth_unit)) if settings.slice_m else 0
+    labels, count = _cluster(
+        x,
+        depth,
+        features.kept,
+        features.v,
+        features.z,
+        gap_by_depth,
+        round(settings.lateral_gap_m / depth_unit),
+        settings.min_points,
+        settings.rounds,
+        slice_units,
+        round(settings.occluder_m / depth_unit),
+        settings.max_holes,
+        first_grid,
+        launch_dims=(x.shape[0],),
+        output_dims={"labels_out": x.shape, "count_out": (x.shape[0],)},
+    )
+    return labels, count
