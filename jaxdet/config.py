@@ -165,6 +165,13 @@ class FootprintConfig:
     vertex_threshold_m: float = 0.03
     """d_threshold of Eq. 7 [m], about the sensor's error: C must be this much nearer than A
     and B to count as a vertex."""
+    trim_sides: int = 5
+    """So many of the outermost points of each side don't make A or B, at most a twelfth of the
+    obstacle's points: what the sensor smears beyond a silhouette. The rectangle still covers
+    them. The paper's is 0."""
+    trim_near: int = 9
+    """So many of the nearest points don't make C, at most an eighth: of many noisy points the
+    nearest is too near. The paper's is 0."""
     extension_m: float = 0.20
     """How far the edge AB is extended backward when there is no vertex [m]."""
     cover: bool = True
@@ -175,6 +182,8 @@ class FootprintConfig:
 
     def __post_init__(self) -> None:
         _require(self.vertex_threshold_m >= 0, "footprint.vertex-threshold-m", "at least 0")
+        _require(self.trim_sides >= 0, "footprint.trim-sides", "at least 0")
+        _require(self.trim_near >= 0, "footprint.trim-near", "at least 0")
         _require(self.extension_m > 0, "footprint.extension-m", "above 0")
         _require(self.margin_m >= 0, "footprint.margin-m", "at least 0")
 
@@ -205,7 +214,7 @@ PRESETS: dict[str, Config] = {
             canny_low=100.0, canny_high=200.0, min_distance=5.0, grid_columns=0, use_mask=False
         ),
         cluster=ClusterConfig(lateral_gap_m=0.40, min_points=10, slice_m=0.0),
-        footprint=FootprintConfig(cover=False, margin_m=0.0),
+        footprint=FootprintConfig(trim_sides=0, trim_near=0, cover=False, margin_m=0.0),
     ),
     "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),
     "d455": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),

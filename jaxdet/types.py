@@ -192,7 +192,8 @@ class Obstacles(NamedTuple):
     """Each obstacle's extent and outline on the floor, in integers (Section 3.5).
 
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
-    ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward.
+    ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. Of the
+    outermost and the nearest points some may be passed over, see ``FootprintConfig``.
     """
 
     num_points: Array

@@ -104,6 +104,24 @@ def test_without_cover_it_is_the_papers_rectangle():
     assert np.allclose(covering, plain, atol=0.002)
 
 
+@BACKENDS
+def test_the_outermost_and_the_nearest_are_passed_over(backend):
+    """A twelfth of 24 points at each side, an eighth in front, however many are asked for."""
+    x = np.arange(24) * 10 - 160
+    z = 1000 + 10 * ((np.arange(24) * 7) % 24)
+    for sides, near, a, b, c in (
+        (0, 0, -160, 70, 1000),
+        (1, 2, -150, 60, 1020),
+        (2, 3, -140, 50, 1030),
+        (9, 9, -140, 50, 1030),
+    ):
+        config = replace(CONFIG, footprint=FootprintConfig(trim_sides=sides, trim_near=near))
+        found = measure(backend, x, z, [0] * 24, config=config)
+        assert np.asarray(found.a)[0, 0].tolist() == [a, z[x == a][0]]
+        assert np.asarray(found.b)[0, 0].tolist() == [b, z[x == b][0]]
+        assert np.asarray(found.c)[0, 0].tolist() == [x[z == c][0], c]
+
+
 # twin
 
 
@@ -118,11 +136,13 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
     return features, Labels(labels, np.full(batch, 4, np.int32))
 
 
-@pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000)])
-def test_twin(device, batch, n):
+@pytest.mark.parametrize("trim", [(0, 0), (5, 9), (2, 0), (0, 10000)])
+@pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8192)])
+def test_twin(device, batch, n, trim):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
-    given_ = *hostile_features(n, batch, n), plane, 0.001, CONFIG
+    config = replace(CONFIG, footprint=FootprintConfig(trim_sides=trim[0], trim_near=trim[1]))
+    given_ = *hostile_features(n, batch, n), plane, 0.001, config
     want = reference.footprint(*given_)
     assert want.num_points.min(initial=1, where=want.num_points > 0) >= 1
     assert_equal(stages.footprint(*given_), want)

@@ -2,9 +2,12 @@
 
 import numpy as np
 
-from jaxdet.config import Config
+from jaxdet.config import Config, FootprintConfig
 from jaxdet.plane import GROUND_BITS, ground_axes
-from jaxdet.types import Features, GroundPlane, Labels, Obstacles
+from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
+
+SIDE_SHARE, NEAR_SHARE = 12, 8
+"""At most this part of an obstacle's points is passed over at each side, and in front."""
 
 
 def footprint(
@@ -12,8 +15,9 @@ def footprint(
 ) -> Obstacles:
     """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
 
-    The points are laid on the floor (:func:`to_ground`). A is the leftmost, B the rightmost, C
-    the nearest; ties go to the nearer, for C to the one further left. C is a vertex unless
+    The points are laid on the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
+    leftmost, B the rightmost, C the nearest; ties go to the nearer, for C to the one further
+    left. By configuration the outermost and the nearest few are passed over. C is a vertex unless
 
         min(d_A, d_B) - d_C < d_threshold
 
@@ -37,7 +41,7 @@ def footprint(
     shapes |= {"span": (m, 4)}
     shapes |= dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (m, 3))
     out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
-    floor = to_ground(features, plane)
+    floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)
     uv = np.stack([features.u, features.v], axis=-1)
     xyz = np.stack([features.x, features.y, features.z], axis=-1)
     for b in range(batch):
@@ -47,7 +51,7 @@ def footprint(
             out.uv_min[b, label], out.uv_max[b, label] = uv[b, own].min(0), uv[b, own].max(0)
             out.xyz_min[b, label], out.xyz_max[b, label] = xyz[b, own].min(0), xyz[b, own].max(0)
             out.xyz_sum[b, label] = xyz[b, own].sum(0)
-            a_b_c = _outline(floor[b, own])
+            a_b_c = _outline(floor[b, own], config.footprint)
             out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
             (_, d_a), (_, d_b), (_, d_c) = a_b_c
             out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
@@ -68,13 +72,19 @@ def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
     return ((along + (1 << (GROUND_BITS - 1))) >> GROUND_BITS).astype(np.int32)
 
 
-def _outline(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _outline(
+    points: np.ndarray, settings: FootprintConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, B and C of an obstacle's points ``(n, 2)``."""
     right, forward = points.T
-    a = points[np.lexsort((forward, right))[0]]
-    b = points[np.lexsort((forward, -right))[0]]
-    c = points[np.lexsort((right, forward))[0]]
-    return a, b, c
+    sides = min(settings.trim_sides, len(points) // SIDE_SHARE)
+    near = min(settings.trim_near, len(points) // NEAR_SHARE)
+    a_right, b_right = np.sort(right)[[sides, -1 - sides]]
+    c_forward = np.sort(forward)[near]
+    a = a_right, forward[right == a_right].min()
+    b = b_right, forward[right == b_right].min()
+    c = right[forward == c_forward].min(), c_forward
+    return np.array(a), np.array(b), np.array(c)
 
 
 def shortened(edge: np.ndarray) -> np.ndarray:

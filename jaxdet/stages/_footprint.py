@@ -1,14 +1,18 @@
-"""Stage 5, footprint: segment reductions."""
+"""Stage 5, footprint: segment reductions, and a sort for each trimmed side."""
 
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from jaxdet.config import Config
+from jaxdet.config import Config, FootprintConfig
 from jaxdet.plane import ground_axes
-from jaxdet.types import Features, GroundPlane, Labels, Obstacles
+from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
+SIDE_SHARE, NEAR_SHARE = 12, 8
+"""At most this part of an obstacle's points is passed over at each side, and in front."""
+VALUE_BITS = 19
+"""Of a coordinate, moved to 0 and up; the obstacle's number takes the other bits of a key."""
 LAST = jnp.iinfo(jnp.int32).max
 
 
@@ -43,8 +47,8 @@ def obstacles(
         m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
         uv = jnp.stack([features.u, features.v], axis=-1)
         xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
-        floor = to_ground(xyz, axes)
-        measure = jax.vmap(partial(_measure, threshold=threshold, m=m))
+        floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
+        measure = jax.vmap(partial(_measure, threshold=threshold, m=m, settings=config.footprint))
         return measure(labels.labels, uv, xyz, floor)
 
 
@@ -69,7 +73,13 @@ def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
 
 
 def _measure(
-    labels: jax.Array, uv: jax.Array, xyz: jax.Array, floor: jax.Array, threshold: int, m: int
+    labels: jax.Array,
+    uv: jax.Array,
+    xyz: jax.Array,
+    floor: jax.Array,
+    threshold: int,
+    m: int,
+    settings: FootprintConfig,
 ) -> Obstacles:
     """One frame: ``labels (N,)`` and points ``(N, k)`` to ``(M, ...)``."""
     own = jnp.where(labels >= 0, labels, m)
@@ -86,18 +96,26 @@ def _measure(
         out = reduce(operation, values, start)
         return jnp.where(some.reshape(-1, *[1] * (out.ndim - 1)), out, 0)
 
-    def first_by(primary: jax.Array, secondary: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The smallest ``primary``, and of those the smallest ``secondary``."""
-        best = extreme("min", primary)
-        tied = primary == best[jnp.minimum(own, m - 1)]
-        return best, extreme("min", jnp.where(tied, secondary, LAST))
+    def least(values: jax.Array, best: jax.Array, of: jax.Array) -> jax.Array:
+        """The smallest of ``values`` among the points whose ``of`` is the obstacle's ``best``."""
+        tied = of == best[jnp.minimum(own, m - 1)]
+        return extreme("min", jnp.where(tied, values, LAST))
 
     right, forward = floor[:, 0], floor[:, 1]
-    a_right, a_forward = first_by(right, forward)
-    b_left, b_forward = first_by(-right, forward)
-    c_forward, c_right = first_by(forward, right)
+    if settings.trim_sides:
+        trim = jnp.minimum(settings.trim_sides, points // SIDE_SHARE)
+        a_right, b_right = _order_statistics(own, right, points, (trim, points - 1 - trim))
+    else:
+        a_right, b_right = extreme("min", right), extreme("max", right)
+    if settings.trim_near:
+        trim = jnp.minimum(settings.trim_near, points // NEAR_SHARE)
+        (c_forward,) = _order_statistics(own, forward, points, (trim,))
+    else:
+        c_forward = extreme("min", forward)
+    a_forward, b_forward = (least(forward, best, right) for best in (a_right, b_right))
+    c_right = least(right, c_forward, forward)
     a = jnp.stack([a_right, a_forward], axis=-1)
-    b = jnp.stack([-b_left, b_forward], axis=-1)
+    b = jnp.stack([b_right, b_forward], axis=-1)
     direction = jnp.where(some[:, None], _shortened(b - a), 0)
     own_direction = direction[jnp.minimum(own, m - 1)]
     along = jnp.sum(floor * own_direction, axis=-1, dtype=jnp.int32)
@@ -117,6 +135,29 @@ def _measure(
         direction=direction,
         span=jnp.stack(extremes, axis=-1),
     )
+
+
+def _order_statistics(
+    own: jax.Array, values: jax.Array, points: jax.Array, places: tuple[jax.Array, ...]
+) -> list[jax.Array]:
+    """The values at some places in the rising order of each obstacle's values.
+
+    Args:
+        own: ``(N,)`` int32, each point's obstacle; M for none.
+        values: ``(N,)`` int32, at most MAX_LATERAL.
+        points: ``(M,)`` int32, how many points each obstacle has.
+        places: ``(M,)`` int32 each, from 0.
+
+    Returns:
+        ``(M,)`` int32 each, 0 for obstacles without points.
+    """
+    n, m = own.shape[0], points.shape[0]
+    key = (own.astype(jnp.uint32) << VALUE_BITS) | (values + MAX_LATERAL).astype(jnp.uint32)
+    key = jnp.sort(jnp.where(own < m, key, jnp.uint32(0xFFFFFFFF)))
+    start = jnp.cumsum(points, dtype=jnp.int32) - points
+    found = [key[jnp.clip(start + place, 0, n - 1)] for place in places]
+    low = [(one & ((1 << VALUE_BITS) - 1)).astype(jnp.int32) - MAX_LATERAL for one in found]
+    return [jnp.where(points > 0, one, 0) for one in low]
 
 
 def _shortened(edge: jax.Array) -> jax.Array:
