@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import BATCH, CALIBRATIONS, inputs, repeated
-from benchmarks.sweep import Point
+from benchmarks.sweep import DEFAULT_BATCH, Point, kind
 from jaxdet import reference, stages
 
 ORACLE = "install the extra oracle; the system needs libusb-1.0-0 and libudev1"
@@ -21,7 +21,7 @@ def cases() -> list[Case | Missing]:
         first._replace(
             name="vs_reference",
             peer=lambda: reference.align(inputs("640x480").depth, inputs("640x480").calibration),
-            compared=lambda result: result,
+            compared=lambda result: jax.tree.map(lambda a: a[:BATCH], result),
         ),
         first._replace(
             name="vs_registerDepth", peer=lambda: register_depth("640x480"), equal=False
@@ -72,13 +72,15 @@ def register_depth(size: str) -> list[np.ndarray]:
 
 
 def _case(size: str) -> Case:
-    given = inputs(size)
+    given, batch = inputs(size), DEFAULT_BATCH[kind()]
+    depth = repeated(given.depth, batch)
     return Case(
         name=size,
-        run=lambda: stages.align(given.depth, given.calibration),
-        frames=BATCH,
+        run=lambda: stages.align(depth, given.calibration),
+        frames=batch,
         equal=True,
-        compared=lambda result: result.depth,
+        peer_frames=BATCH,
+        compared=lambda result: result.depth[:BATCH],
     )
 
 

@@ -11,10 +11,9 @@ from benchmarks.baselines.sortgap import sort_and_gap
 from benchmarks.points import camera, plane_of, points, settings
 from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import CONFIG
-from benchmarks.sweep import Point
+from benchmarks.sweep import Point, kind
 from jaxdet import reference, stages
 from jaxdet.config import Config, preset
-from jaxdet.stages._device import on_cuda
 from jaxdet.types import Features
 
 COUNT = 1000
@@ -43,7 +42,7 @@ def cases() -> list[Case | Missing]:
     Cases ``vs_<peer>`` have the default configuration, ``paper.vs_<peer>`` the paper's rule, which
     the NumPy loop follows too: there their labels are equal.
     """
-    host = points(BATCHES[_platform()], COUNT)
+    host = points(BATCHES[kind()], COUNT)
     few = Features(*(a[:PEER_FRAMES] for a in host))
     clouds = [_metres(few, b) for b in range(PEER_FRAMES)]
     found: list[Case | Missing] = []
@@ -88,10 +87,6 @@ def _case(host: Features, config: Config) -> Case:
 
 def _reference(features: Features, config: Config) -> np.ndarray:
     return reference.cluster(features, plane_of(len(features.x)), UNIT, config).labels
-
-
-def _platform() -> str:
-    return "gpu" if on_cuda() else "cpu"
 
 
 def _metres(features: Features, b: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, repeated
-from benchmarks.sweep import Point
+from benchmarks.sweep import DEFAULT_BATCH, Point, kind
 from jaxdet import stages
 from jaxdet.types import Features
 
@@ -89,14 +89,16 @@ def _one_frame(color: np.ndarray, mask: np.ndarray, canny: Canny) -> np.ndarray:
 
 
 def _case(size: str) -> Case:
-    given = inputs(size)
-    keep = jax.device_put(given.keep)
+    given, batch = inputs(size), DEFAULT_BATCH[kind()]
+    color, keep = repeated((given.color, given.keep), batch)
+    keep = jax.device_put(keep)
     return Case(
         name=size,
-        run=lambda: stages.features(given.color, keep, given.calibration, CORNERS),
-        frames=BATCH,
+        run=lambda: stages.features(color, keep, given.calibration, CORNERS),
+        frames=batch,
         equal=True,
-        compared=corners_of,
+        peer_frames=BATCH,
+        compared=lambda result: corners_of(jax.tree.map(lambda a: a[:BATCH], result)),
     )
 
 

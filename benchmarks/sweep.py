@@ -9,6 +9,7 @@ import jax
 from benchmarks.run import Case
 from benchmarks.scene import CONFIG, frames_of
 from jaxdet.pipeline import detect
+from jaxdet.stages._device import on_cuda
 
 SIZES = ("640x480", "848x480-1280x720", "1280x720")
 SLOTS = (512, 1024, 4096)
@@ -43,6 +44,11 @@ class Point(NamedTuple):
         """Last part of the metric keys, for instance ``640x480.n1024.b8``."""
         parts = self.size, f"n{self.slots}" if self.slots else "", f"b{self.batch}"
         return ".".join(part for part in parts if part)
+
+
+def kind() -> str:
+    """``cpu`` or ``gpu``, the kind of JAX's default device."""
+    return "gpu" if on_cuda() else "cpu"
 
 
 def points_of(stage: str, device: str, full: bool) -> list[Point]:
