@@ -6,6 +6,7 @@ whatever the device does.
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -121,6 +122,16 @@ def test_hostile_frames(device, name, calibration):
     want = detect(given_, CONFIGS[name], backend="reference")
     assert want.features.valid.any() and not want.has_depth.all() and want.has_depth.any()
     assert_equal(detect(given_, CONFIGS[name]), want)
+
+
+def test_more_maxima_than_the_list_holds(device, monkeypatch):
+    """On CUDA a frame whose list overflows is done by its block alone."""
+    given_ = pairs(SMALL)
+    want = detect(given_, backend="reference")
+    monkeypatch.setattr(_sparse, "CANDIDATES", 256)
+    jax.clear_caches()
+    assert_equal(detect(given_), want)
+    jax.clear_caches()
 
 
 @given(

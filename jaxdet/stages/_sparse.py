@@ -19,6 +19,26 @@ from jaxdet_kernels import features as kernels
 PROBE_COLUMNS = 16
 """Pixels of a grid this wide tell whether a frame has depth at all, where no grid is asked for."""
 
+CANDIDATES = 8192
+"""Most 3x3 maxima of a frame that are listed, a multiple of 256; a frame with more takes longer."""
+
+_corners_list = wp.jax_kernel(
+    kernels.corners_list,
+    num_outputs=2,
+    in_out_argnames=["count_out"],
+    block_dim=kernels.CANDIDATES_BLOCK,
+)
+_corners_check = wp.jax_kernel(
+    kernels.corners_check,
+    num_outputs=2,
+    in_out_argnames=["best_out"],
+    block_dim=kernels.CANDIDATES_BLOCK,
+)
+_corners_strongest = wp.jax_kernel(
+    kernels.corners_strongest,
+    in_out_argnames=["best_out"],
+    block_dim=kernels.CANDIDATES_BLOCK,
+)
 _corners_lookup = wp.jax_kernel(kernels.corners_lookup, block_dim=kernels.LOOKUP_BLOCK)
 _has_depth = wp.jax_kernel(kernels.ground_has_depth, block_dim=kernels.LOOKUP_BLOCK)
 
@@ -109,17 +129,33 @@ def _corners(
             return _corners_cuda.strongest_corners(color, None, config)
         no_mask = jnp.ones((1, 1, 1), bool)
         strength, best, peak = _corners_cuda.strengths(color, no_mask, False, config)
+        batch, height, words = peak.shape
+        places = floor.limits, floor.which, jnp.stack([floor.nearest, floor.farthest]), fills
+        none, lists = jnp.zeros(batch, jnp.int32), (batch, CANDIDATES)
+        block = kernels.CANDIDATES_BLOCK
+        by_word = (-(-batch * height * words // block) * block,)
+        count, listed = _corners_list(
+            strength, peak, none, launch_dims=by_word,
+            output_dims={"count_out": (batch,), "list_out": lists},
+        )  # fmt: skip
+        allowed_best, allowed = _corners_check(
+            strength, listed, count, *source, *places, none, launch_dims=(batch * CANDIDATES,),
+            output_dims={"best_out": (batch,), "allowed_out": lists},
+        )  # fmt: skip
+        (allowed_best,) = _corners_strongest(
+            strength, peak, *source, *places, allowed_best, launch_dims=by_word
+        )
         (maxima,) = _corners_lookup(
             strength,
             peak,
             best,
+            allowed,
+            count,
+            allowed_best,
             *source,
-            floor.limits,
-            floor.which,
-            jnp.stack([floor.nearest, floor.farthest]),
-            fills,
+            *places,
             float(config.quality_level),
-            launch_dims=(color.shape[0] * kernels.LOOKUP_BLOCK,),
+            launch_dims=(batch * kernels.LOOKUP_BLOCK,),
             output_dims={"maxima_out": peak.shape},
         )
         return _corners_cuda.select(strength, maxima, config)

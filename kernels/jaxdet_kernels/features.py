@@ -5,6 +5,12 @@ votes and shuffles, and arithmetic that is fused here and not there. Each kernel
 threads its blocks have; launch a multiple of that.
 """
 
+from jaxdet_kernels.features_candidates import (
+    CANDIDATES_BLOCK,
+    corners_check,
+    corners_list,
+    corners_strongest,
+)
 from jaxdet_kernels.features_canny import (
     HYSTERESIS_BLOCK,
     SUPPRESS_BLOCK,
@@ -23,6 +29,7 @@ from jaxdet_kernels.features_lookup import LOOKUP_BLOCK, corners_lookup, ground_
 from jaxdet_kernels.features_select import SPREAD_BLOCK, corners_spread
 
 __all__ = [
+    "CANDIDATES_BLOCK",
     "EIGENVALUE_BLOCK",
     "HYSTERESIS_BLOCK",
     "LOOKUP_BLOCK",
@@ -33,9 +40,12 @@ __all__ = [
     "SUPPRESS_ROWS",
     "canny_hysteresis",
     "canny_suppress",
+    "corners_check",
     "corners_eigenvalue",
+    "corners_list",
     "corners_lookup",
     "corners_maxima",
     "corners_spread",
+    "corners_strongest",
     "ground_has_depth",
 ]

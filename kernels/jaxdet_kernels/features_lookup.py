@@ -1,9 +1,10 @@
 """Corners where the depth allows them, with the depth looked up at few pixels only; for CUDA.
 
 The mask decides two things: which 3x3 maxima may be corners, and the strongest allowed pixel,
-whose strength sets the threshold. So that pixel is looked for first, from the strongest down, and
-then the maxima above the threshold are looked up. A block does a frame; a list in shared memory
-takes the pixels of a step and is emptied whenever it may overflow.
+whose strength sets the threshold. Both are known from ``corners_check`` and ``corners_strongest``
+where the frame's list did not overflow. Where it did, a block does the frame by itself: it looks
+for the strongest pixel, from the strongest down, and then looks up the maxima above the threshold;
+a list in shared memory takes the pixels of a step and is emptied whenever it may overflow.
 """
 
 import warp as wp
@@ -53,6 +54,18 @@ _LOOKUP = (
     for (int i = thread; i < size; i += 256) maxima[i] = 0;
     if (thread == 0) { count = 0; best = 0; }
     __syncthreads();
+    const int slots = candidates.shape[1], listed = counts.data[b];
+    if (listed <= slots) {
+        const float strongest_allowed = __int_as_float(allowed_best.data[b]);
+        const float threshold = (float)((double)strongest_allowed * (double)quality);
+        for (int k = thread; k < listed; k += 256) {
+            const int place = candidates.data[(size_t)b * slots + k];
+            const int y = place / W, x = place - y * W;
+            if (place >= 0 && e[place] > threshold)
+                atomicOr(&maxima[y * words + x / 32], 1u << x % 32);
+        }
+        return;
+    }
     const int top = strongest.data[b];
     const float strongest_of_all = __int_as_float(top);
     float high = strongest_of_all, low = high * 0.85f;
@@ -133,6 +146,9 @@ def _lookup(
     strength: wp.array3d[wp.float32],
     peak: wp.array3d[wp.int32],
     strongest: wp.array[wp.int32],
+    candidates: wp.array2d[wp.int32],
+    counts: wp.array[wp.int32],
+    allowed_best: wp.array[wp.int32],
     depth: wp.array3d[wp.uint16],
     tiles: wp.array3d[wp.uint32],
     ranges: wp.array[wp.uint32],
@@ -154,6 +170,9 @@ def corners_lookup(
     strength: wp.array3d[wp.float32],
     peak: wp.array3d[wp.int32],
     strongest: wp.array[wp.int32],
+    candidates: wp.array2d[wp.int32],
+    counts: wp.array[wp.int32],
+    allowed_best: wp.array[wp.int32],
     depth: wp.array3d[wp.uint16],
     tiles: wp.array3d[wp.uint32],
     ranges: wp.array[wp.uint32],
@@ -171,12 +190,14 @@ def corners_lookup(
     """What ``corners_maxima`` finds with the mask of the dense alignment, a block a frame.
 
     ``strongest`` is the strongest pixel of each frame without a mask, as ``corners_eigenvalue``
-    orders it.
+    orders it; ``candidates`` and ``allowed_best`` are from ``corners_check`` and
+    ``corners_strongest``, ``counts`` from ``corners_list``.
     """
     i = wp.tid()
     _lookup(
-        i // 256, i % 256, strength, peak, strongest, depth, tiles, ranges, corner_x, corner_y,
-        parameters, search, limits, which, bounds, fills, quality, maxima_out,
+        i // 256, i % 256, strength, peak, strongest, candidates, counts, allowed_best, depth,
+        tiles, ranges, corner_x, corner_y, parameters, search, limits, which, bounds, fills,
+        quality, maxima_out,
     )  # fmt: skip
 
 

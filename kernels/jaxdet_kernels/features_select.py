@@ -27,7 +27,7 @@ _SPREAD = """
     }
     __syncthreads();
     // A corner is taken once no stronger one near it is undecided, and dropped next to a taken one.
-    __shared__ int count, list[LIST];
+    __shared__ int count, list[LIST], bits[LIST];
     auto decide = [&](int i, int bit) -> int {  // 1 takes the corner, -1 drops it, 0 waits
         const int y = i / words, x = (i - y * words) * 32 + bit;
         const float own = e[(size_t)y * W + x];
@@ -69,7 +69,7 @@ _SPREAD = """
     const int corners = count;
     if (corners <= LIST) {
         // Few: a thread keeps up to four corners of the list.
-        int undecided = 0;
+        int undecided = 0, took = 0;
         for (int k = 0; k < LIST / 1024; ++k)
             if (k * 1024 + thread < corners) undecided |= 1 << k;
         while (__syncthreads_or(undecided)) {
@@ -82,10 +82,24 @@ _SPREAD = """
             for (int k = 0; k < LIST / 1024; ++k) {
                 if (verdict[k] == 0) continue;
                 const int corner = list[k * 1024 + thread];
-                if (verdict[k] > 0) atomicOr(&taken[corner / 32], 1u << corner % 32);
+                if (verdict[k] > 0) {
+                    atomicOr(&taken[corner / 32], 1u << corner % 32);
+                    took |= 1 << k;
+                }
                 atomicAnd(&open[corner / 32], ~(1u << corner % 32));
                 undecided &= ~(1 << k);
             }
+        }
+        // The list is then of the taken ones: their places and strengths.
+        int own[LIST / 1024];
+        for (int k = 0; k < LIST / 1024; ++k) own[k] = list[k * 1024 + thread];
+        if (thread == 0) count = 0;
+        __syncthreads();
+        for (int k = 0; k < LIST / 1024; ++k) {
+            if (!(took >> k & 1)) continue;
+            const int at = atomicAdd(&count, 1), word = own[k] / 32, y = word / words;
+            list[at] = y * W + (word - y * words) * 32 + own[k] % 32;
+            bits[at] = __float_as_int(e[list[at]]);
         }
     } else {
         // Many: a thread keeps words of the map.
@@ -117,21 +131,35 @@ _SPREAD = """
         }
     }
     __syncthreads();
+    if (reach < 0 || corners > LIST) {
+        if (thread == 0) count = 0;
+        __syncthreads();
+        int own = 0;
+        for (int i = thread; i < size; i += 1024) own += __popc(taken[i]);
+        atomicAdd(&count, own);
+        __syncthreads();
+    }
+    const int found = count;
+    __syncthreads();
     // Keep the strongest N: a radix search for the N-th key (strength, place), 4 bits a round.
     typedef unsigned long long u64;
     __shared__ int bins[16];
-    auto key_of = [&](int y, int x) -> u64 {
-        int bits = __float_as_int(e[(size_t)y * W + x]);
-        unsigned ordered = bits < 0 ? ~(unsigned)bits : (unsigned)bits | 0x80000000u;
-        return ((u64)ordered << 32) | (unsigned)(y * W + x);
+    const bool listed = reach >= 0 && corners <= LIST;
+    auto each_key = [&](auto use) {
+        auto key_of = [&](int strength, int place) -> u64 {
+            const unsigned ordered = strength < 0 ? ~strength : strength | 0x80000000;
+            return ((u64)ordered << 32) | (unsigned)place;
+        };
+        if (listed) {
+            for (int k = thread; k < found; k += 1024) use(key_of(bits[k], list[k]));
+            return;
+        }
+        for (int i = thread; i < size; i += 1024)
+            for (unsigned left = taken[i]; left; left &= left - 1) {
+                const int place = i / words * W + (i % words) * 32 + __ffs(left) - 1;
+                use(key_of(__float_as_int(e[place]), place));
+            }
     };
-    if (thread == 0) count = 0;
-    __syncthreads();
-    int own = 0;
-    for (int i = thread; i < size; i += 1024) own += __popc(taken[i]);
-    atomicAdd(&count, own);
-    __syncthreads();
-    const int found = count;
     u64 least = 0;
     if (found > N) {
         int wanted = N;
@@ -139,11 +167,9 @@ _SPREAD = """
             if (thread < 16) bins[thread] = 0;
             __syncthreads();
             const u64 known = shift == 60 ? 0 : ~(u64)0 << (shift + 4);
-            for (int i = thread; i < size; i += 1024)
-                for (unsigned left = taken[i]; left; left &= left - 1) {
-                    u64 key = key_of(i / words, (i % words) * 32 + __ffs(left) - 1);
-                    if ((key & known) == (least & known)) atomicAdd(&bins[(key >> shift) & 15], 1);
-                }
+            each_key([&](u64 key) {
+                if ((key & known) == (least & known)) atomicAdd(&bins[(key >> shift) & 15], 1);
+            });
             __syncthreads();
             int digit = 15;
             while (digit > 0 && bins[digit] < wanted) wanted -= bins[digit--];
@@ -153,16 +179,13 @@ _SPREAD = """
     }
     if (thread == 0) { count = 0; found_out.data[block] = found; }
     __syncthreads();
-    for (int i = thread; i < size; i += 1024)
-        for (unsigned left = taken[i]; left; left &= left - 1) {
-            u64 key = key_of(i / words, (i % words) * 32 + __ffs(left) - 1);
-            if (key >= least) {
-                int at = atomicAdd(&count, 1);
-                // Complemented, so that a rising sort is strongest first, then last place first.
-                strength_key_out.data[(size_t)block * N + at] = ~(unsigned)(key >> 32);
-                place_key_out.data[(size_t)block * N + at] = ~(unsigned)key;
-            }
-        }
+    each_key([&](u64 key) {
+        if (key < least) return;
+        const int at = atomicAdd(&count, 1);
+        // Complemented, so that a rising sort is strongest first, then last place first.
+        strength_key_out.data[(size_t)block * N + at] = ~(unsigned)(key >> 32);
+        place_key_out.data[(size_t)block * N + at] = ~(unsigned)key;
+    });
     __syncthreads();
     for (int at = count + thread; at < N; at += 1024) {
         strength_key_out.data[(size_t)block * N + at] = 0xffffffffu;

@@ -1,0 +1,241 @@
+"""Candidates for corners and which of them the depth allows, all frames at once; for CUDA.
+
+Three steps: list the 3x3 maxima of each frame; look up the depth of each; look at the few pixels
+that are stronger than the strongest allowed maximum, as one of them may set the threshold.
+Strengths above 0 are ordered as the integers of their bits.
+"""
+
+import warp as wp
+
+from jaxdet_kernels.align_search import SEARCH
+
+wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+
+CANDIDATES_BLOCK = 256
+"""Threads of a block."""
+
+_WORDS = """
+    const int H = strength.shape[1], W = strength.shape[2], words = peak.shape[2];
+    const int lane = thread % 32;
+    const unsigned frame = H * words, all = strength.shape[0] * frame;
+    const unsigned first = ((unsigned)block * 256u + thread) / 32u * 32u, mine = first + lane;
+"""
+
+_LIST = (
+    """
+#if defined(__CUDA_ARCH__)
+"""
+    + _WORDS
+    + """
+    const bool hot = mine < all && peak.data[mine] > 0;
+    unsigned result = 0;
+    // Each lane looks after a word; those that aren't flat are then searched by the whole warp.
+    for (unsigned left = __ballot_sync(0xffffffffu, hot); left; left &= left - 1) {
+        const int turn = __ffs(left) - 1;
+        const unsigned job = first + turn, b = job / frame, rest = job - b * frame;
+        const int y = rest / words, x = (rest - (unsigned)y * words) * 32 + lane;
+        bool corner = false;
+        if (y >= 1 && y < H - 1 && x >= 1 && x < W - 1) {
+            const float* e = strength.data + ((size_t)b * H + y) * W + x;
+            const float own = e[0];
+            corner = own > 0.0f;
+            if (corner) {
+                #pragma unroll
+                for (int k = 0; k < 9; ++k)
+                    corner = corner && !(e[(k / 3 - 1) * W + k % 3 - 1] > own);
+            }
+        }
+        const unsigned word = __ballot_sync(0xffffffffu, corner);
+        if (lane == turn) result = word;
+    }
+    if (result) {
+        const unsigned b = mine / frame, rest = mine - b * frame, y = rest / words;
+        const int size = list_out.shape[1], start = (int)(y * W + (rest - y * words) * 32);
+        int at = atomicAdd(&count_out.data[b], __popc(result));
+        for (; result && at < size; result &= result - 1)
+            list_out.data[(size_t)b * size + at++] = start + __ffs(result) - 1;
+    }
+#endif
+"""
+)
+
+_ALLOWED = """
+    auto allowed = [&](int x, int y) -> bool {
+        const unsigned key = smallest_key(x, y), z = key & 0xffffu;
+        const size_t at = ((size_t)which.data[b] * H + y) * W + x;
+        return key != 0xffffffffu && z >= bounds.data[0] && z <= bounds.data[1]
+            && z <= limits.data[at];
+    };
+"""
+
+_CHECK = (
+    """
+#if defined(__CUDA_ARCH__)
+    const int H = strength.shape[1], W = strength.shape[2], size = list.shape[1];
+    const int b = block / (size / 256), k = block % (size / 256) * 256 + thread;
+    if (k >= count.data[b]) return;
+"""
+    + SEARCH
+    + _ALLOWED
+    + """
+    const int place = list.data[(size_t)b * size + k], y = place / W;
+    const bool may = allowed(place - y * W, y);
+    allowed_out.data[(size_t)b * size + k] = may ? place : -1;
+    const int bits = __float_as_int(strength.data[(size_t)b * H * W + place]);
+    if (may && bits > best_out.data[b]) atomicMax(&best_out.data[b], bits);
+#endif
+"""
+)
+
+_STRONGEST = (
+    """
+#if defined(__CUDA_ARCH__)
+"""
+    + _WORDS
+    + """
+    bool hot = false;
+    if (mine < all) {
+        const int best = best_out.data[mine / frame];
+        hot = best > 0 && peak.data[mine] > best;
+    }
+    for (unsigned left = __ballot_sync(0xffffffffu, hot); left; left &= left - 1) {
+        const unsigned job = first + __ffs(left) - 1, rest = job % frame;
+        const int b = job / frame;
+        const int y = rest / words, x = (rest - (unsigned)y * words) * 32 + lane;
+        if (x >= W) continue;
+        const int bits = __float_as_int(strength.data[((size_t)b * H + y) * W + x]);
+        if (bits <= best_out.data[b]) continue;
+"""
+    + SEARCH
+    + _ALLOWED
+    + """
+        if (allowed(x, y)) atomicMax(&best_out.data[b], bits);
+    }
+#endif
+"""
+)
+
+
+@wp.func_native(_LIST)
+def _list(
+    block: int,
+    thread: int,
+    strength: wp.array3d[wp.float32],
+    peak: wp.array3d[wp.int32],
+    count_out: wp.array[wp.int32],
+    list_out: wp.array2d[wp.int32],
+): ...
+
+
+@wp.kernel
+def corners_list(
+    strength: wp.array3d[wp.float32],
+    peak: wp.array3d[wp.int32],
+    count_out: wp.array[wp.int32],
+    list_out: wp.array2d[wp.int32],
+):
+    """The 3x3 maxima above 0, in no order, and their number, maybe more than the list holds."""
+    i = wp.tid()
+    _list(i // 256, i % 256, strength, peak, count_out, list_out)
+
+
+@wp.func_native(_CHECK)
+def _check(
+    block: int,
+    thread: int,
+    strength: wp.array3d[wp.float32],
+    list: wp.array2d[wp.int32],
+    count: wp.array[wp.int32],
+    depth: wp.array3d[wp.uint16],
+    tiles: wp.array3d[wp.uint32],
+    ranges: wp.array[wp.uint32],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    search: wp.array[wp.float32],
+    limits: wp.array3d[wp.uint16],
+    which: wp.array[wp.int32],
+    bounds: wp.array[wp.uint16],
+    fills: int,
+    best_out: wp.array[wp.int32],
+    allowed_out: wp.array2d[wp.int32],
+): ...
+
+
+@wp.kernel
+def corners_check(
+    strength: wp.array3d[wp.float32],
+    list: wp.array2d[wp.int32],
+    count: wp.array[wp.int32],
+    depth: wp.array3d[wp.uint16],
+    tiles: wp.array3d[wp.uint32],
+    ranges: wp.array[wp.uint32],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    search: wp.array[wp.float32],
+    limits: wp.array3d[wp.uint16],
+    which: wp.array[wp.int32],
+    bounds: wp.array[wp.uint16],
+    fills: int,
+    best_out: wp.array[wp.int32],
+    allowed_out: wp.array2d[wp.int32],
+):
+    """The entries of the list that the depth allows, -1 for the others; the strongest of them.
+
+    A thread an entry; lists are as long as a multiple of 256.
+    """
+    i = wp.tid()
+    _check(
+        i // 256, i % 256, strength, list, count, depth, tiles, ranges, corner_x, corner_y,
+        parameters, search, limits, which, bounds, fills, best_out, allowed_out,
+    )  # fmt: skip
+
+
+@wp.func_native(_STRONGEST)
+def _strongest(
+    block: int,
+    thread: int,
+    strength: wp.array3d[wp.float32],
+    peak: wp.array3d[wp.int32],
+    depth: wp.array3d[wp.uint16],
+    tiles: wp.array3d[wp.uint32],
+    ranges: wp.array[wp.uint32],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    search: wp.array[wp.float32],
+    limits: wp.array3d[wp.uint16],
+    which: wp.array[wp.int32],
+    bounds: wp.array[wp.uint16],
+    fills: int,
+    best_out: wp.array[wp.int32],
+): ...
+
+
+@wp.kernel
+def corners_strongest(
+    strength: wp.array3d[wp.float32],
+    peak: wp.array3d[wp.int32],
+    depth: wp.array3d[wp.uint16],
+    tiles: wp.array3d[wp.uint32],
+    ranges: wp.array[wp.uint32],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    search: wp.array[wp.float32],
+    limits: wp.array3d[wp.uint16],
+    which: wp.array[wp.int32],
+    bounds: wp.array[wp.uint16],
+    fills: int,
+    best_out: wp.array[wp.int32],
+):
+    """Raises ``best_out``, where above 0, to the strongest allowed pixel of all.
+
+    A thread a word of 32 columns.
+    """
+    i = wp.tid()
+    _strongest(
+        i // 256, i % 256, strength, peak, depth, tiles, ranges, corner_x, corner_y, parameters,
+        search, limits, which, bounds, fills, best_out,
+    )  # fmt: skip
