@@ -64,7 +64,12 @@ class Workers:
 
         Returns:
             What :func:`jaxdet.detect` returns for all the frames together.
+
+        Raises:
+            ValueError: There are no frames, or ``batch_size`` is below 1.
         """
+        if batch_size < 1 or not len(frames.depth):
+            raise ValueError(f"{len(frames.depth)} frames in batches of {batch_size}")
         frames = frames._replace(
             T_world_camera=None, plane=floor_of(frames, self.config, backend=self.backend)
         )
