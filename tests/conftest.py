@@ -59,6 +59,19 @@ def device(request: pytest.FixtureRequest) -> Iterator[Any]:
         yield chosen
 
 
+@pytest.fixture(params=["of the device", "by arrays"])
+def cluster_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The cluster stage as its device has it, and as the array program of CUDA on the CPU too."""
+    from jaxdet.stages import _cluster, _cluster_cpu
+
+    if request.param == "by arrays":
+        monkeypatch.setattr(_cluster_cpu, "labels_by_frames", _cluster.labels_by_arrays)
+        _cluster.labels.clear_cache()
+    yield
+    if request.param == "by arrays":
+        _cluster.labels.clear_cache()
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of recorded logs beside the repository; skips where it is absent."""

@@ -141,10 +141,11 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
     return points(x, z, rng.random((batch, n)) < rng.random((batch, 1)))
 
 
-@pytest.mark.parametrize(("batch", "n"), [(1, 1), (1, 7), (3, 100), (2, 1024), (2, 5000)])
+@pytest.mark.parametrize(
+    ("batch", "n", "min_points"), [(1, 1, 0), (1, 7, 0), (3, 100, 2), (2, 1024, 10), (2, 5000, 2)]
+)
 @pytest.mark.parametrize("spread", [3, 500, 65535])
-@pytest.mark.parametrize("min_points", [0, 2, 10])
-def test_twin(device, batch, n, spread, min_points):
+def test_twin(device, cluster_form, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
     given_ = features, level(batch), 0.001, config(30, 60, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
@@ -160,7 +161,7 @@ OPTIONS = {
 
 @pytest.mark.parametrize("name", OPTIONS)
 @pytest.mark.parametrize("spread", [60, 900, 2500])
-def test_twin_with_options(device, name, spread):
+def test_twin_with_options(device, cluster_form, name, spread):
     rng = np.random.default_rng(spread)
     features = random_points(spread, 3, 400, spread)
     features = features._replace(y=rng.integers(-spread, spread, (3, 400)).astype(np.int32))

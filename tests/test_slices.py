@@ -175,24 +175,23 @@ def rows_of(rng: np.random.Generator, batch: int, n: int, corners: int, spread: 
 
 
 @pytest.mark.parametrize(
-    ("batch", "n"), [(1, 1), (1, 7), (3, 100), (2, 1024), (2, 5000), (1, 8192)]
+    ("batch", "n", "corners"), [(1, 1, 1), (1, 7, 1), (3, 100, 50), (2, 5000, 50), (1, 8192, 1)]
 )
 @pytest.mark.parametrize("spread", [3, 500, 65535])
-@pytest.mark.parametrize("corners", [1, 50])
-def test_twin(device, batch, n, spread, corners):
+def test_twin(device, cluster_form, batch, n, spread, corners):
     features = rows_of(np.random.default_rng(n + spread), batch, n, corners, spread)
     given_ = features, level(batch), 0.001, config(corners, min_points=2)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 
 @pytest.mark.parametrize("unit", [0.0001, 0.001, 0.02])
-def test_twin_in_other_units(device, unit):
+def test_twin_in_other_units(device, cluster_form, unit):
     features = rows_of(np.random.default_rng(9), 3, 900, 100, 3000)
     given_ = features, level(3), unit, config(100, depth_gap_per_m=0.01)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 
-def test_twin_on_the_floor(device):
+def test_twin_on_the_floor(device, cluster_form):
     rng = np.random.default_rng(4)
     features = rows_of(rng, 3, 900, 100, 2500)
     features = features._replace(y=rng.integers(-2500, 2500, (3, 900)).astype(np.int32))
@@ -204,7 +203,7 @@ def test_twin_on_the_floor(device):
     assert_equal(stages.cluster(*given_), want)
 
 
-def test_one_long_chain(device):
+def test_one_long_chain(device, cluster_form):
     """The worst case for the components: all points in one path, in a random order."""
     order = np.random.default_rng(0).permutation(8192)
     z = 1000 + 5 * (order % 4096)

@@ -64,12 +64,12 @@ def labels(
         given = features, x, depth, gap_by_depth
         static = {"first_grid": first_grid, "depth_unit": depth_unit, "settings": settings}
         by_frames, by_arrays = (
-            partial(f, **static) for f in (_cluster_cpu.labels_by_frames, _labels_by_arrays)
+            partial(f, **static) for f in (_cluster_cpu.labels_by_frames, labels_by_arrays)
         )
         return Labels(*lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays))
 
 
-def _labels_by_arrays(
+def labels_by_arrays(
     features: Features,
     x: jax.Array,
     depth: jax.Array,
@@ -78,6 +78,7 @@ def _labels_by_arrays(
     depth_unit: float,
     settings: ClusterConfig,
 ) -> tuple[jax.Array, jax.Array]:
+    """The array program; takes and gives what ``_cluster_cpu.labels_by_frames`` does."""
     gap = gap_by_depth[jnp.clip(depth, 0, 65535)]
     if settings.slice_m:
         root = linked_sets(features, x, depth, gap, first_grid, depth_unit, settings)
