@@ -15,8 +15,10 @@ from sklearn.cluster import DBSCAN
 from benchmarks.run import Case, Metric, check_equal
 from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, inputs
 from jaxdet.config import Config, preset
+from jaxdet.engine import Workers
 from jaxdet.pipeline import detect
 from jaxdet.plane import floor_limits, repeat_plane
+from jaxdet.stages._device import on_cuda
 from jaxdet.stages._upload import Uploader, pin
 from jaxdet.types import Detections, Frames, GroundPlane
 
@@ -49,10 +51,24 @@ def cases() -> list[Case]:
             equal=True,
         )
         found.append(case)
-    found.append(
-        found[0]._replace(name="vs_handwritten", peer=lambda: handwritten(frames), equal=False)
-    )
+    many = frames_of(8 * BATCH)
+    if not on_cuda():
+        one = partial(detect, many, CONFIG)
+        found.append(Case("workers", lambda: on_all_cores(many), 8 * BATCH, one, equal=True))
+    ours = detect if on_cuda() else on_all_cores
+    peer = partial(handwritten, many)
+    found.append(Case("vs_handwritten", lambda: ours(many, CONFIG), 8 * BATCH, peer))
     return found
+
+
+def on_all_cores(frames: Frames, config: Config = CONFIG) -> Detections:
+    """The pipeline in a worker process a core, which stay for the next call."""
+    return _workers(config).detect(frames, BATCH)
+
+
+@cache
+def _workers(config: Config) -> Workers:
+    return Workers(config=config)
 
 
 def handwritten(frames: Frames) -> list[np.ndarray]:

@@ -110,6 +110,15 @@ def test_a_worker_killed_between_jobs_is_replaced(pool):
     assert len(list(pool.map(Square(), items([1, 2, 3])))) == 3
 
 
+def test_one_job_at_a_time(pool):
+    first = pool.map(Square(), items([1, 2, 3]))
+    next(first)
+    with pytest.raises(RuntimeError, match="another job"):
+        next(pool.map(Square(), items([1])))
+    first.close()
+    assert len(list(pool.map(Square(), items([1])))) == 1
+
+
 def test_shared_memory_has_an_end():
     with pytest.raises(WorkerError, match="fewer workers or smaller batches"):
         make_memory(1 << 60)

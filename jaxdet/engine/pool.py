@@ -3,6 +3,7 @@
 import os
 import pickle
 import signal
+import weakref
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import wait
@@ -38,7 +39,9 @@ class Pool:
 
     def __init__(self, count: int) -> None:
         self.count = count
+        self._busy = False
         self._workers: list[WorkerProcess] = []
+        weakref.finalize(self, _end, self._workers, at_once=True)
 
     def __enter__(self) -> "Pool":
         """The pool itself."""
@@ -56,21 +59,24 @@ class Pool:
     def map(self, job: Job, items: Iterable[Any]) -> Generator[Any, None, None]:
         """Yields the result of each item, in order.
 
-        A process that died since the last job is replaced.
         Items are taken as workers become free, at most a few ahead of the results; so memory
-        doesn't grow with their number. When the generator is left before its end, or an item
-        fails, the processes are ended, and the next job starts new ones.
+        doesn't grow with their number. When the generator is left before its end, an item fails
+        or a process died since the last job, the next job starts new processes.
 
         Raises:
             WorkerError: A worker died, or failed in a way that nobody foresaw.
             JaxdetError: As the job raised it.
+            RuntimeError: Another job is not at its end.
         """
+        if self._busy:
+            raise RuntimeError("the workers have another job that is not at its end")
         if not all(worker.process.is_alive() for worker in self._workers):
-            self._end(at_once=True)
+            _end(self._workers, at_once=True)
         if not self._workers:
             with _interrupts_held_back():
-                self._workers = [WorkerProcess() for _ in range(self.count)]
-        ended = False
+                for _ in range(self.count):
+                    self._workers.append(WorkerProcess())
+        ended, self._busy = False, True
         try:
             pickled = pickle.dumps(job, 5)
             for worker in self._workers:
@@ -78,12 +84,13 @@ class Pool:
             yield from self._in_order(job, enumerate(items))
             ended = True
         finally:
+            self._busy = False
             if not ended:
-                self._end(at_once=True)
+                _end(self._workers, at_once=True)
 
     def close(self) -> None:
         """Ends the processes."""
-        self._end(at_once=False)
+        _end(self._workers, at_once=False)
 
     def _in_order(self, job: Job, items: Iterator[tuple[int, Any]]) -> Iterator[Any]:
         window = 2 * AHEAD * self.count
@@ -114,12 +121,15 @@ class Pool:
         ready: list[Any] = wait(list(busy))
         return [busy[pipe] for pipe in ready]
 
-    def _end(self, *, at_once: bool) -> None:
-        workers, self._workers = self._workers, []
-        for worker in workers:
-            worker.end(at_once=at_once)
-        for worker in workers:
-            worker.wait()
+
+def _end(workers: list[WorkerProcess], *, at_once: bool) -> None:
+    """Ends processes and takes them from the list."""
+    ending = workers[:]
+    workers.clear()
+    for worker in ending:
+        worker.end(at_once=at_once)
+    for worker in ending:
+        worker.wait()
 
 
 @contextmanager

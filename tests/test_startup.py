@@ -1,0 +1,79 @@
+"""Compiled programs stay between runs, where the environment says."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+
+from jaxdet.engine.startup import Caches, cache_folders, use_caches
+
+CODE = """
+from jaxdet.engine import start_up
+start_up()
+import jax
+import warp as wp
+
+@wp.kernel
+def kernel_of_this_test(a_out: wp.array(dtype=float)):
+    a_out[wp.tid()] = 1.0
+
+wp.launch(kernel_of_this_test, dim=3, inputs=[wp.zeros(3)])
+print(jax.jit(lambda x: x * 3 + 1)(jax.numpy.arange(4)).tolist())
+"""
+
+
+@pytest.fixture
+def no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("JAXDET_CACHE", "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_the_folders_follow_the_environment(no_caches, monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    found = cache_folders()
+    assert found.jax and found.jax.is_relative_to(tmp_path / ".cache" / "jaxdet")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert Path(str(cache_folders().warp)).is_relative_to(tmp_path / "xdg" / "jaxdet")
+    monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "own"))
+    found = cache_folders()
+    assert found.jax and found.warp
+    assert found.jax.parent.parent == found.warp.parent.parent == tmp_path / "own"
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "warp"))
+    assert cache_folders() == Caches(found.jax, tmp_path / "warp")
+    monkeypatch.setenv("JAXDET_CACHE", "off")
+    assert cache_folders() == Caches(None, tmp_path / "warp")
+
+
+def test_a_folder_that_cannot_be_made_is_not_used(no_caches, monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("JAXDET_CACHE", str(tmp_path / "file"))
+    config: Any = jax.config
+    before = config.jax_compilation_cache_dir
+    assert use_caches() == Caches(None, None)
+    assert config.jax_compilation_cache_dir == before
+
+
+def test_a_second_start_compiles_nothing(no_caches, tmp_path):
+    def start() -> dict[Path, int]:
+        done = subprocess.run(
+            [sys.executable, str(script)],
+            env={**os.environ, "JAXDET_CACHE": str(tmp_path / "cache")},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert (done.stdout, done.stderr) == ("[1, 4, 7, 10]\n", "")
+        files = [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+        return {path: path.stat().st_mtime_ns for path in files}
+
+    script = tmp_path / "script.py"
+    script.write_text(CODE, encoding="utf-8")
+    first = start()
+    assert any("jax" in path.parts for path in first)
+    assert any("kernel_of_this_test" in path.read_text() for path in first if path.suffix == ".cpp")
+    assert start() == first
