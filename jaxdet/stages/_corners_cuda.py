@@ -43,7 +43,7 @@ def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """
     batch, height, width, _ = color.shape
     words = 2 * -(-width // 64)
-    tiles = -(-height // kernels.SUPPRESS_ROWS) * (words // 2)
+    tiles = -(-height // kernels.SUPPRESS_ROWS) * -(-width // kernels.SUPPRESS_COLUMNS)
     rows = (batch, height, words)
     candidates, strong = _suppress(
         color,

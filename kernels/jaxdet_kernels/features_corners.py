@@ -35,29 +35,49 @@ _EIGENVALUE = """
     }
     __syncthreads();
     const unsigned* rows = edges.data + (size_t)b * H * words;
-    // The columns of the three windows, mirrored; a mirrored window is a window of the image.
-    const int xc = min(x, W - 1);
-    const int xl = xc == 0 ? 1 : xc - 1, xr = xc == W - 1 ? W - 2 : xc + 1;
-    #define BIT(row, c) ((row[(c) >> 5] >> ((c) & 31)) & 1u)
-    // Three bits around a column, mirrored at the image's border.
-    #define THREE(row, c) (BIT(row, (c) == 0 ? 1 : (c) - 1) | (BIT(row, c) << 1) \\
-        | (BIT(row, (c) == W - 1 ? W - 2 : (c) + 1) << 2))
-    const bool inner = xc >= 2 && xc < W - 2;
-    const int w0 = (xc - 2) >> 5, shift = (xc - 2) & 31;
-    auto window = [&](int y) -> unsigned {
-        const unsigned* row = rows + (size_t)y * words;
-        if (inner) {
-            unsigned bits = __funnelshift_r(row[w0], row[min(w0 + 1, words - 1)], shift);
-            return (bits & 7) | ((bits & 14) << 2) | ((bits & 28) << 4);
-        }
-        return THREE(row, xl) | (THREE(row, xc) << 3) | (THREE(row, xr) << 6);
+    // Each warp keeps the last 64 rows of its word and the words beside it.
+    __shared__ unsigned strips[4][64][3];
+    const int lane = thread % 32, own = x / 32;
+    unsigned (*strip)[3] = strips[thread / 32];
+    typedef unsigned long long u64;
+    u64 occupied = 0;  // Bit i: row 32 * chunk + i has an edge near the warp's columns.
+    auto fill = [&](int chunk) {
+        const int y = 32 * chunk + lane;
+        unsigned beside[3] = {0, 0, 0};
+        for (int k = 0; k < 3; ++k)
+            if (y < H && own + k >= 1 && own + k - 1 < words)
+                beside[k] = rows[(size_t)y * words + own + k - 1];
+        __syncwarp();
+        for (int k = 0; k < 3; ++k) strip[y & 63][k] = beside[k];
+        const bool near = (beside[0] >> 30) | beside[1] | (beside[2] & 3);
+        occupied = (occupied >> 32) | ((u64)__ballot_sync(0xffffffffu, near) << 32);
+        __syncwarp();
     };
-    auto mirrored = [&](int y) { return y < 0 ? -y : (y >= H ? 2 * H - 2 - y : y); };
+    const bool inner = x >= 2 && x < W - 2;
+    // The 3x3 bits around column x and those left and right of it, of one row: three times three
+    // bits, mirrored at the image's border; a mirrored window is a window of the image.
+    auto window = [&](int y) -> unsigned {
+        const unsigned* near = strip[y & 63] + (lane >= 2);
+        const unsigned bits = __funnelshift_r(near[0], near[1], (lane - 2) & 31);
+        if (inner) return (bits & 7) | ((bits & 14) << 2) | ((bits & 28) << 4);
+        unsigned all = 0;
+        for (int k = 0; k < 3 && x < W; ++k) {
+            int c = x + k - 1;
+            c = c < 0 ? 1 : c >= W ? W - 2 : c;
+            const int left = (c == 0 ? 1 : c - 1) - x + 2;
+            const int right = (c == W - 1 ? W - 2 : c + 1) - x + 2;
+            const unsigned three = ((bits >> left) & 1) | (((bits >> (c - x + 2)) & 1) << 1)
+                | (((bits >> right) & 1) << 2);
+            all |= three << (3 * k);
+        }
+        return all;
+    };
     // Windows of the rows around the one that is added next, then the sums of three columns.
-    unsigned above, middle, below;
+    unsigned above = 0, middle = 0, below = 0;
     double ring[3][3], total[3];
-    auto add = [&](double* r) -> bool {
-        if (!(above | middle | below)) { r[0] = 0.0; r[1] = 0.0; r[2] = 0.0; return false; }
+    auto add = [&](double* r, unsigned above, unsigned middle, unsigned below) -> bool {
+        r[0] = 0.0; r[1] = 0.0; r[2] = 0.0;
+        if (!(above | middle | below)) return false;
         const int p0 = (above & 7) | ((middle & 7) << 3) | ((below & 7) << 6);
         const int p1 = ((above >> 3) & 7) | (middle & 56) | ((below & 56) << 3);
         const int p2 = (above >> 6) | ((middle >> 6) << 3) | (below & 448);
@@ -66,53 +86,72 @@ _EIGENVALUE = """
         r[2] = __dadd_rn(__dadd_rn(yy[p0], yy[p1]), yy[p2]);
         return true;
     };
-    // Row -1 is row 1, and the rows around row 0 are row 1 twice.
-    above = window(0); middle = window(1); below = window(mirrored(2));
-    bool live0 = add(ring[0]);
-    below = middle; middle = above; above = below;
-    bool live1 = add(ring[1]), live2, was_live = true;
-    for (int k = 0; k < 3; ++k) total[k] = __dadd_rn(ring[0][k], ring[1][k]);
-    above = middle; middle = below; below = window(mirrored(2));
-    int strongest = (int)0x80000000;
+    int strongest = (int)0x80000000, ordered = 0, peak = 0, last = -1;
     float e = 0.0f;
-    float* out = strength_out.data + (size_t)b * H * W + xc;
-    const unsigned char* may = (const unsigned char*)mask.data + (size_t)b * H * W + xc;
-    for (int y = 0; y < H; ++y) {
-        live2 = add(ring[2]);
-        // Adding and taking away zeros changes neither the sums nor, a row later, the strength.
-        const bool live = live0 | live1 | live2;
-        if (live | was_live) {
-            float s[3];
-            for (int k = 0; k < 3; ++k) {
-                double sum = __dadd_rn(total[k], ring[2][k]);
-                s[k] = __double2float_rn(sum);
-                total[k] = __dsub_rn(sum, ring[0][k]);
-                ring[0][k] = ring[1][k];
-                ring[1][k] = ring[2][k];
-            }
-            float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]), t = __fsub_rn(a, c);
-            float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
-            e = __fsub_rn(__fadd_rn(a, c), root);
-        }
-        was_live = live;
-        live0 = live1;
-        live1 = live2;
-        const int bits = __float_as_int(e), ordered = bits < 0 ? bits ^ 0x7fffffff : bits;
+    bool live0, live1, was_live = true;
+    float* out = strength_out.data + (size_t)b * H * W + x;
+    const bool* may = mask.data + (size_t)b * H * W + x;
+    int* peaks = peak_out.data + (size_t)b * H * words + own;
+    auto store = [&](int y) {
         if (x < W) {
             out[(size_t)y * W] = e;
             if (ordered > strongest && (!masked || may[(size_t)y * W])) strongest = ordered;
         }
-        // The strongest of each word lets the search for maxima skip what is flat.
-        const int peak = __reduce_max_sync(0xffffffffu, x < W ? ordered : (int)0x80000000);
-        if (thread % 32 == 0 && x / 32 < words)
-            peak_out.data[((size_t)b * H + y) * words + x / 32] = peak;
-        // The row after next: y + 3 comes under y + 2; beyond the border the rows come back.
-        const int next = y + 2;
-        if (next < H) {
-            above = middle; middle = below; below = window(mirrored(next + 1));
-        } else {
-            above = window(mirrored(mirrored(next) - 1)); middle = window(mirrored(next));
-            below = window(mirrored(mirrored(next) + 1));
+        if (lane == 0 && own < words) peaks[(size_t)y * words] = peak;
+    };
+    fill(0);
+    for (int y = 0; y < H;) {
+        const int chunk = y / 32, end = min(32 * chunk + 32, H);
+        fill(chunk + 1);
+        if (y == 0) {
+            // Row -1 is row 1, and the rows around row 0 are row 1 twice.
+            above = window(0); middle = window(1); below = window(2);
+            live0 = add(ring[0], above, middle, below);
+            live1 = add(ring[1], middle, above, middle);
+            for (int k = 0; k < 3; ++k) total[k] = __dadd_rn(ring[0][k], ring[1][k]);
+        }
+        while (y < end) {
+            const int ahead = __ffsll(occupied >> (y - 32 * chunk));
+            if (y - last > 3 && (ahead == 0 || ahead > 3)) {
+                // No edge from three rows above to two rows below: nothing changes.
+                const int stop = ahead == 0 ? end : min(end, y + ahead - 3);
+                for (; y < stop; ++y) store(y);
+                above = 0; middle = 0;
+                below = y + 2 < H ? window(y + 2) : 0;
+                continue;
+            }
+            if (ahead == 1) last = y;
+            // Beyond the last row the rows come back: H is H - 2, and around it are its own.
+            const unsigned coming = y + 3 < H ? window(y + 3) : middle;
+            const bool live2 = y < H - 1 ? add(ring[2], above, middle, below) : live0;
+            if (y == H - 1)
+                for (int k = 0; k < 3; ++k) ring[2][k] = ring[0][k];
+            // Adding and taking away zeros changes neither the sums nor, a row later, the strength.
+            const bool live = live0 | live1 | live2;
+            if (live | was_live) {
+                float s[3];
+                for (int k = 0; k < 3; ++k) {
+                    const double sum = __dadd_rn(total[k], ring[2][k]);
+                    s[k] = __double2float_rn(sum);
+                    total[k] = __dsub_rn(sum, ring[0][k]);
+                    ring[0][k] = ring[1][k];
+                    ring[1][k] = ring[2][k];
+                }
+                const float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]);
+                const float t = __fsub_rn(a, c);
+                const float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
+                e = __fsub_rn(__fadd_rn(a, c), root);
+            }
+            was_live = live;
+            live0 = live1;
+            live1 = live2;
+            const int bits = __float_as_int(e);
+            ordered = bits < 0 ? bits ^ 0x7fffffff : bits;
+            // The strongest of each word lets the search for maxima skip what is flat.
+            peak = __reduce_max_sync(0xffffffffu, x < W ? ordered : (int)0x80000000);
+            store(y);
+            above = middle; middle = below; below = coming;
+            ++y;
         }
     }
     atomicMax(&best, strongest);
