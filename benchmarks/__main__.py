@@ -46,20 +46,21 @@ class Run:
         self.options = options
         self.metrics: list[Metric] = []
         self.missing: dict[str, Missing] = {}
-        self.rate = copy_rate(options.seconds)
 
     def stage(self, stage: str) -> Iterator[list[Metric]]:
         """Times a stage beside its peers, then along its axes; yields what is new."""
         options, module = self.options, import_module(f"benchmarks.bench_{stage}")
+        rate = copy_rate(options.seconds / 2)  # again for each stage: others use the machine too
+        yield [Metric(f"{stage}.copy_rate", rate / 1e9, "GB/s", "info", 0.0)]
         for case in module.cases():
             key = f"{stage}.{case.name}"
             if isinstance(case, Missing):
                 self.missing[key] = case
             else:
-                yield metrics_of(key, case, options.seconds, self.rate)
+                yield metrics_of(key, case, options.seconds, rate)
         points = points_of(stage, options.device, options.sweep)
         cases = {f"{stage}.{point.name}": case_at(stage, point) for point in points}
-        found = sweep_metrics(cases, options.seconds / 2 * len(cases), self.rate)
+        found = sweep_metrics(cases, options.seconds / 2 * len(cases), rate)
         yield from found
         times = dict(zip(points, (metrics[0].value for metrics in found), strict=True))
         yield fits_of(stage, times)
@@ -73,7 +74,7 @@ def main(options: Options) -> int:
     start, device = time.perf_counter(), jax.devices(options.device)[0]
     with jax.default_device(device):
         run = Run(options)
-        print(f"{device.device_kind}: copies {run.rate / 1e9:.1f} GB/s\n\n{report.HEADER}")
+        print(f"{device.device_kind}\n\n{report.HEADER}")
         for stage in options.only:
             for found in run.stage(stage):
                 run.metrics += found

@@ -12,9 +12,6 @@ import tyro
 
 from benchmarks.run import Metric, Missing
 
-LEAST_TOLERANCE = 0.3
-"""A shared machine moves ratios by this much from one hour to the next."""
-
 
 def read(path: Path) -> list[Metric]:
     """The metrics of a JSON file."""
@@ -55,7 +52,7 @@ def regressions(
 
 
 def baseline_of(runs: list[list[Metric]]) -> list[Metric]:
-    """The gated metrics' medians, with a tolerance of twice what the worst run lost.
+    """The gated metrics' medians, with a tolerance of twice what the worst run lost, if that is more.
 
     Args:
         runs: The metrics of at least one run each on the same kind of device.
@@ -71,7 +68,7 @@ def baseline_of(runs: list[list[Metric]]) -> list[Metric]:
         values = [table[metric.key].value for table in tables]
         middle = statistics.median(values)
         lost = max(values) / middle if metric.direction == "lower" else middle / min(values)
-        tolerance = max(LEAST_TOLERANCE, math.ceil(round(40 * (lost - 1), 6)) / 20)
+        tolerance = max(metric.tolerance, math.ceil(round(40 * (lost - 1), 6)) / 20)
         found.append(metric._replace(value=float(f"{middle:.4g}"), tolerance=tolerance))
     return found
 
