@@ -52,7 +52,7 @@ def regressions(
 
 
 def baseline_of(runs: list[list[Metric]]) -> list[Metric]:
-    """The gated metrics' medians, with a tolerance of twice what the worst run lost, if that is more.
+    """The gated metrics' medians; their tolerance is at least twice what the worst run lost.
 
     Args:
         runs: The metrics of at least one run each on the same kind of device.
