@@ -13,11 +13,11 @@ import numpy as np
 from sklearn.cluster import DBSCAN
 
 from benchmarks.run import Case, Metric, check_equal
-from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, inputs
+from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
 from jaxdet.config import Config, preset
 from jaxdet.engine import Workers
 from jaxdet.pipeline import detect
-from jaxdet.plane import floor_limits, repeat_plane
+from jaxdet.plane import floor_limits
 from jaxdet.stages._device import on_cuda
 from jaxdet.stages._upload import Uploader, pin
 from jaxdet.types import Detections, Frames, GroundPlane
@@ -27,20 +27,9 @@ RESIDENT_BATCH = 1024
 """Frames of a batch on a GPU."""
 
 
-def frames_of(batch: int) -> Frames:
-    """``batch`` frames in host memory, those of the scene in turns."""
-    given = inputs(SIZE)
-    turns = np.arange(batch) % BATCH
-    number, valid = np.arange(batch, dtype=np.int64), np.ones(batch, bool)
-    one = GroundPlane(*(np.asarray(a)[:1] for a in given.plane))
-    color, depth = given.color[turns], given.depth[turns]
-    plane = repeat_plane(one, batch)
-    return Frames(color, depth, given.calibration, number, number, number, valid, None, plane)
-
-
 def cases() -> list[Case]:
     """Frames in memory: the default and the paper's setting, beside both peers."""
-    frames = frames_of(4 * BATCH)
+    frames = frames_of(SIZE, 4 * BATCH)
     found = []
     for name, config in (("default", CONFIG), ("paper", preset("paper"))):
         case = Case(
@@ -51,7 +40,7 @@ def cases() -> list[Case]:
             equal=True,
         )
         found.append(case)
-    many = frames_of(8 * BATCH)
+    many = frames_of(SIZE, 8 * BATCH)
     if not on_cuda():
         one = partial(detect, many, CONFIG)
         found.append(Case("workers", lambda: on_all_cores(many), 8 * BATCH, one, equal=True))
@@ -114,7 +103,7 @@ def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 def throughput(seconds: float) -> list[Metric]:
     """Frames per second on a GPU: frames resident on the device, and from pinned host memory."""
-    frames = frames_of(RESIDENT_BATCH)
+    frames = frames_of(SIZE, RESIDENT_BATCH)
     on_device = jax.device_put((frames.color, frames.depth))
     pinned = pin(frames.color, frames.depth)
     uploader = Uploader(frames.color.shape, frames.depth.shape)
