@@ -14,7 +14,8 @@ from jaxdet.stages._corners_cuda import canny_bounds
 from jaxdet.stages._device import on_cuda
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane
 from jaxdet_kernels import features_depth_lines as kernels
-from jaxdet_kernels.align_search import TILE
+from jaxdet_kernels.align import PARAMETERS
+from jaxdet_kernels.align_search import SEARCH_VALUES, TILE
 
 _find = wp.jax_kernel(kernels.features_depth_lines, num_outputs=17, in_out_argnames=["strength"])
 
@@ -44,7 +45,8 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Runs the five stages without a dense alignment, a frame after the other.
 
     Args:
-        frames: ``B`` frames; images whose memory starts at a multiple of 64 bytes aren't copied.
+        frames: ``B`` frames. Images whose memory starts at a multiple of 64 bytes are read where
+            they are, so leave them alone until the results are ready.
         plane: The floor of each frame.
         config: The method's parameters.
 
@@ -60,7 +62,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         _cluster.gaps(config.cluster, unit),
         jnp.asarray(ground_axes(plane)),
     )
-    color, depth = jnp.asarray(frames.color), jnp.asarray(frames.depth)
+    color, depth = jax.device_put((frames.color, frames.depth))
     return _detect(color, depth, tables, aligned, fills, unit, config)
 
 
@@ -68,8 +70,8 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], int, int]:
     """The search's arrays, whether depth is aligned already, and whether corners are filled."""
     if calibration.is_aligned:
-        none = jnp.zeros((1, 1), jnp.float32)
-        return (none, none, none[0], none[0]), 1, 0
+        rays = jnp.zeros((1, 1), jnp.float32)
+        return (rays, rays, *(jnp.zeros(n, jnp.float32) for n in (PARAMETERS, SEARCH_VALUES))), 1, 0
     *arrays, fills = _align_points.tables(calibration)
     return tuple(arrays), 0, fills
 

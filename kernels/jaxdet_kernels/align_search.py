@@ -69,7 +69,8 @@ SEARCH = """
         return true;
     };
     // The smallest key of the depth pixels that cover column u, row v; all bits set: none does.
-    auto smallest_key = [&](int u, int v) -> unsigned {
+    // With a cap, those farther in the depth camera may be taken for none.
+    auto smallest_key = [&](int u, int v, unsigned cap = 65535) -> unsigned {
         const unsigned nothing = 0xffffffffu;
         if ((frame_range >> 16) > (frame_range & 0xffffu)) return nothing;
         // The path of the pixel's centre through the depth image.
@@ -100,7 +101,7 @@ SEARCH = """
         }
         const unsigned safe = (unsigned)s[24];
         const bool turned = p[6] != 0.0f || p[7] != 0.0f;
-        unsigned best = 65536;
+        unsigned best = cap + 1;
         int best_i = 0, best_j = 0;
         auto walk = [&](int i0, int i1, int j0, int j1) {
             for (int i = i0; i <= i1; ++i) {
@@ -157,7 +158,9 @@ SEARCH = """
             return j0 <= j1 && i0 <= i1;
         };
         const float nearest = 1.0f / (float)(int)(frame_range >> 16);
-        const float farthest = 1.0f / (float)(int)(frame_range & 0xffffu);
+        const unsigned last = LEAST(frame_range & 0xffffu, cap);
+        if (last < frame_range >> 16) return nothing;
+        const float farthest = 1.0f / (float)(int)last;
         const float speed = MOST(SIZE(slope_x), SIZE(slope_y));
         const float length = speed * (nearest - farthest) * (1.0f / STEP);
         const int pieces = 1 + (int)LEAST(length, 16383.0f);
@@ -183,7 +186,7 @@ SEARCH = """
             if (low * 0.9999f > high || !box(low, high)) continue;
             walk(i0, i1, j0, j1);
         }
-        if (best == 65536) return nothing;
+        if (best == cap + 1) return nothing;
         const float z = moved_z(best, best_i, best_j) / p[25] + 0.5f;
         return (best << 16) | (unsigned)(int)LEAST(z, 65534.0f);
     };

@@ -111,16 +111,21 @@ _HYSTERESIS = """
         u64* r = reached + (size_t)y * n;
         u64 carry = 0;
         for (int w = 0; w < n; ++w) {
-            const u64 now = r[w] | (carry & c[w]);
-            r[w] = (c[w] & ~(c[w] + now)) | now;  // a seed added to its run carries to the end
-            carry = r[w] >> 63;
+            u64 now = r[w] | (carry & c[w]);
+            // A seed added to its run of ones carries to the run's end.
+            if (now && (c[w] & ~now)) now |= c[w] & ~(c[w] + now);
+            r[w] = now;
+            carry = now >> 63;
         }
         carry = 0;
         for (int w = n - 1; w >= 0; --w) {
-            u64 now = r[w] | ((carry << 63) & c[w]), run = c[w];
-            for (int step = 1; now && step < 64; step *= 2) {
-                now |= run & (now >> step);
-                run &= run >> step;
+            u64 now = r[w] | ((carry << 63) & c[w]);
+            if (now && (c[w] & ~now)) {
+                u64 run = c[w];
+                for (int step = 1; step < 64; step *= 2) {
+                    now |= run & (now >> step);
+                    run &= run >> step;
+                }
             }
             r[w] = now;
             carry = now & 1;
@@ -144,13 +149,21 @@ _HYSTERESIS = """
     };
     for (int i = 0; i < H * n; ++i) reached[i] = seeds[i];
     for (int y = 0; y < H; ++y) fill(y);
-    bool changed = true;
-    while (changed) {
-        changed = false;
-        for (int y = 1; y < H; ++y)
-            if (spread(y - 1, y)) { fill(y); changed = true; }
-        for (int y = H - 2; y >= 0; --y)
-            if (spread(y + 1, y)) { fill(y); changed = true; }
+    // Rows that have not told the next one, below and above, what they reach.
+    unsigned char tells[2][4096];
+    for (int y = 0; y < H; ++y) tells[0][y] = tells[1][y] = 1;
+    for (bool told = true; told;) {
+        told = false;
+        for (int up = 0; up < 2; ++up)
+            for (int k = 0; k + 1 < H; ++k) {
+                const int from = up ? H - 1 - k : k, y = up ? from - 1 : from + 1;
+                if (!tells[up][from]) continue;
+                tells[up][from] = 0;
+                if (!spread(from, y)) continue;
+                fill(y);
+                tells[0][y] = tells[1][y] = 1;
+                told = true;
+            }
     }
 #endif
 """
