@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from jaxdet import detect
 from jaxdet.config import PRESETS, Config, FeaturesConfig, GroundConfig
-from jaxdet.stages import _sparse
+from jaxdet.stages import _corners_cuda, _sparse
 from jaxdet.types import Calibration, Extrinsics, Frames
 from tests.scenes import (
     assert_equal,
@@ -128,7 +128,7 @@ def test_more_maxima_than_the_list_holds(device, monkeypatch):
     """On CUDA a frame whose list overflows is done by its block alone."""
     given_ = pairs(SMALL)
     want = detect(given_, backend="reference")
-    monkeypatch.setattr(_sparse, "CANDIDATES", 256)
+    monkeypatch.setattr(_corners_cuda, "CANDIDATES", 256)
     jax.clear_caches()
     assert_equal(detect(given_), want)
     jax.clear_caches()

@@ -1,5 +1,8 @@
 """Corners on the device: Canny, Shi-Tomasi and the selection as Warp kernels, for CUDA."""
 
+import math
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import warp as wp
@@ -11,12 +14,15 @@ from jaxdet_kernels import features as kernels
 MAX_WIDTH = 2048
 """The hysteresis gives each lane of a warp one 64-bit word of a row."""
 
+CANDIDATES = 8192
+"""Most maxima of a frame that are listed, a multiple of 256; a frame with more takes longer."""
+
 _suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kernels.SUPPRESS_BLOCK)
 _hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_BLOCK)
 _eigenvalue = wp.jax_kernel(
     kernels.corners_eigenvalue,
-    num_outputs=3,
-    in_out_argnames=["best_out"],
+    num_outputs=5,
+    in_out_argnames=["best_out", "count_out"],
     block_dim=kernels.EIGENVALUE_BLOCK,
 )
 _maxima = wp.jax_kernel(kernels.corners_maxima, block_dim=kernels.MAXIMA_BLOCK)
@@ -75,62 +81,70 @@ def canny_bounds(color: jax.Array, config: FeaturesConfig) -> tuple[jax.Array, j
     return (low * mean // level).astype(jnp.int32), (high * mean // level).astype(jnp.int32)
 
 
+class Strengths(NamedTuple):
+    """The minimum eigenvalue of edge images; strengths as integers have the same order."""
+
+    strength: jax.Array
+    """``(B, H, W)`` float32."""
+    best: jax.Array
+    """``(B,)`` int32, the strongest of each frame, of those allowed."""
+    peak: jax.Array
+    """``(B, H, words)`` int32, the strongest of each 32 columns of a row."""
+    maxima: jax.Array
+    """``(B,)`` int32, how many pixels may be 3x3 maxima above 0, at least."""
+    listed: jax.Array
+    """``(B, CANDIDATES)`` int32, their places ``v W + u`` as far as there is room, in no order."""
+
+
 def strongest_corners(
-    color: jax.Array, mask: jax.Array | None, config: FeaturesConfig
+    color: jax.Array, mask: jax.Array, config: FeaturesConfig
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The strongest corners of the Canny edge images, as the reference selects them.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
-        mask: ``(B, H, W)`` bool, where corners may be; None for everywhere.
+        mask: ``(B, H, W)`` bool, where corners may be.
         config: Canny's bounds and the corner selection, static.
 
     Returns:
         Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
         corners qualify ``(B,)`` int32, which may be more than there are slots.
     """
-    masked = mask is not None
-    mask = jnp.ones((1, 1, 1), bool) if mask is None else mask
-    strength, best, peak = strengths(color, mask, masked, config)
-    batch, height, words = peak.shape
+    found = strengths(color, mask, config)
+    rows = found.peak.shape
     (maxima,) = _maxima(
-        strength,
+        found.strength,
         mask,
-        int(masked),
-        best,
-        peak,
+        found.best,
+        found.peak,
         float(config.quality_level),
-        launch_dims=(-(-batch * height * words // kernels.MAXIMA_BLOCK) * kernels.MAXIMA_BLOCK,),
-        output_dims={"maxima_out": peak.shape},
+        launch_dims=(-(-math.prod(rows) // kernels.MAXIMA_BLOCK) * kernels.MAXIMA_BLOCK,),
+        output_dims={"maxima_out": rows},
     )
-    return select(strength, maxima, config)
+    return select(found.strength, maxima, config)
 
 
-def strengths(
-    color: jax.Array, mask: jax.Array, masked: bool, config: FeaturesConfig
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The minimum eigenvalue of the edge images ``(B, H, W)`` float32.
-
-    With it, as integers of the same order, the strongest of each frame ``(B,)``, of those that
-    ``mask`` allows if ``masked``, and of each 32 columns of a row.
-    """
+def strengths(color: jax.Array, mask: jax.Array | None, config: FeaturesConfig) -> Strengths:
+    """The strength of each pixel as a corner of the edge image; ``mask`` None allows all."""
     batch, height, width, _ = color.shape
     edge = edges(color, *canny_bounds(color, config))
-    best = jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32)
     blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)
-    best, strength, peak = _eigenvalue(
+    best, count, strength, peak, listed = _eigenvalue(
         edge,
-        mask,
-        int(masked),
-        best,
+        jnp.ones((1, 1, 1), bool) if mask is None else mask,
+        int(mask is not None),
+        jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32),
+        jnp.zeros(batch, jnp.int32),
         launch_dims=(blocks * kernels.EIGENVALUE_BLOCK,),
         output_dims={
             "best_out": (batch,),
+            "count_out": (batch,),
             "strength_out": (batch, height, width),
             "peak_out": edge.shape,
+            "list_out": (batch, CANDIDATES),
         },
     )
-    return strength, best, peak
+    return Strengths(strength, best, peak, count, listed)
 
 
 def select(

@@ -3,6 +3,7 @@
 Equal to align, ground and features one after the other, at every feature.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -19,15 +20,6 @@ from jaxdet_kernels import features as kernels
 PROBE_COLUMNS = 16
 """Pixels of a grid this wide tell whether a frame has depth at all, where no grid is asked for."""
 
-CANDIDATES = 8192
-"""Most 3x3 maxima of a frame that are listed, a multiple of 256; a frame with more takes longer."""
-
-_corners_list = wp.jax_kernel(
-    kernels.corners_list,
-    num_outputs=2,
-    in_out_argnames=["count_out"],
-    block_dim=kernels.CANDIDATES_BLOCK,
-)
 _corners_check = wp.jax_kernel(
     kernels.corners_check,
     num_outputs=2,
@@ -125,40 +117,49 @@ def _corners(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The corners as :func:`jaxdet.stages._corners_cuda.strongest_corners` returns them."""
     with jax.named_scope("features"):
-        if not config.use_mask:
-            return _corners_cuda.strongest_corners(color, None, config)
-        no_mask = jnp.ones((1, 1, 1), bool)
-        strength, best, peak = _corners_cuda.strengths(color, no_mask, False, config)
-        batch, height, words = peak.shape
+        found = _corners_cuda.strengths(color, None, config)
         places = floor.limits, floor.which, jnp.stack([floor.nearest, floor.farthest]), fills
-        none, lists = jnp.zeros(batch, jnp.int32), (batch, CANDIDATES)
-        block = kernels.CANDIDATES_BLOCK
-        by_word = (-(-batch * height * words // block) * block,)
-        count, listed = _corners_list(
-            strength, peak, none, launch_dims=by_word,
-            output_dims={"count_out": (batch,), "list_out": lists},
-        )  # fmt: skip
-        allowed_best, allowed = _corners_check(
-            strength, listed, count, *source, *places, none, launch_dims=(batch * CANDIDATES,),
-            output_dims={"best_out": (batch,), "allowed_out": lists},
-        )  # fmt: skip
-        (allowed_best,) = _corners_strongest(
-            strength, peak, *source, *places, allowed_best, launch_dims=by_word
-        )
+        best, allowed = found.best, found.listed
+        if config.use_mask:
+            best, allowed = _allowed(found, source, places)
         (maxima,) = _corners_lookup(
-            strength,
-            peak,
-            best,
+            found.strength,
+            found.peak,
+            found.best,
             allowed,
-            count,
-            allowed_best,
+            found.maxima,
+            best,
             *source,
             *places,
             float(config.quality_level),
-            launch_dims=(batch * kernels.LOOKUP_BLOCK,),
-            output_dims={"maxima_out": peak.shape},
+            int(config.use_mask),
+            launch_dims=(color.shape[0] * kernels.LOOKUP_BLOCK,),
+            output_dims={"maxima_out": found.peak.shape},
         )
-        return _corners_cuda.select(strength, maxima, config)
+        return _corners_cuda.select(found.strength, maxima, config)
+
+
+def _allowed(
+    found: _corners_cuda.Strengths, source: Source, places: tuple
+) -> tuple[jax.Array, jax.Array]:
+    """The strongest allowed pixel ``(B,)``, 0 for none, and the listed ones, -1 if not allowed."""
+    batch, _ = lists = found.listed.shape
+    best, allowed = _corners_check(
+        found.strength,
+        found.listed,
+        found.maxima,
+        *source,
+        *places,
+        jnp.zeros(batch, jnp.int32),
+        launch_dims=(math.prod(lists),),
+        output_dims={"best_out": (batch,), "allowed_out": lists},
+    )
+    block = kernels.CANDIDATES_BLOCK
+    blocks = -(-math.prod(found.peak.shape) // (4 * block))
+    (best,) = _corners_strongest(
+        found.strength, found.peak, *source, *places, best, launch_dims=(blocks * block,)
+    )
+    return best, allowed
 
 
 def _any_depth(

@@ -8,7 +8,6 @@ threads its blocks have; launch a multiple of that.
 from jaxdet_kernels.features_candidates import (
     CANDIDATES_BLOCK,
     corners_check,
-    corners_list,
     corners_strongest,
 )
 from jaxdet_kernels.features_canny import (
@@ -19,13 +18,9 @@ from jaxdet_kernels.features_canny import (
     canny_hysteresis,
     canny_suppress,
 )
-from jaxdet_kernels.features_corners import (
-    EIGENVALUE_BLOCK,
-    MAXIMA_BLOCK,
-    corners_eigenvalue,
-    corners_maxima,
-)
+from jaxdet_kernels.features_corners import EIGENVALUE_BLOCK, corners_eigenvalue
 from jaxdet_kernels.features_lookup import LOOKUP_BLOCK, corners_lookup, ground_has_depth
+from jaxdet_kernels.features_maxima import MAXIMA_BLOCK, corners_maxima
 from jaxdet_kernels.features_select import SPREAD_BLOCK, corners_spread
 
 __all__ = [
@@ -42,7 +37,6 @@ __all__ = [
     "canny_suppress",
     "corners_check",
     "corners_eigenvalue",
-    "corners_list",
     "corners_lookup",
     "corners_maxima",
     "corners_spread",

@@ -1,8 +1,8 @@
-"""Candidates for corners and which of them the depth allows, all frames at once; for CUDA.
+"""Which candidates for corners the depth allows, all frames at once; for CUDA.
 
-Three steps: list the 3x3 maxima of each frame; look up the depth of each; look at the few pixels
-that are stronger than the strongest allowed maximum, as one of them may set the threshold.
-Strengths above 0 are ordered as the integers of their bits.
+Two steps: look up the depth of each candidate; look at the few pixels that are stronger than the
+strongest allowed candidate, as one of them may set the threshold. Strengths above 0 are ordered as
+the integers of their bits.
 """
 
 import warp as wp
@@ -13,51 +13,6 @@ wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
 CANDIDATES_BLOCK = 256
 """Threads of a block."""
-
-_WORDS = """
-    const int H = strength.shape[1], W = strength.shape[2], words = peak.shape[2];
-    const int lane = thread % 32;
-    const unsigned frame = H * words, all = strength.shape[0] * frame;
-    const unsigned first = ((unsigned)block * 256u + thread) / 32u * 32u, mine = first + lane;
-"""
-
-_LIST = (
-    """
-#if defined(__CUDA_ARCH__)
-"""
-    + _WORDS
-    + """
-    const bool hot = mine < all && peak.data[mine] > 0;
-    unsigned result = 0;
-    // Each lane looks after a word; those that aren't flat are then searched by the whole warp.
-    for (unsigned left = __ballot_sync(0xffffffffu, hot); left; left &= left - 1) {
-        const int turn = __ffs(left) - 1;
-        const unsigned job = first + turn, b = job / frame, rest = job - b * frame;
-        const int y = rest / words, x = (rest - (unsigned)y * words) * 32 + lane;
-        bool corner = false;
-        if (y >= 1 && y < H - 1 && x >= 1 && x < W - 1) {
-            const float* e = strength.data + ((size_t)b * H + y) * W + x;
-            const float own = e[0];
-            corner = own > 0.0f;
-            if (corner) {
-                #pragma unroll
-                for (int k = 0; k < 9; ++k)
-                    corner = corner && !(e[(k / 3 - 1) * W + k % 3 - 1] > own);
-            }
-        }
-        const unsigned word = __ballot_sync(0xffffffffu, corner);
-        if (lane == turn) result = word;
-    }
-    if (result) {
-        const unsigned b = mine / frame, rest = mine - b * frame, y = rest / words;
-        const int size = list_out.shape[1], start = (int)(y * W + (rest - y * words) * 32);
-        int at = atomicAdd(&count_out.data[b], __popc(result));
-        for (; result && at < size; result &= result - 1)
-            list_out.data[(size_t)b * size + at++] = start + __ffs(result) - 1;
-    }
-#endif
-"""
-)
 
 _ALLOWED = """
     auto allowed = [&](int x, int y) -> bool {
@@ -90,16 +45,30 @@ _CHECK = (
 _STRONGEST = (
     """
 #if defined(__CUDA_ARCH__)
-"""
-    + _WORDS
-    + """
-    bool hot = false;
-    if (mine < all) {
-        const int best = best_out.data[mine / frame];
-        hot = best > 0 && peak.data[mine] > best;
+    const int H = strength.shape[1], W = strength.shape[2], words = peak.shape[2];
+    const int lane = thread % 32;
+    const unsigned frame = H * words, all = strength.shape[0] * frame;
+    // Each lane looks after four words; those with a stronger pixel are searched by the warp.
+    const unsigned first = ((unsigned)block * 256u + thread - lane) * 4u;
+    int peaks[4];
+    #pragma unroll
+    for (int k = 0; k < 4; ++k) {
+        const unsigned word = first + 32u * k + lane;
+        peaks[k] = word < all ? peak.data[word] : 0;
     }
-    for (unsigned left = __ballot_sync(0xffffffffu, hot); left; left &= left - 1) {
-        const unsigned job = first + __ffs(left) - 1, rest = job % frame;
+    unsigned hot[4];
+    #pragma unroll
+    for (int k = 0; k < 4; ++k) {
+        const unsigned word = min(first + 32u * k + lane, all - 1u);
+        const int best = best_out.data[word / frame];
+        hot[k] = __ballot_sync(0xffffffffu, best > 0 && peaks[k] > best);
+    }
+    #pragma unroll 1
+    for (int k = 0; k < 4; ++k)
+    #pragma unroll 1
+    for (unsigned left = k == 0 ? hot[0] : k == 1 ? hot[1] : k == 2 ? hot[2] : hot[3]; left;
+         left &= left - 1) {
+        const unsigned job = first + 32u * k + __ffs(left) - 1, rest = job % frame;
         const int b = job / frame;
         const int y = rest / words, x = (rest - (unsigned)y * words) * 32 + lane;
         if (x >= W) continue;
@@ -114,29 +83,6 @@ _STRONGEST = (
 #endif
 """
 )
-
-
-@wp.func_native(_LIST)
-def _list(
-    block: int,
-    thread: int,
-    strength: wp.array3d[wp.float32],
-    peak: wp.array3d[wp.int32],
-    count_out: wp.array[wp.int32],
-    list_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel
-def corners_list(
-    strength: wp.array3d[wp.float32],
-    peak: wp.array3d[wp.int32],
-    count_out: wp.array[wp.int32],
-    list_out: wp.array2d[wp.int32],
-):
-    """The 3x3 maxima above 0, in no order, and their number, maybe more than the list holds."""
-    i = wp.tid()
-    _list(i // 256, i % 256, strength, peak, count_out, list_out)
 
 
 @wp.func_native(_CHECK)
@@ -232,7 +178,7 @@ def corners_strongest(
 ):
     """Raises ``best_out``, where above 0, to the strongest allowed pixel of all.
 
-    A thread a word of 32 columns.
+    A thread four words of 32 columns.
     """
     i = wp.tid()
     _strongest(

@@ -21,28 +21,40 @@ _SUPPRESS = """
     const unsigned char* rgb = color.data + (size_t)b * H * W * 3;
     // Grey, four columns a word, with a border of 2 rows and 4 columns; mirrored by clamping.
     __shared__ unsigned grey[52][34];
-    for (int i = thread; i < 52 * 34; i += 256) {
-        const int r = i / 34, c = i - r * 34, x = x0 + c * 4 - 4;
-        const unsigned char* row = rgb + (size_t)min(max(y0 + r - 2, 0), H - 1) * W * 3;
-        unsigned p[4];
-        if (W % 4 == 0 && x >= 0 && x + 4 <= W) {
-            const unsigned* from = (const unsigned*)(row + x * 3);
-            const unsigned first = from[0], second = from[1], third = from[2];
-            p[0] = first;
-            p[1] = __byte_perm(first, second, 0x6543);
-            p[2] = __byte_perm(second, third, 0x5432);
-            p[3] = third >> 8;
-        } else {
-            for (int k = 0; k < 4; ++k) {
-                const unsigned char* from = row + min(max(x + k, 0), W - 1) * 3;
-                p[k] = from[0] | from[1] << 8 | from[2] << 16;
-            }
+    #pragma unroll 1
+    for (int start = 0; start < 52 * 34; start += 4 * 256) {
+        // The loads of four words first, so that they are under way together.
+        unsigned raw[4][3];
+        #pragma unroll
+        for (int j = 0; j < 4; ++j) {
+            const int i = start + j * 256 + thread, r = i / 34, x = x0 + (i - r * 34) * 4 - 4;
+            if (i >= 52 * 34 || W % 4 || x < 0 || x + 4 > W) continue;
+            const unsigned char* row = rgb + (size_t)min(max(y0 + r - 2, 0), H - 1) * W * 3;
+            for (int k = 0; k < 3; ++k) raw[j][k] = ((const unsigned*)(row + x * 3))[k];
         }
-        // Twice the weights, so that grey is the third byte of the sum.
-        for (int k = 0; k < 4; ++k)
-            p[k] = __dp2a_hi(7470u, p[k], __dp2a_lo(19596u | 38470u << 16, p[k], 32768u));
-        grey[r][c] = __byte_perm(
-            __byte_perm(p[0], p[1], 0x0062), __byte_perm(p[2], p[3], 0x0062), 0x5410);
+        #pragma unroll
+        for (int j = 0; j < 4; ++j) {
+            const int i = start + j * 256 + thread, r = i / 34, c = i - r * 34, x = x0 + c * 4 - 4;
+            if (i >= 52 * 34) continue;
+            unsigned p[4] = {
+                raw[j][0],
+                __byte_perm(raw[j][0], raw[j][1], 0x6543),
+                __byte_perm(raw[j][1], raw[j][2], 0x5432),
+                raw[j][2] >> 8,
+            };
+            if (W % 4 || x < 0 || x + 4 > W) {
+                const unsigned char* row = rgb + (size_t)min(max(y0 + r - 2, 0), H - 1) * W * 3;
+                for (int k = 0; k < 4; ++k) {
+                    const unsigned char* from = row + min(max(x + k, 0), W - 1) * 3;
+                    p[k] = from[0] | from[1] << 8 | from[2] << 16;
+                }
+            }
+            // Twice the weights, so that grey is the third byte of the sum.
+            for (int k = 0; k < 4; ++k)
+                p[k] = __dp2a_hi(7470u, p[k], __dp2a_lo(19596u | 38470u << 16, p[k], 32768u));
+            grey[r][c] = __byte_perm(
+                __byte_perm(p[0], p[1], 0x0062), __byte_perm(p[2], p[3], 0x0062), 0x5410);
+        }
     }
     __syncthreads();
     // A warp walks down 6 rows, a lane 4 columns; 32-bit words hold two columns of 16 bits. Pairs

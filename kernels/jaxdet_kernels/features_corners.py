@@ -9,7 +9,6 @@ import warp as wp
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
 EIGENVALUE_BLOCK = 128
-MAXIMA_BLOCK = 256
 """Threads of a block."""
 
 _EIGENVALUE = """
@@ -92,6 +91,37 @@ _EIGENVALUE = """
     float* out = strength_out.data + (size_t)b * H * W + x;
     const bool* may = mask.data + (size_t)b * H * W + x;
     int* peaks = peak_out.data + (size_t)b * H * words + own;
+    // Maxima above 0 are gathered by each warp and listed some at a time.
+    __shared__ int gathered[4][64];
+    int* places = gathered[thread / 32];
+    int waiting = 0;
+    auto list = [&]() {
+        const int slots = list_out.shape[1];
+        int at = lane == 0 ? atomicAdd(&count_out.data[b], waiting) : 0;
+        at = __shfl_sync(0xffffffffu, at, 0);
+        __syncwarp();
+        for (int k = lane; k < waiting; k += 32)
+            if (at + k < slots) list_out.data[(size_t)b * slots + at + k] = places[k];
+        __syncwarp();
+        waiting = 0;
+    };
+    float e1 = 0.0f, e2 = 0.0f;  // The strengths one and two rows above.
+    auto search = [&](int y) {
+        // Is row y - 1 a maximum? Beyond the warp's columns nobody looks yet.
+        const float tallest = fmaxf(fmaxf(e2, e1), e);
+        const float left = __shfl_up_sync(0xffffffffu, tallest, 1);
+        const float right = __shfl_down_sync(0xffffffffu, tallest, 1);
+        const bool found = y >= 2 && x >= 1 && x < W - 1 && e1 > 0.0f
+            && e1 >= fmaxf(fmaxf(left, right), tallest);
+        const unsigned votes = __ballot_sync(0xffffffffu, found);
+        if (votes) {
+            if (found) places[waiting + __popc(votes & ((1u << lane) - 1u))] = (y - 1) * W + x;
+            waiting += __popc(votes);
+            if (waiting > 32) list();
+        }
+        e2 = e1;
+        e1 = e;
+    };
     auto store = [&](int y) {
         if (x < W) {
             out[(size_t)y * W] = e;
@@ -115,7 +145,10 @@ _EIGENVALUE = """
             if (y - last > 3 && (ahead == 0 || ahead > 3)) {
                 // No edge from three rows above to two rows below: nothing changes.
                 const int stop = ahead == 0 ? end : min(end, y + ahead - 3);
+                if (__any_sync(0xffffffffu, e > 0.0f))
+                    for (int row = y; row < stop; ++row) search(row);
                 for (; y < stop; ++y) store(y);
+                e1 = e; e2 = e;
                 above = 0; middle = 0;
                 below = y + 2 < H ? window(y + 2) : 0;
                 continue;
@@ -150,57 +183,15 @@ _EIGENVALUE = """
             // The strongest of each word lets the search for maxima skip what is flat.
             peak = __reduce_max_sync(0xffffffffu, x < W ? ordered : (int)0x80000000);
             store(y);
+            search(y);
             above = middle; middle = below; below = coming;
             ++y;
         }
     }
+    list();
     atomicMax(&best, strongest);
     __syncthreads();
     if (thread == 0) atomicMax(&best_out.data[b], best);
-#endif
-"""
-
-_MAXIMA = """
-#if defined(__CUDA_ARCH__)
-    const int H = strength.shape[1], W = strength.shape[2], words = maxima_out.shape[2];
-    const unsigned frame = H * words, all = strength.shape[0] * frame, lane = thread % 32;
-    const unsigned first = ((unsigned)block * 256u + thread) / 32u * 32u, mine = first + lane;
-    unsigned result = 0, hot = 0;
-    float threshold = 0.0f;
-    if (mine < all) {
-        const int ordered = best.data[mine / frame];
-        if (ordered != (int)0x80000000) {
-            const float strongest = __int_as_float(ordered < 0 ? ordered ^ 0x7fffffff : ordered);
-            threshold = (float)((double)strongest * (double)quality);
-            const int bits = peak.data[mine];
-            hot = __int_as_float(bits < 0 ? bits ^ 0x7fffffff : bits) > threshold;
-        }
-    }
-    // Each lane looks after a word; those that aren't flat are then searched by the whole warp.
-    for (unsigned left = __ballot_sync(0xffffffffu, hot); left; left &= left - 1) {
-        const int turn = __ffs(left) - 1;
-        const float limit = __shfl_sync(0xffffffffu, threshold, turn);
-        const unsigned job = first + turn, b = job / frame, rest = job - b * frame;
-        const unsigned row = rest / words;
-        const int y = row, x = (rest - row * words) * 32 + lane;
-        bool corner = false;
-        if (y >= 1 && y < H - 1 && x >= 1 && x < W - 1) {
-            const float* e = strength.data + ((size_t)b * H + y) * W + x;
-            const float v = e[0];
-            corner = v > limit && v != 0.0f
-                && (!masked || mask.data[((size_t)b * H + y) * W + x]);
-            if (corner) {
-                for (int dy = -1; dy <= 1; ++dy)
-                    for (int dx = -1; dx <= 1; ++dx) {
-                        const float near = e[dy * W + dx];
-                        corner = corner && !((near > limit ? near : 0.0f) > v);
-                    }
-            }
-        }
-        const unsigned word = __ballot_sync(0xffffffffu, corner);
-        if (lane == turn) result = word;
-    }
-    if (mine < all) maxima_out.data[mine] = result;
 #endif
 """
 
@@ -213,8 +204,10 @@ def _eigenvalue(
     mask: wp.array3d[wp.bool],
     masked: int,
     best_out: wp.array[wp.int32],
+    count_out: wp.array[wp.int32],
     strength_out: wp.array3d[wp.float32],
     peak_out: wp.array3d[wp.int32],
+    list_out: wp.array2d[wp.int32],
 ): ...
 
 
@@ -224,41 +217,27 @@ def corners_eigenvalue(
     mask: wp.array3d[wp.bool],
     masked: int,
     best_out: wp.array[wp.int32],
+    count_out: wp.array[wp.int32],
     strength_out: wp.array3d[wp.float32],
     peak_out: wp.array3d[wp.int32],
+    list_out: wp.array2d[wp.int32],
 ):
     """Minimum eigenvalue of an edge image, a thread a column; the strongest allowed one.
 
-    ``mask`` is read where ``masked`` is not 0; else every pixel is allowed.
+    ``mask`` is read where ``masked`` is not 0; else every pixel is allowed. Of each frame the 3x3
+    maxima above 0 are listed, in no order, and counted, maybe more than the list holds; among
+    them are pixels at the sides of a word that only its own columns make maxima.
     """
     i = wp.tid()
-    _eigenvalue(i // 128, i % 128, edges, mask, masked, best_out, strength_out, peak_out)
-
-
-@wp.func_native(_MAXIMA)
-def _maxima(
-    block: int,
-    thread: int,
-    strength: wp.array3d[wp.float32],
-    mask: wp.array3d[wp.bool],
-    masked: int,
-    best: wp.array[wp.int32],
-    peak: wp.array3d[wp.int32],
-    quality: wp.float64,
-    maxima_out: wp.array3d[wp.uint32],
-): ...
-
-
-@wp.kernel
-def corners_maxima(
-    strength: wp.array3d[wp.float32],
-    mask: wp.array3d[wp.bool],
-    masked: int,
-    best: wp.array[wp.int32],
-    peak: wp.array3d[wp.int32],
-    quality: wp.float64,
-    maxima_out: wp.array3d[wp.uint32],
-):
-    """Allowed 3x3 maxima above the quality threshold, a thread a word; ``masked`` as above."""
-    i = wp.tid()
-    _maxima(i // 256, i % 256, strength, mask, masked, best, peak, quality, maxima_out)
+    _eigenvalue(
+        i // 128,
+        i % 128,
+        edges,
+        mask,
+        masked,
+        best_out,
+        count_out,
+        strength_out,
+        peak_out,
+        list_out,
+    )

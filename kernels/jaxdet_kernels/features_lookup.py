@@ -2,9 +2,10 @@
 
 The mask decides two things: which 3x3 maxima may be corners, and the strongest allowed pixel,
 whose strength sets the threshold. Both are known from ``corners_check`` and ``corners_strongest``
-where the frame's list did not overflow. Where it did, a block does the frame by itself: it looks
-for the strongest pixel, from the strongest down, and then looks up the maxima above the threshold;
-a list in shared memory takes the pixels of a step and is emptied whenever it may overflow.
+where the frame's list of candidates did not overflow. Where it did, a block does the frame by
+itself: it looks for the strongest pixel, from the strongest down, and then looks up the maxima
+above the threshold; a list in shared memory takes the pixels of a step and is emptied whenever it
+may overflow.
 """
 
 import warp as wp
@@ -33,8 +34,16 @@ _LOOKUP = (
     + SEARCH
     + """
     auto allowed = [&](int x, int y) -> bool {
+        if (!masked) return true;
         const unsigned key = smallest_key(x, y), z = key & 0xffffu;
         return key != 0xffffffffu && z >= least && z <= most && z <= limit[y * W + x];
+    };
+    auto is_maximum = [&](int place) -> bool {
+        const int y = place / W, x = place - y * W;
+        bool maximum = y >= 1 && y < H - 1 && x >= 1 && x < W - 1;
+        for (int k = 0; k < 9 && maximum; ++k)
+            maximum = !(e[place + (k / 3 - 1) * W + k % 3 - 1] > e[place]);
+        return maximum;
     };
     // What the list holds: the first step asks for the strongest allowed, the second for maxima.
     bool maxima_only = false;
@@ -61,7 +70,7 @@ _LOOKUP = (
         for (int k = thread; k < listed; k += 256) {
             const int place = candidates.data[(size_t)b * slots + k];
             const int y = place / W, x = place - y * W;
-            if (place >= 0 && e[place] > threshold)
+            if (place >= 0 && e[place] > threshold && is_maximum(place))
                 atomicOr(&maxima[y * words + x / 32], 1u << x % 32);
         }
         return;
@@ -84,11 +93,7 @@ _LOOKUP = (
                 if (x < W) {
                     const float own = e[place];
                     wanted = own > low && own <= high;
-                    if (maxima_only && wanted) {
-                        wanted = y >= 1 && y < H - 1 && x >= 1 && x < W - 1;
-                        for (int k = 0; k < 9 && wanted; ++k)
-                            wanted = !(e[place + (k / 3 - 1) * W + k % 3 - 1] > own);
-                    }
+                    if (maxima_only && wanted) wanted = is_maximum(place);
                 }
                 const unsigned votes = __ballot_sync(0xffffffffu, wanted);
                 int at = 0;
@@ -161,6 +166,7 @@ def _lookup(
     bounds: wp.array[wp.uint16],
     fills: int,
     quality: wp.float64,
+    masked: int,
     maxima_out: wp.array3d[wp.uint32],
 ): ...
 
@@ -185,19 +191,21 @@ def corners_lookup(
     bounds: wp.array[wp.uint16],
     fills: int,
     quality: wp.float64,
+    masked: int,
     maxima_out: wp.array3d[wp.uint32],
 ):
     """What ``corners_maxima`` finds with the mask of the dense alignment, a block a frame.
 
     ``strongest`` is the strongest pixel of each frame without a mask, as ``corners_eigenvalue``
-    orders it; ``candidates`` and ``allowed_best`` are from ``corners_check`` and
-    ``corners_strongest``, ``counts`` from ``corners_list``.
+    orders it, and ``counts`` are the lengths of its lists; ``candidates`` and ``allowed_best`` are
+    from ``corners_check`` and ``corners_strongest``. Where ``masked`` is 0, every pixel is
+    allowed, and they are the list itself and ``strongest``.
     """
     i = wp.tid()
     _lookup(
         i // 256, i % 256, strength, peak, strongest, candidates, counts, allowed_best, depth,
         tiles, ranges, corner_x, corner_y, parameters, search, limits, which, bounds, fills,
-        quality, maxima_out,
+        quality, masked, maxima_out,
     )  # fmt: skip
 
 
