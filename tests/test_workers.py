@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from jaxdet import detect, engine
-from jaxdet.config import Config
+from jaxdet.config import Config, GroundConfig
 from jaxdet.engine.pool import Pool, cores
 from jaxdet.engine.shared import make_memory
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, WorkerError
@@ -207,7 +207,8 @@ def run(logs: list[Path], output: Path, **options: Any) -> engine.Summary:
     given = find_logs([str(log) for log in logs])
     progress = options.pop("progress", None)
     options = {"pictures": 3, "truth": logs[0], **options}
-    return engine.run(given, Config(), LogOptions(), engine.RunOptions(output, **options), progress)
+    config = Config(ground=GroundConfig(source="estimate", window_s=0.3))
+    return engine.run(given, config, LogOptions(), engine.RunOptions(output, **options), progress)
 
 
 def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
@@ -216,7 +217,9 @@ def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
     for number, (workers, size) in enumerate(ways):
         output = tmp_path / str(number)
         summaries.append(run(sim_logs[:1], output, workers=workers, batch_size=size))
-        assert not summaries[-1].failed
+        assert not summaries[-1].failed and summaries[-1].workers == workers
+        sources = [record.source for record in summaries[-1].logs[0].ground]
+        assert len(sources) > 1 and set(sources) == {"estimate"}
     names = ["frames.parquet", "obstacles.parquet", "map_a.npz", "map_a.png"]
     names += [f"pictures/a_{frame:06d}.png" for frame in (0, 11, 22)]
     for name in names:

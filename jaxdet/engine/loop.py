@@ -109,7 +109,7 @@ def run(
                     one.run(log, processes)
             except JaxdetError as error:
                 part.error = str(error)
-        summary.seconds = time.perf_counter() - start
+        summary.seconds, summary.workers = time.perf_counter() - start, processes.used
         if len(summary.failed) < len(ordered):
             writer.commit(_resolved(config, log_options, options), summary.to_dict())
     return summary

@@ -33,6 +33,8 @@ class Processes:
         self._automatic = count is None
         self._backend = backend
         self._pool = Pool(cores() if count is None else count)
+        self.used = 1
+        """Processes that worked at a time, so far."""
 
     def __enter__(self) -> "Processes":
         """The object itself."""
@@ -50,6 +52,7 @@ class Processes:
         """
         if not self._shared(work.log.num_frames):
             return batches_here(work)
+        self.used = self._pool.count
         return self._pool.map(work, range(0, work.log.num_frames, work.job.batch_size))
 
     def _shared(self, frames: int) -> bool:

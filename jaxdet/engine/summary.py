@@ -72,6 +72,8 @@ class Summary:
     batch_size: int
     logs: list[LogSummary] = field(default_factory=list)
     seconds: float = 0.0
+    workers: int = 1
+    """Processes that shared the frames."""
 
     @property
     def frames(self) -> int:
@@ -97,6 +99,7 @@ class Summary:
             "jaxdet": _version("jaxdet"),
             "backend": self.backend,
             "batch_size": self.batch_size,
+            "workers": self.workers,
             "frames": self.frames,
             "status": dict(status),
             "obstacles": self.obstacles,
