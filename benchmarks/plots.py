@@ -58,18 +58,20 @@ def sweep_of(metrics: list[Metric], part: str) -> dict[str, dict[Point, float]]:
 
 def _ratios(metrics: list[Metric]) -> Figure | None:
     """How many times faster than each peer, on a logarithmic axis."""
-    ratios = [(m.key, m.value) for m in metrics if ".vs_" in m.key and m.unit == "x"]
+    all_values = {m.key: m.value for m in metrics}
+    ratios = [(key, all_values[key]) for key in all_values if f"{key}.peer" in all_values]
     if not ratios:
         return None
     figure = Figure(figsize=(8, 0.8 + 0.28 * len(ratios)), layout="constrained")
     axes = figure.add_subplot()
     keys, values = zip(*reversed(ratios), strict=True)
     bars = axes.barh(keys, values, color=[OURS if value >= 1 else PEER for value in values])
-    axes.bar_label(bars, [f" {value:.3g}" for value in values])
+    axes.bar_label(bars, [f"  {value:.3g}" for value in values])
+    axes.plot([all_values.get(f"{key}.cpu_ratio") for key in keys], keys, "k|", markersize=10)
     axes.set_xscale("log")
     axes.margins(x=0.15, y=0.01)
     axes.axvline(1, color="black", linewidth=0.8)
-    axes.set_xlabel("peer's time over ours (right of 1: ours is faster)")
+    axes.set_xlabel("peer's time over ours (right of 1: ours is faster); strokes: CPU time")
     return figure
 
 

@@ -9,10 +9,11 @@ COLUMNS = (
     ("ratio", ""),
     ("ours, ms/frame", "time"),
     ("±", "spread"),
-    ("cores", "cores"),
+    ("CPU ms", "cpu"),
     ("peer, ms/frame", "peer"),
     ("±", "peer_spread"),
-    ("cores", "peer_cores"),
+    ("CPU ms", "peer_cpu"),
+    ("CPU ratio", "cpu_ratio"),
     ("byte/frame", "bytes"),
     ("copy share", "copy_share"),
 )
@@ -29,7 +30,7 @@ def rows(metrics: list[Metric]) -> list[str]:
     """A row for each case; ratios above 1 mean that ours is faster.
 
     >>> rows([Metric("cluster.b8.time", 0.25, "ms/frame", "info", 0.0)])
-    ['| cluster.b8 |  | 0.25 |  |  |  |  |  |  |  |']
+    ['| cluster.b8 |  | 0.25 |  |  |  |  |  |  |  |  |']
     """
     values = {metric.key: metric.value for metric in metrics}
     found = []

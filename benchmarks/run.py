@@ -67,8 +67,8 @@ class Timing(NamedTuple):
     """[s]"""
     spread: float
     """Half the distance of the quartiles [s]."""
-    cores: float
-    """CPU time over wall time: how many cores it kept busy."""
+    cpu: float
+    """Mean CPU time of a call, all threads and worker processes [s]."""
     result_bytes: int
     """Size of the arrays it returned."""
 
@@ -122,7 +122,7 @@ def timed(functions: list[Callable[[], Any]], seconds: float) -> list[Timing]:
     timings = []
     for (start, _), size, samples, cpu in zip(first, sizes, wall, busy, strict=True):
         low, median, high = statistics.quantiles(samples, n=4)
-        timings.append(Timing(start, median, (high - low) / 2, cpu / sum(samples), size))
+        timings.append(Timing(start, median, (high - low) / 2, cpu / len(samples), size))
     return timings
 
 
@@ -168,6 +168,7 @@ def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric
         jax.clear_caches()  # so that the first timed call compiles again
     ours, *peers = timed([case.run, *([case.peer] if case.peer else [])], seconds)
     metrics = _of_ours(key, case, ours, rate)
+    own_cpu = ours.cpu * 1e3 / case.frames
     for peer in peers:
         a_frame = 1e3 / (case.peer_frames or case.frames)
         ratio = peer.median * a_frame / metrics[0].value
@@ -175,7 +176,8 @@ def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric
         metrics += [
             Metric(f"{key}.peer", peer.median * a_frame, "ms/frame", "info", 0.0),
             Metric(f"{key}.peer_spread", peer.spread * a_frame, "ms/frame", "info", 0.0),
-            Metric(f"{key}.peer_cores", peer.cores, "", "info", 0.0),
+            Metric(f"{key}.peer_cpu", peer.cpu * a_frame, "ms/frame", "info", 0.0),
+            Metric(f"{key}.cpu_ratio", peer.cpu * a_frame / own_cpu, "x", "higher", 0.3),
         ]
     return metrics
 
@@ -201,7 +203,7 @@ def _of_ours(key: str, case: Case, ours: Timing, rate: float) -> list[Metric]:
         Metric(f"{key}.time", ours.median * a_frame, "ms/frame", "info", 0.0),
         Metric(f"{key}.spread", ours.spread * a_frame, "ms/frame", "info", 0.0),
         Metric(f"{key}.compile", max(0.0, ours.first - ours.median), "s", "info", 0.0),
-        Metric(f"{key}.cores", ours.cores, "", "info", 0.0),
+        Metric(f"{key}.cpu", ours.cpu * a_frame, "ms/frame", "info", 0.0),
     ]
     if case.bytes_read:
         moved = case.bytes_read + ours.result_bytes
