@@ -138,7 +138,7 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
 
 @pytest.mark.parametrize("trim", [(0, 0), (5, 9), (2, 0), (0, 10000)])
 @pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8192)])
-def test_twin(device, batch, n, trim):
+def test_twin(device, footprint_form, batch, n, trim):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
     config = replace(CONFIG, footprint=FootprintConfig(trim_sides=trim[0], trim_near=trim[1]))
@@ -148,7 +148,7 @@ def test_twin(device, batch, n, trim):
     assert_equal(stages.footprint(*given_), want)
 
 
-def test_twin_without_obstacles(device):
+def test_twin_without_obstacles(device, footprint_form):
     features, labels = hostile_features(0, 2, 30)
     none = Labels(np.full_like(labels.labels, -1), np.zeros(2, np.int32))
     given_ = features, none, level(2), 0.001, CONFIG

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxdet.config import Config, FootprintConfig
 from jaxdet.plane import ground_axes
+from jaxdet.stages import _footprint_cpu
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 SIDE_SHARE, NEAR_SHARE = 12, 8
@@ -21,7 +22,8 @@ def footprint(
 ) -> Obstacles:
     """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
 
-    Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label.
+    Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label. On the
+    CPU one kernel does a frame after the other.
 
     Args:
         features: ``(B, N)`` points.
@@ -45,11 +47,34 @@ def obstacles(
     with jax.named_scope("footprint"):
         threshold = round(config.footprint.vertex_threshold_m / depth_unit)
         m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
-        uv = jnp.stack([features.u, features.v], axis=-1)
-        xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
-        floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
-        measure = jax.vmap(partial(_measure, threshold=threshold, m=m, settings=config.footprint))
-        return measure(labels.labels, uv, xyz, floor)
+        static = {
+            "slots": m,
+            "threshold": threshold,
+            "shares": (SIDE_SHARE, NEAR_SHARE),
+            "settings": config.footprint,
+        }
+        by_frames, by_arrays = (
+            partial(f, **static) for f in (_footprint_cpu.obstacles_by_frames, obstacles_by_arrays)
+        )
+        given = features, labels.labels, axes
+        return jax.lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays)
+
+
+def obstacles_by_arrays(
+    features: Features,
+    labels: jax.Array,
+    axes: jax.Array,
+    slots: int,
+    threshold: int,
+    shares: tuple[int, int],
+    settings: FootprintConfig,
+) -> Obstacles:
+    """The array program; takes and gives what ``_footprint_cpu.obstacles_by_frames`` does."""
+    uv = jnp.stack([features.u, features.v], axis=-1)
+    xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
+    floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
+    measure = partial(_measure, threshold=threshold, m=slots, shares=shares, settings=settings)
+    return jax.vmap(measure)(labels, uv, xyz, floor)
 
 
 def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
@@ -79,6 +104,7 @@ def _measure(
     floor: jax.Array,
     threshold: int,
     m: int,
+    shares: tuple[int, int],
     settings: FootprintConfig,
 ) -> Obstacles:
     """One frame: ``labels (N,)`` and points ``(N, k)`` to ``(M, ...)``."""
@@ -103,12 +129,12 @@ def _measure(
 
     right, forward = floor[:, 0], floor[:, 1]
     if settings.trim_sides:
-        trim = jnp.minimum(settings.trim_sides, points // SIDE_SHARE)
+        trim = jnp.minimum(settings.trim_sides, points // shares[0])
         a_right, b_right = _order_statistics(own, right, points, (trim, points - 1 - trim))
     else:
         a_right, b_right = extreme("min", right), extreme("max", right)
     if settings.trim_near:
-        trim = jnp.minimum(settings.trim_near, points // NEAR_SHARE)
+        trim = jnp.minimum(settings.trim_near, points // shares[1])
         (c_forward,) = _order_statistics(own, forward, points, (trim,))
     else:
         c_forward = extreme("min", forward)

@@ -1,0 +1,58 @@
+"""Obstacles on the CPU, a frame after the other: XLA's scatters are slow there."""
+
+import jax
+import warp as wp
+
+from jaxdet.config import FootprintConfig
+from jaxdet.types import Features, Obstacles
+from jaxdet_kernels import footprint_frames as kernels
+
+_footprint = wp.jax_kernel(kernels.footprint_frames, num_outputs=12)
+
+
+def obstacles_by_frames(
+    features: Features,
+    labels: jax.Array,
+    axes: jax.Array,
+    slots: int,
+    threshold: int,
+    shares: tuple[int, int],
+    settings: FootprintConfig,
+) -> Obstacles:
+    """Measures each frame's obstacles.
+
+    Args:
+        features: ``(B, N)`` points.
+        labels: ``(B, N)`` int32, their obstacles; -1 for none.
+        axes: ``(B, 2, 3)`` int32, from :func:`jaxdet.plane.ground_axes`.
+        slots: ``M``.
+        threshold: How much nearer C is than A and B to count as a vertex [depth units].
+        shares: At most this part of the points is passed over, at each side and in front.
+        settings: How many points are passed over.
+
+    Returns:
+        ``(B, M)`` obstacles.
+    """
+    batch = labels.shape[0]
+    sizes = {2: ("uv_min", "uv_max", "a", "b", "c", "direction"), 4: ("span",)}
+    sizes[3] = ("xyz_min", "xyz_max", "xyz_sum")
+    dims = dict.fromkeys(("count_out", "vertex_out"), (batch, slots))
+    for size, names in sizes.items():
+        dims |= {f"{name}_out": (batch, slots, size) for name in names}
+    return Obstacles(
+        *_footprint(
+            labels,
+            features.u,
+            features.v,
+            features.x,
+            features.y,
+            features.z,
+            axes,
+            threshold,
+            settings.trim_sides,
+            settings.trim_near,
+            *shares,
+            launch_dims=(batch,),
+            output_dims=dims,
+        )
+    )
