@@ -21,40 +21,53 @@ _SUPPRESS = """
     const unsigned char* rgb = color.data + (size_t)b * H * W * 3;
     // Grey, four columns a word, with a border of 2 rows and 4 columns; mirrored by clamping.
     __shared__ unsigned grey[52][34];
-    #pragma unroll 1
-    for (int start = 0; start < 52 * 34; start += 4 * 256) {
-        // The loads of four words first, so that they are under way together.
-        unsigned raw[4][3];
-        #pragma unroll
-        for (int j = 0; j < 4; ++j) {
-            const int i = start + j * 256 + thread, r = i / 34, x = x0 + (i - r * 34) * 4 - 4;
-            if (i >= 52 * 34 || W % 4 || x < 0 || x + 4 > W) continue;
-            const unsigned char* row = rgb + (size_t)min(max(y0 + r - 2, 0), H - 1) * W * 3;
-            for (int k = 0; k < 3; ++k) raw[j][k] = ((const unsigned*)(row + x * 3))[k];
+    // Four columns from x on: three words of memory, where rows begin at whole words; beyond the
+    // image they are its last column four times.
+    const bool whole = W % 4 == 0;
+    auto load = [&](int r, int x, unsigned* raw) {
+        const unsigned char* row = rgb + (size_t)min(max(y0 + r - 2, 0), H - 1) * W * 3;
+        if (whole) {
+            const unsigned* from = (const unsigned*)(row + min(max(x, 0), W - 4) * 3);
+            raw[0] = from[0]; raw[1] = from[1]; raw[2] = from[2];
+            return;
         }
+        unsigned char p[12];
+        for (int k = 0; k < 12; ++k) p[k] = row[min(max(x + k / 3, 0), W - 1) * 3 + k % 3];
+        for (int k = 0; k < 3; ++k)
+            raw[k] = p[4 * k] | p[4 * k + 1] << 8 | p[4 * k + 2] << 16 | p[4 * k + 3] << 24;
+    };
+    auto save = [&](int r, int c, int x, const unsigned* raw) {
+        unsigned p[4] = {
+            raw[0],
+            __byte_perm(raw[0], raw[1], 0x6543),
+            __byte_perm(raw[1], raw[2], 0x5432),
+            raw[2] >> 8,
+        };
+        // Twice the weights, so that grey is the third byte of the sum.
         #pragma unroll
-        for (int j = 0; j < 4; ++j) {
-            const int i = start + j * 256 + thread, r = i / 34, c = i - r * 34, x = x0 + c * 4 - 4;
-            if (i >= 52 * 34) continue;
-            unsigned p[4] = {
-                raw[j][0],
-                __byte_perm(raw[j][0], raw[j][1], 0x6543),
-                __byte_perm(raw[j][1], raw[j][2], 0x5432),
-                raw[j][2] >> 8,
-            };
-            if (W % 4 || x < 0 || x + 4 > W) {
-                const unsigned char* row = rgb + (size_t)min(max(y0 + r - 2, 0), H - 1) * W * 3;
-                for (int k = 0; k < 4; ++k) {
-                    const unsigned char* from = row + min(max(x + k, 0), W - 1) * 3;
-                    p[k] = from[0] | from[1] << 8 | from[2] << 16;
-                }
-            }
-            // Twice the weights, so that grey is the third byte of the sum.
-            for (int k = 0; k < 4; ++k)
-                p[k] = __dp2a_hi(7470u, p[k], __dp2a_lo(19596u | 38470u << 16, p[k], 32768u));
-            grey[r][c] = __byte_perm(
-                __byte_perm(p[0], p[1], 0x0062), __byte_perm(p[2], p[3], 0x0062), 0x5410);
-        }
+        for (int k = 0; k < 4; ++k)
+            p[k] = __dp2a_hi(7470u, p[k], __dp2a_lo(19596u | 38470u << 16, p[k], 32768u));
+        const unsigned four = __byte_perm(
+            __byte_perm(p[0], p[1], 0x0062), __byte_perm(p[2], p[3], 0x0062), 0x5410);
+        const unsigned select = !whole ? 0x3210 : x < 0 ? 0 : x >= W ? 0x3333 : 0x3210;
+        grey[r][c] = __byte_perm(four, 0, select);
+    };
+    // A warp takes rows 8 apart, the loads of several first, so that they are under way together.
+    unsigned raw[7][3];
+    #pragma unroll
+    for (int k = 0; k < 7; ++k) {
+        const int r = thread / 32 + 8 * k;
+        if (r < 52) load(r, x0 + 4 * lane - 4, raw[k]);
+    }
+    #pragma unroll
+    for (int k = 0; k < 7; ++k) {
+        const int r = thread / 32 + 8 * k;
+        if (r < 52) save(r, lane, x0 + 4 * lane - 4, raw[k]);
+    }
+    if (thread < 104) {
+        const int c = 32 + thread % 2, x = x0 + 4 * c - 4;
+        load(thread / 2, x, raw[0]);
+        save(thread / 2, c, x, raw[0]);
     }
     __syncthreads();
     // A warp walks down 6 rows, a lane 4 columns; 32-bit words hold two columns of 16 bits. Pairs
@@ -223,7 +236,7 @@ def _suppress(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def canny_suppress(
     color: wp.array4d[wp.uint8],
     low: wp.array[wp.int32],
@@ -246,7 +259,7 @@ def _hysteresis(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=1024)
 def canny_hysteresis(
     candidates: wp.array3d[wp.uint32],
     strong: wp.array3d[wp.uint32],

@@ -74,20 +74,16 @@ _EIGENVALUE = """
     // Windows of the rows around the one that is added next, then the sums of three columns.
     unsigned above = 0, middle = 0, below = 0;
     double ring[3][3], total[3];
-    auto add = [&](double* r, unsigned above, unsigned middle, unsigned below) -> bool {
-        r[0] = 0.0; r[1] = 0.0; r[2] = 0.0;
-        if (!(above | middle | below)) return false;
+    auto add = [&](double* r, unsigned above, unsigned middle, unsigned below) {
         const int p0 = (above & 7) | ((middle & 7) << 3) | ((below & 7) << 6);
         const int p1 = ((above >> 3) & 7) | (middle & 56) | ((below & 56) << 3);
         const int p2 = (above >> 6) | ((middle >> 6) << 3) | (below & 448);
         r[0] = __dadd_rn(__dadd_rn(xx[p0], xx[p1]), xx[p2]);
         r[1] = __dadd_rn(__dadd_rn(xy[p0], xy[p1]), xy[p2]);
         r[2] = __dadd_rn(__dadd_rn(yy[p0], yy[p1]), yy[p2]);
-        return true;
     };
     int strongest = (int)0x80000000, ordered = 0, peak = 0, last = -1;
     float e = 0.0f;
-    bool live0, live1, was_live = true;
     float* out = strength_out.data + (size_t)b * H * W + x;
     const bool* may = mask.data + (size_t)b * H * W + x;
     int* peaks = peak_out.data + (size_t)b * H * words + own;
@@ -136,14 +132,15 @@ _EIGENVALUE = """
         if (y == 0) {
             // Row -1 is row 1, and the rows around row 0 are row 1 twice.
             above = window(0); middle = window(1); below = window(2);
-            live0 = add(ring[0], above, middle, below);
-            live1 = add(ring[1], middle, above, middle);
+            add(ring[0], above, middle, below);
+            add(ring[1], middle, above, middle);
             for (int k = 0; k < 3; ++k) total[k] = __dadd_rn(ring[0][k], ring[1][k]);
         }
         while (y < end) {
             const int ahead = __ffsll(occupied >> (y - 32 * chunk));
             if (y - last > 3 && (ahead == 0 || ahead > 3)) {
-                // No edge from three rows above to two rows below: nothing changes.
+                // No edge from three rows above to two rows below: adding and taking away zeros
+                // changes neither the sums nor the strength.
                 const int stop = ahead == 0 ? end : min(end, y + ahead - 3);
                 if (__any_sync(0xffffffffu, e > 0.0f))
                     for (int row = y; row < stop; ++row) search(row);
@@ -156,28 +153,20 @@ _EIGENVALUE = """
             if (ahead == 1) last = y;
             // Beyond the last row the rows come back: H is H - 2, and around it are its own.
             const unsigned coming = y + 3 < H ? window(y + 3) : middle;
-            const bool live2 = y < H - 1 ? add(ring[2], above, middle, below) : live0;
-            if (y == H - 1)
-                for (int k = 0; k < 3; ++k) ring[2][k] = ring[0][k];
-            // Adding and taking away zeros changes neither the sums nor, a row later, the strength.
-            const bool live = live0 | live1 | live2;
-            if (live | was_live) {
-                float s[3];
-                for (int k = 0; k < 3; ++k) {
-                    const double sum = __dadd_rn(total[k], ring[2][k]);
-                    s[k] = __double2float_rn(sum);
-                    total[k] = __dsub_rn(sum, ring[0][k]);
-                    ring[0][k] = ring[1][k];
-                    ring[1][k] = ring[2][k];
-                }
-                const float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]);
-                const float t = __fsub_rn(a, c);
-                const float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
-                e = __fsub_rn(__fadd_rn(a, c), root);
+            if (y < H - 1) add(ring[2], above, middle, below);
+            else for (int k = 0; k < 3; ++k) ring[2][k] = ring[0][k];
+            float s[3];
+            #pragma unroll
+            for (int k = 0; k < 3; ++k) {
+                const double sum = __dadd_rn(total[k], ring[2][k]);
+                s[k] = __double2float_rn(sum);
+                total[k] = __dsub_rn(sum, ring[0][k]);
+                ring[0][k] = ring[1][k];
+                ring[1][k] = ring[2][k];
             }
-            was_live = live;
-            live0 = live1;
-            live1 = live2;
+            const float a = __fmul_rn(0.5f, s[0]), c = __fmul_rn(0.5f, s[2]), t = __fsub_rn(a, c);
+            const float root = __fsqrt_rn(__fadd_rn(__fmul_rn(t, t), __fmul_rn(s[1], s[1])));
+            e = __fsub_rn(__fadd_rn(a, c), root);
             const int bits = __float_as_int(e);
             ordered = bits < 0 ? bits ^ 0x7fffffff : bits;
             // The strongest of each word lets the search for maxima skip what is flat.
@@ -211,7 +200,7 @@ def _eigenvalue(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(128, 7))
 def corners_eigenvalue(
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.bool],

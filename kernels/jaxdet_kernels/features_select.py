@@ -259,7 +259,7 @@ def _spread(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=1024)
 def corners_spread(
     strength: wp.array3d[wp.float32],
     maxima: wp.array3d[wp.uint32],
