@@ -67,7 +67,7 @@ def _ratios(metrics: list[Metric]) -> Figure | None:
     keys, values = zip(*reversed(ratios), strict=True)
     bars = axes.barh(keys, values, color=[OURS if value >= 1 else PEER for value in values])
     axes.bar_label(bars, [f"  {value:.3g}" for value in values])
-    axes.plot([all_values.get(f"{key}.cpu_ratio") for key in keys], keys, "k|", markersize=10)
+    axes.plot([all_values[f"{key}.cpu_ratio"] for key in keys], keys, "k|", markersize=10)
     axes.set_xscale("log")
     axes.margins(x=0.15, y=0.01)
     axes.axvline(1, color="black", linewidth=0.8)
