@@ -15,7 +15,9 @@ import pytest
 
 from jaxdet import detect, engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine.pool import Pool, cores
+from jaxdet.engine import pool as pool_module
+from jaxdet.engine import processes
+from jaxdet.engine.pool import Pool, cores, usual_count
 from jaxdet.engine.shared import make_memory
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, WorkerError
 from jaxdet.io import LogOptions, find_logs
@@ -243,8 +245,22 @@ def test_a_killed_worker_fails_its_log_and_no_other(sim_logs, tmp_path):
     summary = run(sim_logs, tmp_path, workers=2, batch_size=1, progress=kill)
     assert [log.log for log in summary.failed] == ["a"]
     message = summary.failed[0].error or ""
-    assert message.startswith("a, frames ") and "SIGKILL" in message and "--workers" in message
+    assert message.startswith("a, frame ") and "SIGKILL" in message and "--workers" in message
     assert summary.logs[1].frames == summary.logs[1].status["ok"] == 23
+
+
+def test_short_logs_and_gpus_need_no_workers(monkeypatch):
+    for module in (pool_module, processes):
+        monkeypatch.setattr(module, "cores", lambda: 4)
+    for on_gpu in (False, True):
+        monkeypatch.setattr(pool_module, "_has_gpu", lambda on_gpu=on_gpu: on_gpu)
+        assert usual_count("jax") == (1 if on_gpu else 4)
+        assert usual_count("reference") == 4
+        automatic = processes.Processes(None, "jax")
+        found = [automatic._shared(frames) for frames in (1, 499, 500)]
+        assert found == [False, False, not on_gpu]
+    assert [processes.Processes(2, "jax")._shared(n) for n in (1, 500)] == [True, True]
+    assert [processes.Processes(1, "jax")._shared(n) for n in (1, 500)] == [False, False]
 
 
 def test_workers_are_counted_from_one(sim_logs, tmp_path):

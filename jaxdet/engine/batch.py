@@ -83,7 +83,9 @@ class LogWork:
     def where(self, first: int) -> str:
         """The log and the frames of a batch."""
         last = min(first + self.job.batch_size, self.log.num_frames) - 1
-        return f"{self.job.name}, frames {first} to {last}"
+        return f"{self.job.name}, " + (
+            f"frames {first} to {last}" if last > first else f"frame {last}"
+        )
 
     def close(self) -> None:
         """Closes the log."""

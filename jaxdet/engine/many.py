@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.pool import Pool, cores
+from jaxdet.engine.pool import Pool, usual_count
 from jaxdet.engine.rows import to_host
 from jaxdet.pipeline import BackendName, detect, floor_of
 from jaxdet.types import Detections, Frames, GroundPlane
@@ -20,7 +20,7 @@ class Workers:
     ``if __name__ == "__main__":``, as every worker imports it.
 
     Args:
-        count: Number of processes; by default one for each core.
+        count: Number of processes; by default one a core on the CPU, one on a GPU.
         config: The method's parameters; by default the preset ``wheeled``.
         backend: As for :func:`jaxdet.detect`.
     """
@@ -30,7 +30,7 @@ class Workers:
     ) -> None:
         self.config = config or Config()
         self.backend: BackendName = backend
-        self._pool = Pool(cores() if count is None else count)
+        self._pool = Pool(usual_count(backend) if count is None else count)
 
     def __enter__(self) -> "Workers":
         """The workers themselves."""

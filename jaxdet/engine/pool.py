@@ -1,5 +1,6 @@
 """Worker processes that share the items of a job and give the results in order."""
 
+import importlib.util
 import os
 import pickle
 import signal
@@ -12,6 +13,7 @@ from typing import Any
 
 from jaxdet.engine.process import Result, WorkerProcess
 from jaxdet.engine.worker import AHEAD, Job
+from jaxdet.pipeline import BackendName
 
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
@@ -24,6 +26,20 @@ def cores() -> int:
         return max(1, min(count or 1, round(int(quota) / int(period))))
     except (OSError, ValueError):  # no control group, or "max"
         return count or 1
+
+
+def usual_count(backend: BackendName) -> int:
+    """A process a core on the CPU, one on a GPU."""
+    return 1 if backend == "jax" and _has_gpu() else cores()
+
+
+def _has_gpu() -> bool:
+    """Whether JAX computes on a GPU; without its plugin for them JAX needn't be loaded."""
+    if os.environ.get("JAX_PLATFORMS") == "cpu" or not importlib.util.find_spec("jax_plugins"):
+        return False
+    from jaxdet.stages._device import on_cuda
+
+    return on_cuda()
 
 
 class Pool:

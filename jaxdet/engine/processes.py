@@ -1,13 +1,11 @@
 """Where a log's batches are worked on: in this process, or in workers."""
 
-import importlib.util
-import os
 from collections.abc import Generator
 from typing import Any
 
 from jaxdet.engine.batch import Done, LogWork
 from jaxdet.engine.local import batches_here
-from jaxdet.engine.pool import Pool, cores
+from jaxdet.engine.pool import Pool, cores, usual_count
 from jaxdet.errors import ConfigError
 from jaxdet.pipeline import BackendName
 
@@ -31,7 +29,7 @@ class Processes:
         if count is not None and count < 1:
             raise ConfigError(f"{count} workers", remedy="give --workers 1 or more")
         self._automatic = count is None
-        self._backend = backend
+        self._backend: BackendName = backend
         self._pool = Pool(cores() if count is None else count)
         self.used = 1
         """Processes that worked at a time, so far."""
@@ -60,13 +58,4 @@ class Processes:
             return False
         if not self._automatic or self._pool.started:
             return True
-        return frames >= FRAMES_WORTH_WORKERS and not (self._backend == "jax" and _has_gpu())
-
-
-def _has_gpu() -> bool:
-    """Whether JAX computes on a GPU; without its plugin for them JAX needn't be loaded."""
-    if os.environ.get("JAX_PLATFORMS") == "cpu" or not importlib.util.find_spec("jax_plugins"):
-        return False
-    from jaxdet.stages._device import on_cuda
-
-    return on_cuda()
+        return frames >= FRAMES_WORTH_WORKERS and usual_count(self._backend) > 1
