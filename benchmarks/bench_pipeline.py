@@ -77,7 +77,7 @@ def _pool() -> ProcessPoolExecutor:
 def _limit() -> np.ndarray:
     calibration = CALIBRATIONS[SIZE]
     plane = GroundPlane(*(np.array([a]) for a in (0.35, 0.15, 0.0, True)))
-    return floor_limits(calibration.color, plane, 0.05, 0.001)[0][0]
+    return floor_limits(calibration.color, plane, CONFIG.ground, 0.001)[0][0]
 
 
 def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -35,6 +35,9 @@ class GroundConfig:
     """Farthest depth used [m]."""
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
+    step_height_per_m: float = 0.005
+    """Added to the step height for each metre of depth: how well the floor's tilt is known
+    (0.005 is 0.3 degrees; the robot rocks, floors are not flat). The paper's is 0."""
     contour_radius: int = 0
     """A pixel this near to a kept one is kept too and takes the nearest kept depth [pixel]:
     contours often fall into the hole, or on the background, beside the object. 0: off."""
@@ -56,6 +59,7 @@ class GroundConfig:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
         _require(self.step_height_m >= 0, "ground.step-height-m", "at least 0")
+        _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
         _require(0 <= self.contour_radius <= 16, "ground.contour-radius", "from 0 to 16 pixels")
         _require(
             self.camera_height_m is None or 0 < self.camera_height_m < 20,
@@ -209,7 +213,7 @@ def _with(ground: dict[str, float], footprint: dict[str, float] | None = None) -
 PRESETS: dict[str, Config] = {
     "wheeled": Config(),
     "paper": Config(
-        ground=GroundConfig(max_depth_m=3.0),
+        ground=GroundConfig(max_depth_m=3.0, step_height_per_m=0.0),
         features=FeaturesConfig(
             canny_low=100.0, canny_high=200.0, min_distance=5.0, grid_columns=0, use_mask=False
         ),

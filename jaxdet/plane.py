@@ -77,19 +77,19 @@ def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tu
 
 
 def floor_limits(
-    camera: Intrinsics, plane: GroundPlane, step_height_m: float, depth_unit: float
+    camera: Intrinsics, plane: GroundPlane, config: GroundConfig, depth_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The deepest z at which each colour pixel is still above the floor (Eq. 5, any tilt).
 
-    A point ``z (x, y, 1)`` is floor when its height above the plane is below the step height:
-    ``z s >= h - step`` with ``s = down . (x, y, 1)``. At zero tilt and roll this is Eq. 5,
-    ``v - c_y >= f (h - step) / z``. So for a pixel with ``s > 0`` the floor begins at
-    ``ceil((h - step) / (s unit))`` depth units, and the limit is one less.
+    A point ``z (x, y, 1)`` is floor when its height above the plane is below the step height
+    ``step + c z``: ``z s >= h - step`` with ``s = down . (x, y, 1) + c``. At zero tilt and roll
+    and ``c = 0`` this is Eq. 5, ``v - c_y >= f (h - step) / z``. So for a pixel with ``s > 0`` the
+    floor begins at ``ceil((h - step) / (s unit))`` depth units, and the limit is one less.
 
     Args:
         camera: The colour camera.
         plane: ``B`` planes.
-        step_height_m: Height below which a point is floor [m].
+        config: ``step_height_m`` and ``step_height_per_m``, the ``c`` above.
         depth_unit: Metres in one depth unit.
 
     Returns:
@@ -98,13 +98,14 @@ def floor_limits(
     """
     rows = np.stack([plane.height, plane.pitch, plane.roll, plane.valid.astype(float)], axis=1)
     unique, which = np.unique(rows, axis=0, return_inverse=True)
-    limits = [_floor_limit(camera, tuple(r), step_height_m, depth_unit) for r in unique.tolist()]
+    step = config.step_height_m, config.step_height_per_m
+    limits = [_floor_limit(camera, tuple(r), step, depth_unit) for r in unique.tolist()]
     return np.stack(limits), which.reshape(-1).astype(np.int32)
 
 
 @lru_cache(maxsize=64)
 def _floor_limit(
-    camera: Intrinsics, row: tuple[float, ...], step_height_m: float, depth_unit: float
+    camera: Intrinsics, row: tuple[float, ...], step: tuple[float, float], depth_unit: float
 ) -> np.ndarray:
     height, pitch, roll, valid = row
     limit = np.full((camera.height, camera.width), 65535, np.uint16)
@@ -112,8 +113,8 @@ def _floor_limit(
         return limit
     x, y = pixel_rays(camera)
     down = down_vector(np.array([pitch]), np.array([roll]))[0]
-    slope = down[0] * x + down[1] * y + down[2]
-    drop = max(height - step_height_m, 0.0) / depth_unit
+    slope = down[0] * x + down[1] * y + down[2] + step[1]
+    drop = max(height - step[0], 0.0) / depth_unit
     first = np.divide(drop, slope, out=np.full_like(slope, np.inf), where=slope > 0)
     # A true tie is floor: the nudge undoes the rounding of the operations above.
     first = np.ceil(first * (1 - 1e-12)) - 1

@@ -23,7 +23,9 @@ from tests.scenes import aligned, assert_equal, level, noise_depth, resized, rot
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 20.0)
 CALIBRATION = Calibration(CAMERA)
-WIDE = replace(Config(), ground=GroundConfig(min_depth_m=0.001, max_depth_m=60.0))
+WIDE = replace(
+    Config(), ground=GroundConfig(min_depth_m=0.001, max_depth_m=60.0, step_height_per_m=0.0)
+)
 
 
 # by hand
@@ -63,6 +65,18 @@ def test_an_exact_tie_is_floor(backend):
     keep = np.asarray(backend.ground(aligned(z), level(2, 0.62), CALIBRATION, WIDE).mask)
     assert not keep[0, 39].any()
     assert keep[1, 39].all()
+
+
+@BACKENDS
+def test_the_step_height_grows_with_depth(backend):
+    # A level camera 0.62 m up: at 2 m the floor ends 0.05 + 2 * 0.01 m high, 16.5 px under the
+    # axis, at 4 m 0.09 m high, 7.95 px under it.
+    config = replace(WIDE, ground=replace(WIDE.ground, step_height_per_m=0.01))
+    z = np.zeros((2, 48, 64), np.uint16)
+    z[0], z[1] = 2000, 4000
+    mask = np.asarray(backend.ground(aligned(z), level(2, 0.62), CALIBRATION, config).mask)
+    assert mask[0, :37].all() and not mask[0, 37:].any()
+    assert mask[1, :28].all() and not mask[1, 28:].any()
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(0.3, 0.0), (0.0, 0.2), (0.33, -0.18), (-0.1, 0.05)])
@@ -115,7 +129,7 @@ def test_limits_are_shared_by_equal_planes():
     plane = GroundPlane(
         *(np.concatenate([a, a, b]) for a, b in zip(level(1), level(1, 0.7), strict=True))
     )
-    limits, which = floor_limits(CAMERA, plane, 0.05, 0.001)
+    limits, which = floor_limits(CAMERA, plane, GroundConfig(), 0.001)
     assert limits.shape == (2, 48, 64)
     assert which.tolist() == [0, 0, 1]
 

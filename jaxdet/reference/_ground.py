@@ -32,7 +32,7 @@ def ground(
     """
     settings, unit = config.ground, calibration.depth_unit
     nearest, farthest = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
-    limits, which = floor_limits(calibration.color, plane, settings.step_height_m, unit)
+    limits, which = floor_limits(calibration.color, plane, settings, unit)
     in_range = (aligned.z >= nearest) & (aligned.z <= farthest)
     mask, z = in_range & (aligned.z <= limits[which]), aligned.z
     if settings.contour_radius:

@@ -39,7 +39,7 @@ def tables(
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """The limits of the different planes, each frame's plane, the nearest and farthest depth."""
     settings, unit = config.ground, calibration.depth_unit
-    limits, which = floor_limits(calibration.color, plane, settings.step_height_m, unit)
+    limits, which = floor_limits(calibration.color, plane, settings, unit)
     bounds = _bounds(*depth_range(settings.min_depth_m, settings.max_depth_m, unit))
     return jnp.asarray(limits), jnp.asarray(which), *bounds
 
