@@ -9,12 +9,12 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.engine.planes import Planes
 from jaxdet.engine.rows import Rows, batch_rows
-from jaxdet.engine.scoring import Scorer
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.render import draw_frame, write_png
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
+    from jaxdet.engine.scoring import Scorer
     from jaxdet.eval import Tally
     from jaxdet.io import Batch, Log
 
@@ -115,8 +115,12 @@ class LogWork:
         return Done(rows.frames, rows.obstacles, poses, errors, self._draw(started, rows), tally)
 
     @cached_property
-    def _scorer(self) -> Scorer | None:
-        return Scorer(self.job.truth, self.job.config) if self.job.truth else None
+    def _scorer(self) -> "Scorer | None":
+        if self.job.truth is None:
+            return None
+        from jaxdet.engine.scoring import Scorer  # which loads the simulator
+
+        return Scorer(self.job.truth, self.job.config)
 
     def _draw(self, started: Started, rows: Rows) -> list[str]:
         frames = started.batch.frames._replace(plane=started.plane)

@@ -15,7 +15,6 @@ from jaxdet.engine.batch import Done, LogJob, LogWork
 from jaxdet.engine.occupancy import OccupancyMap, save_map
 from jaxdet.engine.planes import decide_planes, evenly
 from jaxdet.engine.processes import Processes
-from jaxdet.engine.scoring import scores
 from jaxdet.engine.summary import LogSummary, Summary, plain
 from jaxdet.errors import JaxdetError
 from jaxdet.io import open_log
@@ -171,7 +170,10 @@ class _LogRun:
                 occupancy.add(done.obstacles["corners_world"])
                 tallies += [done.tally] if done.tally else []
                 self.report(log.num_frames)
-        part.score = scores(tallies)
+        if tallies:
+            from jaxdet.engine.scoring import scores
+
+            part.score = scores(tallies)
         self._write_map(occupancy)
 
     def _job(self, log: "Log") -> LogJob:
