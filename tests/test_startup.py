@@ -29,7 +29,8 @@ print(jax.jit(lambda x: x * 3 + 1)(jax.numpy.arange(4)).tolist())
 @pytest.fixture
 def no_caches(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("JAXDET_CACHE", "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
+        monkeypatch.setenv(name, "")  # so that it is put back
+        monkeypatch.delenv(name)
 
 
 def test_the_folders_follow_the_environment(no_caches, monkeypatch, tmp_path):

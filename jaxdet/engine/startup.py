@@ -29,8 +29,6 @@ def cache_folders() -> Caches:
     hold machine code, each kind of processor has a folder of its own, so that a home folder may
     be shared.
     """
-    import warp
-
     base = None
     chosen = os.environ.get(ENVIRONMENT, "")
     if chosen.lower() != "off":
@@ -39,7 +37,7 @@ def cache_folders() -> Caches:
     own_warp = os.environ.get("WARP_CACHE_PATH")
     return Caches(
         Path(own_jax) if own_jax else base and base / _processor() / "jax",
-        Path(own_warp) if own_warp else base and base / _processor() / f"warp-{warp.__version__}",
+        Path(own_warp) if own_warp else base and base / _processor() / "warp",
     )
 
 
@@ -50,7 +48,6 @@ def use_caches() -> Caches:
         The folders in use; None where it is switched off or the folder can't be written to.
     """
     import jax
-    import warp
 
     folders = Caches(*(folder if _writable(folder) else None for folder in cache_folders()))
     if folders.jax:
@@ -60,7 +57,7 @@ def use_caches() -> Caches:
         # A torn entry, of a process that was killed, costs a compilation and no warning.
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if folders.warp:
-        warp.config.kernel_cache_dir = str(folders.warp)
+        os.environ["WARP_CACHE_PATH"] = str(folders.warp)  # read when Warp starts
     return folders
 
 
