@@ -85,7 +85,7 @@ def _point(
 ): ...
 
 
-@wp.kernel(launch_bounds=(256, 3))
+@wp.kernel(launch_bounds=(256, 4))
 def align_points(
     depth: wp.array3d[wp.uint16],
     tiles: wp.array3d[wp.uint32],

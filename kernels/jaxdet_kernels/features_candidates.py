@@ -108,7 +108,7 @@ def _check(
 ): ...
 
 
-@wp.kernel(launch_bounds=(256, 3))
+@wp.kernel(launch_bounds=(256, 4))
 def corners_check(
     strength: wp.array3d[wp.float32],
     list: wp.array2d[wp.int32],
@@ -159,7 +159,7 @@ def _strongest(
 ): ...
 
 
-@wp.kernel(launch_bounds=(256, 3))
+@wp.kernel(launch_bounds=(256, 4))
 def corners_strongest(
     strength: wp.array3d[wp.float32],
     peak: wp.array3d[wp.int32],

@@ -171,7 +171,7 @@ def _lookup(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def corners_lookup(
     strength: wp.array3d[wp.float32],
     peak: wp.array3d[wp.int32],
@@ -229,7 +229,7 @@ def _has_depth(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def ground_has_depth(
     known: wp.array[wp.bool],
     depth: wp.array3d[wp.uint16],
