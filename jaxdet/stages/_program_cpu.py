@@ -63,7 +63,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         jnp.asarray(ground_axes(plane)),
     )
     color, depth = jax.device_put((frames.color, frames.depth))
-    return _detect(color, depth, tables, aligned, fills, unit, config)
+    return _detect(color, depth, tables, (aligned, fills), unit, config)
 
 
 @lru_cache(maxsize=8)
@@ -76,17 +76,16 @@ def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], int,
     return tuple(arrays), 0, fills
 
 
-@partial(jax.jit, static_argnames=("aligned", "fills", "unit", "config"))
+@partial(jax.jit, static_argnames=("flags", "unit", "config"))
 def _detect(
     color: jax.Array,
     depth: jax.Array,
     tables: _Tables,
-    aligned: int,
-    fills: int,
+    flags: tuple[int, int],
     unit: float,
     config: Config,
 ) -> Detections:
-    features, has_depth = _points(color, depth, tables, aligned, fills, config.features)
+    features, has_depth = _points(color, depth, tables, flags, config.features)
     labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
     obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
     return Detections(features, labels, obstacles, has_depth)
@@ -96,11 +95,13 @@ def _points(
     color: jax.Array,
     depth: jax.Array,
     tables: _Tables,
-    aligned: int,
-    fills: int,
+    flags: tuple[int, int],
     config: FeaturesConfig,
 ) -> tuple[Features, jax.Array]:
-    """The first three stages: the features, and whether a frame has any depth in range."""
+    """The first three stages: the features, and whether a frame has any depth in range.
+
+    The flags: depth is aligned already; depth pixels cover all pixels between their corners.
+    """
     with jax.named_scope("features"):
         batch, height, width, _ = color.shape
         words, tiles = 2 * -(-width // 64), (-(-depth.shape[1] // TILE), -(-depth.shape[2] // TILE))
@@ -118,8 +119,7 @@ def _points(
             which,
             jnp.stack([nearest, farthest]).astype(jnp.int32),
             *tables.features,
-            aligned,
-            fills,
+            *flags,
             int(config.use_mask),
             float(config.quality_level),
             float(config.min_distance),

@@ -1,0 +1,65 @@
+"""The one program of the device: depth that is aligned already, borders of the image, repeats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxdet import detect, stages
+from jaxdet.config import PRESETS, Config, GroundConfig
+from jaxdet.types import Calibration, Frames
+from tests.scenes import assert_equal, blocks, frames, level, noise_depth, small, with_lens
+
+CONFIGS = {
+    "default": Config(),
+    "paper": PRESETS["paper"],
+    "near": replace(Config(), ground=GroundConfig(min_depth_m=0.0, max_depth_m=0.3)),
+}
+
+
+def aligned_frames(batch: int, width: int, height: int, lens: str = "pinhole") -> Frames:
+    camera = with_lens(small(width, height).color, lens)
+    depth = noise_depth(batch, camera, width)
+    depth[0] = 0
+    return frames(Calibration(camera), blocks(batch, height, width), depth, plane=level(batch, 0.3))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize("lens", ["pinhole", "rational"])
+@pytest.mark.parametrize("size", [(96, 61), (33, 20), (9, 8)])
+def test_depth_that_is_aligned_already(device, size, lens, name):
+    given_ = aligned_frames(3, *size, lens), CONFIGS[name]
+    assert stages.covers(*given_)
+    want = detect(*given_, backend="reference")
+    assert not want.has_depth[0]
+    for _ in range(2):
+        assert_equal(detect(*given_), want)
+
+
+@given(st.sampled_from([1, 15, 40]), st.sampled_from([1, 16, 33]), st.integers(0, 65535))
+@settings(max_examples=30)
+def test_one_pixel_of_depth(width, height, units):
+    """The depth image as small as can be, and smaller than the tiles whose range is known."""
+    calibration = small(48, 36)
+    depth_camera = calibration.depth._replace(width=width, height=height)
+    depth = np.zeros((1, height, width), np.uint16)
+    depth[0, height // 2, width // 2] = units
+    made = calibration._replace(depth=depth_camera)
+    given_ = frames(made, blocks(1, 36, 48), depth, plane=level(1))
+    assert_equal(detect(given_), detect(given_, backend="reference"))
+
+
+def test_images_in_aligned_memory_are_left_alone():
+    """They are read in place; the results must not change with them afterwards."""
+    made = aligned_frames(2, 96, 61)
+    memory = np.zeros(made.color.nbytes + 64, np.uint8)
+    start = -memory.ctypes.data % 64
+    color = memory[start : start + made.color.nbytes].reshape(made.color.shape)
+    color[:] = made.color
+    found = detect(made._replace(color=color))
+    before = np.array(found.features.u)
+    color[:] = 0
+    assert np.array_equal(np.asarray(found.features.u), before)
+    assert_equal(found, detect(made, backend="reference"))
