@@ -172,12 +172,12 @@ def metrics_of(key: str, case: Case, seconds: float, rate: float) -> list[Metric
     for peer in peers:
         a_frame = 1e3 / (case.peer_frames or case.frames)
         ratio = peer.median * a_frame / metrics[0].value
-        metrics.insert(0, Metric(key, ratio, "x", "higher", 0.3))
+        metrics.insert(0, Metric(key, ratio, "x", "higher", 0.8))
         metrics += [
             Metric(f"{key}.peer", peer.median * a_frame, "ms/frame", "info", 0.0),
             Metric(f"{key}.peer_spread", peer.spread * a_frame, "ms/frame", "info", 0.0),
             Metric(f"{key}.peer_cpu", peer.cpu * a_frame, "ms/frame", "info", 0.0),
-            Metric(f"{key}.cpu_ratio", peer.cpu * a_frame / own_cpu, "x", "higher", 0.3),
+            Metric(f"{key}.cpu_ratio", peer.cpu * a_frame / own_cpu, "x", "higher", 0.4),
         ]
     return metrics
 
