@@ -69,7 +69,7 @@ def strongest_corners(
             "u_out": slots,
             "v_out": slots,
             "found_out": (batch,),
-            "keys_out": (4 * height * width,),
+            "keys_out": (6 * height * width,),
             "blocked_out": edge.shape[1:],
         },
     )

@@ -131,7 +131,7 @@ def _points(
                 **dict.fromkeys(("valid_out", "kept_out"), slots),
                 **dict.fromkeys(("found_out", "seen_out", "ranges_out"), (batch,)),
                 "tiles_out": (batch, *tiles),
-                "keys_out": (4 * height * width,),
+                "keys_out": (6 * height * width,),
                 **dict.fromkeys(("blocked_out", "weak_out", "strong_out"), rows),
                 "edges_out": (1, *rows),
             },

@@ -44,6 +44,7 @@ _ASK = """
         return in && z <= limit[(size_t)y * W + x];
     };
     unsigned last = 0;
+    auto expect = [&](int place) { __builtin_prefetch(limit + place); };
     auto allowed = [&](int x, int y) {
         if (!masked) return true;
         const unsigned own = limit[(size_t)y * W + x], z = LEAST(own, farthest_kept);
@@ -73,6 +74,7 @@ _FINISH = """
     for (int slot = taken; slot < N; ++slot) put(slot, 0, 0, 0, false, false);
     for (int i = 0; i < G; ++i) {
         const int x = grid_u.data[i], y = grid_v.data[i];
+        if (i + 8 < G) expect(grid_v.data[i + 8] * W + grid_u.data[i + 8]);
         const unsigned z = depth_at(x, y);
         const bool kept = keeps(z, x, y);
         put(N + i, x, y, z, kept, kept);

@@ -4,8 +4,9 @@ The mask is asked only where the selection needs it. Corners above ``quality`` t
 pixel anywhere pass whatever the mask is; only if they leave slots empty does the strongest allowed
 pixel have to be known.
 
-``SELECT`` is C++ for native functions: it calls ``allowed(x, y)`` and ``accept(slot, x, y)``, and
-leaves the number of corners in ``taken``, at most one more than the ``N`` slots.
+``SELECT`` is C++ for native functions: it calls ``allowed(x, y)``, before that ``expect(place)`` so
+that memory can be fetched, and ``accept(slot, x, y)``, and leaves the number of corners in
+``taken``, at most one more than the ``N`` slots.
 """
 
 import warp as wp
@@ -17,7 +18,8 @@ wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 SELECT = """
     const int want = N + 1;
     u64* list = (u64*)keys_out.data;
-    u64* other = list + (size_t)H * W;
+    u64* chosen = list + (size_t)H * W;
+    u64* other = chosen + (size_t)H * W;
     wp::uint32* blocked = blocked_out.data;
     const int reach = distance >= 1.0 ? (int)__builtin_ceil(distance) - 1 : -1;
     const double nearest = distance * distance;
@@ -67,38 +69,42 @@ SELECT = """
                 });
     };
     // Rising by strength, ties by place, as the list is by place.
-    auto sort = [&]() {
+    auto sort = [&](int length) {
         wp::uint32 least = 0xffffffffu, greatest = 0;
-        for (int i = 0; i < count; ++i) {
-            const wp::uint32 bits = list[i] >> 32;
+        for (int i = 0; i < length; ++i) {
+            const wp::uint32 bits = chosen[i] >> 32;
             least = bits < least ? bits : least;
             greatest = bits > greatest ? bits : greatest;
         }
-        for (int shift = 0; shift < 32 && count && (greatest - least) >> shift; shift += 8) {
+        for (int shift = 0; shift < 32 && length && (greatest - least) >> shift; shift += 8) {
             int bins[257] = {};
             auto digit = [&](u64 key) {
                 return (((wp::uint32)(key >> 32) - least) >> shift) & 255;
             };
-            for (int i = 0; i < count; ++i) ++bins[digit(list[i]) + 1];
+            for (int i = 0; i < length; ++i) ++bins[digit(chosen[i]) + 1];
             for (int i = 1; i < 256; ++i) bins[i] += bins[i - 1];
-            for (int i = 0; i < count; ++i) other[bins[digit(list[i])]++] = list[i];
-            u64* swap = list; list = other; other = swap;
+            for (int i = 0; i < length; ++i) other[bins[digit(chosen[i])]++] = chosen[i];
+            u64* swap = chosen; chosen = other; other = swap;
         }
+    };
+    auto choose = [&](float above, float up_to) {
+        int length = 0;
+        for (int i = 0; i < count; ++i) {
+            const float value = value_of(list[i]);
+            if (value > above && value <= up_to) chosen[length++] = list[i];
+        }
+        return length;
     };
     // Takes the listed corners in (above, up to], strongest first.
     auto take = [&](float above, float up_to) {
-        int kept = 0;
-        for (int i = 0; i < count; ++i) {
-            const float value = value_of(list[i]);
-            if (value > above && value <= up_to) list[kept++] = list[i];
-        }
-        count = kept;
-        sort();
-        for (int i = count - 1; i >= 0 && taken < want; --i) {
-            const int place = (int)(wp::uint32)list[i], y = place / W, x = place - y * W;
+        const int length = choose(above, up_to);
+        sort(length);
+        for (int i = length - 1; i >= 0 && taken < want; --i) {
+            const int place = (int)(wp::uint32)chosen[i], y = place / W, x = place - y * W;
+            if (i >= 8) expect((int)(wp::uint32)chosen[i - 8]);
             if (blocked[y * words * 2 + x / 32] >> (x % 32) & 1) continue;
             if (!allowed(x, y)) continue;
-            if (taken == 0) first = value_of(list[i]);
+            if (taken == 0) first = value_of(chosen[i]);
             if (taken < N) accept(taken, x, y);
             ++taken;
             for (int dy = -reach; dy <= reach; ++dy) {
@@ -116,12 +122,16 @@ SELECT = """
             }
         }
     };
-    const float top = measure(), sure = share(top);
+    const float top = measure(), sure = share(top), listed = share(0.5f * top);
     if (top > 0.0f) {
-        gather(sure);
+        gather(listed);
         take(sure, top);
     }
-    if (top > 0.0f && taken < want && first < top && masked) {
+    // Below that a corner counts if it is above the share of the strongest allowed pixel. That is
+    // at least the first corner's, so there may be none to ask for.
+    const float least = share(first);
+    if (top > 0.0f && taken < want && first < top && masked
+        && (least < listed || choose(least, sure) > 0)) {
         // The strongest allowed pixel, where no maximum may be.
         float best = first;
         for (int y = 0; y < H; ++y)
@@ -133,7 +143,7 @@ SELECT = """
                         if (e[k] > best && allowed(x + k, y)) best = e[k];
                 });
         if (best > 0.0f) {
-            gather(share(best));
+            if (share(best) < listed) gather(share(best));
             take(share(best), sure);
         }
     }
@@ -146,6 +156,7 @@ _MASKED = """
     const unsigned char* may = (const unsigned char*)mask.data + (size_t)b * H * W;
     int* column = u_out.data + (size_t)b * N;
     int* row_of = v_out.data + (size_t)b * N;
+    auto expect = [&](int place) { __builtin_prefetch(may + place); };
     auto allowed = [&](int x, int y) { return !masked || may[(size_t)y * W + x]; };
     auto accept = [&](int slot, int x, int y) { column[slot] = x; row_of[slot] = y; };
 """
