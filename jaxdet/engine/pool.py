@@ -7,8 +7,10 @@ import signal
 import weakref
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import Any
 
 from jaxdet.engine.process import Result, WorkerProcess
@@ -150,12 +152,22 @@ def _end(workers: list[WorkerProcess], *, at_once: bool) -> None:
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """A Ctrl-C waits meanwhile; processes started here never get one, their parent does."""
-    if not hasattr(signal, "pthread_sigmask"):
+    """A Ctrl-C waits meanwhile; processes started here never get one, their parent does.
+
+    The mask is what the processes inherit; another thread may still take the signal, so there is
+    a handler too.
+    """
+    if not hasattr(signal, "pthread_sigmask") or current_thread() is not main_thread():
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    resource_tracker.ensure_running()  # else the first process starts it, and it ends the mask
+    held: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+        if held:
+            signal.raise_signal(signal.SIGINT)
