@@ -14,8 +14,8 @@ from jaxdet.config import Config
 from jaxdet.engine import local
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.stages import _align_points, _program, _program_cpu, _upload
-from jaxdet.types import Frames
+from jaxdet.stages import _program, _program_cpu, _upload
+from jaxdet.types import Calibration, Frames
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
 
@@ -30,15 +30,12 @@ def scene(batch: int) -> Frames:
 def test_two_devices_equal_the_reference(monkeypatch, batch):
     """The CUDA program's way over the devices, with the CPU's program in its place."""
 
-    def on_cpu(color, depth, tables, static, unit, config) -> Any:
-        return _program_cpu._detect(color, depth, tables, 0, static[0], unit, config)
-
-    def tables(calibration, config) -> Any:
-        *arrays, fills = _align_points.tables(calibration)
-        return tuple(arrays), (fills,)
+    def tables(calibration: Calibration, config: Config) -> Any:
+        arrays, *flags = _program_cpu._align_tables(calibration)
+        return arrays, tuple(flags)
 
     monkeypatch.setattr(jax, "local_devices", lambda: jax.devices("cpu"))
-    monkeypatch.setattr(_program, "_detect", on_cpu)
+    monkeypatch.setattr(_program, "_detect", _program_cpu._detect)
     monkeypatch.setattr(_program, "_align_tables", tables)
     assert len(jax.devices("cpu")) == 2
     given, config = scene(batch), Config()
