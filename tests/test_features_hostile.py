@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from jaxdet import reference, stages
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference._canny import canny
-from jaxdet.reference._corners import _scaled_sobel, min_eigenvalue
+from jaxdet.reference._corners import _scaled_sobel, _window_maximum, min_eigenvalue
 from jaxdet.types import Calibration, Keep
 from tests.scenes import D435_COLOR, assert_equal, blocks, recorded_colors, resized
 
@@ -122,6 +122,23 @@ def test_a_mask_that_leaves_only_weak_corners(device):
             mask = np.stack([s < np.quantile(s[s > 0], quantile) for s in strength])
             for quality in (0.01, 0.3, 0.9):
                 compare(images, mask, replace(CORNERS, quality_level=quality))
+
+
+def test_allowed_corners_far_weaker_than_the_strongest(device):
+    """And none between, so that a list of the stronger half says nothing about them."""
+    rng, found = np.random.default_rng(5), 0
+    for _ in range(400):
+        image = np.zeros((1, 60, 64), np.uint8)
+        for _ in range(2):
+            v, u, tall, wide = rng.integers((4, 4, 1, 1), (40, 40, 14, 20))
+            image[0, v : v + tall, u : u + wide] = rng.choice([255, 120, 60])
+        strength = min_eigenvalue(canny(image[0], 50, 100))
+        share = strength / strength.max()
+        maxima = share[strength == _window_maximum(strength)]
+        if not ((maxima > 0.48) & (maxima < 0.995)).any() and ((maxima > 0.1) & (maxima < 1)).any():
+            compare(image, (share < 0.48)[None], replace(CORNERS, quality_level=0.99))
+            found += 1
+    assert found >= 3
 
 
 def test_recordings(device, shared_data):
