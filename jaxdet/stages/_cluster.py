@@ -66,6 +66,8 @@ def labels(
         by_frames, by_arrays = (
             partial(f, **static) for f in (_cluster_cpu.labels_by_frames, labels_by_arrays)
         )
+        if settings.rounds > 1 and not settings.slice_m:
+            return Labels(*by_arrays(*given))
         return Labels(*lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays))
 
 

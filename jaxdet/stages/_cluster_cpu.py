@@ -19,7 +19,7 @@ def labels_by_frames(
     depth_unit: float,
     settings: ClusterConfig,
 ) -> tuple[jax.Array, jax.Array]:
-    """Numbers each frame's obstacles.
+    """Numbers each frame's obstacles; with slices or a single round.
 
     Args:
         features: ``(B, N)`` points.
@@ -34,6 +34,7 @@ def labels_by_frames(
         ``labels`` ``(B, N)`` int32 and their number ``(B,)`` int32.
     """
     slice_units = max(1, round(settings.slice_m / depth_unit)) if settings.slice_m else 0
+    slice_units = min(slice_units, 1 << 18)  # more hold all depths as well
     labels, count = _cluster(
         x,
         depth,
@@ -43,7 +44,6 @@ def labels_by_frames(
         gap_by_depth,
         round(settings.lateral_gap_m / depth_unit),
         settings.min_points,
-        settings.rounds,
         slice_units,
         round(settings.occluder_m / depth_unit),
         settings.max_holes,

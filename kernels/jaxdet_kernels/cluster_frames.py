@@ -1,7 +1,8 @@
-"""Stage cluster on the CPU: a frame a thread, with counting sorts and union-find.
+"""Stage cluster on the CPU: a frame a thread, with one radix sort and union-find.
 
-Twin of ``jaxdet/reference/_cluster.py`` and ``_slices.py``. Points are put in order of x and of z
-once; everything after that is a walk along one of these orders.
+Twin of ``jaxdet/reference/_cluster.py`` and ``_slices.py``. Points are put in order of x once. In
+that order a point needs to know only the last one before it in its slice, or in its set of
+depths; which sets of depths there are is read off a map of the depths that occur.
 """
 
 import warp as wp
@@ -13,119 +14,137 @@ MAX_POINTS = 8192
 
 _HEAD = """
     typedef unsigned long long u64;
-    const int n = z.shape[1], most = 8192;
-    const int* side = x.data + (size_t)b * n;
-    const int* depth = z.data + (size_t)b * n;
-    const unsigned char* keep = (const unsigned char*)kept.data + (size_t)b * n;
-    int* label = labels_out.data + (size_t)b * n;
-    int points[most], by_z[most], by_x[most], swap[most], bins[1025], set[most];
-    int count = 0;
-    for (int i = 0; i < n; ++i)
-        if (keep[i]) points[count++] = i;
-    // The points in rising order of 20-bit keys, ties by slot.
-    auto order = [&](int* out, auto key) {
-        const int* from = points;
-        for (int shift = 0; shift < 20; shift += 10) {
-            int* to = shift ? out : swap;
-            for (int i = 0; i < 1025; ++i) bins[i] = 0;
-            for (int i = 0; i < count; ++i) ++bins[(key(from[i]) >> shift & 1023) + 1];
-            for (int i = 1; i < 1024; ++i) bins[i] += bins[i - 1];
-            for (int i = 0; i < count; ++i) to[bins[key(from[i]) >> shift & 1023]++] = from[i];
-            from = swap;
-        }
-    };
-    order(by_x, [&](int i) { return side[i] + (1 << 18); });
-"""
-
-_SLICES = """
-    short last[65536];  // the last point of each slice
-    int* parent = set;
+    const int N = z.shape[1], most = 8192;
+    const int* depths = z.data + (size_t)b * N;
+    const int* sides = x.data + (size_t)b * N;
+    const unsigned char* keep = (const unsigned char*)kept.data + (size_t)b * N;
+    int* label = labels_out.data + (size_t)b * N;
+    // The kept points in rising order of x, ties by slot: a radix sort of 10 and 9 bits.
+    unsigned side[most], side_2[most];
+    unsigned short slot[most], slot_2[most];
+    int low[1024], high[512], n = 0, nearest_z = 65535, farthest_z = 0;
+    for (int i = 0; i < 1024; ++i) low[i] = 0;
+    for (int i = 0; i < 512; ++i) high[i] = 0;
+    for (int i = 0; i < N; ++i) {
+        if (!keep[i]) continue;
+        const unsigned key = sides[i] + (1 << 18) - 1;
+        side[n] = key;
+        slot[n++] = i;
+        ++low[key & 1023];
+        ++high[key >> 10];
+        nearest_z = depths[i] < nearest_z ? depths[i] : nearest_z;
+        farthest_z = depths[i] > farthest_z ? depths[i] : farthest_z;
+    }
+    for (int i = 0, sum = 0, own; i < 1024; ++i) { own = low[i]; low[i] = sum; sum += own; }
+    for (int i = 0, sum = 0, own; i < 512; ++i) { own = high[i]; high[i] = sum; sum += own; }
+    for (int i = 0; i < n; ++i) {
+        const int to = low[side[i] & 1023]++;
+        side_2[to] = side[i];
+        slot_2[to] = slot[i];
+    }
+    for (int i = 0; i < n; ++i) {
+        const int to = high[side_2[i] >> 10]++;
+        side[to] = side_2[i];
+        slot[to] = slot_2[i];
+    }
+    int depth[most], parent[most];
+    for (int i = 0; i < n; ++i) {
+        depth[i] = depths[slot[i]];
+        parent[i] = i;
+    }
     auto find = [&](int i) {
         while (parent[i] != i) i = parent[i] = parent[parent[i]];
         return i;
     };
-    // A root is the smallest slot of its set.
     auto link = [&](int one, int two) {
         one = find(one);
         two = find(two);
         if (one < two) parent[two] = one;
         else parent[one] = two;
     };
-    for (int i = 0; i < n; ++i) parent[i] = i;
+    // By slice, and by depth; a frame may hold all depths.
+    unsigned short last[2][65536];
+"""
+
+_SLICES = """
+    // A slice's number by a product: exact for depths below 2^17 and slices up to 2^18.
+    const u64 inverse = (1ull << 40) / slice_units + 1;
+    auto slice = [&](int at) { return (int)((u64)at * inverse >> 40); };
+    const int start[2] = {0, slice_units / 2};
+    int first[2];
     for (int cut = 0; cut < 2; ++cut) {
-        auto slice = [&](int i) { return (depth[i] + (cut ? slice_units / 2 : 0)) / slice_units; };
-        for (int k = 0; k < count; ++k) last[slice(points[k])] = -1;
-        for (int k = 0; k < count; ++k) {
-            const int i = by_x[k], at = slice(i), left = last[at];
-            if (left >= 0 && side[i] - side[left] <= lateral_gap) link(left, i);
-            last[at] = (short)i;
-        }
+        first[cut] = slice(nearest_z + start[cut]);
+        const int slices = slice(farthest_z + start[cut]) - first[cut] + 1;
+        for (int k = 0; k < slices; ++k) last[cut][k] = 65535;
     }
-    const int* row = v.data + (size_t)b * n;
-    const int* seen = camera_z.data + (size_t)b * n;
-    for (int i = first_grid; i < n && reach; ++i) {
+    for (int i = 0; i < n; ++i)
+        for (int cut = 0; cut < 2; ++cut) {
+            unsigned short& left = last[cut][slice(depth[i] + start[cut]) - first[cut]];
+            if (left != 65535 && (int)(side[i] - side[left]) <= lateral_gap) link(left, i);
+            left = i;
+        }
+    const int* row = v.data + (size_t)b * N;
+    const int* seen = camera_z.data + (size_t)b * N;
+    unsigned short place[most];
+    for (int i = 0; i < n && reach; ++i) place[slot[i]] = i;
+    for (int i = first_grid; i < N && reach; ++i) {
         if (!keep[i]) continue;
-        const int gap = gaps.data[depth[i]];
+        const int gap = gaps.data[depths[i]];
         int holes = 0;
         for (int j = i - 1; j >= first_grid && j >= i - 16 && row[j] == row[i]; --j) {
             if (keep[j]) {
-                if (depth[j] < depth[i] - gap) continue;
-                const int aside = side[i] - side[j];
-                if (depth[j] <= depth[i] + gap && aside <= reach && -aside <= reach) link(j, i);
+                if (depths[j] < depths[i] - gap) continue;
+                const int aside = sides[i] - sides[j];
+                if (depths[j] <= depths[i] + gap && aside <= reach && -aside <= reach)
+                    link(place[j], place[i]);
                 break;
             }
             if (seen[j] > 0 || ++holes > max_holes) break;
         }
     }
-    for (int k = 0; k < count; ++k) set[points[k]] = find(points[k]);
 """
 
 _GAPS = """
-    order(by_z, [&](int i) { return depth[i]; });
-    for (int k = 0; k < count; ++k) set[points[k]] = 0;
-    int sets = 1, starts[most + 2], by_set[most];
-    // Splits each set at the gaps along one of the orders; small parts are dropped, set = n.
-    auto split = [&](const int* along, const int* value, auto gap_at) {
-        for (int s = 0; s <= sets; ++s) starts[s] = 0;
-        for (int k = 0; k < count; ++k)
-            if (set[points[k]] < n) ++starts[set[points[k]] + 1];
-        for (int s = 0; s < sets; ++s) starts[s + 1] += starts[s];
-        const int total = starts[sets];
-        for (int k = 0; k < count; ++k)
-            if (set[along[k]] < n) swap[starts[set[along[k]]]++] = along[k];
-        int found = 0;
-        for (int first = 0, end; first < total; first = end) {
-            const int own = set[swap[first]];
-            for (end = first + 1; end < total && set[swap[end]] == own
-                 && value[swap[end]] - value[swap[end - 1]] <= gap_at(swap[end - 1]); ++end) {}
-            const int now = end - first > min_points ? found++ : n;
-            for (int k = first; k < end; ++k) by_set[k] = now;
-        }
-        for (int k = 0; k < total; ++k) set[swap[k]] = by_set[k];
-        sets = found;
-    };
-    for (int round = 0; round < rounds; ++round) {
-        split(by_z, depth, [&](int i) { return gaps.data[depth[i]]; });
-        split(by_x, side, [&](int) { return lateral_gap; });
+    // Which sets there are at first is a question of which depths there are.
+    unsigned short* at = last[0];
+    int size_by_z[most], end[most], open[most], sets = 0;
+    for (int k = nearest_z; k <= farthest_z; ++k) at[k] = 0;
+    for (int i = 0; i < n; ++i) ++at[depth[i]];
+    for (int k = nearest_z, farthest = -1; k <= farthest_z; ++k) {
+        if (!at[k]) continue;
+        if (k > farthest) { size_by_z[sets] = 0; open[sets++] = -1; }
+        size_by_z[sets - 1] += at[k];
+        at[k] = sets - 1;
+        farthest = k + gaps.data[k];
+    }
+    for (int i = 0; i < n; ++i) {
+        const int s = at[depth[i]];
+        if (size_by_z[s] <= min_points) continue;
+        if (open[s] >= 0 && (int)(side[i] - end[s]) <= lateral_gap) parent[i] = open[s];
+        else open[s] = i;
+        end[s] = side[i];
     }
 """
 
 _NUMBER = """
-    // Number the large sets by nearest z, then smallest x, then their own numbers.
-    int size[most], nearest[most], leftmost[most];
+    // A root is its set's first point in order of x. Number the large sets by nearest z, then
+    // smallest x, then smallest slot.
+    int size[most], nearest[most], smallest[most], large = 0;
     u64 keys[most];
-    for (int i = 0; i < n; ++i) size[i] = 0;
-    for (int k = 0; k < count; ++k) {
-        const int i = points[k], s = set[i];
-        if (s == n) continue;
-        nearest[s] = size[s] && nearest[s] < depth[i] ? nearest[s] : depth[i];
-        leftmost[s] = size[s] && leftmost[s] < side[i] ? leftmost[s] : side[i];
-        ++size[s];
+    for (int i = 0; i < n; ++i) {
+        const int root = find(i);
+        if (root == i) {
+            size[i] = 0;
+            nearest[i] = depth[i];
+            smallest[i] = slot[i];
+        }
+        ++size[root];
+        nearest[root] = depth[i] < nearest[root] ? depth[i] : nearest[root];
+        smallest[root] = slot[i] < smallest[root] ? slot[i] : smallest[root];
     }
-    int large = 0;
-    for (int s = 0; s < n; ++s)
-        if (size[s] > min_points)
-            keys[large++] = (u64)nearest[s] << 40 | (u64)(leftmost[s] + (1 << 18)) << 16 | s;
+    for (int i = 0; i < n; ++i)
+        if (parent[i] == i && size[i] > min_points)
+            keys[large++] = (u64)nearest[i] << 40 | (u64)side[i] << 16 | smallest[i];
     for (int step = large / 2; step > 0; step = step == 2 ? 1 : step * 5 / 11)
         for (int i = step; i < large; ++i) {
             const u64 key = keys[i];
@@ -133,9 +152,12 @@ _NUMBER = """
             for (; j >= step && keys[j - step] > key; j -= step) keys[j] = keys[j - step];
             keys[j] = key;
         }
-    for (int s = 0; s < n; ++s) nearest[s] = -1;
-    for (int k = 0; k < large; ++k) nearest[(int)(keys[k] & 0xffff)] = k;
-    for (int i = 0; i < n; ++i) label[i] = keep[i] && set[i] < n ? nearest[set[i]] : -1;
+    for (int i = 0; i < N; ++i) label[i] = -1;
+    for (int k = 0; k < large; ++k) nearest[(int)(keys[k] & 0xffff)] = k;  // now by slot
+    for (int i = 0; i < n; ++i) {
+        const int root = find(i);
+        if (size[root] > min_points) label[slot[i]] = nearest[smallest[root]];
+    }
     count_out.data[b] = large;
 """
 
@@ -151,7 +173,6 @@ def _cluster(
     gaps: wp.array[wp.int32],
     lateral_gap: int,
     min_points: int,
-    rounds: int,
     slice_units: int,
     reach: int,
     max_holes: int,
@@ -171,7 +192,6 @@ def cluster_frames(
     gaps: wp.array[wp.int32],
     lateral_gap: int,
     min_points: int,
-    rounds: int,
     slice_units: int,
     reach: int,
     max_holes: int,
@@ -190,8 +210,8 @@ def cluster_frames(
         gaps: The largest step in depth, by depth.
         lateral_gap: The largest step sideways [depth units].
         min_points: Sets of this many points or fewer are dropped.
-        rounds: Of splits, without slices.
-        slice_units: Depth of a slice [depth units]; 0: no slices.
+        slice_units: Depth of a slice [depth units], at most 2^18; 0: no slices, but all depths and
+            then sideways, once.
         reach: How far apart surfaces behind nearer things may be [depth units]; 0: not linked.
         max_holes: Pixels without depth between them.
         first_grid: The slot of the grid's first pixel.
@@ -199,6 +219,6 @@ def cluster_frames(
         count_out: ``(B,)``, how many obstacles.
     """
     _cluster(
-        wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points, rounds, slice_units,
+        wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points, slice_units,
         reach, max_holes, first_grid, labels_out, count_out,
     )  # fmt: skip
