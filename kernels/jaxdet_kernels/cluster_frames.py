@@ -20,36 +20,30 @@ _HEAD = """
     const unsigned char* keep = (const unsigned char*)kept.data + (size_t)b * N;
     int* label = labels_out.data + (size_t)b * N;
     // The kept points in rising order of x, ties by slot: a radix sort of 10 and 9 bits.
-    unsigned side[most], side_2[most];
-    unsigned short slot[most], slot_2[most];
+    u64 point[most], point_2[most];  // x, z and slot in 19, 16 and 13 bits
     int low[1024], high[512], n = 0, nearest_z = 65535, farthest_z = 0;
     for (int i = 0; i < 1024; ++i) low[i] = 0;
     for (int i = 0; i < 512; ++i) high[i] = 0;
     for (int i = 0; i < N; ++i) {
         if (!keep[i]) continue;
         const unsigned key = sides[i] + (1 << 18) - 1;
-        side[n] = key;
-        slot[n++] = i;
+        const int away = depths[i];
+        point_2[n++] = (u64)key << 29 | (u64)away << 13 | i;
         ++low[key & 1023];
         ++high[key >> 10];
-        nearest_z = depths[i] < nearest_z ? depths[i] : nearest_z;
-        farthest_z = depths[i] > farthest_z ? depths[i] : farthest_z;
+        nearest_z = away < nearest_z ? away : nearest_z;
+        farthest_z = away > farthest_z ? away : farthest_z;
     }
     for (int i = 0, sum = 0, own; i < 1024; ++i) { own = low[i]; low[i] = sum; sum += own; }
     for (int i = 0, sum = 0, own; i < 512; ++i) { own = high[i]; high[i] = sum; sum += own; }
+    for (int i = 0; i < n; ++i) point[low[point_2[i] >> 29 & 1023]++] = point_2[i];
+    for (int i = 0; i < n; ++i) point_2[high[point[i] >> 39]++] = point[i];
+    int side[most], depth[most], parent[most];
+    unsigned short slot[most];
     for (int i = 0; i < n; ++i) {
-        const int to = low[side[i] & 1023]++;
-        side_2[to] = side[i];
-        slot_2[to] = slot[i];
-    }
-    for (int i = 0; i < n; ++i) {
-        const int to = high[side_2[i] >> 10]++;
-        side[to] = side_2[i];
-        slot[to] = slot_2[i];
-    }
-    int depth[most], parent[most];
-    for (int i = 0; i < n; ++i) {
-        depth[i] = depths[slot[i]];
+        side[i] = (int)(point_2[i] >> 29);
+        depth[i] = (int)(point_2[i] >> 13 & 65535);
+        slot[i] = (unsigned short)(point_2[i] & 8191);
         parent[i] = i;
     }
     auto find = [&](int i) {
@@ -77,12 +71,18 @@ _SLICES = """
         const int slices = slice(farthest_z + start[cut]) - first[cut] + 1;
         for (int k = 0; k < slices; ++k) last[cut][k] = 65535;
     }
-    for (int i = 0; i < n; ++i)
+    for (int i = 0; i < n; ++i) {
+        int root = i;
         for (int cut = 0; cut < 2; ++cut) {
             unsigned short& left = last[cut][slice(depth[i] + start[cut]) - first[cut]];
-            if (left != 65535 && (int)(side[i] - side[left]) <= lateral_gap) link(left, i);
+            if (left != 65535 && side[i] - side[left] <= lateral_gap) {
+                const int other = find(left), after = other > root ? other : root;
+                root = other < root ? other : root;
+                parent[after] = root;
+            }
             left = i;
         }
+    }
     const int* row = v.data + (size_t)b * N;
     const int* seen = camera_z.data + (size_t)b * N;
     unsigned short place[most];
@@ -120,7 +120,7 @@ _GAPS = """
     for (int i = 0; i < n; ++i) {
         const int s = at[depth[i]];
         if (size_by_z[s] <= min_points) continue;
-        if (open[s] >= 0 && (int)(side[i] - end[s]) <= lateral_gap) parent[i] = open[s];
+        if (open[s] >= 0 && side[i] - end[s] <= lateral_gap) parent[i] = open[s];
         else open[s] = i;
         end[s] = side[i];
     }
@@ -129,22 +129,26 @@ _GAPS = """
 _NUMBER = """
     // A root is its set's first point in order of x. Number the large sets by nearest z, then
     // smallest x, then smallest slot.
-    int size[most], nearest[most], smallest[most], large = 0;
+    struct Set { int size, nearest, smallest, number; };
+    Set sets_of[most];
+    int large = 0;
     u64 keys[most];
     for (int i = 0; i < n; ++i) {
-        const int root = find(i);
+        int root = parent[i];
         if (root == i) {
-            size[i] = 0;
-            nearest[i] = depth[i];
-            smallest[i] = slot[i];
+            sets_of[i] = {1, depth[i], slot[i], -1};
+            continue;
         }
-        ++size[root];
-        nearest[root] = depth[i] < nearest[root] ? depth[i] : nearest[root];
-        smallest[root] = slot[i] < smallest[root] ? slot[i] : smallest[root];
+        if (parent[root] != root) parent[i] = root = find(root);
+        Set& own = sets_of[root];
+        ++own.size;
+        own.nearest = depth[i] < own.nearest ? depth[i] : own.nearest;
+        own.smallest = slot[i] < own.smallest ? slot[i] : own.smallest;
     }
     for (int i = 0; i < n; ++i)
-        if (parent[i] == i && size[i] > min_points)
-            keys[large++] = (u64)nearest[i] << 40 | (u64)side[i] << 16 | smallest[i];
+        if (parent[i] == i && sets_of[i].size > min_points)
+            keys[large++] = (u64)sets_of[i].nearest << 45 | (u64)side[i] << 26
+                | (u64)sets_of[i].smallest << 13 | i;
     for (int step = large / 2; step > 0; step = step == 2 ? 1 : step * 5 / 11)
         for (int i = step; i < large; ++i) {
             const u64 key = keys[i];
@@ -152,12 +156,9 @@ _NUMBER = """
             for (; j >= step && keys[j - step] > key; j -= step) keys[j] = keys[j - step];
             keys[j] = key;
         }
+    for (int k = 0; k < large; ++k) sets_of[keys[k] & 8191].number = k;
     for (int i = 0; i < N; ++i) label[i] = -1;
-    for (int k = 0; k < large; ++k) nearest[(int)(keys[k] & 0xffff)] = k;  // now by slot
-    for (int i = 0; i < n; ++i) {
-        const int root = find(i);
-        if (size[root] > min_points) label[slot[i]] = nearest[smallest[root]];
-    }
+    for (int i = 0; i < n; ++i) label[slot[i]] = sets_of[parent[i]].number;
     count_out.data[b] = large;
 """
 
