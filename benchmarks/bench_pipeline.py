@@ -40,19 +40,19 @@ def cases() -> list[Case]:
             equal=True,
         )
         found.append(case)
-    many = frames_of(SIZE, 8 * BATCH)
+    many = frames_of(SIZE, 16 * BATCH)
     if not on_cuda():
         one = partial(detect, many, CONFIG)
-        found.append(Case("workers", lambda: on_all_cores(many), 8 * BATCH, one, equal=True))
+        found.append(Case("workers", lambda: on_all_cores(many), 16 * BATCH, one, equal=True))
     ours = detect if on_cuda() else on_all_cores
     peer = partial(handwritten, many)
-    found.append(Case("vs_handwritten", lambda: ours(many, CONFIG), 8 * BATCH, peer))
+    found.append(Case("vs_handwritten", lambda: ours(many, CONFIG), 16 * BATCH, peer))
     return found
 
 
 def on_all_cores(frames: Frames, config: Config = CONFIG) -> Detections:
     """The pipeline in a worker process a core, which stay for the next call."""
-    return _workers(config).detect(frames, BATCH)
+    return _workers(config).detect(frames, 4 * BATCH)
 
 
 @cache
