@@ -205,6 +205,7 @@ CONFIGS = {
     "default": FeaturesConfig(),
     "no_mask": corners_only(use_mask=False),
     "grey": corners_only(canny=False, block_size=5),
+    "root": corners_only(max_corners=3000, min_distance=2**0.5),
     "few": corners_only(max_corners=20, min_distance=12.5),
     "dense": corners_only(max_corners=4000, min_distance=0, quality_level=0.0001),
     "tiles": corners_only(max_corners=60, tile_size=24, max_per_tile=3),

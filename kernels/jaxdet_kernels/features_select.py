@@ -19,13 +19,14 @@ _SPREAD = """
     unsigned* taken = taken_out.data + (size_t)block * size;
     const unsigned* start = maxima.data + (size_t)block * size;
     const float* e = strength.data + (size_t)block * H * W;
-    const int reach = distance >= 1.0f ? (int)ceilf(distance) - 1 : -1;
-    const float limit = distance * distance;
+    const int reach = distance >= 1.0 ? (int)ceil(fmin(distance, 1e4)) - 1 : -1;
+    // Whole squares below the distance's square are those below this whole number.
+    const int limit = (int)ceil(fmin(distance * distance, 1e9));
     // Half the row, dy rows away, that is nearer than the distance; negative if none is.
     auto half_row = [&](int dy) -> int {
-        int half = (int)sqrtf(fmaxf(limit - dy * dy, 0.0f));
-        while ((float)(half * half + dy * dy) >= limit) --half;
-        while ((float)((half + 1) * (half + 1) + dy * dy) < limit) ++half;
+        int half = (int)sqrtf((float)max(limit - dy * dy, 0));
+        while (half * half + dy * dy >= limit) --half;
+        while ((half + 1) * (half + 1) + dy * dy < limit) ++half;
         return half;
     };
     // The columns from .. to in word w.
@@ -250,7 +251,7 @@ def _spread(
     thread: int,
     strength: wp.array3d[wp.float32],
     maxima: wp.array3d[wp.uint32],
-    distance: wp.float32,
+    distance: wp.float64,
     strength_key_out: wp.array2d[wp.uint32],
     place_key_out: wp.array2d[wp.uint32],
     found_out: wp.array[wp.int32],
@@ -263,7 +264,7 @@ def _spread(
 def corners_spread(
     strength: wp.array3d[wp.float32],
     maxima: wp.array3d[wp.uint32],
-    distance: wp.float32,
+    distance: wp.float64,
     strength_key_out: wp.array2d[wp.uint32],
     place_key_out: wp.array2d[wp.uint32],
     found_out: wp.array[wp.int32],
