@@ -34,7 +34,7 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     Returns:
         Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
     """
-    axes = jnp.asarray(ground_axes(plane))
+    axes = jnp.asarray(ground_axes(plane)) if config.cluster.on_floor else None
     return labels(features, gaps(config.cluster, depth_unit), axes, depth_unit, config)
 
 
@@ -48,15 +48,16 @@ def gaps(config: ClusterConfig, depth_unit: float) -> jax.Array:
 def labels(
     features: Features,
     gap_by_depth: jax.Array,
-    axes: jax.Array,
+    axes: jax.Array | None,
     depth_unit: float,
     config: Config,
 ) -> Labels:
-    """The labels, from :func:`gaps` and :func:`jaxdet.plane.ground_axes`."""
+    """The labels, from :func:`gaps` and, on the floor, :func:`jaxdet.plane.ground_axes`."""
     settings = config.cluster
     with jax.named_scope("cluster"):
         x, depth = features.x, features.z
         if settings.on_floor:
+            assert axes is not None
             floor = to_ground(jnp.stack([x, features.y, depth], axis=-1), axes)
             x = jnp.clip(floor[..., 0], -MAX_LATERAL, MAX_LATERAL)
             depth = jnp.clip(floor[..., 1], 0, 65535)

@@ -1,13 +1,13 @@
 """Labels on the CPU, a frame after the other: XLA's sorts and scatters are slow there."""
 
 import jax
-import warp as wp
 
 from jaxdet.config import ClusterConfig
+from jaxdet.stages._threads import FrameKernel
 from jaxdet.types import Features
 from jaxdet_kernels import cluster_frames as kernels
 
-_cluster = wp.jax_kernel(kernels.cluster_frames, num_outputs=2)
+_cluster = FrameKernel(kernels.cluster_frames, num_outputs=2)
 
 
 def labels_by_frames(
@@ -48,7 +48,7 @@ def labels_by_frames(
         round(settings.occluder_m / depth_unit),
         settings.max_holes,
         first_grid,
-        launch_dims=(x.shape[0],),
+        frames=x.shape[0],
         output_dims={"labels_out": x.shape, "count_out": (x.shape[0],)},
     )
     return labels, count

@@ -185,6 +185,8 @@ def _cluster(
 
 @wp.kernel
 def cluster_frames(
+    share: int,
+    shares: int,
     x: wp.array2d[wp.int32],
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
@@ -203,6 +205,8 @@ def cluster_frames(
     """The labels of a frame a thread, ``(B, N)``, N at most ``MAX_POINTS``.
 
     Args:
+        share: Which frames: thread i works on ``share + shares * i``.
+        shares: Of how many shares.
         x: Sideways [depth units].
         z: Forward [depth units].
         kept: The points that take part.
@@ -220,6 +224,6 @@ def cluster_frames(
         count_out: ``(B,)``, how many obstacles.
     """
     _cluster(
-        wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points, slice_units,
+        share + shares * wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points, slice_units,
         reach, max_holes, first_grid, labels_out, count_out,
     )  # fmt: skip

@@ -1,0 +1,109 @@
+"""CPU kernels that work on a frame a thread, on all cores of this process.
+
+Warp runs a CPU kernel's threads one after the other, but a launch does not hold Python's lock. So
+the frames of a batch are shared out, and each core launches the kernel for its share.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import lru_cache
+from inspect import Parameter, Signature, get_annotations
+from threading import Lock
+from typing import Any
+
+import jax
+import warp as wp
+
+
+def cores() -> int:
+    """How many cores a kernel may use: as XLA, ``PJRT_NPROC`` or what the process may run on."""
+    chosen = os.environ.get("PJRT_NPROC", "")
+    if chosen.isdecimal() and int(chosen):
+        return int(chosen)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def shares_of(frames: int) -> int:
+    """Into how many shares a batch is dealt; scratch memory has a part for each."""
+    return min(cores(), frames)
+
+
+class FrameKernel:
+    """A kernel under ``jax.jit`` whose launches on the CPU share the frames out.
+
+    The kernel's first arguments are ``share`` and ``shares``, both int; its thread ``i`` works on
+    frame ``share + shares * i``, and writes to nothing that another share uses.
+    """
+
+    def __init__(
+        self, kernel: wp.Kernel, num_outputs: int, in_out_argnames: Sequence[str] = ()
+    ) -> None:
+        form = {"num_outputs": num_outputs, "in_out_argnames": list(in_out_argnames)}
+        self._alone = wp.jax_kernel(kernel, **form)
+        self._shared = wp.jax_callable(_on_all_cores(kernel), **form)
+
+    def __call__(
+        self, *arguments: Any, frames: int, output_dims: dict[str, tuple[int, ...]]
+    ) -> list[jax.Array]:
+        """The kernel's outputs.
+
+        Args:
+            arguments: The kernel's inputs after ``share`` and ``shares``.
+            frames: ``B``.
+            output_dims: The shape of each output.
+        """
+        shares = shares_of(frames)
+        if shares < 2:
+            return self._alone(0, 1, *arguments, launch_dims=(frames,), output_dims=output_dims)
+        return self._shared(frames, shares, *arguments, output_dims=output_dims)
+
+
+def _on_all_cores(kernel: wp.Kernel) -> Callable[..., None]:
+    """A function for ``wp.jax_callable`` with the kernel's arguments but ``share``."""
+    launches: list[wp.Launch] = []  # recorded: to set arguments anew takes a third of the time
+    lock = Lock()
+
+    def ready(share: int, frames: int, arguments: Sequence[Any]) -> wp.Launch:
+        given = [share, *arguments]
+        if share == len(launches):
+            launches.append(wp.launch(kernel, frames, given, device="cpu", record_cmd=True))
+        launch = launches[share]
+        launch.set_dim(frames)
+        for index, value in enumerate(given):
+            launch.set_param_at_index(index, value)
+        return launch
+
+    def on_all_cores(frames: int, shares: int, *arguments: Any) -> None:
+        with lock:
+            own, *others = (
+                ready(share, -(-(frames - share) // shares), (shares, *arguments))
+                for share in range(shares)
+            )
+            started = [_pool().submit(other.launch) for other in others]
+            try:
+                own.launch()
+            finally:
+                wait(started)  # they use the arguments' memory
+        for other in started:
+            other.result()
+
+    return _typed_as(on_all_cores, kernel.func)
+
+
+def _typed_as(function: Callable[..., None], kernel: Callable[..., Any]) -> Callable[..., None]:
+    """Gives a function the names and types that Warp reads off a kernel's own."""
+    types = {"frames": int, **get_annotations(kernel, eval_str=True)}
+    del types["share"]
+    parameters = [Parameter(name, Parameter.POSITIONAL_OR_KEYWORD) for name in types]
+    function.__signature__ = Signature(parameters)
+    function.__annotations__ = types
+    function.__module__, function.__qualname__ = kernel.__module__, f"{kernel.__qualname__}_shared"
+    return function
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-kernel")
