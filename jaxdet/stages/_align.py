@@ -8,11 +8,13 @@ import numpy as np
 import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
+from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
 from jaxdet_kernels import align_lines as line_kernels
 from jaxdet_kernels import align_tiles as tile_kernels
 
+_NOTHING = np.uint32(0xFFFFFFFF)
 _MODELS = {
     Distortion.NONE: kernels.PINHOLE,
     Distortion.PLUMB_BOB: kernels.PLUMB_BOB,
@@ -26,7 +28,7 @@ _splat_tiles = wp.jax_kernel(
     in_out_argnames=["keys_out"],
     block_dim=tile_kernels.TILE_BLOCK,
 )
-_splat_lines = wp.jax_kernel(line_kernels.align_splat_lines, in_out_argnames=["keys_out"])
+_lines = FrameKernel(line_kernels.align_lines, num_outputs=3)
 _splat_rows = wp.jax_kernel(kernels.align_splat_rows, in_out_argnames=["keys_out"])
 
 
@@ -34,19 +36,22 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
     """Moves each depth pixel into the colour image; the nearest wins (Eq. 1-4).
 
     Equals :func:`jaxdet.reference.align`. On CUDA each depth pixel is a thread that lowers the
-    keys it covers atomically; on the CPU, where Warp runs threads one after the other, each row
-    is one.
+    keys it covers atomically; on the CPU, where Warp runs threads one after the other, each frame
+    is one, or each row where a lens is distorted.
 
     Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement. On the CPU, images whose
+            memory starts at a multiple of 64 bytes are read where they are, so leave them alone
+            until the results are ready.
         calibration: The log's calibration; the tables made from it are cached.
 
     Returns:
         ``(B, H, W)`` uint16 depth and z, as the reference.
     """
-    depth = jnp.asarray(depth)
     if calibration.is_aligned:
+        depth = jnp.asarray(depth)
         return AlignedDepth(depth, depth)
+    depth = jax.device_put(depth)
     size = calibration.color.height, calibration.color.width
     return AlignedDepth(*align_arrays(depth, *tables(calibration), size))
 
@@ -63,25 +68,56 @@ def align_arrays(
     size: tuple[int, int],
 ) -> tuple[jax.Array, jax.Array]:
     """Depth and z at the colour pixels, from :func:`tables` and the colour image's size."""
+    lines = separable and max(depth.shape[2], *size) <= line_kernels.MAX_SIZE
     with jax.named_scope("align"):
-        nothing = jnp.uint32(0xFFFFFFFF)
-        keys = jnp.full((depth.shape[0], *size), nothing)
 
-        def on_cuda(keys: jax.Array) -> jax.Array:
+        def on_cuda() -> tuple[jax.Array, jax.Array]:
+            keys = _no_keys(depth, size)
             if separable:
-                return _splat_in_tiles(depth, x, y, parameters, fills, keys)
+                return _split(_splat_in_tiles(depth, x, y, parameters, fills, keys))
             out = _splat(depth, x, y, parameters, model, fills, keys, launch_dims=depth.shape)
-            return out[0]
+            return _split(out[0])
 
-        def on_cpu(keys: jax.Array) -> jax.Array:
-            rows = depth.shape[:2]
-            if separable and depth.shape[2] <= line_kernels.MAX_WIDTH:
-                return _splat_lines(depth, x, y, parameters, fills, keys, launch_dims=rows)[0]
-            return _splat_rows(depth, x, y, parameters, model, fills, keys, launch_dims=rows)[0]
+        def on_cpu() -> tuple[jax.Array, jax.Array]:
+            if lines:
+                return _align_lines(depth, x, y, parameters, fills, size)
+            keys, rows = _no_keys(depth, size), depth.shape[:2]
+            out = _splat_rows(depth, x, y, parameters, model, fills, keys, launch_dims=rows)
+            return _split(out[0])
 
-        keys = jax.lax.platform_dependent(keys, cpu=on_cpu, cuda=on_cuda)
-        keys = jnp.where(keys == nothing, jnp.uint32(0), keys)
-        return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
+        return jax.lax.platform_dependent(cpu=on_cpu, cuda=on_cuda)
+
+
+def _no_keys(depth: jax.Array, size: tuple[int, int]) -> jax.Array:
+    return jnp.full((depth.shape[0], *size), _NOTHING)
+
+
+def _split(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Depth and z from the keys ``depth << 16 | z``."""
+    keys = jnp.where(keys == _NOTHING, jnp.uint32(0), keys)
+    return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
+
+
+def _align_lines(
+    depth: jax.Array,
+    x: jax.Array,
+    y: jax.Array,
+    parameters: jax.Array,
+    fills: int,
+    size: tuple[int, int],
+) -> tuple[jax.Array, jax.Array]:
+    frames = depth.shape[0]
+    images = dict.fromkeys(("depth_out", "z_out"), (frames, *size))
+    found, z, _ = _lines(
+        depth,
+        x,
+        y,
+        parameters,
+        fills,
+        frames=frames,
+        output_dims={**images, "keys_out": (shares_of(frames), *size)},
+    )
+    return found, z
 
 
 def _splat_in_tiles(

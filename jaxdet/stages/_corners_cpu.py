@@ -2,18 +2,18 @@
 
 import jax
 import jax.numpy as jnp
-import warp as wp
 
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages._corners_cuda import canny_bounds
+from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet_kernels import features_canny_lines as canny_kernels
 from jaxdet_kernels import features_select_lines as select_kernels
 
 MAX_HEIGHT = 4096
 """Most rows of an image, for the kernels' tables."""
 
-_edges = wp.jax_kernel(canny_kernels.canny_lines, num_outputs=3)
-_corners = wp.jax_kernel(select_kernels.corners_lines, num_outputs=6, in_out_argnames=["strength"])
+_edges = FrameKernel(canny_kernels.canny_lines, num_outputs=3)
+_corners = FrameKernel(select_kernels.corners_lines, num_outputs=6, in_out_argnames=["strength"])
 
 
 def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
@@ -27,12 +27,12 @@ def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """``cv2.Canny`` of the grey images; as :func:`jaxdet.stages._corners_cuda.edges`."""
     batch, height, width, _ = color.shape
     words = 2 * -(-width // 64)
-    rows = {"candidates_out": (height, words), "strong_out": (height, words)}
+    rows = dict.fromkeys(("candidates_out", "strong_out"), (shares_of(batch), height, words))
     found, _, _ = _edges(
         color,
         low,
         high,
-        launch_dims=(batch,),
+        frames=batch,
         output_dims={"edges_out": (batch, height, words), **rows},
     )
     return found
@@ -54,7 +54,8 @@ def strongest_corners(
     """
     batch, height, width = mask.shape
     edge = edges(color, *canny_bounds(color, config))
-    strengths = height, 32 * edge.shape[2] + 32
+    shares = shares_of(batch)
+    strengths = shares, height, 32 * edge.shape[2] + 32
     slots = (batch, config.max_corners)
     _, u, v, found, _, _ = _corners(
         edge,
@@ -63,14 +64,14 @@ def strongest_corners(
         float(config.quality_level),
         float(config.min_distance),
         jnp.zeros(strengths, jnp.float32),
-        launch_dims=(batch,),
+        frames=batch,
         output_dims={
             "strength": strengths,
             "u_out": slots,
             "v_out": slots,
             "found_out": (batch,),
-            "keys_out": (6 * height * width,),
-            "blocked_out": edge.shape[1:],
+            "keys_out": (shares, 6 * height * width),
+            "blocked_out": (shares, *edge.shape[1:]),
         },
     )
     return u, v, found

@@ -1,13 +1,13 @@
 """Obstacles on the CPU, a frame after the other: XLA's scatters are slow there."""
 
 import jax
-import warp as wp
 
 from jaxdet.config import FootprintConfig
+from jaxdet.stages._threads import FrameKernel
 from jaxdet.types import Features, Obstacles
 from jaxdet_kernels import footprint_frames as kernels
 
-_footprint = wp.jax_kernel(kernels.footprint_frames, num_outputs=12)
+_footprint = FrameKernel(kernels.footprint_frames, num_outputs=12)
 
 
 def obstacles_by_frames(
@@ -52,7 +52,7 @@ def obstacles_by_frames(
             settings.trim_sides,
             settings.trim_near,
             *shares,
-            launch_dims=(batch,),
+            frames=batch,
             output_dims=dims,
         )
     )

@@ -5,19 +5,19 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import warp as wp
 
 from jaxdet.config import Config, FeaturesConfig
 from jaxdet.plane import ground_axes
 from jaxdet.stages import _align_points, _cluster, _corners_cpu, _features, _footprint, _ground
 from jaxdet.stages._corners_cuda import canny_bounds
 from jaxdet.stages._device import on_cuda
+from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane
 from jaxdet_kernels import features_depth_lines as kernels
 from jaxdet_kernels.align import PARAMETERS
 from jaxdet_kernels.align_search import SEARCH_VALUES, TILE
 
-_find = wp.jax_kernel(kernels.features_depth_lines, num_outputs=17, in_out_argnames=["strength"])
+_find = FrameKernel(kernels.features_depth_lines, num_outputs=17, in_out_argnames=["strength"])
 
 
 class _Tables(NamedTuple):
@@ -108,8 +108,9 @@ def _points(
         limits, which, nearest, farthest = tables.ground
         n = config.max_corners
         slots = batch, n + len(tables.features.grid_u)
-        rows = height, words
-        strengths = height, 32 * words + 32
+        shares = shares_of(batch)
+        rows = shares, height, words
+        strengths = shares, height, 32 * words + 32
         _, u, v, x, y, z, valid, kept, found, has_depth, *_ = _find(
             color,
             *canny_bounds(color, config),
@@ -124,16 +125,16 @@ def _points(
             float(config.quality_level),
             float(config.min_distance),
             jnp.zeros(strengths, jnp.float32),
-            launch_dims=(batch,),
+            frames=batch,
             output_dims={
                 "strength": strengths,
                 **dict.fromkeys(("u_out", "v_out", "x_out", "y_out", "z_out"), slots),
                 **dict.fromkeys(("valid_out", "kept_out"), slots),
                 **dict.fromkeys(("found_out", "seen_out", "ranges_out"), (batch,)),
                 "tiles_out": (batch, *tiles),
-                "keys_out": (6 * height * width,),
+                "keys_out": (shares, 6 * height * width),
                 **dict.fromkeys(("blocked_out", "weak_out", "strong_out"), rows),
-                "edges_out": (1, *rows),
+                "edges_out": rows,
             },
         )
         return Features(u, v, x, y, z, valid, kept, overflow=found > n), has_depth

@@ -5,7 +5,7 @@ the frames of a batch are shared out, and each core launches the kernel for its 
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 from inspect import Parameter, Signature, get_annotations
@@ -38,16 +38,14 @@ class FrameKernel:
     frame ``share + shares * i``, and writes to nothing that another share uses.
     """
 
-    def __init__(
-        self, kernel: wp.Kernel, num_outputs: int, in_out_argnames: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, kernel: Any, num_outputs: int, in_out_argnames: Sequence[str] = ()) -> None:
         form = {"num_outputs": num_outputs, "in_out_argnames": list(in_out_argnames)}
         self._alone = wp.jax_kernel(kernel, **form)
         self._shared = wp.jax_callable(_on_all_cores(kernel), **form)
 
     def __call__(
-        self, *arguments: Any, frames: int, output_dims: dict[str, tuple[int, ...]]
-    ) -> list[jax.Array]:
+        self, *arguments: Any, frames: int, output_dims: Mapping[Any, tuple[int, ...]]
+    ) -> Sequence[jax.Array]:
         """The kernel's outputs.
 
         Args:
@@ -61,9 +59,9 @@ class FrameKernel:
         return self._shared(frames, shares, *arguments, output_dims=output_dims)
 
 
-def _on_all_cores(kernel: wp.Kernel) -> Callable[..., None]:
+def _on_all_cores(kernel: Any) -> Callable[..., None]:
     """A function for ``wp.jax_callable`` with the kernel's arguments but ``share``."""
-    launches: list[wp.Launch] = []  # recorded: to set arguments anew takes a third of the time
+    launches: list[Any] = []  # recorded: to set arguments anew takes a third of the time
     lock = Lock()
 
     def ready(share: int, frames: int, arguments: Sequence[Any]) -> wp.Launch:
@@ -78,17 +76,15 @@ def _on_all_cores(kernel: wp.Kernel) -> Callable[..., None]:
 
     def on_all_cores(frames: int, shares: int, *arguments: Any) -> None:
         with lock:
-            own, *others = (
-                ready(share, -(-(frames - share) // shares), (shares, *arguments))
-                for share in range(shares)
-            )
-            started = [_pool().submit(other.launch) for other in others]
+            started = []
             try:
-                own.launch()
+                for share, core in enumerate(_crew()[:shares]):
+                    own = -(-(frames - share) // shares)
+                    started.append(core.submit(ready(share, own, (shares, *arguments)).launch))
             finally:
                 wait(started)  # they use the arguments' memory
-        for other in started:
-            other.result()
+        for launch in started:
+            launch.result()
 
     return _typed_as(on_all_cores, kernel.func)
 
@@ -105,5 +101,17 @@ def _typed_as(function: Callable[..., None], kernel: Callable[..., Any]) -> Call
 
 
 @lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-kernel")
+def _crew() -> list[ThreadPoolExecutor]:
+    """A thread a core, which stays there where all cores are used.
+
+    Left alone, the system runs threads that wake each other on the same core for milliseconds.
+    """
+    allowed = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    count = cores()
+    stay = [{core} for core in allowed] if len(allowed) == count else [set()] * count
+    return [ThreadPoolExecutor(1, "jaxdet-kernel", _stay_on, (place,)) for place in stay]
+
+
+def _stay_on(cores: set[int]) -> None:
+    if cores:
+        os.sched_setaffinity(0, cores)

@@ -224,6 +224,6 @@ def cluster_frames(
         count_out: ``(B,)``, how many obstacles.
     """
     _cluster(
-        share + shares * wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points, slice_units,
-        reach, max_holes, first_grid, labels_out, count_out,
+        share + shares * wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points,
+        slice_units, reach, max_holes, first_grid, labels_out, count_out,
     )  # fmt: skip

@@ -193,14 +193,19 @@ def canny_hysteresis_lines(
 
 @wp.kernel
 def canny_lines(
+    share: int,
+    shares: int,
     color: wp.array4d[wp.uint8],
     low: wp.array[wp.int32],
     high: wp.array[wp.int32],
     edges_out: wp.array3d[wp.uint32],
-    candidates_out: wp.array2d[wp.uint32],
-    strong_out: wp.array2d[wp.uint32],
+    candidates_out: wp.array3d[wp.uint32],
+    strong_out: wp.array3d[wp.uint32],
 ):
-    """The edges of a frame a thread; the last two outputs are scratch that all frames share."""
-    b = wp.tid()
-    canny_suppress_lines(b, color, low, high, candidates_out, strong_out)
-    canny_hysteresis_lines(b, candidates_out, strong_out, edges_out)
+    """The edges of a frame a thread, ``share + shares * i``.
+
+    The last two outputs are scratch, a part for each share.
+    """
+    b = share + shares * wp.tid()
+    canny_suppress_lines(b, color, low, high, candidates_out[share], strong_out[share])
+    canny_hysteresis_lines(b, candidates_out[share], strong_out[share], edges_out)

@@ -17,7 +17,7 @@ wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 _ASK = """
     const int H = limits.shape[1], W = limits.shape[2], G = grid_u.shape[0];
     const int P = u_out.shape[1], N = P - G;
-    const wp::uint32* edge_map = edges.data;
+    const wp::uint32* edge_map = edges.data + (size_t)part * H * edges.shape[2];
     const unsigned short* limit = limits.data + (size_t)which.data[b] * H * W;
     const unsigned nearest_kept = bounds.data[0], farthest_kept = bounds.data[1];
     bool seen = false;
@@ -113,6 +113,7 @@ _BODY = "".join([RANGES, SEARCH, _ASK, STRENGTH, MEASURE, SELECT, _FINISH])
 @wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_BODY}#endif\n")
 def _features(
     b: int,
+    part: int,
     edges: wp.array3d[wp.uint32],
     depth: wp.array3d[wp.uint16],
     corner_x: wp.array2d[wp.float32],
@@ -150,6 +151,8 @@ def _features(
 
 @wp.kernel
 def features_depth_lines(
+    share: int,
+    shares: int,
     color: wp.array4d[wp.uint8],
     low: wp.array[wp.int32],
     high: wp.array[wp.int32],
@@ -170,7 +173,7 @@ def features_depth_lines(
     masked: int,
     quality: wp.float64,
     distance: wp.float64,
-    strength: wp.array2d[wp.float32],
+    strength: wp.array3d[wp.float32],
     u_out: wp.array2d[wp.int32],
     v_out: wp.array2d[wp.int32],
     x_out: wp.array2d[wp.int32],
@@ -182,19 +185,22 @@ def features_depth_lines(
     seen_out: wp.array[wp.bool],
     tiles_out: wp.array3d[wp.uint32],
     ranges_out: wp.array[wp.uint32],
-    keys_out: wp.array[wp.uint32],
-    blocked_out: wp.array2d[wp.uint32],
-    weak_out: wp.array2d[wp.uint32],
-    strong_out: wp.array2d[wp.uint32],
+    keys_out: wp.array2d[wp.uint32],
+    blocked_out: wp.array3d[wp.uint32],
+    weak_out: wp.array3d[wp.uint32],
+    strong_out: wp.array3d[wp.uint32],
     edges_out: wp.array3d[wp.uint32],
 ):
-    """The features of a frame a thread; what follows ``seen_out`` is scratch."""
-    b = wp.tid()
-    canny_suppress_lines(b, color, low, high, weak_out, strong_out)
-    canny_hysteresis_lines(0, weak_out, strong_out, edges_out)
+    """The features of a frame a thread, ``share + shares * i``.
+
+    ``strength`` and what follows ``ranges_out`` are scratch, a part for each share.
+    """
+    b = share + shares * wp.tid()
+    canny_suppress_lines(b, color, low, high, weak_out[share], strong_out[share])
+    canny_hysteresis_lines(share, weak_out[share], strong_out[share], edges_out)
     _features(
-        b, edges_out, depth, corner_x, corner_y, parameters, search, limits, which, bounds,
+        b, share, edges_out, depth, corner_x, corner_y, parameters, search, limits, which, bounds,
         fixed_x, fixed_y, grid_u, grid_v, aligned, fills, masked, quality, distance,
-        strength, u_out, v_out, x_out, y_out, z_out, valid_out, kept_out, found_out, seen_out,
-        tiles_out, ranges_out, keys_out, blocked_out,
+        strength[share], u_out, v_out, x_out, y_out, z_out, valid_out, kept_out, found_out,
+        seen_out, tiles_out, ranges_out, keys_out[share], blocked_out[share],
     )  # fmt: skip

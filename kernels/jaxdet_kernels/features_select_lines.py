@@ -186,35 +186,27 @@ def _corners(
 
 @wp.kernel
 def corners_lines(
+    share: int,
+    shares: int,
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.bool],
     masked: int,
     quality: wp.float64,
     distance: wp.float64,
-    strength: wp.array2d[wp.float32],
+    strength: wp.array3d[wp.float32],
     u_out: wp.array2d[wp.int32],
     v_out: wp.array2d[wp.int32],
     found_out: wp.array[wp.int32],
-    keys_out: wp.array[wp.uint32],
-    blocked_out: wp.array2d[wp.uint32],
+    keys_out: wp.array2d[wp.uint32],
+    blocked_out: wp.array3d[wp.uint32],
 ):
-    """The corners of a frame a thread, strongest first.
+    """The corners of a frame a thread, ``share + shares * i``, strongest first.
 
-    The last two outputs are scratch of all frames, and so is ``strength`` ``(H, 32 words + 32)``,
-    which comes and goes with zeros.
+    The last two outputs are scratch, a part for each share, and so is ``strength``
+    ``(shares, H, 32 words + 32)``, which comes and goes with zeros.
     """
-    b = wp.tid()
+    b = share + shares * wp.tid()
     _corners(
-        b,
-        edges,
-        mask,
-        masked,
-        quality,
-        distance,
-        strength,
-        u_out,
-        v_out,
-        found_out,
-        keys_out,
-        blocked_out,
-    )
+        b, edges, mask, masked, quality, distance, strength[share], u_out, v_out, found_out,
+        keys_out[share], blocked_out[share],
+    )  # fmt: skip

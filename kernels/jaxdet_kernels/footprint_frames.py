@@ -138,6 +138,8 @@ def _footprint(
 
 @wp.kernel
 def footprint_frames(
+    share: int,
+    shares: int,
     labels: wp.array2d[wp.int32],
     u: wp.array2d[wp.int32],
     v: wp.array2d[wp.int32],
@@ -163,9 +165,12 @@ def footprint_frames(
     direction_out: wp.array3d[wp.int32],
     span_out: wp.array3d[wp.int32],
 ):
-    """The obstacles of a frame a thread, N at most 8192; the outputs are the fields in order."""
+    """The obstacles of a frame a thread, N at most 8192; the outputs are the fields in order.
+
+    Thread i works on frame ``share + shares * i``.
+    """
     _footprint(
-        wp.tid(), labels, u, v, x, y, z, axes, threshold, trim_sides, trim_near, side_share,
-        near_share, count_out, uv_min_out, uv_max_out, xyz_min_out, xyz_max_out, xyz_sum_out,
-        a_out, b_out, c_out, vertex_out, direction_out, span_out,
+        share + shares * wp.tid(), labels, u, v, x, y, z, axes, threshold, trim_sides, trim_near,
+        side_share, near_share, count_out, uv_min_out, uv_max_out, xyz_min_out, xyz_max_out,
+        xyz_sum_out, a_out, b_out, c_out, vertex_out, direction_out, span_out,
     )  # fmt: skip
