@@ -15,9 +15,10 @@ import pytest
 
 from jaxdet import detect, engine
 from jaxdet.config import Config, GroundConfig
+from jaxdet.cores import cores
 from jaxdet.engine import pool as pool_module
 from jaxdet.engine import processes
-from jaxdet.engine.pool import Pool, cores, usual_count
+from jaxdet.engine.pool import Pool, usual_count
 from jaxdet.engine.shared import make_memory
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, WorkerError
 from jaxdet.io import LogOptions, find_logs
@@ -158,12 +159,14 @@ class Threads(Square):
     def __call__(self, item: Any) -> Any:
         import cv2
 
-        return cv2.getNumThreads(), os.environ["PJRT_NPROC"]
+        from jaxdet.stages._threads import threads
+
+        return cv2.getNumThreads(), os.environ["PJRT_NPROC"], threads()
 
 
 def test_a_worker_has_one_thread_for_each_library(pool):
     assert cores() >= 1
-    assert list(pool.map(Threads(), items([1, 2]))) == [(1, "1")] * 2
+    assert list(pool.map(Threads(), items([1, 2]))) == [(1, "1", 1)] * 2
 
 
 @pytest.fixture(scope="module")

@@ -9,25 +9,13 @@ from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
-from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Any
 
+from jaxdet.cores import cores
 from jaxdet.engine.process import Result, WorkerProcess
 from jaxdet.engine.worker import AHEAD, Job
 from jaxdet.pipeline import BackendName
-
-_QUOTA = Path("/sys/fs/cgroup/cpu.max")
-
-
-def cores() -> int:
-    """Cores that this process may use, by its affinity and its control group's quota."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    try:
-        quota, period = _QUOTA.read_text(encoding="ascii").split()
-        return max(1, min(count or 1, round(int(quota) / int(period))))
-    except (OSError, ValueError):  # no control group, or "max"
-        return count or 1
 
 
 def usual_count(backend: BackendName) -> int:

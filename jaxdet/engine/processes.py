@@ -3,9 +3,10 @@
 from collections.abc import Generator
 from typing import Any
 
+from jaxdet.cores import cores
 from jaxdet.engine.batch import Done, LogWork
 from jaxdet.engine.local import batches_here
-from jaxdet.engine.pool import Pool, cores, usual_count
+from jaxdet.engine.pool import Pool, usual_count
 from jaxdet.errors import ConfigError
 from jaxdet.pipeline import BackendName
 

@@ -15,20 +15,18 @@ from typing import Any
 import jax
 import warp as wp
 
+from jaxdet.cores import cores
 
-def cores() -> int:
-    """How many cores a kernel may use: as XLA, ``PJRT_NPROC`` or what the process may run on."""
+
+def threads() -> int:
+    """How many threads a kernel may use: ``PJRT_NPROC``, as XLA, or one a core."""
     chosen = os.environ.get("PJRT_NPROC", "")
-    if chosen.isdecimal() and int(chosen):
-        return int(chosen)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return int(chosen) if chosen.isdecimal() and int(chosen) else cores()
 
 
 def shares_of(frames: int) -> int:
     """Into how many shares a batch is dealt; scratch memory has a part for each."""
-    return min(cores(), frames)
+    return min(threads(), frames)
 
 
 class FrameKernel:
@@ -107,11 +105,11 @@ def _crew() -> list[ThreadPoolExecutor]:
     Left alone, the system runs threads that wake each other on the same core for milliseconds.
     """
     allowed = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    count = cores()
+    count = threads()
     stay = [{core} for core in allowed] if len(allowed) == count else [set()] * count
     return [ThreadPoolExecutor(1, "jaxdet-kernel", _stay_on, (place,)) for place in stay]
 
 
-def _stay_on(cores: set[int]) -> None:
-    if cores:
-        os.sched_setaffinity(0, cores)
+def _stay_on(places: set[int]) -> None:
+    if places:
+        os.sched_setaffinity(0, places)

@@ -1,0 +1,106 @@
+"""CPU kernels on several cores: equal results for any number of threads, and errors that arrive."""
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import pytest
+import warp as wp
+
+from jaxdet import detect, reference, stages
+from jaxdet.config import Config
+from jaxdet.cores import cores
+from jaxdet.stages import _threads
+from tests.scenes import (
+    D435,
+    assert_equal,
+    blocks,
+    frames,
+    level,
+    noise_depth,
+    small,
+    smooth_depth,
+    with_lens,
+)
+
+BATCHES = pytest.mark.parametrize("batch", [1, 2, 3, 7])
+
+
+@pytest.fixture(params=[1, 2, 3, 5])
+def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A number of threads; programs that were traced for another number are forgotten."""
+    monkeypatch.setenv("PJRT_NPROC", str(request.param))
+    _threads._crew.cache_clear()
+    jax.clear_caches()
+    yield request.param
+    monkeypatch.undo()
+    _threads._crew.cache_clear()
+    jax.clear_caches()
+
+
+@BATCHES
+def test_alignment_does_not_depend_on_the_threads(threads, batch):
+    for depth in noise_depth(batch, D435.depth), smooth_depth(batch, D435.depth):
+        assert_equal(stages.align(depth, D435), reference.align(depth, D435))
+
+
+@BATCHES
+def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
+    calibration = small(96, 61)
+    depth = noise_depth(batch, calibration.depth)
+    given = frames(calibration, blocks(batch, 61, 96), depth, plane=level(batch, 0.3))
+    assert stages.covers(given, Config())
+    assert_equal(detect(given), detect(given, backend="reference"))
+
+
+def test_stages_one_by_one_do_not_depend_on_the_threads(threads):
+    """A distorted depth camera and masks of contours keep the stages apart."""
+    base = small(96, 61)
+    calibration = base._replace(depth=with_lens(base.depth, "rational"))
+    depth = noise_depth(5, calibration.depth)
+    given = frames(calibration, blocks(5, 61, 96), depth, plane=level(5, 0.3))
+    assert_equal(detect(given), detect(given, backend="reference"))
+
+
+def test_each_share_has_a_thread_of_its_own(threads, monkeypatch):
+    """They are under way at the same time: each waits for all the others."""
+    together, names = threading.Barrier(threads, timeout=30.0), set()
+    launch = wp.Launch.launch
+
+    def waits(self: Any, *given: Any) -> None:
+        names.add(threading.get_ident())
+        together.wait()
+        launch(self, *given)
+
+    monkeypatch.setattr(wp.Launch, "launch", waits)
+    depth = noise_depth(5, small().depth)
+    assert_equal(stages.align(depth, small()), reference.align(depth, small()))
+    assert len(names) == (threads if threads > 1 else 0)
+
+
+def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
+    monkeypatch.setenv("PJRT_NPROC", "2")
+    _threads._crew.cache_clear()
+    jax.clear_caches()
+    depth = noise_depth(4, small().depth)
+    launch = wp.Launch.launch
+
+    def fails(self: Any, *given: Any) -> None:
+        if self.bounds.size == 2 and threading.current_thread().name.startswith("jaxdet-kernel"):
+            raise ArithmeticError("in a thread")
+        launch(self, *given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(wp.Launch, "launch", fails)
+        with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
+            jax.block_until_ready(stages.align(depth, small()))
+    assert_equal(stages.align(depth, small()), reference.align(depth, small()))
+
+
+def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
+    monkeypatch.delenv("PJRT_NPROC", raising=False)
+    assert _threads.threads() == cores()
+    monkeypatch.setenv("PJRT_NPROC", "3")
+    assert _threads.threads() == 3
+    assert [_threads.shares_of(frames) for frames in (1, 2, 3, 8)] == [1, 2, 3, 3]
