@@ -6,10 +6,10 @@ the frames of a batch are shared out, and each core launches the kernel for its 
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import lru_cache
 from inspect import Parameter, Signature, get_annotations
-from threading import Lock
+from threading import Lock, get_native_id
 from typing import Any
 
 import jax
@@ -76,9 +76,9 @@ def _on_all_cores(kernel: Any) -> Callable[..., None]:
         with lock:
             started = []
             try:
-                for share, core in enumerate(_crew()[:shares]):
+                for share, thread in enumerate(_crew()[:shares]):
                     own = -(-(frames - share) // shares)
-                    started.append(core.submit(ready(share, own, (shares, *arguments)).launch))
+                    started.append(thread.start(ready(share, own, (shares, *arguments)).launch))
             finally:
                 wait(started)  # they use the arguments' memory
         for launch in started:
@@ -98,18 +98,33 @@ def _typed_as(function: Callable[..., None], kernel: Callable[..., Any]) -> Call
     return function
 
 
-@lru_cache(maxsize=1)
-def _crew() -> list[ThreadPoolExecutor]:
-    """A thread a core, which stays there where all cores are used.
+class _Thread:
+    """A thread that starts each piece of work on the same core, where all cores are used.
 
-    Left alone, the system runs threads that wake each other on the same core for milliseconds.
+    Left alone, the system puts threads that wake each other on one core for milliseconds. Kept
+    there for good, a thread would have to wait where another program has that core.
     """
-    allowed = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+
+    def __init__(self, core: int | None, allowed: set[int]) -> None:
+        self._pool = ThreadPoolExecutor(1, "jaxdet-kernel")
+        self._id = self._pool.submit(get_native_id).result()
+        self._core, self._allowed = core, allowed
+
+    def start(self, work: Callable[[], None]) -> Future[None]:
+        """Starts it; the thread may be moved once it has been woken."""
+        if self._core is None:
+            return self._pool.submit(work)
+        os.sched_setaffinity(self._id, {self._core})
+        try:
+            return self._pool.submit(work)
+        finally:
+            os.sched_setaffinity(self._id, self._allowed)
+
+
+@lru_cache(maxsize=1)
+def _crew() -> list[_Thread]:
+    """As many as :func:`threads`."""
+    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     count = threads()
-    stay = [{core} for core in allowed] if len(allowed) == count else [set()] * count
-    return [ThreadPoolExecutor(1, "jaxdet-kernel", _stay_on, (place,)) for place in stay]
-
-
-def _stay_on(places: set[int]) -> None:
-    if places:
-        os.sched_setaffinity(0, places)
+    places = sorted(allowed) if len(allowed) == count else [None] * count
+    return [_Thread(place, allowed) for place in places]
