@@ -38,9 +38,9 @@ class GroundConfig:
     """Farthest depth used [m]."""
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
-    step_height_per_m: float = 0.005
+    step_height_per_m: float = 0.003
     """Added to the step height for each metre of depth: how well the floor's tilt is known
-    (0.005 is 0.3 degrees; the robot rocks, floors are not flat). The paper's is 0."""
+    (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0."""
     contour_radius: int = 0
     """A pixel this near to a kept one is kept too and takes the nearest kept depth [pixel]:
     contours often fall into the hole, or on the background, beside the object. 0: off."""
