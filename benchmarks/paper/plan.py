@@ -34,7 +34,7 @@ class Counts:
     """Tuning seeds used, one scene each of each family and light."""
     approach: int = 1
     """Scenes a test seed in each cell of Table 4."""
-    cylinder_seeds: int = 6
+    cylinder_seeds: int = 12
     """Test seeds used, one scene each in each cell of Fig. 14."""
     floor_seeds: int = 2
     """Test seeds used, one scene each for each tilt, roll and slope."""
