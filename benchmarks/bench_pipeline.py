@@ -19,12 +19,13 @@ from jaxdet.engine import Workers
 from jaxdet.pipeline import detect
 from jaxdet.plane import floor_limits
 from jaxdet.stages._device import on_cuda
+from jaxdet.stages._spread import rows_over
 from jaxdet.stages._upload import Uploader, pin
 from jaxdet.types import Detections, Frames, GroundPlane
 
 SIZE = "640x480"
 RESIDENT_BATCH = 1024
-"""Frames of a batch on a GPU."""
+"""Frames of a batch on each GPU."""
 
 
 def cases() -> list[Case]:
@@ -102,9 +103,10 @@ def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def throughput(seconds: float) -> list[Metric]:
-    """Frames per second on a GPU: frames resident on the device, and from pinned host memory."""
-    frames = frames_of(SIZE, RESIDENT_BATCH)
-    on_device = jax.device_put((frames.color, frames.depth))
+    """Frames per second on all GPUs: frames resident on them, and from pinned host memory."""
+    among = jax.local_devices()
+    frames = frames_of(SIZE, RESIDENT_BATCH * len(among))
+    on_device = jax.device_put((frames.color, frames.depth), rows_over(tuple(among)))
     pinned = pin(frames.color, frames.depth)
     uploader = Uploader(frames.color.shape, frames.depth.shape)
     metrics = []
@@ -120,12 +122,14 @@ def throughput(seconds: float) -> list[Metric]:
         for key, source in sources.items():
             found, want = step(source, config), step(sources["resident"], config)
             check_equal(key, found, want)
-            rate = _frames_per_s(partial(step, source, config), seconds)
+            rate = _frames_per_s(partial(step, source, config), len(frames.color), seconds)
             metrics.append(Metric(f"{start}.{key}.fps", rate, "frames/s", "higher", 0.15))
     return metrics
 
 
-def _frames_per_s(step: Callable[[], Detections], seconds: float, ahead: int = 1) -> float:
+def _frames_per_s(
+    step: Callable[[], Detections], batch: int, seconds: float, ahead: int = 1
+) -> float:
     """Steady rate with a batch in flight while the next is uploaded, as a long run has them."""
     jax.block_until_ready([step() for _ in range(2)])
     flying, done, start = [], 0, time.perf_counter()
@@ -135,4 +139,4 @@ def _frames_per_s(step: Callable[[], Detections], seconds: float, ahead: int = 1
             jax.block_until_ready(flying.pop(0))
             done += 1
     jax.block_until_ready(flying)
-    return (done + len(flying)) * RESIDENT_BATCH / (time.perf_counter() - start)
+    return (done + len(flying)) * batch / (time.perf_counter() - start)

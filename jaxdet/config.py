@@ -11,6 +11,9 @@ from jaxdet.errors import ConfigError
 MAX_POINTS = 8192
 """Most points of a frame, corners and grid together: what the 32-bit keys and sums hold."""
 
+TRIM_SHARE = 16
+"""At most this part of an obstacle's points is passed over at each side, and in front."""
+
 STAGES = ("align", "ground", "features", "cluster", "footprint")
 """The names of the stages, in order; one name for a stage everywhere."""
 
@@ -35,9 +38,9 @@ class GroundConfig:
     """Farthest depth used [m]."""
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
-    step_height_per_m: float = 0.005
+    step_height_per_m: float = 0.003
     """Added to the step height for each metre of depth: how well the floor's tilt is known
-    (0.005 is 0.3 degrees; the robot rocks, floors are not flat). The paper's is 0."""
+    (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0."""
     contour_radius: int = 0
     """A pixel this near to a kept one is kept too and takes the nearest kept depth [pixel]:
     contours often fall into the hole, or on the background, beside the object. 0: off."""
@@ -169,13 +172,17 @@ class FootprintConfig:
     vertex_threshold_m: float = 0.03
     """d_threshold of Eq. 7 [m], about the sensor's error: C must be this much nearer than A
     and B to count as a vertex."""
-    trim_sides: int = 5
-    """So many of the outermost points of each side don't make A or B, at most a twelfth of the
-    obstacle's points: what the sensor smears beyond a silhouette. The rectangle still covers
+    trim: int = 2
+    """So many of the outermost points of each side, and of the nearest ones, are outliers that
+    don't make A, B or C, at most a sixteenth of the obstacle's points. The rectangle still covers
     them. The paper's is 0."""
-    trim_near: int = 9
-    """So many of the nearest points don't make C, at most an eighth: of many noisy points the
-    nearest is too near. The paper's is 0."""
+    side_band_per_m: float = 0.006
+    """A and B are the median of the points at most this far inside of the outermost [m], for each
+    metre of distance: a silhouette is smeared over about three pixels. The paper's is 0."""
+    near_band_per_m2: float = 0.011
+    """C is the median of the points at most this far behind the nearest [m], times the distance
+    squared [1/m]: of many noisy points the nearest is too near, and stereo noise grows so; 0.011
+    is some four standard deviations of a D435's. The paper's is 0."""
     extension_m: float = 0.20
     """How far the edge AB is extended backward when there is no vertex [m]."""
     cover: bool = True
@@ -186,8 +193,9 @@ class FootprintConfig:
 
     def __post_init__(self) -> None:
         _require(self.vertex_threshold_m >= 0, "footprint.vertex-threshold-m", "at least 0")
-        _require(self.trim_sides >= 0, "footprint.trim-sides", "at least 0")
-        _require(self.trim_near >= 0, "footprint.trim-near", "at least 0")
+        _require(self.trim >= 0, "footprint.trim", "at least 0")
+        _require(self.side_band_per_m >= 0, "footprint.side-band-per-m", "at least 0")
+        _require(self.near_band_per_m2 >= 0, "footprint.near-band-per-m2", "at least 0")
         _require(self.extension_m > 0, "footprint.extension-m", "above 0")
         _require(self.margin_m >= 0, "footprint.margin-m", "at least 0")
 
@@ -218,7 +226,9 @@ PRESETS: dict[str, Config] = {
             canny_low=100.0, canny_high=200.0, min_distance=5.0, grid_columns=0, use_mask=False
         ),
         cluster=ClusterConfig(lateral_gap_m=0.40, min_points=10, slice_m=0.0),
-        footprint=FootprintConfig(trim_sides=0, trim_near=0, cover=False, margin_m=0.0),
+        footprint=FootprintConfig(
+            trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, cover=False, margin_m=0.0
+        ),
     ),
     "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),
     "d455": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from jaxdet.camera import pixel_rays
-from jaxdet.config import ClusterConfig, GroundConfig
-from jaxdet.types import GroundPlane, Intrinsics
+from jaxdet.config import ClusterConfig, FootprintConfig, GroundConfig
+from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
@@ -135,6 +135,22 @@ def gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     gaps = np.minimum(gaps, 1 << 20).astype(np.int32)
     gaps.setflags(write=False)
     return gaps
+
+
+def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
+    """How deep the bands are whose medians are the points A and B, and C.
+
+    ``s z`` and ``c z^2``, rounded to whole depth units.
+
+    Returns:
+        ``(65536, 2)`` int32 [depth units], by the distance z of the obstacle's nearest point in
+        depth units, read-only.
+    """
+    z = np.arange(65536) * depth_unit
+    bands = np.stack([config.side_band_per_m * z, config.near_band_per_m2 * z * z], axis=1)
+    bands = np.minimum(np.rint(bands / depth_unit), MAX_LATERAL).astype(np.int32)
+    bands.setflags(write=False)
+    return bands
 
 
 def ground_axes(plane: GroundPlane) -> np.ndarray:

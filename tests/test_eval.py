@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from jaxdet.config import FootprintConfig
 from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate, evaluate_frames, score
+from jaxdet.eval.frame import objects_of
 from jaxdet.types import Detections, Features, Labels, Obstacles
 
 PIXELS = [(5, 15), (25, 35), (45, 55)]
@@ -69,6 +70,21 @@ def test_all_found():
     assert all(getattr(figures, name) == 1 for name in ones)
     assert figures.position_error_m == pytest.approx(0.01)
     assert figures.tally.frames == 2
+
+
+def test_a_feature_is_of_the_object_whose_depth_it_has():
+    """Object 1 is 1 m away, the floor 5 m; the smear of its depth reaches 4 pixels."""
+    depth = np.full((1, 40, 60), 5.0)
+    depth[:, 10:30, 5:15] = 1.0
+    known = truth(depth_m=depth)
+    # On it, beside it with its depth, too far beside it, beside it with the floor's depth, and
+    # on it and on the floor with a depth that nothing there has.
+    columns = [(10, 1000), (18, 1010), (19, 1000), (18, 5100), (10, 3000), (18, 3000)]
+    u, z = (np.array([values], np.int32) for values in zip(*columns, strict=True))
+    v, used = np.full_like(u, 20), np.ones(u.shape, bool)
+    features = Features(u, v, u, v, z, used, used, np.zeros(1, bool))
+    assert objects_of(features, known, 0, 0.001, EvalConfig()).tolist() == [1, 1, 0, 0, 1, 0]
+    assert objects_of(features, truth(), 0, 0.001, EvalConfig()).tolist() == [1, 0, 0, 0, 1, 0]
 
 
 def test_floor_wall_split_merge():

@@ -104,22 +104,39 @@ def test_without_cover_it_is_the_papers_rectangle():
     assert np.allclose(covering, plain, atol=0.002)
 
 
+def outline(trim=0, side=0.0, near=0.0):
+    return FootprintConfig(trim=trim, side_band_per_m=side, near_band_per_m2=near)
+
+
 @BACKENDS
-def test_the_outermost_and_the_nearest_are_passed_over(backend):
-    """A twelfth of 24 points at each side, an eighth in front, however many are asked for."""
-    x = np.arange(24) * 10 - 160
-    z = 1000 + 10 * ((np.arange(24) * 7) % 24)
-    for sides, near, a, b, c in (
-        (0, 0, -160, 70, 1000),
-        (1, 2, -150, 60, 1020),
-        (2, 3, -140, 50, 1030),
-        (9, 9, -140, 50, 1030),
-    ):
-        config = replace(CONFIG, footprint=FootprintConfig(trim_sides=sides, trim_near=near))
-        found = measure(backend, x, z, [0] * 24, config=config)
-        assert np.asarray(found.a)[0, 0].tolist() == [a, z[x == a][0]]
-        assert np.asarray(found.b)[0, 0].tolist() == [b, z[x == b][0]]
-        assert np.asarray(found.c)[0, 0].tolist() == [x[z == c][0], c]
+@pytest.mark.parametrize(
+    ("settings", "a", "b", "c"),
+    [
+        (outline(), -160, 150, 1000),
+        (outline(trim=1), -150, 140, 1010),
+        # Of 32 points a sixteenth.
+        (outline(trim=9), -140, 130, 1020),
+        # Distance 1 m: five points of each side, three of the front; their medians.
+        (outline(side=0.04, near=0.025), -140, 130, 1010),
+        (outline(trim=2, side=0.04, near=0.035), -120, 110, 1030),
+    ],
+)
+def test_outliers_and_bands(backend, settings, a, b, c):
+    x = np.arange(32) * 10 - 160
+    z = 1000 + 10 * ((np.arange(32) * 7) % 32)
+    found = measure(backend, x, z, [0] * 32, config=replace(CONFIG, footprint=settings))
+    assert np.asarray(found.a)[0, 0].tolist() == [a, z[x == a][0]]
+    assert np.asarray(found.b)[0, 0].tolist() == [b, z[x == b][0]]
+    assert np.asarray(found.c)[0, 0].tolist() == [x[z == c][0], c]
+
+
+@BACKENDS
+def test_the_band_in_front_grows_with_distance_squared(backend):
+    """Eleven points 10 mm apart: 12 mm at 1 m hold two of them, 48 mm at 2 m five."""
+    config = replace(CONFIG, footprint=outline(near=0.012))
+    for z, c in ((1000, 1000), (2000, 2020)):
+        found = measure(backend, np.arange(11), z + 10 * np.arange(11), [0] * 11, config=config)
+        assert np.asarray(found.c)[0, 0].tolist() == [(c - z) // 10, c]
 
 
 # twin
@@ -136,12 +153,15 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
     return features, Labels(labels, np.full(batch, 4, np.int32))
 
 
-@pytest.mark.parametrize("trim", [(0, 0), (5, 9), (2, 0), (0, 10000)])
+@pytest.mark.parametrize(
+    "settings",
+    [outline(), FootprintConfig(), outline(trim=10000), outline(2, 0.1), outline(0, 3.0, 9.0)],
+)
 @pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8192)])
-def test_twin(device, footprint_form, batch, n, trim):
+def test_twin(device, footprint_form, batch, n, settings):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
-    config = replace(CONFIG, footprint=FootprintConfig(trim_sides=trim[0], trim_near=trim[1]))
+    config = replace(CONFIG, footprint=settings)
     given_ = *hostile_features(n, batch, n), plane, 0.001, config
     want = reference.footprint(*given_)
     assert want.num_points.min(initial=1, where=want.num_points > 0) >= 1

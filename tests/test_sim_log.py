@@ -19,7 +19,15 @@ from jaxdet.errors import InputError
 from jaxdet.io import open_log
 from jaxdet.io.writer import Transform, quaternion
 from jaxdet.io.writer_cdr import encode_cdr
-from jaxdet.sim import SimConfig, load_obstacle_ids, load_scene, load_truth, simulate, write_log
+from jaxdet.sim import (
+    SimConfig,
+    load_depths,
+    load_obstacle_ids,
+    load_scene,
+    load_truth,
+    simulate,
+    write_log,
+)
 from jaxdet.sim.config import calibration_of
 from jaxdet.sim.record import static_transforms
 from jaxdet.sim.robot import mount, pose_at
@@ -143,6 +151,16 @@ def test_truth(log):
     ids = load_obstacle_ids(path, [0, 1, 2, 3])
     counts = [[(ids[f] == j + 1).sum() for j in range(objects)] for f in range(frames)]
     np.testing.assert_array_equal(truth.visible_pixels, counts)
+    depth = load_depths(path, [0, 3])
+    assert depth.shape == ids[:2].shape
+    nearest = [
+        [depth[f][ids[k] == j + 1].min(initial=np.inf) for j in range(4)]
+        for f, k in enumerate((0, 3))
+    ]
+    seen = truth.visible_pixels[[0, 3], :4] > 0
+    np.testing.assert_allclose(
+        np.array(nearest)[seen], truth.nearest_m[[0, 3], :4][seen], rtol=1e-3
+    )
     hidden = truth.visible_pixels == 0
     assert np.isnan(truth.nearest_m[hidden]).all() and (truth.nearest_m[~hidden] > 0).all()
     # The first box's face is 0.125 m before its centre at 1.4 m; the robot starts at 0.

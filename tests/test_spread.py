@@ -95,7 +95,7 @@ def gpus() -> list:
 @pytest.mark.gpu
 def test_a_log_through_page_locked_memory_gives_the_bytes_of_the_reference(gpus, tmp_path):
     path = tmp_path / "sim.mcap"
-    write_log(path, SimConfig(frames=41, width=320, height=240))
+    write_log(path, SimConfig(frames=41, width=320, height=240, device="cuda:0"))
     runs(path, tmp_path, [("reference", 41), ("jax", 1), ("jax", 3), ("jax", 64)])
 
 

@@ -13,7 +13,7 @@ from benchmarks.paper.shots import Shot, Spec
 from benchmarks.paper.systems import OURS, System, eval_config, found_in
 from benchmarks.paper.table4_distance import specs_of
 from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate_frames
-from jaxdet.eval.match import feature_objects
+from jaxdet.eval.frame import objects_of
 from jaxdet.types import Detections
 
 NEAR_M = 2.0
@@ -89,16 +89,23 @@ def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
         return []
     _, found = found_in([shot], system.config)[0]
     counted = eval_config(system.config)
-    return [(number, _reason(found, shot.truth, number, counted, system)) for number in missed]
+    unit = shot.calibration.depth_unit
+    return [
+        (number, _reason(found, shot.truth, number, unit, counted, system)) for number in missed
+    ]
 
 
 def _reason(
-    found: Detections, truth: FrameTruth, number: int, counted: EvalConfig, system: System
+    found: Detections,
+    truth: FrameTruth,
+    number: int,
+    unit: float,
+    counted: EvalConfig,
+    system: System,
 ) -> str:
     kept, features = found.features.kept[0], found.features
-    u, v, labels = features.u[0, kept], features.v[0, kept], found.labels.labels[0, kept]
-    ids = truth.obstacle_id[0]
-    objects = feature_objects(ids, truth.is_wall, u, v, counted.tolerance_px)
+    labels = found.labels.labels[0, kept]
+    objects = objects_of(features, truth, 0, unit, counted)[kept]
     mine = labels[objects == number]
     if len(mine) <= system.config.cluster.min_points:
         return "missed: too few features with depth"

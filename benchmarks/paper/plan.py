@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 TUNING_SEEDS = tuple(range(100, 110))
 """Parameters are chosen on these and on no others."""
-TEST_SEEDS = tuple(range(900, 920))
-"""The report's figures come from these and from no others."""
+TEST_SEEDS = tuple(range(1000, 1020))
+"""The report's figures come from these and from no others. 900 to 919 were the test seeds of an
+earlier default and may be used for tuning."""
 REHEARSAL_SEEDS = tuple(range(500, 520))
 """For looking at the report while the method is still being changed (``--rehearsal``)."""
 SCENES = ("people_and_vehicle", "roadblocks", "bucket", "tree_trunk")
@@ -33,7 +34,7 @@ class Counts:
     """Tuning seeds used, one scene each of each family and light."""
     approach: int = 1
     """Scenes a test seed in each cell of Table 4."""
-    cylinder_seeds: int = 6
+    cylinder_seeds: int = 12
     """Test seeds used, one scene each in each cell of Fig. 14."""
     floor_seeds: int = 2
     """Test seeds used, one scene each for each tilt, roll and slope."""

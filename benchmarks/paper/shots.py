@@ -138,7 +138,12 @@ def _shot(spec: Spec, frame: SimFrame) -> Shot:
         calibration_of(config),
         (config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad),
         frame.T_world_color,
-        truth_of(truth, [0], frame.truth.obstacle_id[None]),
+        truth_of(
+            truth,
+            [0],
+            frame.truth.obstacle_id[None],
+            frame.truth.depth[None].astype(np.float16),
+        ),
         tuple(truth.names.tolist()),
         frame.truth.height.astype(np.float16) if spec.heights else None,
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, Tally, evaluate, score, truth_of
-from jaxdet.sim import load_obstacle_ids, load_truth
+from jaxdet.sim import load_depths, load_obstacle_ids, load_truth
 from jaxdet.types import Detections
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ class Scorer:
         numbers = [self.number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
         which = np.where(known, numbers, 0)
-        truth = truth_of(self.truth, which, load_obstacle_ids(self.log, which))
+        images = load_obstacle_ids(self.log, which), load_depths(self.log, which)
+        truth = truth_of(self.truth, which, *images)
         unit, valid = frames.calibration.depth_unit, frames.valid & known
         return evaluate(found, truth, unit, self.config, valid)
 

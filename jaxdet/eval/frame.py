@@ -1,7 +1,7 @@
 """Comparison of detections with the truth, frame by frame.
 
-The rule. Each kept feature votes for the object it lies on
-(:func:`jaxdet.eval.match.feature_objects`). A detection and an obstacle are a pair when at least
+The rule. Each kept feature votes for the object it lies on, or whose depth was measured there
+(:func:`objects_of`). A detection and an obstacle are a pair when at least
 half of the detection's votes are for the obstacle; pairs are one to one, chosen for the most
 votes (:func:`jaxdet.eval.match.match`). Then
 
@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxdet.eval.indices import davies_bouldin, silhouette
-from jaxdet.eval.match import eligible, feature_objects, match, vote_table
+from jaxdet.eval.match import eligible, feature_objects, match, measured_objects, vote_table
 from jaxdet.eval.partition import fowlkes_mallows, pair_counts
 from jaxdet.eval.shapes import Shapes, count_shapes
 from jaxdet.eval.tally import Tally, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth
-from jaxdet.types import Detections
+from jaxdet.types import Detections, Features
 
 
 def evaluate(
@@ -68,7 +68,7 @@ def evaluate_frames(
     tallies: list[Tally] = []
     for b in range(frames):
         if valid is None or valid[b]:
-            frame = _match_frame(detections, truth, b, asked[b], config)
+            frame = _match_frame(detections, truth, b, asked[b], depth_unit, config)
             shapes = Shapes(detections, truth, b, frame.count, depth_unit, config)
             parts = [
                 _count_detections(frame, config),
@@ -113,16 +113,41 @@ def _positions(detections: Detections, b: int, depth_unit: float) -> np.ndarray:
 
 
 def _match_frame(
-    detections: Detections, truth: FrameTruth, b: int, asked: np.ndarray, config: EvalConfig
+    detections: Detections,
+    truth: FrameTruth,
+    b: int,
+    asked: np.ndarray,
+    depth_unit: float,
+    config: EvalConfig,
 ) -> _Matched:
     used = _used(detections, b)
     labels = np.asarray(detections.labels.labels[b])[used]
-    u, v = (np.asarray(a[b])[used] for a in (detections.features.u, detections.features.v))
-    objects = feature_objects(truth.obstacle_id[b], truth.is_wall, u, v, config.tolerance_px)
+    objects = objects_of(detections.features, truth, b, depth_unit, config)[used]
     kinds, count = truth.kinds, int(detections.labels.num_obstacles[b])
     votes = vote_table(labels, objects, count, len(kinds))
     pair = match(votes, kinds == 2, config.match_share)
     return _Matched(labels, objects, votes, pair, np.concatenate([[False], asked]), kinds)
+
+
+def objects_of(
+    features: Features, truth: FrameTruth, b: int, depth_unit: float, config: EvalConfig
+) -> np.ndarray:
+    """The object of each feature of frame ``b``, ``(N,)`` int64 numbers, 0 = floor.
+
+    By its depth, where the truth has depths and one near it agrees (:func:`measured_objects`),
+    else by its pixel (:func:`feature_objects`).
+    """
+    u, v, z = (np.asarray(a[b]) for a in (features.u, features.v, features.z))
+    ids = truth.obstacle_id[b]
+    by_pixel = feature_objects(ids, truth.is_wall, u, v, config.tolerance_px)
+    if truth.depth_m is None:
+        return by_pixel
+    z = z * depth_unit
+    slack = config.depth_slack_m + config.depth_slack_per_m2 * z * z
+    by_depth = measured_objects(
+        ids, truth.depth_m[b], truth.is_wall, u, v, z, slack, config.smear_px
+    )
+    return np.where(by_depth >= 0, by_depth, by_pixel)
 
 
 def _count_detections(frame: _Matched, config: EvalConfig) -> Tally:

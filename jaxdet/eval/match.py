@@ -22,14 +22,75 @@ def feature_objects(
     Returns:
         ``(n,)`` int64 object numbers, 0 = floor.
     """
-    reach = np.arange(-tolerance, tolerance + 1)
-    dv, du = (a.ravel() for a in np.meshgrid(reach, reach, indexing="ij"))
-    order = np.argsort(du * du + dv * dv, kind="stable")
-    padded = np.pad(obstacle_id, tolerance).astype(np.int64)
-    around = padded[v[:, None] + dv[order] + tolerance, u[:, None] + du[order] + tolerance]
-    rank = np.concatenate([[0], np.where(is_wall, 1, 2)])
-    best = np.argmax(rank[around], axis=1)
+    around = _around(np.pad(obstacle_id, tolerance), u, v, tolerance).astype(np.int64)
+    best = np.argmax(_rank(is_wall)[around], axis=1)
     return np.take_along_axis(around, best[:, None], 1)[:, 0]
+
+
+def measured_objects(
+    obstacle_id: np.ndarray,
+    depth_m: np.ndarray,
+    is_wall: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    z_m: np.ndarray,
+    slack_m: np.ndarray,
+    tolerance: int,
+) -> np.ndarray:
+    """The object each feature's depth was measured on.
+
+    A stereo camera smears near things over what is beside them, so a pixel that shows the
+    background may have the depth of the obstacle beside it. The feature is the obstacle's it
+    lies on, if that one's true depth there is its own; else that of the nearest pixel within
+    ``tolerance`` (a square) whose true depth is its own; obstacles go before walls and walls
+    before floor.
+
+    Args:
+        obstacle_id: ``(H, W)`` integer.
+        depth_m: ``(H, W)`` float, true z in the colour camera [m].
+        is_wall: ``(J,)`` bool.
+        u: ``(n,)`` columns.
+        v: ``(n,)`` rows.
+        z_m: ``(n,)`` measured z [m].
+        slack_m: ``(n,)`` how far a true depth may be from it [m].
+        tolerance: How far away the pixel may lie [pixel].
+
+    Returns:
+        ``(n,)`` int64 object numbers, 0 = floor, -1 where no pixel's true depth is its own.
+
+    Example:
+        >>> ids, depth = np.array([[1, 0, 0, 0]]), np.array([[1.0, 5.0, 5.0, 5.0]])
+        >>> walls, u, v = np.array([False]), np.array([1, 2, 3]), np.array([0, 0, 0])
+        >>> z, slack = np.array([1.1, 5.1, 1.0]), np.full(3, 0.2)
+        >>> measured_objects(ids, depth, walls, u, v, z, slack, 2).tolist()
+        [1, 0, -1]
+    """
+    rank = _rank(is_wall)
+    found = obstacle_id[v, u].astype(np.int64)
+    clear = (rank[found] == 2) & (np.abs(depth_m[v, u] - z_m) <= slack_m)
+    found[~clear] = -1
+    rest = np.flatnonzero(~clear)
+    around = _around(np.pad(obstacle_id, tolerance), u[rest], v[rest], tolerance).astype(np.int64)
+    depth = np.pad(depth_m, tolerance, constant_values=np.inf)
+    off = np.abs(_around(depth, u[rest], v[rest], tolerance) - z_m[rest, None])
+    ranks = np.where(off <= slack_m[rest, None], rank[around], -1)
+    best = np.argmax(ranks, axis=1)[:, None]
+    agrees = np.take_along_axis(ranks, best, 1)[:, 0] >= 0
+    found[rest[agrees]] = np.take_along_axis(around, best, 1)[agrees, 0]
+    return found
+
+
+def _around(padded: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int) -> np.ndarray:
+    """What a padded image holds at each place and around it, nearest first, ``(n, k)``."""
+    reach = np.arange(2 * tolerance + 1)
+    dv, du = (a.ravel() for a in np.meshgrid(reach, reach, indexing="ij"))
+    order = np.argsort((du - tolerance) ** 2 + (dv - tolerance) ** 2, kind="stable")
+    return padded[v[:, None] + dv[order], u[:, None] + du[order]]
+
+
+def _rank(is_wall: np.ndarray) -> np.ndarray:
+    """By object number: 0 the floor, 1 a wall, 2 an obstacle."""
+    return np.concatenate([[0], np.where(is_wall, 1, 2)])
 
 
 def vote_table(labels: np.ndarray, objects: np.ndarray, detections: int, count: int) -> np.ndarray:

@@ -22,6 +22,13 @@ class EvalConfig:
     """An obstacle with fewer visible colour pixels is not asked for."""
     tolerance_px: int = 2
     """How far beside an object its features may lie [pixel], along rows and columns."""
+    smear_px: int = 4
+    """How far beside an object its depth may be measured [pixel], along rows and columns, where
+    the true depth is known."""
+    depth_slack_m: float = 0.05
+    """A measured depth this far from a true one may be of it [m]."""
+    depth_slack_per_m2: float = 0.01
+    """Added in proportion to z squared [1/m], about four standard deviations of a D435."""
     merge_share: float = 0.2
     """An object with at least this share of a detection's votes is part of it."""
     match_share: float = 0.5
@@ -65,6 +72,9 @@ class FrameTruth(NamedTuple):
     """``(B, J, V, 2)`` float, outline on the floor in the ground frame, NaN after the last."""
     height_m: np.ndarray | None = None
     """``(B, J)`` float, height of the object itself [m]."""
+    depth_m: np.ndarray | None = None
+    """``(B, H, W)`` float, z of what each colour pixel shows [m], inf where nothing is; without
+    it a feature is of what its pixel shows, whatever depth was measured there."""
 
     def asked(self, config: EvalConfig) -> np.ndarray:
         """Which objects have to be found: ``(B, J)`` bool.
@@ -131,7 +141,10 @@ class LogTruth(Protocol):
 
 
 def truth_of(
-    log: LogTruth, frames: np.ndarray | Sequence[int], obstacle_id: np.ndarray
+    log: LogTruth,
+    frames: np.ndarray | Sequence[int],
+    obstacle_id: np.ndarray,
+    depth_m: np.ndarray | None = None,
 ) -> FrameTruth:
     """The truth of some frames of a simulated log, outlines turned into the ground frame.
 
@@ -139,9 +152,10 @@ def truth_of(
         log: The truth of the whole log.
         frames: ``(B,)`` integer, which of its frames.
         obstacle_id: ``(B, H, W)`` integer, their pictures of object numbers.
+        depth_m: ``(B, H, W)`` float, their true depth [m], if known.
 
     Returns:
-        All parts filled.
+        All other parts filled.
     """
     which = np.asarray(frames, np.int64)
     batch, objects = len(which), len(log.is_wall)
@@ -158,6 +172,7 @@ def truth_of(
         log.ground_max[which],
         to_ground_frame(outline, log.T_world_camera[which]),
         height,
+        depth_m,
     )
 
 

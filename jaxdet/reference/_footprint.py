@@ -2,12 +2,9 @@
 
 import numpy as np
 
-from jaxdet.config import Config, FootprintConfig
-from jaxdet.plane import GROUND_BITS, ground_axes
+from jaxdet.config import TRIM_SHARE, Config
+from jaxdet.plane import GROUND_BITS, band_table, ground_axes
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
-
-SIDE_SHARE, NEAR_SHARE = 12, 8
-"""At most this part of an obstacle's points is passed over at each side, and in front."""
 
 
 def footprint(
@@ -17,7 +14,8 @@ def footprint(
 
     The points are laid on the floor (:func:`to_ground`), at most MAX_LATERAL away. A is the
     leftmost, B the rightmost, C the nearest; ties go to the nearer, for C to the one further
-    left. By configuration the outermost and the nearest few are passed over. C is a vertex unless
+    left. By configuration the outermost and the nearest few are passed over, and each of the three
+    is the median of a band instead (:func:`_outermost`). C is a vertex unless
 
         min(d_A, d_B) - d_C < d_threshold
 
@@ -41,6 +39,7 @@ def footprint(
     shapes |= {"span": (m, 4)}
     shapes |= dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (m, 3))
     out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
+    bands = band_table(config.footprint, depth_unit)
     floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)
     uv = np.stack([features.u, features.v], axis=-1)
     xyz = np.stack([features.x, features.y, features.z], axis=-1)
@@ -51,7 +50,7 @@ def footprint(
             out.uv_min[b, label], out.uv_max[b, label] = uv[b, own].min(0), uv[b, own].max(0)
             out.xyz_min[b, label], out.xyz_max[b, label] = xyz[b, own].min(0), xyz[b, own].max(0)
             out.xyz_sum[b, label] = xyz[b, own].sum(0)
-            a_b_c = _outline(floor[b, own], config.footprint)
+            a_b_c = _outline(floor[b, own], config.footprint.trim, bands)
             out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
             (_, d_a), (_, d_b), (_, d_c) = a_b_c
             out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
@@ -73,18 +72,31 @@ def to_ground(features: Features, plane: GroundPlane) -> np.ndarray:
 
 
 def _outline(
-    points: np.ndarray, settings: FootprintConfig
+    points: np.ndarray, trim: int, bands: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, B and C of an obstacle's points ``(n, 2)``."""
     right, forward = points.T
-    sides = min(settings.trim_sides, len(points) // SIDE_SHARE)
-    near = min(settings.trim_near, len(points) // NEAR_SHARE)
-    a_right, b_right = np.sort(right)[[sides, -1 - sides]]
-    c_forward = np.sort(forward)[near]
+    side, near = bands[np.clip(forward.min(), 0, len(bands) - 1)]
+    a_right, b_right = _outermost(right, trim, side), -_outermost(-right, trim, side)
+    c_forward = _outermost(forward, trim, near)
     a = a_right, forward[right == a_right].min()
     b = b_right, forward[right == b_right].min()
     c = right[forward == c_forward].min(), c_forward
     return np.array(a), np.array(b), np.array(c)
+
+
+def _outermost(values: np.ndarray, trim: int, band: int) -> int:
+    """The lower median of the values at most ``band`` above the smallest.
+
+    The ``trim`` smallest are passed over first, at most a ``TRIM_SHARE``-th of all.
+
+    Example:
+        >>> _outermost(np.array([9, 2, 0, 3, 7]), trim=0, band=3)
+        2
+    """
+    values = np.sort(values)[min(trim, len(values) // TRIM_SHARE) :]
+    inside = values[values <= values[0] + band]
+    return int(inside[(len(inside) - 1) // 2])
 
 
 def shortened(edge: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from jaxdet.sim.truth import (
         Truth,
         frame_truth,
+        load_depths,
         load_obstacle_ids,
         load_truth,
         to_camera,
@@ -48,6 +49,7 @@ _HOMES = {
     "SimFrame": "frames",
     "Truth": "truth",
     "frame_truth": "truth",
+    "load_depths": "truth",
     "load_obstacle_ids": "truth",
     "load_scene": "scenes",
     "load_truth": "truth",
@@ -75,6 +77,7 @@ __all__ = [
     "SimFrame",
     "Truth",
     "frame_truth",
+    "load_depths",
     "load_obstacle_ids",
     "load_scene",
     "load_truth",

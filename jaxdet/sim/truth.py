@@ -1,8 +1,9 @@
 """The truth of a simulated log, kept beside it as ``<log>.truth.npz``.
 
 The file holds the arrays of :class:`Truth` under their names, and for each frame ``i`` the
-obstacle number of each colour pixel, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``. Any
-NumPy reads it: ``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
+obstacle number of each colour pixel, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``, and its
+depth, ``(H, W)`` float16 [m], inf where nothing is, as ``depth_<i, six digits>``. Any NumPy reads
+it: ``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
 """
 
 import io
@@ -88,6 +89,7 @@ class TruthWriter:
         """Take one frame in."""
         self._rows.append(frame_truth(frame))
         self._put(f"obstacle_id_{frame.number:06d}", frame.truth.obstacle_id)
+        self._put(f"depth_{frame.number:06d}", frame.truth.depth.astype(np.float16))
 
     def finish(self) -> Truth:
         """Write the rest and close the file."""
@@ -213,3 +215,16 @@ def load_obstacle_ids(log: str | Path, frames: np.ndarray | list[int]) -> np.nda
     """The obstacle number of each colour pixel of some frames, ``(B, H, W)`` uint8."""
     with np.load(truth_path(log)) as arrays:
         return np.stack([arrays[f"obstacle_id_{int(frame):06d}"] for frame in frames])
+
+
+def load_depths(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
+    """The true z of what each colour pixel of some frames shows, ``(B, H, W)`` float16 [m].
+
+    Raises:
+        InputError: The truth is from a version that did not keep it.
+    """
+    with np.load(truth_path(log)) as arrays:
+        if f"depth_{0:06d}" not in arrays:
+            remedy = "write the log and its truth again with jaxdet sim"
+            raise InputError("the truth has no depths", path=str(truth_path(log)), remedy=remedy)
+        return np.stack([arrays[f"depth_{int(frame):06d}"] for frame in frames])

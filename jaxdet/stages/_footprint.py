@@ -1,17 +1,15 @@
-"""Stage 5, footprint: segment reductions, and a sort for each trimmed side."""
+"""Stage 5, footprint: segment reductions, and a sort for each axis."""
 
-from functools import partial
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
 
-from jaxdet.config import Config, FootprintConfig
-from jaxdet.plane import ground_axes
+from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
+from jaxdet.plane import band_table, ground_axes
 from jaxdet.stages import _footprint_cpu
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
-SIDE_SHARE, NEAR_SHARE = 12, 8
-"""At most this part of an obstacle's points is passed over at each side, and in front."""
 VALUE_BITS = 19
 """Of a coordinate, moved to 0 and up; the obstacle's number takes the other bits of a key."""
 LAST = jnp.iinfo(jnp.int32).max
@@ -36,44 +34,56 @@ def footprint(
         ``(B, M)`` obstacles in the order of their labels.
     """
     axes = jnp.asarray(ground_axes(plane))
-    return obstacles(features, labels, axes, depth_unit, config)
+    table = bands(config.footprint, depth_unit)
+    return obstacles(features, labels, table, axes, depth_unit, config)
+
+
+@lru_cache(maxsize=8)
+def bands(config: FootprintConfig, depth_unit: float) -> jax.Array:
+    """:func:`jaxdet.plane.band_table` on the device."""
+    return jnp.asarray(band_table(config, depth_unit))
 
 
 @partial(jax.jit, static_argnames=("depth_unit", "config"))
 def obstacles(
-    features: Features, labels: Labels, axes: jax.Array, depth_unit: float, config: Config
+    features: Features,
+    labels: Labels,
+    band_by_depth: jax.Array,
+    axes: jax.Array,
+    depth_unit: float,
+    config: Config,
 ) -> Obstacles:
-    """The obstacles, from :func:`jaxdet.plane.ground_axes`."""
+    """The obstacles, from :func:`bands` and :func:`jaxdet.plane.ground_axes`."""
     with jax.named_scope("footprint"):
         threshold = round(config.footprint.vertex_threshold_m / depth_unit)
         m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
         static = {
             "slots": m,
             "threshold": threshold,
-            "shares": (SIDE_SHARE, NEAR_SHARE),
-            "settings": config.footprint,
+            "trim": config.footprint.trim,
         }
         by_frames, by_arrays = (
             partial(f, **static) for f in (_footprint_cpu.obstacles_by_frames, obstacles_by_arrays)
         )
-        given = features, labels.labels, axes
+        given = features, labels.labels, band_by_depth, axes
         return jax.lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays)
 
 
 def obstacles_by_arrays(
     features: Features,
     labels: jax.Array,
+    band_by_depth: jax.Array,
     axes: jax.Array,
     slots: int,
     threshold: int,
-    shares: tuple[int, int],
-    settings: FootprintConfig,
+    trim: int,
 ) -> Obstacles:
     """The array program; takes and gives what ``_footprint_cpu.obstacles_by_frames`` does."""
     uv = jnp.stack([features.u, features.v], axis=-1)
     xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
     floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
-    measure = partial(_measure, threshold=threshold, m=slots, shares=shares, settings=settings)
+    static = {"threshold": threshold, "m": slots, "trim": trim}
+    measure = partial(_measure, band_by_depth=band_by_depth, **static)
     return jax.vmap(measure)(labels, uv, xyz, floor)
 
 
@@ -102,10 +112,10 @@ def _measure(
     uv: jax.Array,
     xyz: jax.Array,
     floor: jax.Array,
+    band_by_depth: jax.Array,
     threshold: int,
     m: int,
-    shares: tuple[int, int],
-    settings: FootprintConfig,
+    trim: int,
 ) -> Obstacles:
     """One frame: ``labels (N,)`` and points ``(N, k)`` to ``(M, ...)``."""
     own = jnp.where(labels >= 0, labels, m)
@@ -128,16 +138,10 @@ def _measure(
         return extreme("min", jnp.where(tied, values, LAST))
 
     right, forward = floor[:, 0], floor[:, 1]
-    if settings.trim_sides:
-        trim = jnp.minimum(settings.trim_sides, points // shares[0])
-        a_right, b_right = _order_statistics(own, right, points, (trim, points - 1 - trim))
-    else:
-        a_right, b_right = extreme("min", right), extreme("max", right)
-    if settings.trim_near:
-        trim = jnp.minimum(settings.trim_near, points // shares[1])
-        (c_forward,) = _order_statistics(own, forward, points, (trim,))
-    else:
-        c_forward = extreme("min", forward)
+    side, near = band_by_depth[jnp.clip(extreme("min", forward), 0, len(band_by_depth) - 1)].T
+    passed = jnp.minimum(trim, points // TRIM_SHARE)
+    a_right, b_right = _outermost(own, right, points, passed, side)
+    c_forward, _ = _outermost(own, forward, points, passed, near)
     a_forward, b_forward = (least(forward, best, right) for best in (a_right, b_right))
     c_right = least(right, c_forward, forward)
     a = jnp.stack([a_right, a_forward], axis=-1)
@@ -163,27 +167,45 @@ def _measure(
     )
 
 
-def _order_statistics(
-    own: jax.Array, values: jax.Array, points: jax.Array, places: tuple[jax.Array, ...]
-) -> list[jax.Array]:
-    """The values at some places in the rising order of each obstacle's values.
+def _outermost(
+    own: jax.Array, values: jax.Array, points: jax.Array, passed: jax.Array, band: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The medians of each obstacle's values in the bands inside of its smallest and its largest.
 
     Args:
         own: ``(N,)`` int32, each point's obstacle; M for none.
         values: ``(N,)`` int32, at most MAX_LATERAL.
         points: ``(M,)`` int32, how many points each obstacle has.
-        places: ``(M,)`` int32 each, from 0.
+        passed: ``(M,)`` int32, how many outermost values a band starts from behind.
+        band: ``(M,)`` int32, how deep it is.
 
     Returns:
         ``(M,)`` int32 each, 0 for obstacles without points.
     """
     n, m = own.shape[0], points.shape[0]
+    most = (1 << VALUE_BITS) - 1
     key = (own.astype(jnp.uint32) << VALUE_BITS) | (values + MAX_LATERAL).astype(jnp.uint32)
     key = jnp.sort(jnp.where(own < m, key, jnp.uint32(0xFFFFFFFF)))
-    start = jnp.cumsum(points, dtype=jnp.int32) - points
-    found = [key[jnp.clip(start + place, 0, n - 1)] for place in places]
-    low = [(one & ((1 << VALUE_BITS) - 1)).astype(jnp.int32) - MAX_LATERAL for one in found]
-    return [jnp.where(points > 0, one, 0) for one in low]
+    end = jnp.cumsum(points, dtype=jnp.int32)
+    start = end - points
+
+    def value_at(place: jax.Array) -> jax.Array:
+        return (key[jnp.clip(place, 0, n - 1)] & most).astype(jnp.int32)
+
+    def place_of(value: jax.Array, side: str) -> jax.Array:
+        first = jnp.arange(m, dtype=jnp.uint32) << VALUE_BITS
+        wanted = first | jnp.clip(value, 0, most).astype(jnp.uint32)
+        return jnp.searchsorted(key, wanted, side=side, method="scan_unrolled").astype(jnp.int32)
+
+    first, last = start + passed, end - 1 - passed
+    band_end = place_of(value_at(first) + band, "right")
+    band_start = place_of(value_at(last) - band, "left")
+    low, high = (first + band_end - 1) // 2, last - (last - band_start) // 2
+    some = points > 0
+    return (
+        jnp.where(some, value_at(low) - MAX_LATERAL, 0),
+        jnp.where(some, value_at(high) - MAX_LATERAL, 0),
+    )
 
 
 def _shortened(edge: jax.Array) -> jax.Array:

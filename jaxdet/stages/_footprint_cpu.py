@@ -2,7 +2,7 @@
 
 import jax
 
-from jaxdet.config import FootprintConfig
+from jaxdet.config import TRIM_SHARE
 from jaxdet.stages._threads import FrameKernel
 from jaxdet.types import Features, Obstacles
 from jaxdet_kernels import footprint_frames as kernels
@@ -13,22 +13,22 @@ _footprint = FrameKernel(kernels.footprint_frames, num_outputs=12)
 def obstacles_by_frames(
     features: Features,
     labels: jax.Array,
+    band_by_depth: jax.Array,
     axes: jax.Array,
     slots: int,
     threshold: int,
-    shares: tuple[int, int],
-    settings: FootprintConfig,
+    trim: int,
 ) -> Obstacles:
     """Measures each frame's obstacles.
 
     Args:
         features: ``(B, N)`` points.
         labels: ``(B, N)`` int32, their obstacles; -1 for none.
+        band_by_depth: ``(65536, 2)`` int32, from :func:`jaxdet.plane.band_table`.
         axes: ``(B, 2, 3)`` int32, from :func:`jaxdet.plane.ground_axes`.
         slots: ``M``.
         threshold: How much nearer C is than A and B to count as a vertex [depth units].
-        shares: At most this part of the points is passed over, at each side and in front.
-        settings: How many points are passed over.
+        trim: How many points are passed over at each side and in front.
 
     Returns:
         ``(B, M)`` obstacles.
@@ -48,10 +48,10 @@ def obstacles_by_frames(
             features.y,
             features.z,
             axes,
+            band_by_depth,
             threshold,
-            settings.trim_sides,
-            settings.trim_near,
-            *shares,
+            trim,
+            TRIM_SHARE,
             frames=batch,
             output_dims=dims,
         )

@@ -30,6 +30,7 @@ class _Tables(NamedTuple):
     ground: tuple[jax.Array, ...]
     features: _features.Tables
     gaps: jax.Array
+    bands: jax.Array
     axes: jax.Array
 
 
@@ -38,6 +39,7 @@ SPECS = cast(Any, _Tables)(
     ground=(_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE),
     features=_spread.WHOLE,
     gaps=_spread.WHOLE,
+    bands=_spread.WHOLE,
     axes=_spread.ROWS,
 )
 """Which tables have a row for each frame."""
@@ -68,6 +70,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         _ground.tables(plane, calibration, config),
         _features.tables(calibration.color, config.features.grid_columns),
         _cluster.gaps(config.cluster, unit),
+        _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
     found = _spread.run(_detect, color, depth, tables, SPECS, static, unit, config)
@@ -103,7 +106,7 @@ def _detect(
 ) -> Detections:
     features, has_depth = _features_of(color, depth, tables, align, config)
     labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
-    obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
+    obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
     return Detections(features, labels, obstacles, has_depth)
 
 

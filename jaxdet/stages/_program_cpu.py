@@ -27,6 +27,7 @@ class _Tables(NamedTuple):
     ground: tuple[jax.Array, ...]
     features: _features.Tables
     gaps: jax.Array
+    bands: jax.Array
     axes: jax.Array
 
 
@@ -60,6 +61,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         _ground.tables(plane, calibration, config),
         _features.tables(calibration.color, config.features.grid_columns),
         _cluster.gaps(config.cluster, unit),
+        _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
     color, depth = jax.device_put((frames.color, frames.depth))
@@ -87,7 +89,7 @@ def _detect(
 ) -> Detections:
     features, has_depth = _points(color, depth, tables, flags, config.features)
     labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
-    obstacles = _footprint.obstacles(features, labels, tables.axes, unit, config)
+    obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
     return Detections(features, labels, obstacles, has_depth)
 
 

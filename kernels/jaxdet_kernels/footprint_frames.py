@@ -62,17 +62,41 @@ _BODY = """
                 sum[j] += point[j];
             }
         }
-        // The value at a place in the rising order, or with sign -1 the falling one.
-        auto value_at = [&](const int* values, int place, int sign) {
-            int kept = 0;
+        const int passed = trim < count / trim_share ? trim : count / trim_share;
+        // Hoare's FIND: the value at a place in the rising order of those sorted so far.
+        auto value_at = [&](int length, int place) {
+            for (int low = 0, high = length - 1; low < high;) {
+                const int pivot = sorted[place];
+                int i = low, j = high;
+                while (i <= j) {
+                    while (sorted[i] < pivot) ++i;
+                    while (pivot < sorted[j]) --j;
+                    if (i > j) break;
+                    const int value = sorted[i];
+                    sorted[i++] = sorted[j];
+                    sorted[j--] = value;
+                }
+                if (j < place) low = i;
+                if (place < i) high = j;
+            }
+            return sorted[place];
+        };
+        // The median of the band above the smallest value, or with sign -1 below the largest.
+        auto outermost = [&](const int* values, int sign, int band) {
+            int length = 0;
             for (int i = first; i < end; ++i) {
                 const int value = sign * values[i];
-                if (kept == place + 1 && value >= sorted[place]) continue;
-                int j = kept <= place ? kept++ : place;
+                if (length == passed + 1 && value >= sorted[passed]) continue;
+                int j = length <= passed ? length++ : passed;
                 for (; j > 0 && sorted[j - 1] > value; --j) sorted[j] = sorted[j - 1];
                 sorted[j] = value;
             }
-            return sign * sorted[place];
+            // Those passed over come first in the order.
+            const int limit = sorted[passed] + band;
+            length = 0;
+            for (int i = first; i < end; ++i)
+                if (sign * values[i] <= limit) sorted[length++] = sign * values[i];
+            return sign * value_at(length, (passed + length - 1) / 2);
         };
         auto least = [&](const int* values, const int* of, int best) {
             int found = far;
@@ -80,11 +104,12 @@ _BODY = """
                 if (of[i] == best && values[i] < found) found = values[i];
             return found;
         };
-        const int sides = trim_sides < count / side_share ? trim_sides : count / side_share;
-        const int near = trim_near < count / near_share ? trim_near : count / near_share;
-        a[0] = value_at(right, sides, 1);
-        b[0] = value_at(right, sides, -1);
-        c[1] = value_at(forward, near, 1);
+        int nearest = far;
+        for (int i = first; i < end; ++i) nearest = forward[i] < nearest ? forward[i] : nearest;
+        const int* band = bands.data + 2 * (nearest < 0 ? 0 : nearest > 65535 ? 65535 : nearest);
+        a[0] = outermost(right, 1, band[0]);
+        b[0] = outermost(right, -1, band[0]);
+        c[1] = outermost(forward, 1, band[1]);
         a[1] = least(forward, right, a[0]);
         b[1] = least(forward, right, b[0]);
         c[0] = least(right, forward, c[1]);
@@ -116,11 +141,10 @@ def _footprint(
     y: wp.array2d[wp.int32],
     z: wp.array2d[wp.int32],
     axes: wp.array3d[wp.int32],
+    bands: wp.array2d[wp.int32],
     threshold: int,
-    trim_sides: int,
-    trim_near: int,
-    side_share: int,
-    near_share: int,
+    trim: int,
+    trim_share: int,
     count_out: wp.array2d[wp.int32],
     uv_min_out: wp.array3d[wp.int32],
     uv_max_out: wp.array3d[wp.int32],
@@ -147,11 +171,10 @@ def footprint_frames(
     y: wp.array2d[wp.int32],
     z: wp.array2d[wp.int32],
     axes: wp.array3d[wp.int32],
+    bands: wp.array2d[wp.int32],
     threshold: int,
-    trim_sides: int,
-    trim_near: int,
-    side_share: int,
-    near_share: int,
+    trim: int,
+    trim_share: int,
     count_out: wp.array2d[wp.int32],
     uv_min_out: wp.array3d[wp.int32],
     uv_max_out: wp.array3d[wp.int32],
@@ -170,7 +193,7 @@ def footprint_frames(
     Thread i works on frame ``share + shares * i``.
     """
     _footprint(
-        share + shares * wp.tid(), labels, u, v, x, y, z, axes, threshold, trim_sides, trim_near,
-        side_share, near_share, count_out, uv_min_out, uv_max_out, xyz_min_out, xyz_max_out,
-        xyz_sum_out, a_out, b_out, c_out, vertex_out, direction_out, span_out,
+        share + shares * wp.tid(), labels, u, v, x, y, z, axes, bands, threshold, trim, trim_share,
+        count_out, uv_min_out, uv_max_out, xyz_min_out, xyz_max_out, xyz_sum_out,
+        a_out, b_out, c_out, vertex_out, direction_out, span_out,
     )  # fmt: skip
