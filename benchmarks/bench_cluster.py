@@ -13,7 +13,8 @@ from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import CONFIG
 from benchmarks.sweep import Point, kind
 from jaxdet import reference, stages
-from jaxdet.config import Config, preset
+from jaxdet.config import Config
+from jaxdet.presets import preset
 from jaxdet.types import Features
 
 COUNT = 1000

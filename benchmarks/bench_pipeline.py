@@ -14,10 +14,11 @@ from sklearn.cluster import DBSCAN
 
 from benchmarks.run import Case, Metric, check_equal
 from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
-from jaxdet.config import Config, preset
+from jaxdet.config import Config
 from jaxdet.engine import Workers
 from jaxdet.pipeline import detect
 from jaxdet.plane import floor_limits
+from jaxdet.presets import preset
 from jaxdet.stages._device import on_cuda
 from jaxdet.stages._spread import rows_over
 from jaxdet.stages._upload import Uploader, pin

@@ -7,11 +7,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxdet.config import PRESETS, Config, preset
+    from jaxdet.config import Config
     from jaxdet.errors import FrameStatus, JaxdetError
     from jaxdet.io import LogOptions, find_logs, open_log
     from jaxdet.metric import extents, rectangles, to_world
     from jaxdet.pipeline import detect, estimate_plane
+    from jaxdet.presets import PRESETS, preset
     from jaxdet.types import (
         Calibration,
         Detections,
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "jaxdet.config": ("PRESETS", "Config", "preset"),
+    "jaxdet.config": ("Config",),
+    "jaxdet.presets": ("PRESETS", "preset"),
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.metric": ("extents", "rectangles", "to_world"),

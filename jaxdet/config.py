@@ -1,15 +1,18 @@
-"""Configuration: one frozen dataclass for each stage, and presets.
+"""Configuration: one frozen dataclass for each stage.
 
 Every field is a command-line flag (``--cluster.depth-gap-m``) and a TOML key
 (``[cluster] depth_gap_m``). All are hashable, so JAX can take them as static arguments.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from jaxdet.errors import ConfigError
 
 MAX_POINTS = 8192
 """Most points of a frame, corners and grid together: what the 32-bit keys and sums hold."""
+
+REACH = 16
+"""A surface behind a nearer thing is looked for so many pixels of the grid to the left."""
 
 TRIM_SHARE = 16
 """At most this part of an obstacle's points is passed over at each side, and in front."""
@@ -18,9 +21,17 @@ STAGES = ("align", "ground", "features", "cluster", "footprint")
 """The names of the stages, in order; one name for a stage everywhere."""
 
 
+FARTHEST_M = 1000.0
+"""Largest length in a configuration [m]: what 32-bit integers of depth units hold."""
+
+
 def _require(condition: bool, field_name: str, rule: str) -> None:
     if not condition:
         raise ConfigError(f"{field_name} must be {rule}", remedy=f"see --{field_name} in --help")
+
+
+def _require_within(value: float, low: float, high: float, field_name: str) -> None:
+    _require(low <= value <= high, field_name, f"from {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -116,7 +127,7 @@ class FeaturesConfig:
     def __post_init__(self) -> None:
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
-        _require(self.min_distance >= 0, "features.min-distance", "at least 0")
+        _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")
         _require(self.block_size in (3, 5), "features.block-size", "3 or 5")
         _require(0 <= self.canny_reference_level <= 255, "features.canny-reference-level", "a grey")
         _require(0 < self.canny_least_share <= 1, "features.canny-least-share", "in (0, 1]")
@@ -155,14 +166,14 @@ class ClusterConfig:
     camera's axes: a tilted camera then sees an upright thing at one distance."""
 
     def __post_init__(self) -> None:
-        _require(self.depth_gap_m >= 0, "cluster.depth-gap-m", "at least 0")
-        _require(self.lateral_gap_m >= 0, "cluster.lateral-gap-m", "at least 0")
-        _require(self.min_points >= 0, "cluster.min-points", "at least 0")
-        _require(self.depth_gap_per_m >= 0, "cluster.depth-gap-per-m", "at least 0")
-        _require(self.slice_m >= 0, "cluster.slice-m", "at least 0")
-        _require(self.occluder_m >= 0, "cluster.occluder-m", "at least 0")
-        _require(self.max_holes >= 0, "cluster.max-holes", "at least 0")
-        _require(1 <= self.rounds <= 8, "cluster.rounds", "from 1 to 8")
+        _require_within(self.depth_gap_m, 0, FARTHEST_M, "cluster.depth-gap-m")
+        _require_within(self.lateral_gap_m, 0, FARTHEST_M, "cluster.lateral-gap-m")
+        _require_within(self.min_points, 0, MAX_POINTS, "cluster.min-points")
+        _require_within(self.depth_gap_per_m, 0, FARTHEST_M, "cluster.depth-gap-per-m")
+        _require_within(self.slice_m, 0, FARTHEST_M, "cluster.slice-m")
+        _require_within(self.occluder_m, 0, FARTHEST_M, "cluster.occluder-m")
+        _require_within(self.max_holes, 0, REACH, "cluster.max-holes")
+        _require_within(self.rounds, 1, 8, "cluster.rounds")
 
 
 @dataclass(frozen=True)
@@ -192,12 +203,12 @@ class FootprintConfig:
     """Added to the rectangle on all sides [m]."""
 
     def __post_init__(self) -> None:
-        _require(self.vertex_threshold_m >= 0, "footprint.vertex-threshold-m", "at least 0")
-        _require(self.trim >= 0, "footprint.trim", "at least 0")
-        _require(self.side_band_per_m >= 0, "footprint.side-band-per-m", "at least 0")
-        _require(self.near_band_per_m2 >= 0, "footprint.near-band-per-m2", "at least 0")
-        _require(self.extension_m > 0, "footprint.extension-m", "above 0")
-        _require(self.margin_m >= 0, "footprint.margin-m", "at least 0")
+        _require_within(self.vertex_threshold_m, 0, FARTHEST_M, "footprint.vertex-threshold-m")
+        _require_within(self.trim, 0, MAX_POINTS, "footprint.trim")
+        _require_within(self.side_band_per_m, 0, FARTHEST_M, "footprint.side-band-per-m")
+        _require_within(self.near_band_per_m2, 0, FARTHEST_M, "footprint.near-band-per-m2")
+        _require(0 < self.extension_m <= FARTHEST_M, "footprint.extension-m", "above 0, to 1000 m")
+        _require_within(self.margin_m, 0, FARTHEST_M, "footprint.margin-m")
 
 
 @dataclass(frozen=True)
@@ -209,46 +220,3 @@ class Config:
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
-
-
-def _with(ground: dict[str, float], footprint: dict[str, float] | None = None) -> Config:
-    return Config(
-        ground=replace(GroundConfig(), **ground),
-        footprint=replace(FootprintConfig(), **(footprint or {})),
-    )
-
-
-PRESETS: dict[str, Config] = {
-    "wheeled": Config(),
-    "paper": Config(
-        ground=GroundConfig(max_depth_m=3.0, step_height_per_m=0.0),
-        features=FeaturesConfig(
-            canny_low=100.0, canny_high=200.0, min_distance=5.0, grid_columns=0, use_mask=False
-        ),
-        cluster=ClusterConfig(lateral_gap_m=0.40, min_points=10, slice_m=0.0),
-        footprint=FootprintConfig(
-            trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, cover=False, margin_m=0.0
-        ),
-    ),
-    "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),
-    "d455": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
-    "oak-d": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
-    "zed": _with({"min_depth_m": 0.30, "max_depth_m": 8.0}, {"vertex_threshold_m": 0.05}),
-    "azure-kinect": _with({"min_depth_m": 0.30, "max_depth_m": 5.0}, {"vertex_threshold_m": 0.02}),
-    "orbbec": _with({"min_depth_m": 0.25, "max_depth_m": 5.0}),
-}
-"""Presets: ``wheeled`` (the default robot; what differs from the paper is what the tables of
-benchmarks/paper speak for), ``paper`` (the paper's setting: Canny at 100 and 200, corners only, no
-mask, points dropped after the selection, its rectangle), and depth ranges of common cameras, by
-their data sheets."""
-
-
-def preset(name: str) -> Config:
-    """The configuration called ``name``.
-
-    Raises:
-        ConfigError: There is no such preset.
-    """
-    if name not in PRESETS:
-        raise ConfigError(f"no preset {name!r}", remedy=f"use one of {', '.join(PRESETS)}")
-    return PRESETS[name]

@@ -6,7 +6,8 @@ from typing import Any, Literal, Protocol, cast
 import numpy as np
 
 from jaxdet.camera import grid_pixels
-from jaxdet.config import MAX_POINTS, Config, FeaturesConfig
+from jaxdet.checks import check_frames, check_points
+from jaxdet.config import Config, FeaturesConfig
 from jaxdet.errors import ConfigError
 from jaxdet.floor import PlaneEstimate, fit_floor
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
@@ -85,13 +86,15 @@ def detect(
         ``jax`` they are JAX arrays, perhaps still being computed.
 
     Raises:
-        CalibrationError: The calibration can't be used.
-        ConfigError: The backend is unknown.
+        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
+        InputError: There are not as many colour images, depth images and planes.
+        ConfigError: The backend is unknown, or a frame has too many feature slots.
     """
     config = config or Config()
     stages = load_backend(backend)
     calibration, unit = frames.calibration, frames.calibration.depth_unit
-    _check_points(calibration.color, config.features)
+    check_frames(frames)
+    check_points(slots_of(calibration.color, config.features))
 
     program = _program(stages, frames, config)
     if program is not None:
@@ -115,13 +118,10 @@ def _program(stages: Backend, frames: Frames, config: Config) -> Detections | No
     return cast(Any, stages).detect(frames, floor_of(frames, config), config)
 
 
-def _check_points(camera: Intrinsics, config: FeaturesConfig) -> None:
+def slots_of(camera: Intrinsics, config: FeaturesConfig) -> int:
+    """``N``, how many points a frame can have: corners and the pixels of the grid."""
     grid, _ = grid_pixels(camera.width, camera.height, config.grid_columns)
-    if config.max_corners + len(grid) > MAX_POINTS:
-        raise ConfigError(
-            f"{config.max_corners} corners and {len(grid)} grid pixels are more than {MAX_POINTS}",
-            remedy="lower --features.max-corners or --features.grid-columns",
-        )
+    return config.max_corners + len(grid)
 
 
 def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:

@@ -121,6 +121,11 @@ def _floor_limit(
     return np.clip(first, 0, 65535).astype(np.uint16)
 
 
+def slice_units(config: ClusterConfig, depth_unit: float) -> int:
+    """The depth of a slice [depth units], at least one; 0: no slices."""
+    return max(1, round(config.slice_m / depth_unit)) if config.slice_m else 0
+
+
 @lru_cache(maxsize=16)
 def gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     """The largest step in depth within an obstacle, from a point at each depth.

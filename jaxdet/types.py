@@ -192,8 +192,9 @@ class Obstacles(NamedTuple):
     """Each obstacle's extent and outline on the floor, in integers (Section 3.5).
 
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
-    ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. Of the
-    outermost and the nearest points some may be passed over, see ``FootprintConfig``.
+    ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
+    are the outermost and the nearest points of the paper, or the medians of bands behind those, see
+    ``FootprintConfig``.
     """
 
     num_points: Array
@@ -209,11 +210,11 @@ class Obstacles(NamedTuple):
     xyz_sum: Array
     """``(B, M, 3)`` int32, camera optical frame [depth units]; the centroid is sum / points."""
     a: Array
-    """``(B, M, 2)`` int32, the leftmost point (of those, the nearest) [depth units]."""
+    """``(B, M, 2)`` int32, the point to the left (of those, the nearest) [depth units]."""
     b: Array
-    """``(B, M, 2)`` int32, the rightmost point (of those, the nearest) [depth units]."""
+    """``(B, M, 2)`` int32, the point to the right (of those, the nearest) [depth units]."""
     c: Array
-    """``(B, M, 2)`` int32, the nearest point (of those, the leftmost) [depth units]."""
+    """``(B, M, 2)`` int32, the point in front (of those, the leftmost) [depth units]."""
     has_vertex: Array
     """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
     direction: Array

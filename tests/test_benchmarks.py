@@ -13,7 +13,8 @@ from benchmarks.points import plane_of, points, settings
 from benchmarks.run import Case, Metric, Missing, metrics_of, with_peer
 from benchmarks.sweep import AXES, Point, points_of
 from jaxdet import reference
-from jaxdet.config import STAGES, preset
+from jaxdet.config import STAGES
+from jaxdet.presets import preset
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 ISSUE_KEYS = {

@@ -10,8 +10,8 @@ import pytest
 from jaxdet.cli import main
 from jaxdet.cli.run import RunCommand, parse
 from jaxdet.cli.settings import defaults
-from jaxdet.config import PRESETS
 from jaxdet.errors import ConfigError
+from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
 
 Captured = pytest.CaptureFixture[str]

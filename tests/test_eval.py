@@ -77,9 +77,10 @@ def test_a_feature_is_of_the_object_whose_depth_it_has():
     depth = np.full((1, 40, 60), 5.0)
     depth[:, 10:30, 5:15] = 1.0
     known = truth(depth_m=depth)
-    # On it, beside it with its depth, too far beside it, beside it with the floor's depth, and
-    # on it and on the floor with a depth that nothing there has.
-    columns = [(10, 1000), (18, 1010), (19, 1000), (18, 5100), (10, 3000), (18, 3000)]
+    depth[:, 10:30, 18:] = 1.1
+    # On it, beside it with its depth, too far beside it, on the floor beside it with a depth that
+    # both have, and on it and on the floor with a depth that nothing there has.
+    columns = [(10, 1000), (17, 1010), (19, 500), (18, 1050), (10, 3000), (17, 3000)]
     u, z = (np.array([values], np.int32) for values in zip(*columns, strict=True))
     v, used = np.full_like(u, 20), np.ones(u.shape, bool)
     features = Features(u, v, u, v, z, used, used, np.zeros(1, bool))

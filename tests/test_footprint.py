@@ -155,16 +155,17 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
 
 @pytest.mark.parametrize(
     "settings",
-    [outline(), FootprintConfig(), outline(trim=10000), outline(2, 0.1), outline(0, 3.0, 9.0)],
+    [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 3.0, 9.0)],
 )
-@pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8192)])
+@pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8191), (1, 8192)])
 def test_twin(device, footprint_form, batch, n, settings):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
     config = replace(CONFIG, footprint=settings)
-    given_ = *hostile_features(n, batch, n), plane, 0.001, config
+    unit = (0.001, 0.0001, 0.02)[n % 3]
+    given_ = *hostile_features(n, batch, n), plane, unit, config
     want = reference.footprint(*given_)
-    assert want.num_points.min(initial=1, where=want.num_points > 0) >= 1
+    assert (want.num_points[:, :4] > 0).all()
     assert_equal(stages.footprint(*given_), want)
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from jaxdet import detect
-from jaxdet.config import PRESETS, ClusterConfig, Config, FeaturesConfig, GroundConfig, preset
+from jaxdet.config import ClusterConfig, Config, FeaturesConfig, GroundConfig
 from jaxdet.errors import ConfigError
+from jaxdet.presets import PRESETS, preset
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
 from tests.scenes import D435, IDENTITY, assert_equal, blocks, frames, level, small, smooth_depth
 

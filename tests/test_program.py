@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxdet import detect, stages
-from jaxdet.config import PRESETS, Config, GroundConfig
+from jaxdet.config import Config, GroundConfig
+from jaxdet.presets import PRESETS
 from jaxdet.types import Calibration, Frames
 from tests.scenes import assert_equal, blocks, frames, level, noise_depth, small, with_lens
 

@@ -13,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from jaxdet import detect
-from jaxdet.config import PRESETS, Config, FeaturesConfig, GroundConfig
+from jaxdet.config import Config, FeaturesConfig, GroundConfig
+from jaxdet.presets import PRESETS
 from jaxdet.stages import _corners_cuda, _sparse
 from jaxdet.types import Calibration, Extrinsics, Frames
 from tests.scenes import (

@@ -5,10 +5,10 @@ from dataclasses import asdict
 
 from benchmarks.baselines import clustering, dense, rsc
 from benchmarks.baselines.registry import Baseline, Params
-from jaxdet.config import preset
+from jaxdet.presets import preset
 
 SCALES = (1.0, 4.0)
-"""Stretch of z: none, or as our default gaps have it, 0.40 m to the side and 0.10 m in depth."""
+"""Stretch of z: none, or as the paper's gaps have it, 0.40 m to the side and 0.10 m in depth."""
 DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
 SLICES_M = {
     "slice_m": (0.07, 0.10, 0.15, 0.2, 0.3),

@@ -16,7 +16,7 @@ def run(lab: Lab) -> Section:
         "share inside the rectangle of the obstacle's detection (2 cm allowed), of obstacles "
         "found; 'any rectangle' is of all obstacles asked for, found or not. Position and width "
         "errors are medians (90th percentiles) in cm over the obstacles found. The true footprint "
-        "holds what stands between the step height and 2.2 m above the floor, with or without a "
+        "holds what stands between 5 cm and 2.2 m above the floor, with or without a "
         "measured depth. The paper has no such figure; all on simulated test scenes."
     )
     groups = {

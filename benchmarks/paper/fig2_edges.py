@@ -11,7 +11,8 @@ from benchmarks.paper.pictures import encode, grid, titled
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, frames_of
-from jaxdet.config import Config, preset
+from jaxdet.config import Config
+from jaxdet.presets import preset
 from jaxdet.render import canvas
 from jaxdet.types import Features
 

@@ -41,8 +41,8 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
-from jaxdet.config import PRESETS
 from jaxdet.engine import versions
+from jaxdet.presets import PRESETS
 
 EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "table1": table1_indices.run,

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
 from benchmarks.baselines.detector import OnnxDetector, detector_baseline
 from benchmarks.paper.shots import Shot, frames_of, load_shots
-from jaxdet.config import Config, preset
+from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, group_objects
+from jaxdet.presets import preset
 from jaxdet.types import Detections
 
 OURS = "ours"

@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from jaxdet.config import Config, preset
+from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.io.options import LogOptions
+from jaxdet.presets import preset
 
 DEFAULT_PRESET = "wheeled"
 SECTIONS = ("align", "ground", "features", "cluster", "footprint", "log")

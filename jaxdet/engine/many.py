@@ -23,6 +23,9 @@ class Workers:
         count: Number of processes; by default one a core on the CPU, one on a GPU.
         config: The method's parameters; by default the preset ``wheeled``.
         backend: As for :func:`jaxdet.detect`.
+
+    Raises:
+        ConfigError: ``count`` is below 1.
     """
 
     def __init__(

@@ -15,6 +15,7 @@ from typing import Any
 from jaxdet.cores import cores
 from jaxdet.engine.process import Result, WorkerProcess
 from jaxdet.engine.worker import AHEAD, Job
+from jaxdet.errors import ConfigError
 from jaxdet.pipeline import BackendName
 
 
@@ -41,9 +42,14 @@ class Pool:
 
     Args:
         count: Number of processes.
+
+    Raises:
+        ConfigError: ``count`` is below 1.
     """
 
     def __init__(self, count: int) -> None:
+        if count < 1:
+            raise ConfigError(f"{count} workers", remedy="give 1 or more")
         self.count = count
         self._busy = False
         self._workers: list[WorkerProcess] = []

@@ -7,7 +7,6 @@ from jaxdet.cores import cores
 from jaxdet.engine.batch import Done, LogWork
 from jaxdet.engine.local import batches_here
 from jaxdet.engine.pool import Pool, usual_count
-from jaxdet.errors import ConfigError
 from jaxdet.pipeline import BackendName
 
 FRAMES_WORTH_WORKERS = 500
@@ -27,8 +26,6 @@ class Processes:
     """
 
     def __init__(self, count: int | None, backend: BackendName) -> None:
-        if count is not None and count < 1:
-            raise ConfigError(f"{count} workers", remedy="give --workers 1 or more")
         self._automatic = count is None
         self._backend: BackendName = backend
         self._pool = Pool(cores() if count is None else count)

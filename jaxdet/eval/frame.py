@@ -134,8 +134,9 @@ def objects_of(
 ) -> np.ndarray:
     """The object of each feature of frame ``b``, ``(N,)`` int64 numbers, 0 = floor.
 
-    By its depth, where the truth has depths and one near it agrees (:func:`measured_objects`),
-    else by its pixel (:func:`feature_objects`).
+    That of its pixel or of one beside it (:func:`feature_objects`); but where the truth has depths,
+    its pixel's is not the measured one and that of another near it is, the other's
+    (:func:`measured_objects`).
     """
     u, v, z = (np.asarray(a[b]) for a in (features.u, features.v, features.z))
     ids = truth.obstacle_id[b]

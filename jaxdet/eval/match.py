@@ -37,13 +37,12 @@ def measured_objects(
     slack_m: np.ndarray,
     tolerance: int,
 ) -> np.ndarray:
-    """The object each feature's depth was measured on.
+    """The object beside each feature whose true depth is the one measured.
 
     A stereo camera smears near things over what is beside them, so a pixel that shows the
-    background may have the depth of the obstacle beside it. The feature is the obstacle's it
-    lies on, if that one's true depth there is its own; else that of the nearest pixel within
-    ``tolerance`` (a square) whose true depth is its own; obstacles go before walls and walls
-    before floor.
+    background may have the depth of the obstacle beside it. The object is that of the nearest
+    pixel within ``tolerance`` (a square) whose true depth is the feature's, unless the feature's
+    own pixel has it; obstacles go before walls and walls before floor.
 
     Args:
         obstacle_id: ``(H, W)`` integer.
@@ -56,20 +55,18 @@ def measured_objects(
         tolerance: How far away the pixel may lie [pixel].
 
     Returns:
-        ``(n,)`` int64 object numbers, 0 = floor, -1 where no pixel's true depth is its own.
+        ``(n,)`` int64 object numbers, 0 = floor, -1 where the own pixel's true depth or none is
+        the measured one.
 
     Example:
         >>> ids, depth = np.array([[1, 0, 0, 0]]), np.array([[1.0, 5.0, 5.0, 5.0]])
         >>> walls, u, v = np.array([False]), np.array([1, 2, 3]), np.array([0, 0, 0])
         >>> z, slack = np.array([1.1, 5.1, 1.0]), np.full(3, 0.2)
         >>> measured_objects(ids, depth, walls, u, v, z, slack, 2).tolist()
-        [1, 0, -1]
+        [1, -1, -1]
     """
-    rank = _rank(is_wall)
-    found = obstacle_id[v, u].astype(np.int64)
-    clear = (rank[found] == 2) & (np.abs(depth_m[v, u] - z_m) <= slack_m)
-    found[~clear] = -1
-    rest = np.flatnonzero(~clear)
+    rank, found = _rank(is_wall), np.full(len(u), -1, np.int64)
+    rest = np.flatnonzero(np.abs(depth_m[v, u] - z_m) > slack_m)
     around = _around(np.pad(obstacle_id, tolerance), u[rest], v[rest], tolerance).astype(np.int64)
     depth = np.pad(depth_m, tolerance, constant_values=np.inf)
     off = np.abs(_around(depth, u[rest], v[rest], tolerance) - z_m[rest, None])

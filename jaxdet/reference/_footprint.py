@@ -26,7 +26,7 @@ def footprint(
         labels: Their obstacles.
         plane: The floor of each frame, for the ground frame's axes.
         depth_unit: Metres in one depth unit.
-        config: ``vertex_threshold_m`` of its footprint part, and the number of slots ``M``.
+        config: Its footprint part; with N, ``min_points`` of its cluster part sets ``M``.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from jaxdet.config import ClusterConfig
-
-REACH = 16
-"""A surface is looked for so many grid pixels to the left."""
+from jaxdet.config import REACH, ClusterConfig
+from jaxdet.plane import slice_units
 
 
 def linked_sets(
@@ -55,16 +53,11 @@ def linked_sets(
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(order) else []
 
 
-def slice_units(depth_unit: float, settings: ClusterConfig) -> int:
-    """The depth of a slice [depth units], at least one."""
-    return max(1, round(settings.slice_m / depth_unit))
-
-
 def _sideways(
     x: np.ndarray, z: np.ndarray, kept: np.ndarray, depth_unit: float, settings: ClusterConfig
 ) -> list[np.ndarray]:
     """Links in both cuts of the slices, ``(2, L)`` indices each."""
-    depth, gap = slice_units(depth_unit, settings), round(settings.lateral_gap_m / depth_unit)
+    depth, gap = slice_units(settings, depth_unit), round(settings.lateral_gap_m / depth_unit)
     points = np.flatnonzero(kept)
     links = []
     for start in (0, depth // 2):

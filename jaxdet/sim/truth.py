@@ -205,9 +205,12 @@ def load_truth(log: str | Path) -> Truth:
     path = truth_path(log)
     try:
         with np.load(path) as arrays:
-            return Truth(*(arrays[name] for name in Truth._fields))
+            truth = Truth(*(arrays[name] for name in Truth._fields))
+            if len(truth.stamp_ns) and "depth_000000" not in arrays:
+                raise KeyError("depth_000000")
+            return truth
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        remedy = "only logs of jaxdet sim have a truth"
+        remedy = "only logs of jaxdet sim have one; those of older versions have to be made again"
         raise InputError("no truth can be read", path=str(path), remedy=remedy) from error
 
 
@@ -218,13 +221,6 @@ def load_obstacle_ids(log: str | Path, frames: np.ndarray | list[int]) -> np.nda
 
 
 def load_depths(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
-    """The true z of what each colour pixel of some frames shows, ``(B, H, W)`` float16 [m].
-
-    Raises:
-        InputError: The truth is from a version that did not keep it.
-    """
+    """The true z of what each colour pixel of some frames shows, ``(B, H, W)`` float16 [m]."""
     with np.load(truth_path(log)) as arrays:
-        if f"depth_{0:06d}" not in arrays:
-            remedy = "write the log and its truth again with jaxdet sim"
-            raise InputError("the truth has no depths", path=str(truth_path(log)), remedy=remedy)
         return np.stack([arrays[f"depth_{int(frame):06d}"] for frame in frames])

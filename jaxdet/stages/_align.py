@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
+from jaxdet.checks import check_depth
 from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
@@ -47,7 +48,11 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
 
     Returns:
         ``(B, H, W)`` uint16 depth and z, as the reference.
+
+    Raises:
+        CalibrationError: The images are not of the depth camera's size.
     """
+    check_depth(np.shape(depth), calibration)
     if calibration.is_aligned:
         depth = jnp.asarray(depth)
         return AlignedDepth(depth, depth)

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
+from jaxdet.checks import check_depth
 from jaxdet.stages import _align
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align_points as kernels
@@ -36,7 +37,11 @@ def align_points(depth: Array, calibration: Calibration, u: Array, v: Array) -> 
 
     Returns:
         Depth and z, ``(B, M)`` uint16, 0 where there is none.
+
+    Raises:
+        CalibrationError: The images are not of the depth camera's size.
     """
+    check_depth(np.shape(depth), calibration)
     depth, u, v = jnp.asarray(depth), jnp.asarray(u), jnp.asarray(v)
     if not covers(calibration):
         aligned = _align.align(depth, calibration)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.plane import gap_table, ground_axes
 from jaxdet.stages import _cluster_cpu
@@ -26,14 +27,19 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     x; number what is left. On the CPU one kernel does a frame after the other.
 
     Args:
-        features: ``(B, N)`` points; only ``kept`` ones take part.
+        features: ``(B, N)`` points, N at most 8192; only ``kept`` ones take part. z is below 65536,
+            x at most MAX_LATERAL.
         plane: The floor of each frame, used when the distances are measured on it.
         depth_unit: Metres in one depth unit.
         config: The gaps, N and the options of its cluster part.
 
     Returns:
         Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
+
+    Raises:
+        ConfigError: N is larger.
     """
+    check_points(features.z.shape[1])
     axes = jnp.asarray(ground_axes(plane)) if config.cluster.on_floor else None
     return labels(features, gaps(config.cluster, depth_unit), axes, depth_unit, config)
 

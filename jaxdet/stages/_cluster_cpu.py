@@ -3,6 +3,7 @@
 import jax
 
 from jaxdet.config import ClusterConfig
+from jaxdet.plane import slice_units
 from jaxdet.stages._threads import FrameKernel
 from jaxdet.types import Features
 from jaxdet_kernels import cluster_frames as kernels
@@ -33,8 +34,7 @@ def labels_by_frames(
     Returns:
         ``labels`` ``(B, N)`` int32 and their number ``(B,)`` int32.
     """
-    slice_units = max(1, round(settings.slice_m / depth_unit)) if settings.slice_m else 0
-    slice_units = min(slice_units, 1 << 18)  # more hold all depths as well
+    depth_of_slice = min(slice_units(settings, depth_unit), 1 << 18)  # more hold all depths as well
     labels, count = _cluster(
         x,
         depth,
@@ -44,7 +44,7 @@ def labels_by_frames(
         gap_by_depth,
         round(settings.lateral_gap_m / depth_unit),
         settings.min_points,
-        slice_units,
+        depth_of_slice,
         round(settings.occluder_m / depth_unit),
         settings.max_holes,
         first_grid,

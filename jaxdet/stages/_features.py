@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.camera import fixed_rays, grid_pixels
+from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages import _corners_cpu, _corners_cuda, _corners_host
 from jaxdet.stages._device import on_cuda
@@ -52,7 +53,12 @@ def features(
     Returns:
         ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
         are zero.
+
+    Raises:
+        CalibrationError: The images or the mask are not of the colour camera's size.
     """
+    for what, images in (("colour", color), ("mask", keep.mask)):
+        check_size(what, np.shape(images), calibration.color)
     arrays = tables(calibration.color, config.grid_columns)
     corners = _corners_cuda if on_cuda() else _corners_cpu
     if corners.supports(color.shape[1:3], config):

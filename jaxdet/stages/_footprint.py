@@ -5,6 +5,7 @@ from functools import lru_cache, partial
 import jax
 import jax.numpy as jnp
 
+from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
 from jaxdet.plane import band_table, ground_axes
 from jaxdet.stages import _footprint_cpu
@@ -24,15 +25,19 @@ def footprint(
     CPU one kernel does a frame after the other.
 
     Args:
-        features: ``(B, N)`` points.
+        features: ``(B, N)`` points, N at most 8192.
         labels: Their obstacles.
         plane: The floor of each frame, for the ground frame's axes.
         depth_unit: Metres in one depth unit.
-        config: ``vertex_threshold_m`` of its footprint part, and the number of slots ``M``.
+        config: Its footprint part; with N, ``min_points`` of its cluster part sets ``M``.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.
+
+    Raises:
+        ConfigError: N is larger.
     """
+    check_points(features.z.shape[1])
     axes = jnp.asarray(ground_axes(plane))
     table = bands(config.footprint, depth_unit)
     return obstacles(features, labels, table, axes, depth_unit, config)

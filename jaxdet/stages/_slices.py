@@ -4,13 +4,11 @@ import jax
 import jax.numpy as jnp
 import warp as wp
 
-from jaxdet.config import ClusterConfig
+from jaxdet.config import REACH, ClusterConfig
+from jaxdet.plane import slice_units
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
 from jaxdet.types import MAX_LATERAL, Features
 from jaxdet_kernels import components as kernels
-
-REACH = 16
-"""A surface is looked for so many grid pixels to the left."""
 
 _components = wp.jax_kernel(kernels.components, block_dim=kernels.COMPONENTS_BLOCK)
 
@@ -38,7 +36,7 @@ def linked_sets(
     Returns:
         ``(B, N)`` int32, the smallest slot of each point's set.
     """
-    depth = max(1, round(settings.slice_m / depth_unit))
+    depth = slice_units(settings, depth_unit)
     gap, reach = (round(m / depth_unit) for m in (settings.lateral_gap_m, settings.occluder_m))
     order, place = jax.vmap(rank)(x + MAX_LATERAL)
     kinds = [

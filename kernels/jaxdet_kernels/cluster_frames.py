@@ -9,9 +9,6 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-MAX_POINTS = 8192
-"""Points of a frame."""
-
 _HEAD = """
     typedef unsigned long long u64;
     const int N = z.shape[1], most = 8192;
@@ -202,7 +199,7 @@ def cluster_frames(
     labels_out: wp.array2d[wp.int32],
     count_out: wp.array[wp.int32],
 ):
-    """The labels of a frame a thread, ``(B, N)``, N at most ``MAX_POINTS``.
+    """The labels of a frame a thread, ``(B, N)``, N at most 8192.
 
     Args:
         share: Which frames: thread i works on ``share + shares * i``.

@@ -12,8 +12,6 @@ wp.set_module_options({"enable_backward": False})
 
 COMPONENTS_BLOCK = 512
 """Threads of a block on CUDA."""
-MAX_NODES = 8192
-"""Nodes of a frame: what the forest in shared memory holds."""
 
 _COMPONENTS = """
     const int N = links.shape[2], kinds = links.shape[1];

@@ -7,9 +7,6 @@ zero, but their strength is never positive: squares of gradients are whole multi
 else below 2^-66, too small to change the sum of any others, so they can only be missing in the end.
 """
 
-MAX_WIDTH = 2048
-"""Longest row of an edge map."""
-
 STRENGTH = """
     typedef unsigned long long u64;
     typedef float f16 __attribute__((ext_vector_type(16), aligned(4)));

@@ -1,0 +1,49 @@
+"""Presets: configurations for robots and cameras, by name."""
+
+from dataclasses import replace
+
+from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
+from jaxdet.errors import ConfigError
+
+
+def _with(ground: dict[str, float], footprint: dict[str, float] | None = None) -> Config:
+    return Config(
+        ground=replace(GroundConfig(), **ground),
+        footprint=replace(FootprintConfig(), **(footprint or {})),
+    )
+
+
+PRESETS: dict[str, Config] = {
+    "wheeled": Config(),
+    "paper": Config(
+        ground=GroundConfig(max_depth_m=3.0, step_height_per_m=0.0),
+        features=FeaturesConfig(
+            canny_low=100.0, canny_high=200.0, min_distance=5.0, grid_columns=0, use_mask=False
+        ),
+        cluster=ClusterConfig(lateral_gap_m=0.40, min_points=10, slice_m=0.0),
+        footprint=FootprintConfig(
+            trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, cover=False, margin_m=0.0
+        ),
+    ),
+    "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),
+    "d455": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
+    "oak-d": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
+    "zed": _with({"min_depth_m": 0.30, "max_depth_m": 8.0}, {"vertex_threshold_m": 0.05}),
+    "azure-kinect": _with({"min_depth_m": 0.30, "max_depth_m": 5.0}, {"vertex_threshold_m": 0.02}),
+    "orbbec": _with({"min_depth_m": 0.25, "max_depth_m": 5.0}),
+}
+"""Presets: ``wheeled`` (the default robot; what differs from the paper is what the tables of
+benchmarks/paper speak for), ``paper`` (the paper's setting: Canny at 100 and 200, corners only, no
+mask, points dropped after the selection, its rectangle), and depth ranges of common cameras, by
+their data sheets."""
+
+
+def preset(name: str) -> Config:
+    """The configuration called ``name``.
+
+    Raises:
+        ConfigError: There is no such preset.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"no preset {name!r}", remedy=f"use one of {', '.join(PRESETS)}")
+    return PRESETS[name]

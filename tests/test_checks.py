@@ -1,0 +1,93 @@
+"""What is refused before a kernel reads it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxdet import detect, stages
+from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig
+from jaxdet.engine import Workers
+from jaxdet.errors import CalibrationError, ConfigError, InputError
+from jaxdet.types import Calibration, Frames, Keep, Labels
+from tests.scenes import assert_equal, blocks, frames, level, points, small, smooth_depth
+
+
+def made(batch: int = 2) -> Frames:
+    calibration = small(96, 60)
+    depth = smooth_depth(batch, calibration.depth)
+    return frames(calibration, blocks(batch, 60, 96), depth, plane=level(batch))
+
+
+@pytest.mark.parametrize("backend", ["reference", "jax"])
+def test_images_must_be_of_their_cameras_sizes(backend):
+    given = made()
+    for part, size in (("color", (2, 30, 48, 3)), ("depth", (2, 61, 48))):
+        kind = getattr(given, part).dtype
+        wrong = given._replace(**{part: np.zeros(size, kind)})
+        with pytest.raises(CalibrationError, match=rf"images of 48x{size[1]} .* calibration of"):
+            detect(wrong, backend=backend)
+    aligned = given._replace(calibration=Calibration(given.calibration.color))
+    with pytest.raises(CalibrationError, match="depth images"):
+        detect(aligned._replace(depth=given.depth[:, :30]), backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["reference", "jax"])
+def test_a_batch_has_one_of_each(backend):
+    given = made(3)
+    for wrong in (given._replace(depth=given.depth[:2]), given._replace(plane=level(1))):
+        with pytest.raises(InputError, match="one of each for every frame"):
+            detect(wrong, backend=backend)
+
+
+def test_the_stages_refuse_other_sizes():
+    given = made()
+    keep = Keep(np.ones((2, 60, 96), bool), np.ones((2, 60, 96), np.uint16), np.ones(2, bool))
+    small_mask = keep._replace(mask=keep.mask[:, :30])
+    for align in (stages.align, lambda *a: stages.align_points(*a, keep.z[:, 0], keep.z[:, 0])):
+        with pytest.raises(CalibrationError, match="depth images of 96x20"):
+            align(given.depth[:, :20], given.calibration)
+    for color, mask in ((given.color[:, :30], keep), (given.color, small_mask)):
+        with pytest.raises(CalibrationError, match="images of 96x30"):
+            stages.features(color, mask, given.calibration, FeaturesConfig())
+
+
+def test_more_points_than_the_kernels_hold():
+    many = points(np.zeros(8193, int), np.full(8193, 1000))
+    with pytest.raises(ConfigError, match="8193 points"):
+        stages.cluster(many, level(1), 0.001, Config())
+    labels = Labels(np.zeros((1, 8193), np.int32), np.ones(1, np.int32))
+    with pytest.raises(ConfigError, match="8193 points"):
+        stages.footprint(many, labels, level(1), 0.001, Config())
+
+
+@pytest.mark.parametrize(
+    ("settings", "names"),
+    [
+        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m", "min_points")),
+        (ClusterConfig, ("depth_gap_per_m", "max_holes", "rounds")),
+        (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
+        (FootprintConfig, ("extension_m", "margin_m")),
+        (FeaturesConfig, ("min_distance",)),
+    ],
+)
+def test_numbers_that_no_integer_holds(settings, names):
+    for name in names:
+        for value in (1e10, float("inf"), float("nan"), -1):
+            with pytest.raises(ConfigError, match=name.replace("_", "-")):
+                settings(**{name: value})
+
+
+def test_the_largest_numbers_work():
+    lengths = dict.fromkeys(("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m"), 1000.0)
+    wide = FootprintConfig(1000.0, 8192, 1000.0, 1000.0)
+    config = Config(features=FeaturesConfig(min_distance=8192.0), footprint=wide)
+    for slices in (0.0, 1000.0):
+        cluster = ClusterConfig(**{**lengths, "slice_m": slices}, max_holes=16)
+        given = made(), replace(config, cluster=cluster)
+        assert_equal(detect(*given), detect(*given, backend="reference"))
+
+
+def test_no_workers_are_an_error():
+    with pytest.raises(ConfigError, match="give 1 or more"):
+        Workers(0)
