@@ -1,5 +1,6 @@
 """The runner: warm up, block until ready, compile time apart, ratio to the peer of the same run."""
 
+import math
 import os
 import statistics
 import time
@@ -12,6 +13,10 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+
+TURN_S = 0.02
+"""How long a function is called before another's turn [s]."""
 
 
 class Case(NamedTuple):
@@ -108,17 +113,22 @@ def cpu_seconds() -> float:
 
 
 def timed(functions: list[Callable[[], Any]], seconds: float) -> list[Timing]:
-    """Times functions in turns, so that a busy machine treats them alike; at least 5 rounds."""
+    """Times functions in turns, so that a busy machine treats them alike; at least 5 rounds.
+
+    A turn is as many calls as take ``TURN_S``: after a turn of another, caches are cold and
+    threads asleep, and a single short call would tell of that more than of itself.
+    """
     first = [call(function) for function in functions]
     sizes = [_nbytes(result) for _, result in first]
+    calls = [max(1, math.ceil(TURN_S / call(function)[0])) for function in functions]
     wall: list[list[float]] = [[] for _ in functions]
     busy = [0.0 for _ in functions]
     end = time.perf_counter() + seconds
     while len(wall[0]) < 5 or time.perf_counter() < end:
         for i, function in enumerate(functions):
             before = cpu_seconds()
-            wall[i].append(call(function)[0])
-            busy[i] += cpu_seconds() - before
+            wall[i].append(sum(call(function)[0] for _ in range(calls[i])) / calls[i])
+            busy[i] += (cpu_seconds() - before) / calls[i]
     timings = []
     for (start, _), size, samples, cpu in zip(first, sizes, wall, busy, strict=True):
         low, median, high = statistics.quantiles(samples, n=4)

@@ -1,7 +1,8 @@
 """CPU kernels that work on a frame a thread, on all cores of this process.
 
 Warp runs a CPU kernel's threads one after the other, but a launch does not hold Python's lock. So
-the frames of a batch are shared out, and each core launches the kernel for its share.
+the frames of a batch are shared out, and each core launches the kernel for its share: the calling
+thread for the first, a thread each for the others.
 """
 
 import os
@@ -74,11 +75,16 @@ def _on_all_cores(kernel: Any) -> Callable[..., None]:
 
     def on_all_cores(frames: int, shares: int, *arguments: Any) -> None:
         with lock:
-            started = []
+            own, *others = [
+                ready(share, -(-(frames - share) // shares), (shares, *arguments)).launch
+                for share in range(shares)
+            ]
+            crew, started = _crew(), []
             try:
-                for share, thread in enumerate(_crew()[:shares]):
-                    own = -(-(frames - share) // shares)
-                    started.append(thread.start(ready(share, own, (shares, *arguments)).launch))
+                for thread, launch in zip(crew.threads, others, strict=False):
+                    started.append(thread.start(launch))
+                crew.place_caller()
+                own()
             finally:
                 wait(started)  # they use the arguments' memory
         for launch in started:
@@ -121,10 +127,23 @@ class _Thread:
             os.sched_setaffinity(self._id, self._allowed)
 
 
+class _Crew:
+    """The threads beside the caller's, :func:`threads` with it."""
+
+    def __init__(self) -> None:
+        self._allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+        count = threads()
+        places = sorted(self._allowed) if len(self._allowed) == count else [None] * count
+        self._core = places[0]
+        self.threads = [_Thread(place, self._allowed) for place in places[1:]]
+
+    def place_caller(self) -> None:
+        """Moves the calling thread to the core that the others leave; it may be moved again."""
+        if self._core is not None:
+            os.sched_setaffinity(0, {self._core})
+            os.sched_setaffinity(0, self._allowed)
+
+
 @lru_cache(maxsize=1)
-def _crew() -> list[_Thread]:
-    """As many as :func:`threads`."""
-    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    count = threads()
-    places = sorted(allowed) if len(allowed) == count else [None] * count
-    return [_Thread(place, allowed) for place in places]
+def _crew() -> _Crew:
+    return _Crew()
