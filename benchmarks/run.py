@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-
 TURN_S = 0.02
 """How long a function is called before another's turn [s]."""
 
