@@ -11,15 +11,15 @@ from jaxdet_kernels.features_candidates import (
     corners_strongest,
 )
 from jaxdet_kernels.features_canny import (
-    HYSTERESIS_BLOCK,
     SUPPRESS_BLOCK,
     SUPPRESS_COLUMNS,
     SUPPRESS_ROWS,
-    canny_hysteresis,
     canny_suppress,
 )
 from jaxdet_kernels.features_corners import EIGENVALUE_BLOCK, corners_eigenvalue
-from jaxdet_kernels.features_lookup import LOOKUP_BLOCK, corners_lookup, ground_has_depth
+from jaxdet_kernels.features_has_depth import ground_has_depth
+from jaxdet_kernels.features_hysteresis import HYSTERESIS_BLOCK, canny_hysteresis
+from jaxdet_kernels.features_lookup import LOOKUP_BLOCK, corners_lookup
 from jaxdet_kernels.features_maxima import MAXIMA_BLOCK, corners_maxima
 from jaxdet_kernels.features_select import SPREAD_BLOCK, corners_spread
 
