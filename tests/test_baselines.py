@@ -19,9 +19,9 @@ from benchmarks.baselines import (
     tune,
 )
 from benchmarks.baselines.dense import range_image
-from benchmarks.baselines.frames import MAX_POINTS, grid_features, labels_at, ordered
-from jaxdet import config, reference
-from jaxdet.config import ClusterConfig
+from benchmarks.baselines.frames import grid_features, labels_at, ordered
+from jaxdet import reference
+from jaxdet.config import MAX_POINTS, ClusterConfig
 from jaxdet.eval import score
 from jaxdet.types import Frames, GroundPlane
 from tests.boards import (
@@ -75,7 +75,7 @@ def test_every_baseline_finds_the_boards(name, frame, truth):
     found = detect_with(baseline, frame, CONFIG, params)
     assert found.labels.labels.dtype == np.int32 and found.labels.num_obstacles.tolist() == [3]
     assert found.labels.labels[0, 0] in (0, 1, 2)
-    few = replace(CONFIG, cluster=replace(CONFIG.cluster, min_points=config.MAX_POINTS))
+    few = replace(CONFIG, cluster=replace(CONFIG.cluster, min_points=MAX_POINTS))
     assert detect_with(baseline, frame, few, params).labels.num_obstacles.tolist() == [0]
 
 

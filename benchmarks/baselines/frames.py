@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
-from jaxdet.config import Config
+from jaxdet.config import MAX_POINTS, Config
 from jaxdet.floor import fit_floor
 from jaxdet.pipeline import BackendName, load_backend
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
@@ -15,8 +15,6 @@ from jaxdet.reference._features import lateral
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Labels
 
 Space = Literal["xz", "xyz", "frame", "image"]
-MAX_POINTS = 8192
-"""Most points that a frame of :func:`grid_features` has."""
 
 
 class Frame(NamedTuple):

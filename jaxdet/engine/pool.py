@@ -49,7 +49,7 @@ class Pool:
 
     def __init__(self, count: int) -> None:
         if count < 1:
-            raise ConfigError(f"{count} workers", remedy="give 1 or more")
+            raise ConfigError(f"{count} workers", remedy="give --workers 1 or more")
         self.count = count
         self._busy = False
         self._workers: list[WorkerProcess] = []
