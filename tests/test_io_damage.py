@@ -9,7 +9,7 @@ import zstandard
 from mcap.reader import make_reader
 
 from jaxdet.errors import InputError, JaxdetError
-from jaxdet.io import LogOptions, open_log
+from jaxdet.io import LogOptions, open_log, scan
 from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
 from tests.io_helpers import COLOR_FRAME, LogFile, assert_holds, make_scene, ros_image, write_log
 
@@ -112,6 +112,23 @@ def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
     with open_log(str(path)) as log:
         assert "damaged or torn record" in log.description.integrity[0].lost
         assert 9 <= frames_right(log) < 12
+
+
+def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, monkeypatch):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    data, chunks = bytearray(path.read_bytes()), chunk_index(path)
+    starts = [chunk.chunk_start_offset for chunk in chunks]
+    data[starts[2] + 1500] ^= 4
+    struct.pack_into("<Q", data, starts[4] + 1, 2**64 - 1)
+    data[starts[6] + 1500] ^= 4
+    path.write_bytes(data)
+    found = []
+    for ahead in (0, 10_000, 1 << 30):
+        monkeypatch.setattr(scan, "_AHEAD_BYTES", ahead)
+        with open_log(str(path)) as log:
+            [integrity] = log.description.integrity
+            found.append((integrity, integrity.text, log.stamps_ns.tolist(), frames_right(log)))
+    assert found[0] == found[1] == found[2] and list(found[0][0].lost.values()) == [2, 1]
 
 
 def test_missing_summary_loses_nothing(tmp_path):

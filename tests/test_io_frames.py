@@ -4,7 +4,8 @@ import tracemalloc
 
 import numpy as np
 
-from jaxdet.io import LogOptions, open_log
+from jaxdet.io import LogOptions, open_log, reading
+from jaxdet.io.container import McapFile
 from tests.io_helpers import (
     COLOR,
     COLOR_FRAME,
@@ -101,3 +102,31 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
 
     # 600 frames are 90 MB of depth; the cache of chunks is full (64 MiB) from 440 frames on.
     assert peak(900) < peak(600) + 1_000_000
+
+
+def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
+    """One chunk at a time, read by several threads, out of order: the same images."""
+    scene = make_scene(12)
+    path = write_log(tmp_path / "log.mcap", scene, chunk_size=6000)
+    monkeypatch.setattr(reading, "_CACHE_BYTES", 1)
+    monkeypatch.setattr(reading, "cores", lambda: 4)
+    alive: set[int] = set()
+    most = 0
+    plain = McapFile.chunk
+
+    def counted(file: McapFile, position: int) -> bytes:
+        nonlocal most
+        alive.add(position)
+        most = max(most, len(alive))
+        data = plain(file, position)
+        alive.discard(position)
+        return data
+
+    monkeypatch.setattr(McapFile, "chunk", counted)
+    with open_log(str(path)) as log:
+        alive.clear()
+        most = 0
+        assert_holds(log, scene, 5)
+        order = [11, 0, 7, 7, 3]
+        np.testing.assert_array_equal(log.read(order).frames.color, scene.color[order])
+    assert most == 1

@@ -1,6 +1,7 @@
 """One MCAP file: its bytes by position, whole chunks and single messages."""
 
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 from jaxdet.errors import InputError
@@ -21,7 +22,7 @@ class Location(NamedTuple):
 
 
 class McapFile:
-    """One open file; a context manager.
+    """One open file; threads may share it.
 
     Args:
         path: The file.
@@ -33,6 +34,7 @@ class McapFile:
 
     def __init__(self, path: Path, max_bytes: int) -> None:
         self.path, self.max_bytes = path, max_bytes
+        self._lock = Lock()
         try:
             self._file = path.open("rb")
             self.size = self._file.seek(0, 2)
@@ -69,6 +71,13 @@ class McapFile:
         _, length = RECORD_HEAD.unpack(self.read(position - RECORD_HEAD.size, RECORD_HEAD.size))
         return read_chunk_head(self.read(position, min(length, _HEAD_BYTES)), length)
 
+    def chunk_bytes(self, position: int) -> int:
+        """How much :meth:`chunk` may return there; 0 where no chunk can be."""
+        try:
+            return min(self.chunk_head(position).uncompressed_size, self.max_bytes)
+        except DamageError:
+            return 0
+
     def chunk(self, position: int) -> bytes:
         """The decompressed chunk whose record's content begins at ``position``.
 
@@ -86,8 +95,9 @@ class McapFile:
             DamageError: The file ends before, or can't be read there.
         """
         try:
-            self._file.seek(position)
-            data = self._file.read(size)
+            with self._lock:
+                self._file.seek(position)
+                data = self._file.read(size)
         except OSError as error:
             raise DamageError(f"file can't be read ({error.strerror or error})") from error
         if len(data) != size:

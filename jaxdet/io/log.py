@@ -1,5 +1,6 @@
 """A log as frames: calibration, stamps, poses, and batches of decoded images."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -14,6 +15,8 @@ from jaxdet.io.opening import OpenedFiles, open_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.reading import ImageReader
 from jaxdet.types import Frames
+
+_LINE_BYTES = 64
 
 
 class Batch(NamedTuple):
@@ -37,8 +40,9 @@ class Log:
 
     Memory: an index of 64 bytes for an image, pose or transform; 64 MiB of decompressed chunks
     (or one chunk, if larger); and the images of the batch being read. It doesn't grow with the
-    images. One thread may read at a time. A log can be pickled: another process opens the files
-    again, but doesn't read them through.
+    images. One thread may read at a time; the work is done by threads of the log's own, one a
+    core. A log can be pickled: another process opens the files again, but doesn't read them
+    through, and has one such thread.
 
     Attributes:
         name: The log's name.
@@ -148,7 +152,7 @@ class Log:
         wanted = [i if self.statuses[i] is FrameStatus.OK else -1 for i in indices]
         if memory is None:
             color, depth = self.image_shapes
-            memory = np.zeros((size, *color), np.uint8), np.zeros((size, *depth), np.uint16)
+            memory = _blank((size, *color), np.uint8), _blank((size, *depth), np.uint16)
         else:
             empty = [*np.flatnonzero(np.array(wanted, np.int64) < 0), *range(count, size)]
             for images in memory:
@@ -210,6 +214,14 @@ def open_log(source: str | LogFiles, options: LogOptions | None = None) -> Log:
     except BaseException:
         opened.close()
         raise
+
+
+def _blank(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
+    """Zeros that begin with a cache line; XLA copies arrays that don't."""
+    nbytes = math.prod(shape) * np.dtype(kind).itemsize
+    memory = np.zeros(nbytes + _LINE_BYTES, np.uint8)
+    start = -memory.ctypes.data % _LINE_BYTES
+    return memory[start : start + nbytes].view(kind).reshape(shape)
 
 
 def _padded(values: np.ndarray, size: int) -> np.ndarray:

@@ -1,8 +1,10 @@
 """Opens the files of a log and makes its index."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
+from jaxdet.cores import cores
 from jaxdet.errors import InputError
 from jaxdet.io.container import McapFile
 from jaxdet.io.files import LogFiles, missing_splits, siblings
@@ -42,9 +44,10 @@ def open_files(log: LogFiles, options: LogOptions) -> OpenedFiles:
         raise failures[0]
     index.warnings += [f"{error}; the file is left out" for error in failures]
     try:
-        _index_files(index, files, options)
-        if options.tf and not index.tree.has_static:
-            _search_siblings(index, log, options)
+        with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
+            _index_files(index, files, options, pool)
+            if options.tf and not index.tree.has_static:
+                _search_siblings(index, log, options, pool)
     except BaseException:
         for file in files:
             file.close()
@@ -54,14 +57,18 @@ def open_files(log: LogFiles, options: LogOptions) -> OpenedFiles:
     return OpenedFiles(tuple(files), index)
 
 
-def _index_files(index: LogIndex, files: Sequence[McapFile], options: LogOptions) -> None:
+def _index_files(
+    index: LogIndex, files: Sequence[McapFile], options: LogOptions, pool: ThreadPoolExecutor
+) -> None:
     builder = IndexBuilder(index, options.tf)
     for file in files:
         builder.next_file()
-        index.integrity.append(scan(file, builder.add))
+        index.integrity.append(scan(file, builder.add, pool))
 
 
-def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> None:
+def _search_siblings(
+    index: LogIndex, log: LogFiles, options: LogOptions, pool: ThreadPoolExecutor
+) -> None:
     """Static transforms and calibration from the recording's other splits, first to last."""
     for path in siblings(log):
         builder = IndexBuilder(index, options.tf, images=False)
@@ -70,7 +77,7 @@ def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> Non
         except InputError:
             continue
         try:
-            scan(file, builder.add)
+            scan(file, builder.add, pool)
         finally:
             file.close()
         if index.tree.has_static:

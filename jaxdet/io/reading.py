@@ -1,13 +1,13 @@
-"""Reads images of a log by frame number: chunks through a small cache, decoded on threads."""
+"""Reads images of a log by frame number: threads decompress chunks and decode what is in them."""
 
-import os
 from collections import OrderedDict
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.cores import cores
 from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
@@ -19,7 +19,6 @@ from jaxdet.io.streams import ImageStream
 from jaxdet.io.timeline import FrameTable, Timeline
 
 _CACHE_BYTES = 64 << 20
-_MAX_THREADS = 4
 
 
 class Request(NamedTuple):
@@ -32,37 +31,42 @@ class Request(NamedTuple):
     decoder: MessageDecoder
 
 
-class ChunkCache:
-    """The latest decompressed chunks, 64 MiB of them or one if it is larger."""
+class Chunk(NamedTuple):
+    """A chunk that is being decompressed, or has been."""
 
-    def __init__(self, files: Sequence[McapFile]) -> None:
-        self._files = files
-        self._chunks: OrderedDict[tuple[int, int], bytes] = OrderedDict()
+    data: Future[bytes]
+    size: int
+    readers: list[Future[None]]
+    """What uses it."""
+
+
+class ChunkCache:
+    """The latest chunks, 64 MiB of them or one if it is larger.
+
+    Args:
+        files: The log's open files.
+        pool: Decompresses.
+    """
+
+    def __init__(self, files: Sequence[McapFile], pool: ThreadPoolExecutor) -> None:
+        self._files, self._pool = files, pool
+        self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
         self._bytes = 0
 
-    def payload(self, file: int, location: Location) -> bytes:
-        """A message's payload.
-
-        Raises:
-            FrameError: The file can't be read there any more.
-        """
-        try:
-            chunk = self._chunk(file, location.chunk) if location.chunk >= 0 else None
-            return bytes(self._files[file].payload(location, chunk))
-        except DamageError as error:
-            problem = f"the file can't be read any more ({error})"
-            raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
-
-    def _chunk(self, file: int, position: int) -> bytes:
+    def chunk(self, file: int, position: int) -> Chunk:
+        """The chunk whose record's content begins at ``position`` of a file."""
         key = file, position
         if key in self._chunks:
             self._chunks.move_to_end(key)
             return self._chunks[key]
-        chunk = self._files[file].chunk(position)
+        size = self._files[file].chunk_bytes(position)
+        while self._chunks and self._bytes + size > _CACHE_BYTES:
+            _, oldest = self._chunks.popitem(last=False)
+            wait(oldest.readers)
+            self._bytes -= oldest.size
+        chunk = Chunk(self._pool.submit(self._files[file].chunk, position), size, [])
         self._chunks[key] = chunk
-        self._bytes += len(chunk)
-        while self._bytes > _CACHE_BYTES and len(self._chunks) > 1:
-            self._bytes -= len(self._chunks.popitem(last=False)[1])
+        self._bytes += size
         return chunk
 
 
@@ -76,7 +80,7 @@ class ImageReader:
         timeline: Their frames.
         depth_unit_m: Metres in one depth unit.
         max_pixels: Largest image decoded.
-        threads: Decoding threads.
+        threads: How many load chunks, and how many decode; None: one a core.
     """
 
     def __init__(
@@ -87,13 +91,18 @@ class ImageReader:
         timeline: Timeline,
         depth_unit_m: float,
         max_pixels: int,
-        threads: int = min(_MAX_THREADS, os.cpu_count() or 1),
+        threads: int | None = None,
     ) -> None:
         self._given = files, color, depth, timeline, depth_unit_m, max_pixels
-        self._cache = ChunkCache(files)
+        self._files = files
         self._color, self._depth, self._timeline = color, depth, timeline
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="jaxdet-decode")
+        # Two pools, as what decodes waits for what loads.
+        self._loading, self._decoding = (
+            ThreadPoolExecutor(threads or cores(), thread_name_prefix=f"jaxdet-{name}")
+            for name in ("load", "decode")
+        )
+        self._cache = ChunkCache(files, self._loading)
 
     def __reduce__(self) -> tuple:
         """In another process there is one thread, as processes share the cores."""
@@ -101,7 +110,8 @@ class ImageReader:
 
     def close(self) -> None:
         """Stops the threads."""
-        self._pool.shutdown(cancel_futures=True)
+        for pool in (self._loading, self._decoding):
+            pool.shutdown(cancel_futures=True)
 
     def read(
         self, frames: Sequence[int], color: np.ndarray, depth: np.ndarray
@@ -117,14 +127,7 @@ class ImageReader:
             What went wrong in each row, or None. A row with an error is all zero.
         """
         errors: list[FrameError | None] = [None] * len(frames)
-        jobs: list[tuple[Request, Future[None]]] = []
-        for request in self._requests(frames):
-            try:
-                payload = self._cache.payload(request.file, request.location)
-            except FrameError as error:
-                errors[request.row] = error
-                continue
-            jobs.append((request, self._pool.submit(self._decode, request, payload, color, depth)))
+        jobs = [(request, self._start(request, color, depth)) for request in self._requests(frames)]
         for request, job in sorted(jobs, key=lambda item: (item[0].row, item[0].depth)):
             try:
                 job.result()
@@ -146,9 +149,28 @@ class ImageReader:
                 found.append(_request(self._timeline.depth, self._depth, partner, row, True))
         return sorted(found, key=lambda request: request[:4])
 
+    def _start(self, request: Request, color: np.ndarray, depth: np.ndarray) -> Future[None]:
+        in_chunk = request.location.chunk >= 0
+        chunk = self._cache.chunk(request.file, request.location.chunk) if in_chunk else None
+        data = chunk.data if chunk else None
+        job = self._decoding.submit(self._decode, request, data, color, depth)
+        if chunk:
+            chunk.readers.append(job)
+        return job
+
     def _decode(
-        self, request: Request, payload: bytes, color: np.ndarray, depth: np.ndarray
+        self,
+        request: Request,
+        chunk: Future[bytes] | None,
+        color: np.ndarray,
+        depth: np.ndarray,
     ) -> None:
+        try:
+            data = chunk.result() if chunk else None
+            payload = self._files[request.file].payload(request.location, data)
+        except DamageError as error:
+            problem = f"the file can't be read any more ({error})"
+            raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
         message = request.decoder.decode(payload)
         if isinstance(message, RgbdMessage):
             both = self._color is self._depth

@@ -1,13 +1,15 @@
 """The walk over a whole MCAP file, tolerant of damage.
 
-A file is walked from its first record to its last, whole chunks at a time. What is damaged is
+A file is walked from its first record to its last, whole chunks at a time; those ahead are
+decompressed on threads, and all is taken in by the caller's, in order. What is damaged is
 dropped and counted, and its neighbours are used: a chunk with a wrong CRC, a message longer
 than its chunk, a torn end. A missing summary does no harm. Where a record's length is damaged
 the walk goes on at the next chunk that the summary's index knows.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from io import BytesIO
 from typing import NamedTuple
 
@@ -21,6 +23,9 @@ from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.integrity import FileIntegrity
 
 _TOP_LEVEL = -1
+_AHEAD_BYTES = 64 << 20
+_TORN = 0
+"""Opcode, which no record has, of what can't be walked over."""
 _MAX_TIME_NS = (1 << 63) - 1
 
 
@@ -43,15 +48,51 @@ Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
 """Gets channel, log time [ns], payload and location of each message."""
 
 
-def scan(file: McapFile, handler: Handler) -> FileIntegrity:
-    """Gives every readable message to ``handler``, in file order; says what was lost."""
+class _Record(NamedTuple):
+    """A record of a file's data section."""
+
+    opcode: int
+    position: int
+    """Where its content begins in the file."""
+    length: int
+    """Of its content, by its own word."""
+
+
+def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
+    """Gives every readable message to ``handler``, in file order; says what was lost.
+
+    Args:
+        file: The file.
+        handler: Called by this thread.
+        pool: Decompresses chunks, up to 64 MiB of them ahead (or one chunk, if larger).
+    """
     walk = _Scan(file, handler)
-    for opcode, position, length in walk.records():
+    for record, chunk in _ahead(file, walk.records(), pool):
         try:
-            walk.record(opcode, position, length)
+            walk.record(record, chunk)
         except DamageError as error:
-            walk.lose(str(error), length)
+            walk.lose(str(error), record.length)
     return walk.integrity()
+
+
+def _ahead(
+    file: McapFile, records: Iterable[_Record], pool: ThreadPoolExecutor
+) -> Iterator[tuple[_Record, Future[bytes] | None]]:
+    """The records in order, those that are chunks with what will be their decompressed bytes."""
+    waiting: deque[tuple[_Record, Future[bytes] | None, int]] = deque()
+    ahead = 0
+    for record in records:
+        is_chunk = record.opcode == Opcode.CHUNK
+        size = file.chunk_bytes(record.position) if is_chunk else 0
+        while waiting and ahead + size > _AHEAD_BYTES:
+            done, decompressed, before = waiting.popleft()
+            yield done, decompressed
+            ahead -= before
+        chunk = pool.submit(file.chunk, record.position) if is_chunk else None
+        waiting.append((record, chunk, size))
+        ahead += size
+    for record, chunk, _ in waiting:
+        yield record, chunk
 
 
 class _Summary(NamedTuple):
@@ -89,8 +130,8 @@ class _Scan:
         self.lost_spans: list[tuple[int, int]] = []
         self.last_ns = 0
 
-    def records(self) -> Iterator[tuple[int, int, int]]:
-        """Opcode, content's position and length of each record up to the end of the data."""
+    def records(self) -> Iterator[_Record]:
+        """The records up to the end of the data, and in their places what can't be one."""
         file, position = self.file, len(MAGIC)
         while True:
             start, content = position, position + RECORD_HEAD.size
@@ -102,18 +143,25 @@ class _Scan:
                     if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                         self.ended = file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
                         return
-                    yield opcode, content, length
+                    yield _Record(opcode, content, length)
                     continue
             after = [offset for offset in self.summary.chunk_offsets if offset > start]
             position = after[0] if after else file.size
-            self.lose("damaged or torn record", position - start)
+            yield _Record(_TORN, start, position - start)
             if not after:
                 return
 
-    def record(self, opcode: int, position: int, length: int) -> None:
-        """Takes in one record of the file's data section."""
-        if opcode == Opcode.CHUNK:
-            self._chunk(position)
+    def record(self, record: _Record, chunk: Future[bytes] | None) -> None:
+        """Takes in one record.
+
+        Raises:
+            DamageError: It can't be used.
+        """
+        opcode, position, length = record
+        if opcode == _TORN:
+            raise DamageError("damaged or torn record")
+        if chunk is not None:
+            self._chunk(position, chunk)
         elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
             if length > self.file.max_bytes:
                 raise DamageError("record is larger than --log.max-chunk-mib")
@@ -140,12 +188,12 @@ class _Scan:
             last_log_time_ns=self.last_ns,
         )
 
-    def _chunk(self, position: int) -> None:
+    def _chunk(self, position: int, decompressed: Future[bytes]) -> None:
         head = self.file.chunk_head(position)
         self.chunks += 1
         self.chunks_with_crc += head.crc != 0
         try:
-            chunk = self.file.chunk(position)
+            chunk = decompressed.result()
         except DamageError:
             if head.start_ns <= head.end_ns <= _MAX_TIME_NS:
                 self.lost_spans.append((head.start_ns, head.end_ns))

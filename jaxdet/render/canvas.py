@@ -105,7 +105,14 @@ def write(
     cv2.putText(image, text, (round(x), round(at[1])), color, _font(), size, weight)
 
 
+_PNG = (
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH),
+)
+"""For pictures of cameras: smaller than at zlib's level 6 and six times as quick."""
+
+
 def write_png(path: Path, image: np.ndarray) -> None:
     """Writes an RGB picture."""
-    encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]
+    encoded = cv2.imencode(".png", image[..., ::-1], _PNG)[1]
     Path(os.fspath(path)).write_bytes(encoded.tobytes())
