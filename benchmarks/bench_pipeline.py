@@ -17,12 +17,12 @@ from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
 from jaxdet.config import Config
 from jaxdet.engine import Workers
 from jaxdet.pipeline import detect
-from jaxdet.plane import floor_limits
+from jaxdet.plane import flat_plane, floor_limits
 from jaxdet.presets import preset
 from jaxdet.stages._device import on_cuda
 from jaxdet.stages._spread import rows_over
 from jaxdet.stages._upload import Uploader, pin
-from jaxdet.types import Detections, Frames, GroundPlane
+from jaxdet.types import Detections, Frames
 
 SIZE = "640x480"
 RESIDENT_BATCH = 1024
@@ -78,7 +78,7 @@ def _pool() -> ProcessPoolExecutor:
 @cache
 def _limit() -> np.ndarray:
     calibration = CALIBRATIONS[SIZE]
-    plane = GroundPlane(*(np.array([a]) for a in (0.35, 0.15, 0.0, True)))
+    plane = flat_plane(*(np.array([a]) for a in (0.35, 0.15, 0.0)))
     return floor_limits(calibration.color, plane, CONFIG.ground, 0.001)[0][0]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.scene import CALIBRATIONS, CONFIG, HEIGHT_M, PITCH_RAD
 from jaxdet.config import Config
-from jaxdet.plane import repeat_plane
+from jaxdet.plane import flat_plane, repeat_plane
 from jaxdet.types import Calibration, Features, GroundPlane
 
 OBSTACLES = 8
@@ -19,7 +19,7 @@ def camera() -> Calibration:
 
 def plane_of(batch: int) -> GroundPlane:
     """The floor of each frame."""
-    one = GroundPlane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0, True)))
+    one = flat_plane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0)))
     return repeat_plane(one, batch)
 
 

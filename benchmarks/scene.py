@@ -9,7 +9,7 @@ import warp as wp
 
 from jaxdet import reference
 from jaxdet.config import Config
-from jaxdet.plane import repeat_plane
+from jaxdet.plane import flat_plane, repeat_plane
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
 from jaxdet.sim.render import render
 from jaxdet.sim.scenes import load_scene
@@ -100,7 +100,7 @@ def inputs(size: str) -> Inputs:
         here = _pose(0.05 * frame, 0.0)
         z = render(room, calibration.depth, here, device=RENDERER).depth
         depth.append(measure_depth(z, calibration.depth, DepthSensor(), rng))
-    one = GroundPlane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0, True)))
+    one = flat_plane(*(np.array([a]) for a in (HEIGHT_M, PITCH_RAD, 0.0)))
     plane = repeat_plane(one, BATCH)
     colors, depths = np.stack(color), np.stack(depth)
     aligned = reference.align(depths, calibration)

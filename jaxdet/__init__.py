@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from jaxdet.errors import FrameStatus, JaxdetError
     from jaxdet.io import LogOptions, find_logs, open_log
     from jaxdet.metric import extents, rectangles, to_world
-    from jaxdet.pipeline import detect, estimate_plane
+    from jaxdet.pipeline import detect, estimate_plane, estimate_ramp
+    from jaxdet.plane import flat_plane
     from jaxdet.presets import PRESETS, preset
     from jaxdet.types import (
         Calibration,
@@ -34,7 +35,8 @@ _HOMES = {
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.metric": ("extents", "rectangles", "to_world"),
-    "jaxdet.pipeline": ("detect", "estimate_plane"),
+    "jaxdet.pipeline": ("detect", "estimate_plane", "estimate_ramp"),
+    "jaxdet.plane": ("flat_plane",),
     "jaxdet.types": (
         "Calibration",
         "Detections",
@@ -69,8 +71,10 @@ __all__ = [
     "__version__",
     "detect",
     "estimate_plane",
+    "estimate_ramp",
     "extents",
     "find_logs",
+    "flat_plane",
     "open_log",
     "preset",
     "rectangles",

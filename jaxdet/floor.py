@@ -4,7 +4,8 @@ One plane for a sample of frames: planes through random triples of pixels are pr
 frame, those that could not be a floor are put aside, and the one that most points of *all*
 frames lie on while few lie below it is refined by weighted least squares. A wall is put aside by
 its direction, an obstacle or a table by the floor points below it, and a frame without floor by
-the other frames. Everything is seeded, so the same frames give the same plane.
+the other frames. Where the points show a ramp ahead it is found too. Everything is seeded, so the
+same frames give the same floor.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,8 @@ import numpy as np
 
 from jaxdet.camera import pixel_rays
 from jaxdet.config import GroundConfig
-from jaxdet.plane import plane_from_down, unknown_plane
+from jaxdet.plane import down_vector, flat_plane, plane_from_down, unknown_plane
+from jaxdet.ramp import Floor, find_ramp, refine
 from jaxdet.types import Calibration, GroundPlane
 
 MAX_TILT = np.radians(50.0)
@@ -65,7 +67,48 @@ def fit_floor(z: np.ndarray, calibration: Calibration, config: GroundConfig) -> 
     cloud = np.concatenate(points)
     scores = np.sum([_score(proposals, p) for p in points], axis=0)
     down, height = _refine(proposals[np.argmax(scores)], cloud)
-    return _judge(down, height, points)
+    found = _judge(down, height, points)
+    if not found.plane.valid[0]:
+        return found
+    floor = find_ramp(refine(Floor(down, height), cloud), cloud, fixed=False)
+    return found._replace(plane=_rounded(floor))
+
+
+def fit_ramp(
+    z: np.ndarray, plane: GroundPlane, calibration: Calibration, config: GroundConfig
+) -> GroundPlane:
+    """Looks for a ramp ahead of a camera whose floor plane is known.
+
+    Args:
+        z: As in :func:`fit_floor`, of a camera that keeps its place.
+        plane: ``B = 1``, valid, for instance of the camera's mount on the robot.
+        calibration: For the colour camera and the depth unit.
+        config: For the depth range.
+
+    Returns:
+        The plane, with the ramp that most points speak for, or without one.
+    """
+    cloud = np.concatenate([np.zeros((0, 3)), *_sample_points(z, calibration, config)])
+    known = Floor(down_vector(plane.pitch, plane.roll)[0], float(plane.height[0]))
+    if len(cloud) < 50:
+        return flat_plane(plane.height, plane.pitch, plane.roll)
+    ramp = _rounded(find_ramp(known, cloud, fixed=True))
+    return flat_plane(plane.height, plane.pitch, plane.roll)._replace(
+        ramp_start=ramp.ramp_start, ramp_slope=ramp.ramp_slope
+    )
+
+
+def _rounded(floor: Floor) -> GroundPlane:
+    """To 0.1 mm and 10 microradians, the ramp's start to a millimetre."""
+    plane = plane_from_down(floor.down[None], np.array([floor.height]))
+    return GroundPlane(
+        np.round(plane.height, 4),
+        np.round(plane.pitch, 5),
+        np.round(plane.roll, 5),
+        plane.valid,
+        np.round([floor.start], 3),
+        np.round([floor.slope], 5),
+    )
 
 
 def _no_floor(reason: str) -> PlaneEstimate:
@@ -144,12 +187,7 @@ def _judge(down: np.ndarray, height: float, points: list[np.ndarray]) -> PlaneEs
     if share < MIN_SHARE or balance <= 0 or not seen or not in_bounds:
         return _no_floor(f"no floor in {len(points)} sampled frames (best plane {share:.0%})")
     heights = [float(np.median(p @ down)) for p in seen]
-    estimate = plane_from_down(down[None], np.array([height]))
-    rounded = GroundPlane(
-        np.round(estimate.height, 4),
-        np.round(estimate.pitch, 5),
-        np.round(estimate.roll, 5),
-        np.array([True]),
-    )
     message = f"floor seen in {len(seen)} of {len(points)} sampled frames, {share:.0%} of points"
-    return PlaneEstimate(rounded, share, float(np.std(heights)), len(seen), message)
+    return PlaneEstimate(
+        _rounded(Floor(down, height)), share, float(np.std(heights)), len(seen), message
+    )

@@ -9,7 +9,7 @@ from jaxdet.camera import grid_pixels
 from jaxdet.checks import check_frames, check_points
 from jaxdet.config import Config, FeaturesConfig
 from jaxdet.errors import ConfigError
-from jaxdet.floor import PlaneEstimate, fit_floor
+from jaxdet.floor import PlaneEstimate, fit_floor, fit_ramp
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
 from jaxdet.types import (
     AlignedDepth,
@@ -166,6 +166,26 @@ def estimate_plane(
     """
     aligned = load_backend(backend).align(frames.depth, frames.calibration)
     return _fit(frames, aligned, config or Config())
+
+
+def estimate_ramp(
+    frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
+) -> GroundPlane:
+    """Looks for the one ramp that all these frames see on their known floor.
+
+    Args:
+        frames: ``B`` frames of one camera that keeps its place, with the same plane each.
+        config: For the depth range of its ground part.
+        backend: Which stages align the depth; the result is the same.
+
+    Returns:
+        ``B = 1``, see :func:`jaxdet.floor.fit_ramp`.
+    """
+    assert frames.plane is not None
+    aligned = load_backend(backend).align(frames.depth, frames.calibration)
+    z = np.asarray(aligned.z)[np.asarray(frames.valid)]
+    plane = GroundPlane(*(a[:1] for a in frames.plane))
+    return fit_ramp(z, plane, frames.calibration, (config or Config()).ground)
 
 
 def _fit(frames: Frames, aligned: AlignedDepth, config: Config) -> PlaneEstimate:

@@ -16,6 +16,22 @@ GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
 
 
+def flat_plane(
+    height: np.ndarray, pitch: np.ndarray, roll: np.ndarray, valid: np.ndarray | None = None
+) -> GroundPlane:
+    """A floor without ramps.
+
+    Args:
+        height: ``(B,)`` float64, optical centre above the floor [m].
+        pitch: ``(B,)`` float64 [rad], positive looks down.
+        roll: ``(B,)`` float64 [rad], positive clockwise seen from behind.
+        valid: ``(B,)`` bool; None: all of them.
+    """
+    height, pitch, roll = (np.asarray(a, np.float64) for a in (height, pitch, roll))
+    valid = np.ones(height.shape, bool) if valid is None else np.asarray(valid, bool)
+    return GroundPlane(height, pitch, roll, valid, np.full(height.shape, np.inf), 0 * height)
+
+
 def down_vector(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """The direction of gravity in the camera optical frame.
 
@@ -35,7 +51,7 @@ def plane_from_down(down: np.ndarray, height: np.ndarray) -> GroundPlane:
     """The plane with these unit down vectors ``(B, 3)`` and heights ``(B,)`` [m]."""
     pitch = np.arctan2(down[:, 2], np.hypot(down[:, 0], down[:, 1]))
     roll = np.arctan2(down[:, 0], down[:, 1])
-    return GroundPlane(np.asarray(height, np.float64), pitch, roll, np.isfinite(height))
+    return flat_plane(height, pitch, roll, np.isfinite(height))
 
 
 def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
@@ -51,18 +67,14 @@ def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
 def flagged_plane(config: GroundConfig) -> GroundPlane:
     """The plane that the configuration states, ``B = 1``; its camera height must be set."""
     assert config.camera_height_m is not None
-    return GroundPlane(
-        np.array([config.camera_height_m], np.float64),
-        np.array([config.camera_pitch_rad], np.float64),
-        np.array([config.camera_roll_rad], np.float64),
-        np.array([True]),
-    )
+    angles = config.camera_pitch_rad, config.camera_roll_rad
+    return flat_plane(*(np.array([a], np.float64) for a in (config.camera_height_m, *angles)))
 
 
 def unknown_plane(batch: int) -> GroundPlane:
     """``batch`` frames whose floor is not known: level, and nothing is dropped as floor."""
     zeros = np.zeros(batch)
-    return GroundPlane(zeros, zeros, zeros, np.zeros(batch, bool))
+    return flat_plane(zeros, zeros, zeros, np.zeros(batch, bool))
 
 
 def repeat_plane(plane: GroundPlane, batch: int) -> GroundPlane:
@@ -86,6 +98,11 @@ def floor_limits(
     and ``c = 0`` this is Eq. 5, ``v - c_y >= f (h - step) / z``. So for a pixel with ``s > 0`` the
     floor begins at ``ceil((h - step) / (s unit))`` depth units, and the limit is one less.
 
+    A ramp of slope ``t`` from the distance ``y0`` on raises the floor by ``t max(0, y - y0)``, with
+    ``y = z forward . (x, y, 1)``. So where it rises, floor is what is below the plane or below the
+    ramp's own plane, where it falls what is below both; the second plane has ``h + t y0`` for h and
+    ``s + t forward . (x, y, 1)`` for s.
+
     Args:
         camera: The colour camera.
         plane: ``B`` planes.
@@ -96,7 +113,7 @@ def floor_limits(
         ``limits`` ``(P, H, W)`` uint16, depth units, for the P different planes, and ``which``
         ``(B,)`` int32, the plane of each frame. A depth above the limit is floor.
     """
-    rows = np.stack([plane.height, plane.pitch, plane.roll, plane.valid.astype(float)], axis=1)
+    rows = np.stack([np.asarray(part, np.float64) for part in plane], axis=1)
     unique, which = np.unique(rows, axis=0, return_inverse=True)
     step = config.step_height_m, config.step_height_per_m
     limits = [_floor_limit(camera, tuple(r), step, depth_unit) for r in unique.tolist()]
@@ -107,18 +124,33 @@ def floor_limits(
 def _floor_limit(
     camera: Intrinsics, row: tuple[float, ...], step: tuple[float, float], depth_unit: float
 ) -> np.ndarray:
-    height, pitch, roll, valid = row
-    limit = np.full((camera.height, camera.width), 65535, np.uint16)
+    height, pitch, roll, valid, start, slope = row
     if not valid:
-        return limit
+        return np.full((camera.height, camera.width), 65535, np.uint16)
     x, y = pixel_rays(camera)
-    down = down_vector(np.array([pitch]), np.array([roll]))[0]
-    slope = down[0] * x + down[1] * y + down[2] + step[1]
-    drop = max(height - step[0], 0.0) / depth_unit
-    first = np.divide(drop, slope, out=np.full_like(slope, np.inf), where=slope > 0)
+    down = down_vector(np.array([pitch]), np.array([roll]))
+    forward = forward_vector(down)
+    s, ahead = (a[0, 0] * x + a[0, 1] * y + a[0, 2] for a in (down, forward))
+    height, s = height - step[0], s + step[1]
+    first = _crossing(height, s, depth_unit)
+    if np.isfinite(start) and slope:
+        height, s = height + slope * start, s + slope * ahead
+        ramp = _crossing(height, s, depth_unit)
+        if slope > 0:
+            first = np.minimum(first, ramp)
+        else:  # a ray that falls less than the ramp may pass the crest below the ramp's plane
+            with np.errstate(invalid="ignore"):
+                before_crest = first * depth_unit * s >= height
+            first = np.maximum(first, np.where((s <= 0) & before_crest, 0.0, ramp))
     # A true tie is floor: the nudge undoes the rounding of the operations above.
-    first = np.ceil(first * (1 - 1e-12)) - 1
-    return np.clip(first, 0, 65535).astype(np.uint16)
+    last = np.ceil(first * (1 - 1e-12)) - 1
+    return np.clip(last, 0, 65535).astype(np.uint16)
+
+
+def _crossing(height: float, s: np.ndarray, depth_unit: float) -> np.ndarray:
+    """Where rays reach a plane ``height`` [m] below the camera: ``z s = height`` [depth units]."""
+    drop = max(height, 0.0) / depth_unit
+    return np.divide(drop, s, out=np.full_like(s, np.inf), where=s > 0)
 
 
 def slice_units(config: ClusterConfig, depth_unit: float) -> int:
@@ -158,11 +190,26 @@ def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
     return bands
 
 
+def forward_vector(down: np.ndarray) -> np.ndarray:
+    """The optical axis laid on the floor, in the camera optical frame.
+
+    For a camera that looks straight down, the image's up direction.
+
+    Args:
+        down: ``(B, 3)`` float64 unit vectors.
+
+    Returns:
+        ``(B, 3)`` float64 unit vectors.
+    """
+    axis = np.where(np.abs(down[:, 2:]) > 1 - 1e-9, [[0.0, -1.0, 0.0]], [[0.0, 0.0, 1.0]])
+    forward = axis - down * np.sum(axis * down, axis=1, keepdims=True)
+    return forward / np.linalg.norm(forward, axis=1, keepdims=True)
+
+
 def ground_axes(plane: GroundPlane) -> np.ndarray:
     """The ground frame's axes, right and forward, in the camera optical frame.
 
-    Forward is the optical axis laid on the floor (for a camera that looks straight down, the
-    image's up direction).
+    Forward is :func:`forward_vector`.
 
     Returns:
         ``(B, 2, 3)`` int32 with ``GROUND_BITS`` fraction bits; for an unknown plane those of a
@@ -170,8 +217,6 @@ def ground_axes(plane: GroundPlane) -> np.ndarray:
     """
     down = down_vector(plane.pitch, plane.roll)
     down[~plane.valid] = (0.0, 1.0, 0.0)
-    axis = np.where(np.abs(down[:, 2:]) > 1 - 1e-9, [[0.0, -1.0, 0.0]], [[0.0, 0.0, 1.0]])
-    forward = axis - down * np.sum(axis * down, axis=1, keepdims=True)
-    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    forward = forward_vector(down)
     right = np.cross(down, forward)
     return np.rint(np.stack([right, forward], axis=1) * (1 << GROUND_BITS)).astype(np.int32)

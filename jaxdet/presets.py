@@ -1,12 +1,13 @@
 """Presets: configurations for robots and cameras, by name."""
 
 from dataclasses import replace
+from typing import Any
 
 from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
 from jaxdet.errors import ConfigError
 
 
-def _with(ground: dict[str, float], footprint: dict[str, float] | None = None) -> Config:
+def _with(ground: dict[str, Any], footprint: dict[str, float] | None = None) -> Config:
     return Config(
         ground=replace(GroundConfig(), **ground),
         footprint=replace(FootprintConfig(), **(footprint or {})),
@@ -25,6 +26,7 @@ PRESETS: dict[str, Config] = {
             trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, cover=False, margin_m=0.0
         ),
     ),
+    "uneven": _with({"window_s": 0.1, "sample_frames": 1, "step_height_per_m": 0.001}),
     "d435": _with({"min_depth_m": 0.20, "max_depth_m": 4.0}),
     "d455": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
     "oak-d": _with({"min_depth_m": 0.40, "max_depth_m": 6.0}),
@@ -34,8 +36,9 @@ PRESETS: dict[str, Config] = {
 }
 """Presets: ``wheeled`` (the default robot; what differs from the paper is what the tables of
 benchmarks/paper speak for), ``paper`` (the paper's setting: Canny at 100 and 200, corners only, no
-mask, points dropped after the selection, its rectangle), and depth ranges of common cameras, by
-their data sheets."""
+mask, points dropped after the selection, its rectangle), ``uneven`` (for ramps and floors that are
+not flat: the floor is looked for every 0.1 s, so a lower step does), and depth ranges of common
+cameras, by their data sheets."""
 
 
 def preset(name: str) -> Config:

@@ -94,12 +94,12 @@ class Calibration(NamedTuple):
 
 
 class GroundPlane(NamedTuple):
-    """The floor seen from each camera frame.
+    """The floor seen from each camera frame: a plane, and perhaps a ramp ahead.
 
     ``pitch`` is the camera's downward tilt and ``roll`` its clockwise turn about the optical
     axis as seen from behind the camera (a camera rolled clockwise sees the world turned
     counter-clockwise). ``valid`` is False where the floor is unknown: then nothing is dropped
-    as floor and the camera is taken as level.
+    as floor and the camera is taken as level. :func:`jaxdet.flat_plane` makes one without ramps.
     """
 
     height: np.ndarray
@@ -110,6 +110,11 @@ class GroundPlane(NamedTuple):
     """``(B,)`` float64 [rad], positive clockwise."""
     valid: np.ndarray
     """``(B,)`` bool."""
+    ramp_start: np.ndarray
+    """``(B,)`` float64, distance on the floor, forward of the camera, at which a ramp begins
+    across the whole floor [m]; inf where there is none."""
+    ramp_slope: np.ndarray
+    """``(B,)`` float64, the ramp's rise over its run, against the plane; downhill negative."""
 
 
 class Frames(NamedTuple):

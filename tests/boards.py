@@ -5,11 +5,12 @@ import numpy as np
 from benchmarks.baselines import Frame
 from jaxdet.config import Config
 from jaxdet.eval import FrameTruth
-from jaxdet.types import Calibration, Features, GroundPlane, Intrinsics
+from jaxdet.plane import flat_plane
+from jaxdet.types import Calibration, Features, Intrinsics
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5)
 CALIBRATION = Calibration(CAMERA)
-LEVEL = GroundPlane(np.array([1.0]), np.zeros(1), np.zeros(1), np.array([True]))
+LEVEL = flat_plane(np.array([1.0]), np.zeros(1), np.zeros(1))
 CONFIG = Config()
 BOXES = [(10, 40, 1200), (80, 110, 1600), (125, 150, 2600)]
 """Left and right columns and depth [mm] of three boards in rows 20 to 80."""

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from jaxdet.plane import flat_plane
 from jaxdet.types import (
     AlignedDepth,
     Calibration,
@@ -97,7 +98,7 @@ def blocks(batch: int, height: int, width: int, seed: int = 0) -> np.ndarray:
 def level(batch: int, height: float = 0.4, pitch: float = 0.0, roll: float = 0.0) -> GroundPlane:
     """The same known floor for each of ``batch`` frames."""
     full = [np.full(batch, value, np.float64) for value in (height, pitch, roll)]
-    return GroundPlane(*full, np.ones(batch, bool))
+    return flat_plane(*full)
 
 
 def frames(calibration: Calibration, color: np.ndarray, depth: np.ndarray, **rest) -> Frames:

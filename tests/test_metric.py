@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from jaxdet import metric
 from jaxdet.config import FootprintConfig
-from jaxdet.plane import down_vector, ground_axes
-from jaxdet.types import GroundPlane, Obstacles
+from jaxdet.plane import down_vector, flat_plane, ground_axes
+from jaxdet.types import Obstacles
 
 CONFIG = FootprintConfig(extension_m=0.2, cover=False, margin_m=0.0)
 
@@ -79,7 +79,7 @@ def test_rectangles_are_rectangles(a: tuple, b: tuple, c: tuple) -> None:
 def pose(yaw: float, pitch: float, roll: float, position: tuple) -> np.ndarray:
     """A camera whose forward direction has this ROS yaw, tilted down and rolled."""
     down = down_vector(np.array([pitch]), np.array([roll]))
-    plane = GroundPlane(np.ones(1), np.array([pitch]), np.array([roll]), np.ones(1, bool))
+    plane = flat_plane(np.ones(1), np.array([pitch]), np.array([roll]))
     right, forward = ground_axes(plane)[0] / 8192
     T = np.eye(4)
     c, s = np.cos(yaw), np.sin(yaw)

@@ -6,10 +6,10 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.paper import goals, plan, rivals
+from benchmarks.paper import floor, goals, plan, rivals
 from benchmarks.paper.measure import Difference, differences
 from benchmarks.paper.section import Figure
-from benchmarks.paper.systems import OURS
+from benchmarks.paper.systems import OURS, UNEVEN
 from jaxdet.eval import Interval, Tally
 
 
@@ -19,8 +19,10 @@ def figure(key, value, low=math.nan, high=math.nan):
 
 def all_figures(value=1.0):
     """Figures that reach every goal."""
-    keys = [f"table2.{OURS}.accuracy", f"coverage.{OURS}.all.coverage"]
-    keys += [f"fig12.{OURS}.{light}.accuracy" for light in plan.LIGHTS]
+    keys = [f"coverage.{OURS}.all.coverage"]
+    for name in (OURS, UNEVEN):
+        keys += [f"table2.{name}.accuracy"]
+        keys += [f"fig12.{name}.{light}.accuracy" for light in plan.LIGHTS]
     distances = (3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
     lights = ("strong", "normal", "weaker", "dim")
     keys += [f"table4.{OURS}.{i}.{d:g}m" for i in lights for d in distances]
@@ -32,8 +34,9 @@ def all_figures(value=1.0):
                 figures[key] = figure(key, 0.009 if d <= 1.5 else 0.019)
     for slope in ("level", "all"):
         for part, good in (("floor_kept", 0.005), ("obstacle_kept", 0.98)):
-            for stem in (f"floor.tf.{slope}", f"floor.tf.{slope}.worst"):
-                figures[f"{stem}.{part}"] = figure(f"{stem}.{part}", good)
+            for source in floor.SOURCES:
+                for stem in (f"floor.{source}.{slope}", f"floor.{source}.{slope}.worst"):
+                    figures[f"{stem}.{part}"] = figure(f"{stem}.{part}", good)
     return figures
 
 
@@ -55,8 +58,8 @@ def test_goals_reached():
         ("fig14.normal.2.5m.width.p90", 0.0201, "cylinder.width.3m"),
         ("fig14.normal.1m.position.p90", 0.0101, "cylinder.position.1.5m"),
         (f"coverage.{OURS}.all.coverage", 0.98, "coverage"),
-        ("floor.tf.level.worst.floor_kept", 0.011, "floor.level"),
-        ("floor.tf.all.worst.obstacle_kept", 0.96, "obstacle.all"),
+        ("floor.tf.level.worst.floor_kept", 0.011, "floor.level.tf"),
+        ("floor.uneven.all.worst.obstacle_kept", 0.96, "obstacle.all.uneven"),
     ],
 )
 def test_one_goal_missed(key, value, missed):

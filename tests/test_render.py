@@ -10,10 +10,10 @@ from jaxdet.config import Config
 from jaxdet.engine.rows import to_host
 from jaxdet.metric import rectangles
 from jaxdet.pipeline import detect
-from jaxdet.plane import unknown_plane
+from jaxdet.plane import flat_plane, unknown_plane
 from jaxdet.render import MapImage, canvas, draw_frame, draw_map, write_png
 from jaxdet.render.topview import View, ground_points
-from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane, Intrinsics
+from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
 
 STILL = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))
 
@@ -26,7 +26,7 @@ def scene(width: int = 160, height: int = 120) -> Frames:
     grey = np.where(box & ((u // 6 + v // 6) % 2 == 0), 220, 40).astype(np.uint8)
     camera = Intrinsics(width, height, 120.0, 120.0, width / 2, height / 2)
     one = np.ones(1)
-    plane = GroundPlane(0.5 * one, 0 * one, 0 * one, np.ones(1, bool))
+    plane = flat_plane(0.5 * one, 0 * one, 0 * one)
     stamps = np.zeros(1, np.int64)
     color = np.repeat(grey[None, ..., None], 3, axis=3)
     calibration = Calibration(camera, camera, STILL)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config
-from jaxdet.floor import fit_floor
+from jaxdet.floor import fit_floor, fit_ramp
 from jaxdet.pipeline import BackendName, load_backend
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
 from jaxdet.reference._features import lateral
@@ -40,13 +40,14 @@ def prepare(
 
     Args:
         frames: ``B`` frames; without a plane it is the configuration's, or estimated from them.
+            With time windows in the configuration, each frame is one.
         config: Range, floor and feature parameters.
         backend: Both give the same arrays.
     """
     config = config or Config()
     stages, calibration = load_backend(backend), frames.calibration
     aligned = stages.align(frames.depth, calibration)
-    plane = frames.plane or _plane(frames, np.asarray(aligned.z), config)
+    plane = _floor(frames, np.asarray(aligned.z), config)
     keep = stages.ground(aligned, plane, calibration, config)
     found = stages.features(frames.color, keep, calibration, config.features)
     z, mask = np.asarray(keep.z), np.asarray(keep.mask)
@@ -64,13 +65,23 @@ def prepare(
     ]
 
 
-def _plane(frames: Frames, z: np.ndarray, config: Config) -> GroundPlane:
-    batch = len(z)
-    if config.ground.camera_height_m is not None:
-        return repeat_plane(flagged_plane(config.ground), batch)
-    if config.ground.source == "none":
+def _floor(frames: Frames, z: np.ndarray, config: Config) -> GroundPlane:
+    ground, calibration, batch = config.ground, frames.calibration, len(z)
+    known = frames.plane
+    if known is None and ground.camera_height_m is not None:
+        known = repeat_plane(flagged_plane(ground), batch)
+    if known is None and ground.source == "none":
         return unknown_plane(batch)
-    return repeat_plane(fit_floor(z[frames.valid], frames.calibration, config.ground).plane, batch)
+    if not ground.window_s:
+        return known or repeat_plane(fit_floor(z[frames.valid], calibration, ground).plane, batch)
+    each: list[GroundPlane] = []
+    for b in range(batch):
+        if known is None:
+            each.append(fit_floor(z[b : b + 1], calibration, ground).plane)
+        else:
+            plane = GroundPlane(*(a[b : b + 1] for a in known))
+            each.append(fit_ramp(z[b : b + 1], plane, calibration, ground))
+    return GroundPlane(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:

@@ -14,9 +14,11 @@ from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import frames_of, load_shots
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
+from jaxdet.presets import preset
 
-SOURCES = ("tf", "estimate")
-"""Where the floor's plane is from: the camera's mount on the robot, or the depth image."""
+SOURCES = ("tf", "uneven", "estimate")
+"""Where the floor is from: the camera's mount on the robot, that with a ramp looked for in the
+depth image (preset uneven), or all from the depth image."""
 DIRECTIONS: dict[str, Direction] = {"floor_kept": "lower", "obstacle_kept": "higher"}
 Key = tuple[str, float, float, float]
 
@@ -34,7 +36,8 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
     ground = task.config.ground
     for shot in load_shots(task.path):
         for source in SOURCES:
-            frame = prepare(frames_of([shot], plane=source == "tf"), task.config)[0]
+            config = preset("uneven") if source == "uneven" else task.config
+            frame = prepare(frames_of([shot], plane=source != "estimate"), config)[0]
             z = frame.z * shot.calibration.depth_unit
             inside = (z >= ground.min_depth_m) & (z <= ground.max_depth_m)
             assert shot.height is not None
@@ -85,9 +88,9 @@ def run(lab: Lab) -> Section:
         f"{lab.counts.floor_seeds} simulated scenes (family mixed) for each tilt, roll and ramp "
         "ahead, normal light. Of the pixels with a depth in range: the share of true floor that "
         "the ground stage keeps (wrong), and of true obstacle above the step height (right). "
-        "The plane is either that of the camera's mount (tf), which doesn't know the ramp, or "
-        "estimated from each single frame (estimate), which takes the ramp and the level floor "
-        "before it for one plane. The paper has no such figure."
+        "The floor is that of the camera's mount (tf), which doesn't know the ramp; the same with "
+        "a ramp looked for in each single frame (preset uneven); or plane and ramp from each "
+        "single frame (estimate). The paper has no such figure."
     )
     every = tallies_of(lab)
     _totals(section, every)

@@ -10,9 +10,10 @@ import numpy as np
 import zstandard
 
 from jaxdet.eval import FrameTruth, truth_of
+from jaxdet.plane import flat_plane
 from jaxdet.sim import SimConfig, SimFrame, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
-from jaxdet.types import Calibration, Frames, GroundPlane
+from jaxdet.types import Calibration, Frames
 
 
 class Spec(NamedTuple):
@@ -159,7 +160,7 @@ def frames_of(shots: Sequence[Shot], *, plane: bool = True) -> Frames:
     """
     count = len(shots)
     height, pitch, roll = np.array([shot.mount for shot in shots], np.float64).T
-    floor = GroundPlane(height, pitch, roll, np.ones(count, bool)) if plane else None
+    floor = flat_plane(height, pitch, roll) if plane else None
     return Frames(
         np.stack([shot.color for shot in shots]),
         np.stack([shot.depth for shot in shots]),

@@ -15,6 +15,7 @@ from jaxdet.types import Detections
 
 OURS = "ours"
 PRESET = "preset_paper"
+UNEVEN = "preset_uneven"
 RIVALS = tuple(
     name for name, b in BASELINES.items() if name not in (OURS, "paper") and not b.missing
 )
@@ -60,6 +61,7 @@ def systems(config: Config, tuned: dict[str, dict[str, Any]]) -> list[System]:
     """
     ours = [
         System(OURS, "Ours (default)", OURS, config),
+        System(UNEVEN, "Ours (preset uneven)", OURS, preset("uneven")),
         System(PRESET, "Ours (preset paper)", OURS, preset("paper")),
         System("paper", BASELINES["paper"].title, "paper", config),
     ]

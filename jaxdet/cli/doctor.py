@@ -94,7 +94,7 @@ def small_case() -> "jaxdet.Frames":
     camera = jaxdet.Intrinsics(160, 120, 120.0, 120.0, 80.0, 60.0)
     still = jaxdet.Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.015, 0.0, 0.0))
     stamps = np.array([0, 33_000_000])
-    level = jaxdet.GroundPlane(np.full(2, 0.5), np.zeros(2), np.zeros(2), np.ones(2, bool))
+    level = jaxdet.flat_plane(np.full(2, 0.5), np.zeros(2), np.zeros(2))
     return jaxdet.Frames(
         np.stack([color, color[:, ::-1]]),
         np.stack([depth, depth[:, ::-1]]),

@@ -45,7 +45,7 @@ class RunCommand:
     output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     preset: str = DEFAULT_PRESET
-    """Configuration to start from: wheeled, paper, d435, d455, oak-d, zed, azure-kinect,
+    """Configuration to start from: wheeled, paper, uneven, d435, d455, oak-d, zed, azure-kinect,
     orbbec."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with sections as below."""

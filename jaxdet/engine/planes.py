@@ -1,17 +1,19 @@
 """Which floor each frame has: the user's, the robot's (TF), an estimate, or none.
 
-The plane is decided before the frames of a log (or of a fixed time window of it) are looked
-at, and never carried from frame to frame, so results do not depend on how a run is split.
+The plane, and in time windows a ramp ahead, is decided before the frames of a log (or of a fixed
+time window of it) are looked at, and never carried from frame to frame, so results do not depend
+on how a run is split.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.errors import InputError
-from jaxdet.pipeline import BackendName, estimate_plane
+from jaxdet.pipeline import BackendName, estimate_plane, estimate_ramp
 from jaxdet.plane import flagged_plane, plane_from_transform, repeat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
@@ -33,6 +35,9 @@ class GroundRecord:
     height_m: float | None = None
     pitch_rad: float | None = None
     roll_rad: float | None = None
+    ramp_start_m: float | None = None
+    """Where a ramp ahead begins [m]; None: there is none."""
+    ramp_slope: float | None = None
     height_spread_m: float | None = None
     """How much the height differs between the sampled frames (estimate) [m]."""
     inlier_share: float | None = None
@@ -51,14 +56,15 @@ class Planes:
     window_ns: int = 0
     """Length of the windows; 0: the whole log."""
     warnings: tuple[str, ...] = ()
-    _unknown: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
+    otherwise: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
+    """Of frames in no window, ``B = 1``."""
 
     def of(self, stamp_ns: np.ndarray) -> GroundPlane:
         """The plane of each frame with these stamps ``(B,)`` int64."""
         if not self.window_ns:
             return repeat_plane(self.windows[0], stamp_ns.size)
         keys = (stamp_ns // self.window_ns).tolist()
-        each = [self.windows.get(key, self._unknown) for key in keys]
+        each = [self.windows.get(key, self.otherwise) for key in keys]
         return GroundPlane(*(np.concatenate(values) for values in zip(*each, strict=True)))
 
 
@@ -80,21 +86,64 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
     if ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     if ground.camera_height_m is not None and ground.source in ("auto", "flags"):
-        return _whole_log("flags", flagged_plane(ground))
+        return _known(log, "flags", flagged_plane(ground), config, backend)
     warnings: tuple[str, ...] = ()
     if ground.source in ("auto", "tf"):
         plane, problem = _plane_from_tf(log)
         if plane is not None:
-            return _whole_log("tf", plane, f"{log.base_frame} to the colour camera")
+            message = f"{log.base_frame} to the colour camera"
+            return _known(log, "tf", plane, config, backend, message)
         if ground.source == "tf":
             raise InputError(problem, path=log.name, remedy="give --ground.camera-height-m")
         warnings = (problem,) if log.T_base_camera is not None else ()
     return _estimated(log, config, backend, warnings)
 
 
-def _whole_log(source: str, plane: GroundPlane, message: str = "") -> Planes:
-    angles = (float(plane.height[0]), float(plane.pitch[0]), float(plane.roll[0]))
-    return Planes((GroundRecord(source, None, *angles, message=message),), {0: plane})
+def _known(
+    log: "Log",
+    source: str,
+    plane: GroundPlane,
+    config: Config,
+    backend: BackendName,
+    message: str = "",
+) -> Planes:
+    """A plane that needs no estimate; in time windows, ramps ahead are looked for."""
+
+    def look(sample: np.ndarray) -> tuple[GroundRecord, GroundPlane]:
+        found = plane
+        if config.ground.window_s:
+            frames = log.read(sample.tolist()).frames
+            frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
+            found = estimate_ramp(frames, config, backend=backend)
+        return _record(source, found, message), found
+
+    records, windows = _in_windows(log, config, look)
+    if not records:
+        records.append(_record(source, plane, message))
+    window_ns = round(config.ground.window_s * 1e9)
+    return Planes(tuple(records), windows or {0: plane}, window_ns, otherwise=plane)
+
+
+def _record(source: str, plane: GroundPlane, message: str) -> GroundRecord:
+    height, pitch, roll, _, start, slope = (float(part[0]) for part in plane)
+    ramp = (start, slope) if np.isfinite(start) else (None, None)
+    return GroundRecord(source, None, height, pitch, roll, *ramp, message=message)
+
+
+def _in_windows(
+    log: "Log", config: Config, look: Callable[[np.ndarray], tuple[GroundRecord, GroundPlane]]
+) -> tuple[list[GroundRecord], dict[int, GroundPlane]]:
+    """Looks at a sample of the paired frames of each time window, or of the whole log."""
+    paired = np.flatnonzero(np.asarray(log.depth_stamp_ns) >= 0)
+    window_ns = round(config.ground.window_s * 1e9)
+    numbers = np.asarray(log.stamps_ns)[paired] // window_ns if window_ns else 0 * paired
+    records, windows = [], {}
+    for number in np.unique(numbers).tolist():
+        sample = evenly(paired[numbers == number], config.ground.sample_frames)
+        record, windows[number] = look(sample)
+        start = number * window_ns if window_ns else None
+        records.append(replace(record, window_start_ns=start))
+    return records, windows
 
 
 def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
@@ -110,16 +159,10 @@ def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
 def _estimated(
     log: "Log", config: Config, backend: BackendName, warnings: tuple[str, ...]
 ) -> Planes:
-    paired = np.flatnonzero(np.asarray(log.depth_stamp_ns) >= 0)
     window_ns = round(config.ground.window_s * 1e9)
-    numbers = np.asarray(log.stamps_ns)[paired] // window_ns if window_ns else 0 * paired
-    windows: dict[int, GroundPlane] = {0: unknown_plane(1)} if not window_ns else {}
-    records = []
-    for number in np.unique(numbers).tolist():
-        sample = evenly(paired[numbers == number], config.ground.sample_frames)
-        record, windows[number] = _estimate(log, sample, config, backend)
-        start = number * window_ns if window_ns else None
-        records.append(GroundRecord(**{**vars(record), "window_start_ns": start}))
+    records, windows = _in_windows(
+        log, config, lambda sample: _estimate(log, sample, config, backend)
+    )
     unknown = sum(record.source == "none" for record in records)
     if unknown or not records:
         where = f" in {unknown} of {len(records)} time windows" if window_ns else ""
@@ -128,7 +171,7 @@ def _estimated(
         warnings = (*warnings, f"{problem}; give --ground.camera-height-m")
     return Planes(
         tuple(records) or (GroundRecord("none", message="no frame has depth"),),
-        windows,
+        windows if window_ns else {0: unknown_plane(1), **windows},
         window_ns,
         warnings,
     )
@@ -144,16 +187,11 @@ def _estimate(
     if not found.plane.valid[0]:
         record = GroundRecord("none", frames_used=found.frames_used, message=found.message)
         return record, unknown_plane(1)
-    record = GroundRecord(
-        "estimate",
-        None,
-        float(found.plane.height[0]),
-        float(found.plane.pitch[0]),
-        float(found.plane.roll[0]),
-        float(found.height_spread_m),
-        float(found.inlier_share),
-        int(found.frames_used),
-        found.message,
+    record = replace(
+        _record("estimate", found.plane, found.message),
+        height_spread_m=float(found.height_spread_m),
+        inlier_share=float(found.inlier_share),
+        frames_used=int(found.frames_used),
     )
     return record, found.plane
 
