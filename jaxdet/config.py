@@ -67,8 +67,8 @@ class GroundConfig:
     sample_frames: int = 24
     """Frames the estimate looks at, evenly spaced over the log or the window."""
     window_s: float = 0.0
-    """Length of the fixed time windows with an estimate each [s]: of the plane, or where it is
-    known of a ramp ahead. 0: one plane for the log."""
+    """Length of the fixed time windows with an estimate each [s]: of the plane where it is not
+    known, and of a ramp ahead. 0: one plane for the log, and no ramps."""
 
     def __post_init__(self) -> None:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")

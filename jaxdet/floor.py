@@ -4,8 +4,8 @@ One plane for a sample of frames: planes through random triples of pixels are pr
 frame, those that could not be a floor are put aside, and the one that most points of *all*
 frames lie on while few lie below it is refined by weighted least squares. A wall is put aside by
 its direction, an obstacle or a table by the floor points below it, and a frame without floor by
-the other frames. Where the points show a ramp ahead it is found too. Everything is seeded, so the
-same frames give the same floor.
+the other frames. In time windows, a ramp ahead is looked for too. Everything is seeded, so the same
+frames give the same floor.
 """
 
 from typing import NamedTuple
@@ -70,7 +70,9 @@ def fit_floor(z: np.ndarray, calibration: Calibration, config: GroundConfig) -> 
     found = _judge(down, height, points)
     if not found.plane.valid[0]:
         return found
-    floor = find_ramp(refine(Floor(down, height), cloud), cloud, fixed=False)
+    floor = refine(Floor(down, height), cloud)
+    if config.window_s:
+        floor = find_ramp(floor, cloud, fixed=False)
     return found._replace(plane=_rounded(floor))
 
 

@@ -18,6 +18,7 @@ from tests.scenes import D435_COLOR, aligned, assert_equal, level, noise_depth, 
 
 CAMERA = Intrinsics(24, 32, 22.0, 22.0, 11.5, 10.0)
 CALIBRATION = Calibration(D435_COLOR)
+WINDOWS = GroundConfig(window_s=0.1)
 
 
 def ramped(plane: GroundPlane, start: float, slope: float) -> GroundPlane:
@@ -103,7 +104,7 @@ def test_a_ramp_is_found_with_the_plane(pitch, roll, degrees):
     """From the depth alone, the plane may be the ramp's where little is seen before it."""
     slope = np.tan(np.radians(degrees))
     z = scene(pitch, roll, degrees + 9, 1.0, slope)
-    plane = fit_floor(z, CALIBRATION, GroundConfig()).plane
+    plane = fit_floor(z, CALIBRATION, WINDOWS).plane
     found = Floor(
         down_vector(plane.pitch, plane.roll)[0],
         *(float(a[0]) for a in (plane.height, plane.ramp_start, plane.ramp_slope)),
@@ -120,9 +121,15 @@ def test_no_ramp_is_found_on_a_level_floor(seed):
     z = scene(0.2, 0.05, seed)
     for found in (
         fit_ramp(z, level(1, 0.4, 0.2, 0.05), CALIBRATION, GroundConfig()),
-        fit_floor(z, CALIBRATION, GroundConfig()).plane,
+        fit_floor(z, CALIBRATION, WINDOWS).plane,
     ):
         assert found.ramp_start.tolist() == [np.inf] and found.ramp_slope.tolist() == [0.0]
+
+
+def test_one_plane_for_a_log_has_no_ramp():
+    z = scene(0.35, 0.15, 0, 1.0, 0.1)
+    assert fit_floor(z, CALIBRATION, GroundConfig()).plane.ramp_start.tolist() == [np.inf]
+    assert fit_floor(z, CALIBRATION, WINDOWS).plane.ramp_start.tolist() != [np.inf]
 
 
 @pytest.mark.parametrize("z", [0, 900])

@@ -17,8 +17,8 @@ from jaxdet.eval import Tally, keep_shares, total
 from jaxdet.presets import preset
 
 SOURCES = ("tf", "uneven", "estimate")
-"""Where the floor is from: the camera's mount on the robot, that with a ramp looked for in the
-depth image (preset uneven), or all from the depth image."""
+"""Where the floor is from: the camera's mount on the robot; with the preset uneven, that and a
+ramp looked for in the depth image; or with the same preset all from the depth image."""
 DIRECTIONS: dict[str, Direction] = {"floor_kept": "lower", "obstacle_kept": "higher"}
 Key = tuple[str, float, float, float]
 
@@ -36,7 +36,7 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
     ground = task.config.ground
     for shot in load_shots(task.path):
         for source in SOURCES:
-            config = preset("uneven") if source == "uneven" else task.config
+            config = task.config if source == "tf" else preset("uneven")
             frame = prepare(frames_of([shot], plane=source != "estimate"), config)[0]
             z = frame.z * shot.calibration.depth_unit
             inside = (z >= ground.min_depth_m) & (z <= ground.max_depth_m)
@@ -90,7 +90,7 @@ def run(lab: Lab) -> Section:
         "the ground stage keeps (wrong), and of true obstacle above the step height (right). "
         "The floor is that of the camera's mount (tf), which doesn't know the ramp; the same with "
         "a ramp looked for in each single frame (preset uneven); or plane and ramp from each "
-        "single frame (estimate). The paper has no such figure."
+        "single frame (estimate, the same preset). The paper has no such figure."
     )
     every = tallies_of(lab)
     _totals(section, every)

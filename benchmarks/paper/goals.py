@@ -15,7 +15,7 @@ BRIGHT = ("strong", "normal", "weaker")
 FLOORS = {
     "tf": "the mount's plane",
     "uneven": "preset uneven",
-    "estimate": "no mount known",
+    "estimate": "preset uneven, no mount known",
 }
 """Where the floor is from, as :data:`benchmarks.paper.floor.SOURCES`."""
 MOST = 20

@@ -37,9 +37,15 @@ def ground(
 def tables(
     plane: GroundPlane, calibration: Calibration, config: Config
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """The limits of the different planes, each frame's plane, the nearest and farthest depth."""
+    """The limits of the different planes, each frame's plane, the nearest and farthest depth.
+
+    The last plane is repeated up to a power of two, so that few shapes are compiled.
+    """
     settings, unit = config.ground, calibration.depth_unit
     limits, which = floor_limits(calibration.color, plane, settings, unit)
+    spare = (1 << (len(limits) - 1).bit_length()) - len(limits)
+    if spare:
+        limits = np.concatenate([limits, np.repeat(limits[-1:], spare, axis=0)])
     bounds = _bounds(*depth_range(settings.min_depth_m, settings.max_depth_m, unit))
     return jnp.asarray(limits), jnp.asarray(which), *bounds
 
