@@ -36,9 +36,9 @@ class PlaneEstimate(NamedTuple):
     plane: GroundPlane
     """``B = 1``; not valid where no floor was found."""
     inlier_share: float
-    """Share of the sampled points that lie on the plane."""
+    """Share of the sampled points that lie on the plane, before its last refinement."""
     height_spread_m: float
-    """Standard deviation of the height over the frames that see the floor [m]."""
+    """Standard deviation of the height over the frames that see the floor [m], likewise."""
     frames_used: int
     """Frames that see the floor."""
     message: str
@@ -73,7 +73,7 @@ def fit_floor(z: np.ndarray, calibration: Calibration, config: GroundConfig) -> 
     floor = refine(Floor(down, height), cloud)
     if config.window_s:
         floor = find_ramp(floor, cloud, fixed=False)
-    return found._replace(plane=_rounded(floor))
+    return found._replace(plane=_rounded(floor)) if _is_floor(floor.down, floor.height) else found
 
 
 def fit_ramp(
@@ -83,21 +83,20 @@ def fit_ramp(
 
     Args:
         z: As in :func:`fit_floor`, of a camera that keeps its place.
-        plane: ``B = 1``, valid, for instance of the camera's mount on the robot.
+        plane: ``B = 1``, for instance of the camera's mount on the robot; an unknown one stays so.
         calibration: For the colour camera and the depth unit.
         config: For the depth range.
 
     Returns:
         The plane, with the ramp that most points speak for, or without one.
     """
+    plane = flat_plane(plane.height, plane.pitch, plane.roll, plane.valid)
     cloud = np.concatenate([np.zeros((0, 3)), *_sample_points(z, calibration, config)])
+    if len(cloud) < 50 or not plane.valid[0]:
+        return plane
     known = Floor(down_vector(plane.pitch, plane.roll)[0], float(plane.height[0]))
-    if len(cloud) < 50:
-        return flat_plane(plane.height, plane.pitch, plane.roll)
     ramp = _rounded(find_ramp(known, cloud, fixed=True))
-    return flat_plane(plane.height, plane.pitch, plane.roll)._replace(
-        ramp_start=ramp.ramp_start, ramp_slope=ramp.ramp_slope
-    )
+    return plane._replace(ramp_start=ramp.ramp_start, ramp_slope=ramp.ramp_slope)
 
 
 def _rounded(floor: Floor) -> GroundPlane:
@@ -177,6 +176,11 @@ def _refine(plane: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:
     return down, height
 
 
+def _is_floor(down: np.ndarray, height: float) -> bool:
+    """Whether a robot's camera can be that high and so tilted."""
+    return HEIGHT_M[0] < height < HEIGHT_M[1] and bool(down[1] > np.cos(MAX_TILT))
+
+
 def _judge(down: np.ndarray, height: float, points: list[np.ndarray]) -> PlaneEstimate:
     """Says whether the plane is a floor, and how steady it is over the frames."""
     plane = np.append(down, height)[None]
@@ -184,9 +188,7 @@ def _judge(down: np.ndarray, height: float, points: list[np.ndarray]) -> PlaneEs
     share = sum(int(o.sum()) for o in on) / sum(len(p) for p in points)
     balance = sum(float(_score(plane, p)[0]) for p in points)
     seen = [p[o] for p, o in zip(points, on, strict=True) if o.mean() > MIN_SHARE]
-    tilt = float(np.arccos(np.clip(down[1], -1, 1)))
-    in_bounds = HEIGHT_M[0] < height < HEIGHT_M[1] and tilt < MAX_TILT
-    if share < MIN_SHARE or balance <= 0 or not seen or not in_bounds:
+    if share < MIN_SHARE or balance <= 0 or not seen or not _is_floor(down, height):
         return _no_floor(f"no floor in {len(points)} sampled frames (best plane {share:.0%})")
     heights = [float(np.median(p @ down)) for p in seen]
     message = f"floor seen in {len(seen)} of {len(points)} sampled frames, {share:.0%} of points"

@@ -1,5 +1,6 @@
 """``detect``: the paper's five steps over a batch of frames, on either backend."""
 
+from dataclasses import replace
 from importlib import import_module
 from typing import Any, Literal, Protocol, cast
 
@@ -8,7 +9,7 @@ import numpy as np
 from jaxdet.camera import grid_pixels
 from jaxdet.checks import check_frames, check_points
 from jaxdet.config import Config, FeaturesConfig
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.floor import PlaneEstimate, fit_floor, fit_ramp
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
 from jaxdet.types import (
@@ -128,7 +129,7 @@ def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") ->
     """The floor of each frame as :func:`detect` takes it: given, configured or estimated."""
     plane = _known_plane(frames, config)
     if plane is None:
-        found = estimate_plane(frames, config, backend=backend)
+        found = estimate_plane(frames, _one_window(config), backend=backend)
         plane = repeat_plane(found.plane, len(frames.depth))
     return plane
 
@@ -137,8 +138,14 @@ def _plane_of(frames: Frames, aligned: AlignedDepth, config: Config) -> GroundPl
     """The floor of each frame: given, from the configuration, or estimated."""
     plane = _known_plane(frames, config)
     if plane is None:
-        plane = repeat_plane(_fit(frames, aligned, config).plane, len(frames.depth))
+        found = _fit(frames, aligned, _one_window(config))
+        plane = repeat_plane(found.plane, len(frames.depth))
     return plane
+
+
+def _one_window(config: Config) -> Config:
+    """A batch has no windows of time: one plane for all its frames, and no ramp."""
+    return replace(config, ground=replace(config.ground, window_s=0.0))
 
 
 def _known_plane(frames: Frames, config: Config) -> GroundPlane | None:
@@ -158,7 +165,8 @@ def estimate_plane(
 
     Args:
         frames: ``B`` frames of one camera that keeps its place on the robot.
-        config: For the depth range of its ground part.
+        config: For the depth range of its ground part; with time windows, these frames are one,
+            and a ramp ahead is looked for too.
         backend: Which stages align the depth; the estimate is the same.
 
     Returns:
@@ -174,14 +182,20 @@ def estimate_ramp(
     """Looks for the one ramp that all these frames see on their known floor.
 
     Args:
-        frames: ``B`` frames of one camera that keeps its place, with the same plane each.
+        frames: ``B`` frames of one camera that keeps its place; the plane is that of the first.
         config: For the depth range of its ground part.
         backend: Which stages align the depth; the result is the same.
 
     Returns:
         ``B = 1``, see :func:`jaxdet.floor.fit_ramp`.
+
+    Raises:
+        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
+        InputError: The frames have no plane, or not as many as images.
     """
-    assert frames.plane is not None
+    if frames.plane is None:
+        raise InputError("frames without a plane", remedy="set it, or use estimate_plane")
+    check_frames(frames)
     aligned = load_backend(backend).align(frames.depth, frames.calibration)
     z = np.asarray(aligned.z)[np.asarray(frames.valid)]
     plane = GroundPlane(*(a[:1] for a in frames.plane))

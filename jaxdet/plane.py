@@ -101,7 +101,8 @@ def floor_limits(
     A ramp of slope ``t`` from the distance ``y0`` on raises the floor by ``t max(0, y - y0)``, with
     ``y = z forward . (x, y, 1)``. So where it rises, floor is what is below the plane or below the
     ramp's own plane, where it falls what is below both; the second plane has ``h + t y0`` for h and
-    ``s + t forward . (x, y, 1)`` for s.
+    ``s + t forward . (x, y, 1)`` for s. A ray that falls less than a falling ramp can't meet it:
+    it meets the plane before the crest, or no floor.
 
     Args:
         camera: The colour camera.
@@ -131,17 +132,15 @@ def _floor_limit(
     down = down_vector(np.array([pitch]), np.array([roll]))
     forward = forward_vector(down)
     s, ahead = (a[0, 0] * x + a[0, 1] * y + a[0, 2] for a in (down, forward))
-    height, s = height - step[0], s + step[1]
-    first = _crossing(height, s, depth_unit)
+    first = _crossing(height - step[0], s + step[1], depth_unit)
     if np.isfinite(start) and slope:
-        height, s = height + slope * start, s + slope * ahead
-        ramp = _crossing(height, s, depth_unit)
+        s_ramp = s + step[1] + slope * ahead
+        ramp = _crossing(height - step[0] + slope * start, s_ramp, depth_unit)
         if slope > 0:
             first = np.minimum(first, ramp)
-        else:  # a ray that falls less than the ramp may pass the crest below the ramp's plane
-            with np.errstate(invalid="ignore"):
-                before_crest = first * depth_unit * s >= height
-            first = np.maximum(first, np.where((s <= 0) & before_crest, 0.0, ramp))
+        else:
+            before = (s_ramp <= 0) & (height * ahead <= start * s)
+            first = np.maximum(first, np.where(before, 0.0, ramp))
     # A true tie is floor: the nudge undoes the rounding of the operations above.
     last = np.ceil(first * (1 - 1e-12)) - 1
     return np.clip(last, 0, 65535).astype(np.uint16)

@@ -37,8 +37,8 @@ PRESETS: dict[str, Config] = {
 """Presets: ``wheeled`` (the default robot; what differs from the paper is what the tables of
 benchmarks/paper speak for), ``paper`` (the paper's setting: Canny at 100 and 200, corners only, no
 mask, points dropped after the selection, its rectangle), ``uneven`` (for ramps and floors that are
-not flat: the floor is looked for every 0.1 s, so a lower step does), and depth ranges of common
-cameras, by their data sheets."""
+not flat: ``jaxdet run`` looks for the floor every 0.1 s, so a lower step does), and depth ranges of
+common cameras, by their data sheets."""
 
 
 def preset(name: str) -> Config:

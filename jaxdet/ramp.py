@@ -16,6 +16,13 @@ SLOPES = np.tan(np.radians(np.arange(-12.0, 12.01, 0.5)))
 """Slopes tried, rise over run: what robots on wheels drive."""
 MIN_GAIN = 0.02
 """A ramp must explain so many more of the points, as a share."""
+MIN_SHARE = 0.1
+"""Of the points that tell the ramp from the plane, it must explain at least this part anew."""
+NEAR_M, SPREAD_M = 0.5, 0.3
+"""It must be seen this near to where it can be told from the plane, and over such a distance; a
+hinge through an obstacle's top or face is seen in one place."""
+MAX_TURN = np.radians(10.0)
+"""A plane refined on the points before a ramp may turn so far."""
 MAX_TRIED = 4000
 """Points that ramps are tried on; all are used to refine the best."""
 
@@ -86,6 +93,8 @@ def find_ramp(floor: Floor, points: np.ndarray, *, fixed: bool) -> Floor:
         if min(near.sum(), (~near).sum()) < 0.03 * len(tried):
             continue
         level = floor if fixed else refine(floor, tried[near])
+        if level.down @ floor.down < np.cos(MAX_TURN):
+            continue
         run = np.maximum(level.distance(tried) - start, 0.0)
         below = level.below(tried) + SLOPES[:, None] * run
         scores = _score(below, tolerance(level, tried))
@@ -93,7 +102,29 @@ def find_ramp(floor: Floor, points: np.ndarray, *, fixed: bool) -> Floor:
         if scores[which] > best:
             best = scores[which]
             found = level._replace(start=float(start), slope=float(SLOPES[which]))
-    return _refine_ramp(found, points) if best - flat > MIN_GAIN * len(tried) else floor
+    if best - flat <= MIN_GAIN * len(tried):
+        return floor
+    refined = _refine_ramp(found, points)
+    better = abs(refined.slope) <= SLOPES[-1] and _total(refined, tried) >= best
+    found = refined if better else found
+    return found if _is_seen(found, tried) else floor
+
+
+def _is_seen(floor: Floor, points: np.ndarray) -> bool:
+    """Whether the ramp shows itself from near its start on, over some distance."""
+    allowed, level = tolerance(floor, points), floor._replace(start=np.inf)
+    run = floor.distance(points) - floor.start
+    telling = abs(floor.slope) * run > allowed
+    on = telling & (np.abs(floor.below(points)) < allowed)
+    anew = run[on & (np.abs(level.below(points)) >= allowed)]
+    if len(anew) < MIN_SHARE * telling.sum() or not len(anew):
+        return False
+    first, last = np.quantile(anew, [0.1, 0.9])
+    return bool(first < run[telling].min() + NEAR_M and last - first > SPREAD_M)
+
+
+def _total(floor: Floor, points: np.ndarray) -> float:
+    return float(_score(floor.below(points), tolerance(floor, points)))
 
 
 def _score(below: np.ndarray, allowed: np.ndarray) -> np.ndarray:

@@ -1,10 +1,15 @@
 """Frames that fail, stamps that lie, and memory."""
 
+import gc
 import tracemalloc
+import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
-from jaxdet.io import LogOptions, open_log, reading
+from jaxdet.io import LogOptions, open_log, reading, scan
+from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import McapFile
 from tests.io_helpers import (
     COLOR,
@@ -130,3 +135,71 @@ def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
         order = [11, 0, 7, 7, 3]
         np.testing.assert_array_equal(log.read(order).frames.color, scene.color[order])
     assert most == 1
+
+
+def test_a_failed_frame_does_not_hold_its_batch(tmp_path):
+    scene = make_scene(4)
+    with LogFile(tmp_path / "log.mcap") as log:
+        write_calibration(log)
+        for color, depth, at, _ in zip(*scene, strict=True):
+            log.ros(COLOR, ros_image(color, "rgb8", int(at), COLOR_FRAME), int(at))
+            image = ros_image(depth, "16UC1", int(at), DEPTH_FRAME)
+            image.data = image.data[:-9]
+            log.ros(DEPTH, image, int(at))
+    with open_log(str(tmp_path / "log.mcap")) as log:
+        batch = log.read([0, 1, 2, 3])
+        assert not batch.frames.valid.any()
+        held = weakref.ref(batch.frames.color)
+        del batch
+        gc.collect()
+        assert held() is None
+
+
+def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch):
+    plain, failures = McapFile.chunk, [1]
+
+    def failing(file: McapFile, position: int) -> bytes:
+        if failures:
+            raise DamageError(f"file can't be read (try {failures.pop()})")
+        return plain(file, position)
+
+    with open_log(str(write_log(tmp_path / "log.mcap"))) as log:
+        monkeypatch.setattr(McapFile, "chunk", failing)
+        assert "file can't be read (try 1)" in " ".join(log.read([0]).errors)
+        assert log.read([0]).errors == ("",)
+
+
+@pytest.mark.parametrize("use_chunking", [False, True])
+def test_records_are_taken_in_while_the_file_is_walked(tmp_path, use_chunking):
+    path = write_log(tmp_path / "log.mcap", make_scene(12), use_chunking=use_chunking)
+    walked = 0
+
+    def records():
+        nonlocal walked
+        for record in scan._Scan(file, lambda *_: None).records():
+            walked += 1
+            yield record
+
+    file = McapFile(path, 1 << 30)
+    with ThreadPoolExecutor(1) as pool:
+        for taken, _ in enumerate(scan._ahead(file, records(), pool)):
+            assert walked - taken <= (scan._AHEAD_RECORDS + 1 if use_chunking else 1)
+    file.close()
+    assert walked > 12 or use_chunking
+
+
+def test_one_chunk_is_in_memory_where_more_are_too_many(tmp_path, monkeypatch):
+    size = 4 << 20
+    scene = make_scene(6, size=(1024, 1024))
+    path = write_log(tmp_path / "log.mcap", scene, compression="zstd", chunk_size=size)
+    monkeypatch.setattr(scan, "_AHEAD_BYTES", 0)
+    sizes: list[int] = []
+    file = McapFile(path, 1 << 30)
+    with ThreadPoolExecutor(1) as pool:
+        tracemalloc.start()
+        scan.scan(file, lambda *message: sizes.append(message[3].size), pool)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    file.close()
+    assert sum(sizes) > 3 * size
+    assert peak < 1.5 * (size + max(sizes))

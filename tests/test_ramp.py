@@ -9,11 +9,20 @@ from jaxdet import open_log, reference, stages
 from jaxdet.cli.report import ground_text
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine.planes import decide_planes
+from jaxdet.errors import InputError
 from jaxdet.floor import fit_floor, fit_ramp
-from jaxdet.plane import down_vector, flat_plane, floor_limits, forward_vector
+from jaxdet.pipeline import estimate_ramp
+from jaxdet.plane import (
+    down_vector,
+    flat_plane,
+    floor_limits,
+    forward_vector,
+    unknown_plane,
+)
 from jaxdet.ramp import Floor
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.types import Calibration, GroundPlane, Intrinsics
+from jaxdet.stages._ground import tables
+from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
 from tests.scenes import D435_COLOR, aligned, assert_equal, level, noise_depth, resized, small
 
 CAMERA = Intrinsics(24, 32, 22.0, 22.0, 11.5, 10.0)
@@ -49,11 +58,15 @@ def test_limit_is_before_the_first_depth_on_the_floor(slope, start, pitch, roll)
     floor = slope * np.maximum(ahead[..., None] * z - start, 0.0)
     over = 0.35 - fall[..., None] * z - floor - (0.05 + 0.003 * z)
     first = np.where((over < 0).any(axis=-1), (over < 0).argmax(axis=-1) + 1, 65536)
-    near = np.abs(over).min(axis=-1) < 1e-9  # a tie, by rounding on either side
-    np.testing.assert_array_equal(
-        np.minimum(limit, 6000)[~near], np.minimum(first - 1, 6000)[~near]
-    )
     flat, _ = floor_limits(CAMERA, level(1, 0.35, pitch, roll), GroundConfig(), 0.001)
+    never = fall + 0.003 + slope * ahead <= 0  # falls less than the ramp
+    judged = np.abs(over).min(axis=-1) > 1e-9  # no tie, which rounding decides
+    judged &= ~never if slope < 0 else True
+    np.testing.assert_array_equal(*(np.minimum(a[judged], 6000) for a in (limit, first - 1)))
+    if slope < 0:
+        before = 0.35 * ahead <= start * fall
+        np.testing.assert_array_equal(limit[never & before], flat[0][never & before])
+        assert (limit[never & ~before] == 65535).all()
     assert (limit <= flat[0]).all() if slope > 0 else (limit >= flat[0]).all()
 
 
@@ -136,8 +149,39 @@ def test_one_plane_for_a_log_has_no_ramp():
 def test_nothing_to_see_is_no_ramp(z):
     depth = np.full((2, 480, 640), z, np.uint16)
     for given in (depth, depth[:0]):
-        found = fit_ramp(given, level(1, 0.4, 0.2), CALIBRATION, GroundConfig())
-        assert_equal(found, level(1, 0.4, 0.2))
+        for plane in (level(1, 0.4, 0.2), unknown_plane(1)):
+            assert_equal(fit_ramp(given, plane, CALIBRATION, GroundConfig()), plane)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_hides_the_floor_is_no_ramp(seed):
+    """A box near by, and behind it a wide one whose front a ramp from the first would cut."""
+    z = scene(0.25, 0.0, seed).astype(np.float64) / 1000
+    along = rays(D435_COLOR)
+    down = down_vector(np.array([0.25]), np.array([0.0]))
+    fall, ahead = along @ down[0], along @ forward_vector(down)[0]
+    for distance, low, high in ((1.14, -0.3, 0.3), (2.9, -0.9, 0.9)):
+        at = distance / np.maximum(ahead, 1e-3)
+        box = (at * along[..., 0] > low) & (at * along[..., 0] < high)
+        box &= (at * fall < 0.4) & (at * fall > 0.05)
+        z = np.where(box & (z > 0), np.minimum(z, at), z)
+    depth = np.rint(1000 * z).astype(np.uint16)
+    plain = level(1, 0.4, 0.25)
+    assert_equal(fit_ramp(depth, plain, CALIBRATION, GroundConfig()), plain)
+    found = fit_floor(depth, CALIBRATION, WINDOWS).plane
+    assert found.ramp_start.tolist() == [np.inf] and abs(found.height[0] - 0.4) < 0.02
+
+
+def test_a_ramp_is_looked_for_on_a_plane():
+    z = scene(0.2, 0.05, 0)
+    zero, one = np.zeros(1, np.int64), np.ones(1, bool)
+    frames = Frames(np.zeros((1, 480, 640, 3), np.uint8), z, CALIBRATION, zero, zero, zero, one)
+    with pytest.raises(InputError, match="without a plane"):
+        estimate_ramp(frames, backend="reference")
+    with pytest.raises(InputError, match="1 depth images, 2 planes"):
+        estimate_ramp(frames._replace(plane=level(2)), backend="reference")
+    plane = level(1, 0.4, 0.2, 0.05)
+    assert_equal(estimate_ramp(frames._replace(plane=plane), backend="reference"), plane)
 
 
 def test_a_run_in_time_windows_finds_the_ramp_before_a_robot_whose_mount_is_known(tmp_path):
@@ -167,9 +211,11 @@ def test_twin(device, slope):
     camera = resized(small().color, 97, 61)
     z = noise_depth(3, camera)
     plane = ramped(level(3, 0.5, 0.2, -0.1), 0.8, slope)
-    plane.ramp_start[-1] = np.inf
+    plane.ramp_start[-1], plane.height[0] = np.inf, 0.6
     given = aligned(z), plane, Calibration(camera), Config()
     assert_equal(stages.ground(*given), reference.ground(*given))
+    assert floor_limits(camera, plane, Config().ground, 0.001)[0].shape[0] == 3
+    assert tables(*given[1:])[0].shape[0] == 4
     flat = flat_plane(plane.height, plane.pitch, plane.roll)
     changed = reference.ground(*given).mask != reference.ground(given[0], flat, *given[2:]).mask
     assert changed[:2].any(axis=(1, 2)).all() and not changed[2].any()

@@ -73,13 +73,13 @@ def goals_of(figures: Figures) -> list[Goal]:
     """All goals but those on the baselines, from the figures of the experiments."""
     near = f"table4.{OURS}"
     goals = []
-    for name, tail in ((OURS, ""), (UNEVEN, ", preset uneven")):
+    for name, end, tail in ((OURS, "", ""), (UNEVEN, ".uneven", ", preset uneven")):
         for key, text, figure, bound in (
             ("all", "ACC >= 90 % over all", f"table2.{name}.accuracy", 0.90),
             ("normal", "ACC >= 95 %, normal light", f"fig12.{name}.normal.accuracy", 0.95),
             ("dim", "ACC >= 80 %, dim light", f"fig12.{name}.dim.accuracy", 0.80),
         ):
-            goals.append(_least(f"acc.{key}{tail}", text + tail, figures, [figure], bound))
+            goals.append(_least(f"acc.{key}{end}", text + tail, figures, [figure], bound))
     for light in (*BRIGHT, "dim"):
         reach = 1.25 if light == "dim" else 2.0
         keys = [f"{near}.{light}.{d:g}m" for d in DISTANCES_M if d <= reach]

@@ -110,11 +110,13 @@ def _known(
     """A plane that needs no estimate; in time windows, ramps ahead are looked for."""
 
     def look(sample: np.ndarray) -> tuple[GroundRecord, GroundPlane]:
-        found = plane
-        if config.ground.window_s:
-            frames = log.read(sample.tolist()).frames
-            frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            found = estimate_ramp(frames, config, backend=backend)
+        if not config.ground.window_s:
+            return _record(source, plane, message), plane
+        frames = log.read(sample.tolist()).frames
+        if not frames.valid.any():
+            return _record(source, plane, "no sampled frame could be read, no ramp seen"), plane
+        frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
+        found = estimate_ramp(frames, config, backend=backend)
         return _record(source, found, message), found
 
     records, windows = _in_windows(log, config, look)

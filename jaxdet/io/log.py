@@ -40,9 +40,9 @@ class Log:
 
     Memory: an index of 64 bytes for an image, pose or transform; 64 MiB of decompressed chunks
     (or one chunk, if larger); and the images of the batch being read. It doesn't grow with the
-    images. One thread may read at a time; the work is done by threads of the log's own, one a
-    core. A log can be pickled: another process opens the files again, but doesn't read them
-    through, and has one such thread.
+    images. One thread may read at a time; threads of the log's own do the work, for each core one
+    that loads and one that decodes. A log can be pickled: another process opens the files again,
+    but doesn't read them through, and has one thread of each kind.
 
     Attributes:
         name: The log's name.

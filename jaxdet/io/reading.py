@@ -2,7 +2,8 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,12 @@ class Chunk(NamedTuple):
     data: Future[bytes]
     size: int
     readers: list[Future[None]]
-    """What uses it."""
+    """What uses it, of the present batch."""
+
+    @property
+    def failed(self) -> bool:
+        """Whether it could not be loaded."""
+        return self.data.done() and (self.data.cancelled() or self.data.exception() is not None)
 
 
 class ChunkCache:
@@ -56,18 +62,30 @@ class ChunkCache:
     def chunk(self, file: int, position: int) -> Chunk:
         """The chunk whose record's content begins at ``position`` of a file."""
         key = file, position
+        if key in self._chunks and self._chunks[key].failed:
+            self._bytes -= self._chunks.pop(key).size
         if key in self._chunks:
             self._chunks.move_to_end(key)
             return self._chunks[key]
         size = self._files[file].chunk_bytes(position)
         while self._chunks and self._bytes + size > _CACHE_BYTES:
-            _, oldest = self._chunks.popitem(last=False)
-            wait(oldest.readers)
-            self._bytes -= oldest.size
+            self._drop_oldest()
         chunk = Chunk(self._pool.submit(self._files[file].chunk, position), size, [])
         self._chunks[key] = chunk
         self._bytes += size
         return chunk
+
+    def _drop_oldest(self) -> None:
+        _, oldest = self._chunks.popitem(last=False)
+        self._bytes -= oldest.size
+        for reader in oldest.readers:
+            with suppress(CancelledError):
+                reader.exception()  # waits, and leaves the error to who asks for the result
+
+    def forget_readers(self) -> None:
+        """Call after each batch: what failed holds on to the batch's images."""
+        for chunk in self._chunks.values():
+            chunk.readers.clear()
 
 
 class ImageReader:
@@ -105,7 +123,7 @@ class ImageReader:
         self._cache = ChunkCache(files, self._loading)
 
     def __reduce__(self) -> tuple:
-        """In another process there is one thread, as processes share the cores."""
+        """In another process one thread loads and one decodes, as processes share the cores."""
         return ImageReader, (*self._given, 1)
 
     def close(self) -> None:
@@ -127,12 +145,15 @@ class ImageReader:
             What went wrong in each row, or None. A row with an error is all zero.
         """
         errors: list[FrameError | None] = [None] * len(frames)
-        jobs = [(request, self._start(request, color, depth)) for request in self._requests(frames)]
-        for request, job in sorted(jobs, key=lambda item: (item[0].row, item[0].depth)):
-            try:
-                job.result()
-            except FrameError as error:
-                errors[request.row] = errors[request.row] or error
+        try:
+            jobs = [(r, self._start(r, color, depth)) for r in self._requests(frames)]
+            for request, job in sorted(jobs, key=lambda item: (item[0].row, item[0].depth)):
+                try:
+                    job.result()
+                except FrameError as error:
+                    errors[request.row] = errors[request.row] or error
+        finally:
+            self._cache.forget_readers()
         for row, error in enumerate(errors):
             if error is not None:
                 color[row], depth[row] = 0, 0

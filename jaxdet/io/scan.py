@@ -24,6 +24,7 @@ from jaxdet.io.integrity import FileIntegrity
 
 _TOP_LEVEL = -1
 _AHEAD_BYTES = 64 << 20
+_AHEAD_RECORDS = 256
 _TORN = 0
 """Opcode, which no record has, of what can't be walked over."""
 _MAX_TIME_NS = (1 << 63) - 1
@@ -58,6 +59,16 @@ class _Record(NamedTuple):
     """Of its content, by its own word."""
 
 
+class _Ahead(NamedTuple):
+    """A record that is to be taken in."""
+
+    record: _Record
+    chunk: Future[bytes] | None = None
+    """What a chunk will be decompressed."""
+    size: int = 0
+    """Of that."""
+
+
 def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
     """Gives every readable message to ``handler``, in file order; says what was lost.
 
@@ -67,32 +78,36 @@ def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileInte
         pool: Decompresses chunks, up to 64 MiB of them ahead (or one chunk, if larger).
     """
     walk = _Scan(file, handler)
-    for record, chunk in _ahead(file, walk.records(), pool):
+    for item in _ahead(file, walk.records(), pool):
         try:
-            walk.record(record, chunk)
+            walk.record(item.record, item.chunk)
         except DamageError as error:
-            walk.lose(str(error), record.length)
+            walk.lose(str(error), item.record.length)
+        del item  # and its chunk, before the next is decompressed
     return walk.integrity()
 
 
 def _ahead(
     file: McapFile, records: Iterable[_Record], pool: ThreadPoolExecutor
-) -> Iterator[tuple[_Record, Future[bytes] | None]]:
-    """The records in order, those that are chunks with what will be their decompressed bytes."""
-    waiting: deque[tuple[_Record, Future[bytes] | None, int]] = deque()
+) -> Iterator[_Ahead]:
+    """The records in order, chunks ahead being decompressed."""
+    waiting: deque[_Ahead] = deque()
     ahead = 0
     for record in records:
         is_chunk = record.opcode == Opcode.CHUNK
         size = file.chunk_bytes(record.position) if is_chunk else 0
-        while waiting and ahead + size > _AHEAD_BYTES:
-            done, decompressed, before = waiting.popleft()
-            yield done, decompressed
-            ahead -= before
-        chunk = pool.submit(file.chunk, record.position) if is_chunk else None
-        waiting.append((record, chunk, size))
-        ahead += size
-    for record, chunk, _ in waiting:
-        yield record, chunk
+        while waiting and (ahead + size > _AHEAD_BYTES or len(waiting) >= _AHEAD_RECORDS):
+            ahead -= waiting[0].size
+            yield waiting.popleft()
+        if is_chunk:
+            waiting.append(_Ahead(record, pool.submit(file.chunk, record.position), size))
+            ahead += size
+        elif waiting:
+            waiting.append(_Ahead(record))
+        else:
+            yield _Ahead(record)
+    while waiting:
+        yield waiting.popleft()
 
 
 class _Summary(NamedTuple):
