@@ -89,5 +89,5 @@ def test_the_largest_numbers_work():
 
 
 def test_no_workers_are_an_error():
-    with pytest.raises(ConfigError, match="give 1 or more"):
+    with pytest.raises(ConfigError, match="give --workers 1 or more"):
         Workers(0)
