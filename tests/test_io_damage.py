@@ -9,7 +9,7 @@ import zstandard
 from mcap.reader import make_reader
 
 from jaxdet.errors import InputError, JaxdetError
-from jaxdet.io import LogOptions, open_log, scan
+from jaxdet.io import LogOptions, lookahead, open_log
 from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
 from tests.io_helpers import COLOR_FRAME, LogFile, assert_holds, make_scene, ros_image, write_log
 
@@ -124,7 +124,7 @@ def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, mon
     path.write_bytes(data)
     found = []
     for ahead in (0, 10_000, 1 << 30):
-        monkeypatch.setattr(scan, "_AHEAD_BYTES", ahead)
+        monkeypatch.setattr(lookahead, "AHEAD_BYTES", ahead)
         with open_log(str(path)) as log:
             [integrity] = log.description.integrity
             found.append((integrity, integrity.text, log.stamps_ns.tolist(), frames_right(log)))

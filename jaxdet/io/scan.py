@@ -7,8 +7,8 @@ than its chunk, a torn end. A missing summary does no harm. Where a record's len
 the walk goes on at the next chunk that the summary's index knows.
 """
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from io import BytesIO
 from typing import NamedTuple
@@ -21,10 +21,9 @@ from mcap.records import Channel, Schema
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError, chunk_records
 from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.lookahead import FileRecord, ahead
 
 _TOP_LEVEL = -1
-_AHEAD_BYTES = 64 << 20
-_AHEAD_RECORDS = 256
 _TORN = 0
 """Opcode, which no record has, of what can't be walked over."""
 _MAX_TIME_NS = (1 << 63) - 1
@@ -49,26 +48,6 @@ Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
 """Gets channel, log time [ns], payload and location of each message."""
 
 
-class _Record(NamedTuple):
-    """A record of a file's data section."""
-
-    opcode: int
-    position: int
-    """Where its content begins in the file."""
-    length: int
-    """Of its content, by its own word."""
-
-
-class _Ahead(NamedTuple):
-    """A record that is to be taken in."""
-
-    record: _Record
-    chunk: Future[bytes] | None = None
-    """What a chunk will be decompressed."""
-    size: int = 0
-    """Of that."""
-
-
 def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
     """Gives every readable message to ``handler``, in file order; says what was lost.
 
@@ -78,36 +57,13 @@ def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileInte
         pool: Decompresses chunks, up to 64 MiB of them ahead (or one chunk, if larger).
     """
     walk = _Scan(file, handler)
-    for item in _ahead(file, walk.records(), pool):
+    for item in ahead(file, walk.records(), pool):
         try:
             walk.record(item.record, item.chunk)
         except DamageError as error:
             walk.lose(str(error), item.record.length)
         del item  # and its chunk, before the next is decompressed
     return walk.integrity()
-
-
-def _ahead(
-    file: McapFile, records: Iterable[_Record], pool: ThreadPoolExecutor
-) -> Iterator[_Ahead]:
-    """The records in order, chunks ahead being decompressed."""
-    waiting: deque[_Ahead] = deque()
-    ahead = 0
-    for record in records:
-        is_chunk = record.opcode == Opcode.CHUNK
-        size = file.chunk_bytes(record.position) if is_chunk else 0
-        while waiting and (ahead + size > _AHEAD_BYTES or len(waiting) >= _AHEAD_RECORDS):
-            ahead -= waiting[0].size
-            yield waiting.popleft()
-        if is_chunk:
-            waiting.append(_Ahead(record, pool.submit(file.chunk, record.position), size))
-            ahead += size
-        elif waiting:
-            waiting.append(_Ahead(record))
-        else:
-            yield _Ahead(record)
-    while waiting:
-        yield waiting.popleft()
 
 
 class _Summary(NamedTuple):
@@ -145,7 +101,7 @@ class _Scan:
         self.lost_spans: list[tuple[int, int]] = []
         self.last_ns = 0
 
-    def records(self) -> Iterator[_Record]:
+    def records(self) -> Iterator[FileRecord]:
         """The records up to the end of the data, and in their places what can't be one."""
         file, position = self.file, len(MAGIC)
         while True:
@@ -158,15 +114,15 @@ class _Scan:
                     if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                         self.ended = file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
                         return
-                    yield _Record(opcode, content, length)
+                    yield FileRecord(opcode, content, length)
                     continue
             after = [offset for offset in self.summary.chunk_offsets if offset > start]
             position = after[0] if after else file.size
-            yield _Record(_TORN, start, position - start)
+            yield FileRecord(_TORN, start, position - start)
             if not after:
                 return
 
-    def record(self, record: _Record, chunk: Future[bytes] | None) -> None:
+    def record(self, record: FileRecord, chunk: Future[bytes] | None) -> None:
         """Takes in one record.
 
         Raises:
