@@ -216,11 +216,14 @@ def load_truth(log: str | Path) -> Truth:
 
 def load_obstacle_ids(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
     """The obstacle number of each colour pixel of some frames, ``(B, H, W)`` uint8."""
-    with np.load(truth_path(log)) as arrays:
-        return np.stack([arrays[f"obstacle_id_{int(frame):06d}"] for frame in frames])
+    return _load_images(log, "obstacle_id", frames)
 
 
 def load_depths(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
     """The true z of what each colour pixel of some frames shows, ``(B, H, W)`` float16 [m]."""
+    return _load_images(log, "depth", frames)
+
+
+def _load_images(log: str | Path, name: str, frames: np.ndarray | list[int]) -> np.ndarray:
     with np.load(truth_path(log)) as arrays:
-        return np.stack([arrays[f"depth_{int(frame):06d}"] for frame in frames])
+        return np.stack([arrays[f"{name}_{int(frame):06d}"] for frame in frames])
