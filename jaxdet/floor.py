@@ -15,7 +15,7 @@ import numpy as np
 from jaxdet.camera import pixel_rays
 from jaxdet.config import GroundConfig
 from jaxdet.plane import down_vector, flat_plane, plane_from_down, unknown_plane
-from jaxdet.ramp import Floor, find_ramp, refine
+from jaxdet.ramp import Floor, find_ramp, refine, score
 from jaxdet.types import Calibration, GroundPlane
 
 MAX_TILT = np.radians(50.0)
@@ -66,11 +66,12 @@ def fit_floor(z: np.ndarray, calibration: Calibration, config: GroundConfig) -> 
         return _no_floor(f"no floor-like plane in {len(points)} sampled frames")
     cloud = np.concatenate(points)
     scores = np.sum([_score(proposals, p) for p in points], axis=0)
-    down, height = _refine(proposals[np.argmax(scores)], cloud)
-    found = _judge(down, height, points)
+    best = proposals[np.argmax(scores)]
+    floor = refine(Floor(best[:3], float(best[3])), cloud, _roughly, rounds=5)
+    found = _judge(floor.down, floor.height, points)
     if not found.plane.valid[0]:
         return found
-    floor = refine(Floor(down, height), cloud)
+    floor = refine(floor, cloud)
     if config.window_s:
         floor = find_ramp(floor, cloud, fixed=False)
     return found._replace(plane=_rounded(floor)) if _is_floor(floor.down, floor.height) else found
@@ -136,6 +137,10 @@ def _tolerance(depth: np.ndarray) -> np.ndarray:
     return 0.012 + 0.004 * depth * depth
 
 
+def _roughly(floor: Floor, points: np.ndarray) -> np.ndarray:
+    return _tolerance(points[:, 2])
+
+
 def _propose(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The best floor-like planes through three points of a frame, ``(n, 4)``: down, height."""
     triple = points[rng.integers(0, len(points), (TRIPLES, 3))]
@@ -153,27 +158,7 @@ def _propose(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _score(planes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points on each plane, less twice those clearly below it, ``(n,)``."""
     below = points @ planes[:, :3].T - planes[:, 3]
-    tolerance = _tolerance(points[:, 2])[:, None]
-    on, under = np.abs(below) < tolerance, below > 4 * tolerance
-    return on.sum(axis=0) - 2.0 * under.sum(axis=0)
-
-
-def _refine(plane: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Weighted total least squares on the points near the plane, five times."""
-    down, height = plane[:3], float(plane[3])
-    for _ in range(5):
-        tolerance = _tolerance(points[:, 2])
-        near = np.abs(points @ down - height) < 1.5 * tolerance
-        if near.sum() < 20:
-            break
-        weight = tolerance[near] ** -2
-        weight /= weight.sum()
-        center = weight @ points[near]
-        offset = points[near] - center
-        normal = np.linalg.eigh((offset * weight[:, None]).T @ offset)[1][:, 0]
-        down = normal if normal[1] > 0 else -normal
-        height = float(down @ center)
-    return down, height
+    return score(below.T, _tolerance(points[:, 2]))
 
 
 def _is_floor(down: np.ndarray, height: float) -> bool:

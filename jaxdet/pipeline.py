@@ -127,7 +127,7 @@ def slots_of(camera: Intrinsics, config: FeaturesConfig) -> int:
 
 def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:
     """The floor of each frame as :func:`detect` takes it: given, configured or estimated."""
-    plane = _known_plane(frames, config)
+    plane = known_plane(frames, config)
     if plane is None:
         found = estimate_plane(frames, _one_window(config), backend=backend)
         plane = repeat_plane(found.plane, len(frames.depth))
@@ -136,7 +136,7 @@ def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") ->
 
 def _plane_of(frames: Frames, aligned: AlignedDepth, config: Config) -> GroundPlane:
     """The floor of each frame: given, from the configuration, or estimated."""
-    plane = _known_plane(frames, config)
+    plane = known_plane(frames, config)
     if plane is None:
         found = _fit(frames, aligned, _one_window(config))
         plane = repeat_plane(found.plane, len(frames.depth))
@@ -148,7 +148,7 @@ def _one_window(config: Config) -> Config:
     return replace(config, ground=replace(config.ground, window_s=0.0))
 
 
-def _known_plane(frames: Frames, config: Config) -> GroundPlane | None:
+def known_plane(frames: Frames, config: Config) -> GroundPlane | None:
     """The floor that needs no estimate, or None."""
     if frames.plane is not None:
         return frames.plane

@@ -4,6 +4,7 @@ With pitch ``p`` and roll ``r`` (see :class:`jaxdet.types.GroundPlane`) the dire
 the camera optical frame is ``(sin r cos p, cos r cos p, sin p)``.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -80,6 +81,11 @@ def unknown_plane(batch: int) -> GroundPlane:
 def repeat_plane(plane: GroundPlane, batch: int) -> GroundPlane:
     """One plane (``B = 1``) for each of ``batch`` frames."""
     return GroundPlane(*(np.repeat(a, batch) for a in plane))
+
+
+def join_planes(planes: Sequence[GroundPlane]) -> GroundPlane:
+    """The planes of batches one after the other, as those of one batch."""
+    return GroundPlane(*(np.concatenate(parts) for parts in zip(*planes, strict=True)))
 
 
 def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tuple[int, int]:

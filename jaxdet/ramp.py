@@ -4,6 +4,7 @@ Beside the floor's plane, hinged planes are tried that bend at some distance ahe
 most points lie on while few lie below it is refined by weighted least squares.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -60,10 +61,22 @@ def tolerance(floor: Floor, points: np.ndarray) -> np.ndarray:
     return 0.008 + 0.004 * floor.height * points[:, 2]
 
 
-def refine(floor: Floor, points: np.ndarray) -> Floor:
-    """Weighted total least squares on the points near a floor without a ramp, six times."""
-    for _ in range(6):
-        allowed = tolerance(floor, points)
+def refine(
+    floor: Floor,
+    points: np.ndarray,
+    within: Callable[[Floor, np.ndarray], np.ndarray] = tolerance,
+    rounds: int = 6,
+) -> Floor:
+    """Weighted total least squares on the points near a floor without a ramp.
+
+    Args:
+        floor: Where to begin.
+        points: ``(n, 3)`` float64 in the camera optical frame [m].
+        within: Points one and a half times so far away count as near.
+        rounds: How often.
+    """
+    for _ in range(rounds):
+        allowed = within(floor, points)
         near = np.abs(floor.below(points)) < 1.5 * allowed
         if near.sum() < 20:
             break
@@ -86,10 +99,11 @@ def find_ramp(floor: Floor, points: np.ndarray, *, fixed: bool) -> Floor:
         fixed: Whether the plane is known; else it is refined on the points before each ramp.
     """
     tried = points[:: -(-len(points) // MAX_TRIED)]
-    flat = best = _score(floor.below(tried), tolerance(floor, tried))
+    distance = floor.distance(tried)
+    flat = best = score(floor.below(tried), tolerance(floor, tried))
     found = floor
     for start in STARTS_M:
-        near = floor.distance(tried) < start
+        near = distance < start
         if min(near.sum(), (~near).sum()) < 0.03 * len(tried):
             continue
         level = floor if fixed else refine(floor, tried[near])
@@ -97,7 +111,7 @@ def find_ramp(floor: Floor, points: np.ndarray, *, fixed: bool) -> Floor:
             continue
         run = np.maximum(level.distance(tried) - start, 0.0)
         below = level.below(tried) + SLOPES[:, None] * run
-        scores = _score(below, tolerance(level, tried))
+        scores = score(below, tolerance(level, tried))
         which = int(np.argmax(scores))
         if scores[which] > best:
             best = scores[which]
@@ -124,11 +138,16 @@ def _is_seen(floor: Floor, points: np.ndarray) -> bool:
 
 
 def _total(floor: Floor, points: np.ndarray) -> float:
-    return float(_score(floor.below(points), tolerance(floor, points)))
+    return float(score(floor.below(points), tolerance(floor, points)))
 
 
-def _score(below: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """Points on the floor, less twice those clearly below it; over the last axis."""
+def score(below: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """Points on the floor, less twice those clearly below it; over the last axis.
+
+    Args:
+        below: ``(..., n)`` how far points lie below a floor [m].
+        allowed: ``(n,)`` how far from it they may lie [m].
+    """
     on, under = np.abs(below) < allowed, below > 4 * allowed
     return on.sum(axis=-1) - 2.0 * under.sum(axis=-1)
 

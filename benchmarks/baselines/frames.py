@@ -9,8 +9,8 @@ from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config
 from jaxdet.floor import fit_floor, fit_ramp
-from jaxdet.pipeline import BackendName, load_backend
-from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
+from jaxdet.pipeline import BackendName, known_plane, load_backend
+from jaxdet.plane import join_planes, repeat_plane
 from jaxdet.reference._features import lateral
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Labels
 
@@ -66,22 +66,17 @@ def prepare(
 
 
 def _floor(frames: Frames, z: np.ndarray, config: Config) -> GroundPlane:
-    ground, calibration, batch = config.ground, frames.calibration, len(z)
-    known = frames.plane
-    if known is None and ground.camera_height_m is not None:
-        known = repeat_plane(flagged_plane(ground), batch)
-    if known is None and ground.source == "none":
-        return unknown_plane(batch)
+    ground, calibration, known = config.ground, frames.calibration, known_plane(frames, config)
     if not ground.window_s:
-        return known or repeat_plane(fit_floor(z[frames.valid], calibration, ground).plane, batch)
+        return known or repeat_plane(fit_floor(z[frames.valid], calibration, ground).plane, len(z))
     each: list[GroundPlane] = []
-    for b in range(batch):
+    for b in range(len(z)):
         if known is None:
             each.append(fit_floor(z[b : b + 1], calibration, ground).plane)
         else:
             plane = GroundPlane(*(a[b : b + 1] for a in known))
             each.append(fit_ramp(z[b : b + 1], plane, calibration, ground))
-    return GroundPlane(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
+    return join_planes(each)
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:

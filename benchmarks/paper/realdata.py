@@ -17,7 +17,7 @@ from jaxdet.engine.rows import to_host
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.io import open_log
 from jaxdet.pipeline import detect, estimate_plane
-from jaxdet.plane import repeat_plane
+from jaxdet.plane import join_planes, repeat_plane
 from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
 
 SHEET = (3, 5)
@@ -85,8 +85,7 @@ def _stills(data: Path, name: str, config: Config) -> Recording:
     camera = Intrinsics(*size, K[0][0], K[1][1], K[0][2], K[1][2])
     frames, names = _read(data / "color", data / "depth", Calibration(camera))
     planes = [_plane(frames, b, config) for b in range(len(names))]
-    joined = GroundPlane(*(np.concatenate(parts) for parts in zip(*planes, strict=True)))
-    return Recording(name, frames._replace(plane=joined), names)
+    return Recording(name, frames._replace(plane=join_planes(planes)), names)
 
 
 def _plane(frames: Frames, b: int, config: Config) -> GroundPlane:

@@ -14,7 +14,13 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.pipeline import BackendName, estimate_plane, estimate_ramp
-from jaxdet.plane import flagged_plane, plane_from_transform, repeat_plane, unknown_plane
+from jaxdet.plane import (
+    flagged_plane,
+    join_planes,
+    plane_from_transform,
+    repeat_plane,
+    unknown_plane,
+)
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -65,7 +71,7 @@ class Planes:
             return repeat_plane(self.windows[0], stamp_ns.size)
         keys = (stamp_ns // self.window_ns).tolist()
         each = [self.windows.get(key, self.otherwise) for key in keys]
-        return GroundPlane(*(np.concatenate(values) for values in zip(*each, strict=True)))
+        return join_planes(each)
 
 
 def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
@@ -108,10 +114,11 @@ def _known(
     message: str = "",
 ) -> Planes:
     """A plane that needs no estimate; in time windows, ramps ahead are looked for."""
+    level = _record(source, plane, message)
+    if not config.ground.window_s:
+        return Planes((level,), {0: plane})
 
     def look(sample: np.ndarray) -> tuple[GroundRecord, GroundPlane]:
-        if not config.ground.window_s:
-            return _record(source, plane, message), plane
         frames = log.read(sample.tolist()).frames
         if not frames.valid.any():
             return _record(source, plane, "no sampled frame could be read, no ramp seen"), plane
@@ -120,10 +127,8 @@ def _known(
         return _record(source, found, message), found
 
     records, windows = _in_windows(log, config, look)
-    if not records:
-        records.append(_record(source, plane, message))
     window_ns = round(config.ground.window_s * 1e9)
-    return Planes(tuple(records), windows or {0: plane}, window_ns, otherwise=plane)
+    return Planes(tuple(records) or (level,), windows, window_ns, otherwise=plane)
 
 
 def _record(source: str, plane: GroundPlane, message: str) -> GroundRecord:
