@@ -11,7 +11,7 @@ from jaxdet.errors import ConfigError
 MAX_POINTS = 8192
 """Most points of a frame, corners and grid together: what the 32-bit keys and sums hold."""
 
-REACH = 16
+REACH = 20
 """A surface behind a nearer thing is looked for so many pixels of the grid to the left."""
 
 TRIM_SHARE = 16
@@ -119,7 +119,7 @@ class FeaturesConfig:
     """Side of the tiles that share out the slots [pixel]."""
     max_per_tile: int = 0
     """Most corners of a tile, so that one textured region can't use up the slots; 0: no limit."""
-    grid_columns: int = 64
+    grid_columns: int = 80
     """Columns of a regular grid whose kept pixels are points too, with square meshes, so that
     surfaces without corners (plain, dim) are seen by their depth. 0: corners only."""
     use_mask: bool = True
@@ -148,7 +148,7 @@ class ClusterConfig:
     is depth_gap_m + depth_gap_per_m * z * z."""
     lateral_gap_m: float = 0.15
     """d_x [m]: a larger sideways gap starts a new set. The paper's is the robot's width, 0.40."""
-    min_points: int = 15
+    min_points: int = 18
     """N: sets of this many points or fewer are dropped. The paper's is 10."""
     slice_m: float = 0.15
     """Sideways gaps are looked for in slices of this depth [m], cut twice, half a slice apart;
@@ -157,8 +157,19 @@ class ClusterConfig:
     occluder_m: float = 1.0
     """With slices: surfaces in a row of the grid on both sides of a nearer thing, at most this far
     apart [m], are one when their depths are within d_z. 0: off."""
+    occluder_slope: float = 0.25
+    """d_z grows by so much for each metre between two such surfaces: they are seen obliquely."""
     max_holes: int = 2
     """With slices: so many pixels of the grid without depth may lie between such surfaces."""
+    surface_height_m: float = 0.65
+    """With slices: surfaces at least so high stand on their own: they are never one because of
+    what is near them sideways. A surface is pixels of the grid whose depths go on to the next
+    column or row, or behind a nearer thing. 0: off."""
+    surface_gap_m: float = 0.03
+    """Largest step in depth between neighbouring pixels of a surface [m]."""
+    surface_gap_per_m: float = 0.011
+    """Added to it in proportion to z squared [1/m]: some four standard deviations of a D435's
+    depth."""
     rounds: int = 1
     """Without slices: how often each set is split by depth and then sideways: a set that falls
     apart sideways may fall apart in depth again."""
@@ -173,7 +184,11 @@ class ClusterConfig:
         _require_within(self.depth_gap_per_m, 0, FARTHEST_M, "cluster.depth-gap-per-m")
         _require_within(self.slice_m, 0, FARTHEST_M, "cluster.slice-m")
         _require_within(self.occluder_m, 0, FARTHEST_M, "cluster.occluder-m")
+        _require_within(self.occluder_slope, 0, 2, "cluster.occluder-slope")
         _require_within(self.max_holes, 0, REACH, "cluster.max-holes")
+        _require_within(self.surface_height_m, 0, FARTHEST_M, "cluster.surface-height-m")
+        _require_within(self.surface_gap_m, 0, FARTHEST_M, "cluster.surface-gap-m")
+        _require_within(self.surface_gap_per_m, 0, FARTHEST_M, "cluster.surface-gap-per-m")
         _require_within(self.rounds, 1, 8, "cluster.rounds")
 
 

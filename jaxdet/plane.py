@@ -15,6 +15,8 @@ from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
+SLOPE_BITS = 10
+"""Fraction bits of the slope in :func:`slope_units`."""
 
 
 def flat_plane(
@@ -158,6 +160,11 @@ def _crossing(height: float, s: np.ndarray, depth_unit: float) -> np.ndarray:
     return np.divide(drop, s, out=np.full_like(s, np.inf), where=s > 0)
 
 
+def slope_units(config: ClusterConfig) -> int:
+    """The slope of surfaces behind nearer things, as an integer."""
+    return round(config.occluder_slope * (1 << SLOPE_BITS))
+
+
 def slice_units(config: ClusterConfig, depth_unit: float) -> int:
     """The depth of a slice [depth units], at least one; 0: no slices."""
     return max(1, round(config.slice_m / depth_unit)) if config.slice_m else 0
@@ -165,16 +172,19 @@ def slice_units(config: ClusterConfig, depth_unit: float) -> int:
 
 @lru_cache(maxsize=16)
 def gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
-    """The largest step in depth within an obstacle, from a point at each depth.
+    """The largest steps in depth: within an obstacle, and from pixel to pixel of a surface.
 
-    ``d_z + c z^2``, rounded to whole depth units.
+    ``d_z + c z^2`` with the constants of each, rounded to whole depth units.
 
     Returns:
-        ``(65536,)`` int32 [depth units], by z in depth units, read-only.
+        ``(2, 65536)`` int32 [depth units], by z in depth units, read-only.
     """
     z = np.arange(65536) * depth_unit
-    gaps = np.rint((config.depth_gap_m + config.depth_gap_per_m * z * z) / depth_unit)
-    gaps = np.minimum(gaps, 1 << 20).astype(np.int32)
+    steps = (
+        config.depth_gap_m + config.depth_gap_per_m * z * z,
+        config.surface_gap_m + config.surface_gap_per_m * z * z,
+    )
+    gaps = np.minimum(np.rint(np.stack(steps) / depth_unit), 1 << 20).astype(np.int32)
     gaps.setflags(write=False)
     return gaps
 

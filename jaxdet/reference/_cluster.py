@@ -5,7 +5,7 @@ import numpy as np
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.plane import gap_table
 from jaxdet.reference._footprint import to_ground
-from jaxdet.reference._slices import linked_sets
+from jaxdet.reference._slices import Points, linked_sets
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels
 
 
@@ -29,7 +29,8 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         config: The gaps, N and the options of its cluster part.
 
     Returns:
-        Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
+        Labels numbered in order of nearest z, then smallest x, then first slot, with -1 for no
+        obstacle.
 
     Example:
         >>> z = np.array([[500, 501, 502, 900, 901, 902]], np.int32)
@@ -42,7 +43,7 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         [[0, 0, 0, 1, 1, 1]]
     """
     settings = config.cluster
-    depth_gaps = gap_table(settings, depth_unit)
+    depth_gaps, surface_gaps = gap_table(settings, depth_unit)
     lateral_gap = round(settings.lateral_gap_m / depth_unit)
     lateral, depth = features.x, features.z
     if settings.on_floor:
@@ -54,11 +55,12 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         gaps = depth_gaps[z]
         if settings.slice_m:
             row = np.where(np.arange(len(z)) < config.features.max_corners, -1, features.v[b])
-            parts = linked_sets(x, z, kept, features.z[b] > 0, row, gaps, depth_unit, settings)
+            points = Points(x, features.y[b], z, kept, features.z[b] > 0, row)
+            parts = linked_sets(points, gaps, surface_gaps[z], depth_unit, settings)
             sets = [part for part in parts if len(part) > settings.min_points]
         else:
             sets = _gap_sets(x, z, np.flatnonzero(kept), gaps, lateral_gap, settings)
-        sets.sort(key=lambda s, z=z, x=x: (z[s].min(), x[s].min()))
+        sets.sort(key=lambda s, z=z, x=x: (z[s].min(), x[s].min(), s.min()))
         for label, part in enumerate(sets):
             labels[b, part] = label
     return Labels(labels, (labels.max(axis=1, initial=-1) + 1).astype(np.int32))

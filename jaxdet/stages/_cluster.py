@@ -34,7 +34,8 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         config: The gaps, N and the options of its cluster part.
 
     Returns:
-        Labels numbered in order of nearest z, then smallest x, with -1 for no obstacle.
+        Labels numbered in order of nearest z, then smallest x, then first slot, with -1 for no
+        obstacle.
 
     Raises:
         ConfigError: N is larger.
@@ -88,9 +89,8 @@ def labels_by_arrays(
     settings: ClusterConfig,
 ) -> tuple[jax.Array, jax.Array]:
     """The array program; takes and gives what ``_cluster_cpu.labels_by_frames`` does."""
-    gap = gap_by_depth[jnp.clip(depth, 0, 65535)]
     if settings.slice_m:
-        root = linked_sets(features, x, depth, gap, first_grid, depth_unit, settings)
+        root = linked_sets(features, x, depth, gap_by_depth, first_grid, depth_unit, settings)
         part = jax.vmap(partial(_large, min_points=settings.min_points))(root, features.kept)
     else:
         lateral_gap = round(settings.lateral_gap_m / depth_unit)
@@ -100,6 +100,7 @@ def labels_by_arrays(
             min_points=settings.min_points,
             rounds=settings.rounds,
         )
+        gap = gap_by_depth[0, jnp.clip(depth, 0, 65535)]
         part = jax.vmap(split)(x, depth, features.kept, gap)
     number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
     return jax.vmap(number)(part, x, depth)

@@ -2,8 +2,8 @@
 
 import jax
 
-from jaxdet.config import ClusterConfig
-from jaxdet.plane import slice_units
+from jaxdet.config import REACH, ClusterConfig
+from jaxdet.plane import slice_units, slope_units
 from jaxdet.stages._threads import FrameKernel
 from jaxdet.types import Features
 from jaxdet_kernels import cluster_frames as kernels
@@ -26,7 +26,7 @@ def labels_by_frames(
         features: ``(B, N)`` points.
         x: ``(B, N)`` int32, to the right [depth units].
         depth: ``(B, N)`` int32, forward [depth units], in [0, 65536).
-        gap_by_depth: ``(65536,)`` int32, d_z at each depth [depth units].
+        gap_by_depth: ``(2, 65536)``, see :func:`jaxdet.plane.gap_table`.
         first_grid: The slot of the grid's first pixel.
         depth_unit: Metres in one depth unit.
         settings: The distances.
@@ -37,6 +37,7 @@ def labels_by_frames(
     depth_of_slice = min(slice_units(settings, depth_unit), 1 << 18)  # more hold all depths as well
     labels, count = _cluster(
         x,
+        features.y,
         depth,
         features.kept,
         features.v,
@@ -45,8 +46,11 @@ def labels_by_frames(
         round(settings.lateral_gap_m / depth_unit),
         settings.min_points,
         depth_of_slice,
+        REACH,
         round(settings.occluder_m / depth_unit),
+        slope_units(settings),
         settings.max_holes,
+        round(settings.surface_height_m / depth_unit),
         first_grid,
         frames=x.shape[0],
         output_dims={"labels_out": x.shape, "count_out": (x.shape[0],)},

@@ -1,23 +1,25 @@
-"""Sets of points linked slice by slice, and along the grid's rows behind nearer things."""
+"""Sets of points linked slice by slice, and along the surfaces that a grid of pixels shows."""
 
 import jax
 import jax.numpy as jnp
 import warp as wp
 
 from jaxdet.config import REACH, ClusterConfig
-from jaxdet.plane import slice_units
+from jaxdet.plane import SLOPE_BITS, slice_units, slope_units
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
 from jaxdet.types import MAX_LATERAL, Features
-from jaxdet_kernels import components as kernels
+from jaxdet_kernels import linked_sets as kernels
 
-_components = wp.jax_kernel(kernels.components, block_dim=kernels.COMPONENTS_BLOCK)
+_linked_sets = wp.jax_kernel(
+    kernels.linked_sets, num_outputs=2, block_dim=kernels.LINKED_SETS_BLOCK
+)
 
 
 def linked_sets(
     features: Features,
     x: jax.Array,
     z: jax.Array,
-    depth_gap: jax.Array,
+    gaps: jax.Array,
     first_grid: int,
     depth_unit: float,
     settings: ClusterConfig,
@@ -28,7 +30,7 @@ def linked_sets(
         features: ``(B, N)`` points.
         x: ``(B, N)`` int32, to the right [depth units].
         z: ``(B, N)`` int32, forward [depth units].
-        depth_gap: ``(B, N)`` int32, d_z at each point [depth units].
+        gaps: ``(2, 65536)``, see :func:`jaxdet.plane.gap_table`.
         first_grid: The slot of the grid's first pixel.
         depth_unit: Metres in one depth unit.
         settings: The distances.
@@ -39,22 +41,31 @@ def linked_sets(
     depth = slice_units(settings, depth_unit)
     gap, reach = (round(m / depth_unit) for m in (settings.lateral_gap_m, settings.occluder_m))
     order, place = jax.vmap(rank)(x + MAX_LATERAL)
-    kinds = [
+    behind = jnp.full_like(x, -1)
+    if reach and first_grid < x.shape[1]:
+        behind = _behind(features, x, z, gaps[0], first_grid, reach, settings)
+    links = [
         _sideways(features.kept, x, (z + start) // depth, order, place, gap)
         for start in (0, depth // 2)
     ]
-    if reach and first_grid < x.shape[1]:
-        kinds.append(_behind(features, x, z, depth_gap, first_grid, reach, settings.max_holes))
-    links = jnp.stack(kinds, axis=1)
+    given = (
+        jnp.stack([*links, behind], axis=1),
+        features.y,
+        z,
+        features.kept,
+        features.v,
+        gaps,
+        round(settings.surface_height_m / depth_unit),
+        first_grid,
+    )
     batch, n = x.shape
 
     def find(threads: int) -> jax.Array:
-        return _components(
-            links, launch_dims=(batch * threads,), output_dims={"root_out": (batch, n)}
-        )[0]
+        dims = {"scratch_out": (batch, 2, n), "root_out": (batch, n)}
+        return _linked_sets(*given, launch_dims=(batch * threads,), output_dims=dims)[1]
 
     return jax.lax.platform_dependent(
-        cpu=lambda: find(1), cuda=lambda: find(kernels.COMPONENTS_BLOCK)
+        cpu=lambda: find(1), cuda=lambda: find(kernels.LINKED_SETS_BLOCK)
     )
 
 
@@ -79,18 +90,20 @@ def _behind(
     features: Features,
     x: jax.Array,
     z: jax.Array,
-    depth_gap: jax.Array,
+    gap_by_depth: jax.Array,
     first: int,
     reach: int,
-    max_holes: int,
+    settings: ClusterConfig,
 ) -> jax.Array:
     """The point at the other side of what stands before each; -1 = none; ``(B, N)`` int32.
 
     All points look one grid pixel farther to the left in each step.
     """
     n = x.shape[1]
+    slope = slope_units(settings)
     row, kept, seen = (a[:, first:] for a in (features.v, features.kept, features.z > 0))
-    x, z, depth_gap = (a[:, first:] for a in (x, z, depth_gap))
+    x, z = (a[:, first:] for a in (x, z))
+    gap = gap_by_depth[jnp.clip(z, 0, 65535)]
     slot = jnp.arange(first, n, dtype=jnp.int32)[None, :]
     link, holes, looking = jnp.full_like(x, -1), jnp.zeros_like(x), kept
     for away in range(1, min(REACH, n - first - 1) + 1):
@@ -98,9 +111,11 @@ def _behind(
             jnp.pad(a[:, :-away], ((0, 0), (away, 0))) for a in (row, kept, seen, x, z)
         )
         looking &= (row_j == row) & (slot - away >= first)
-        ends = looking & kept_j & (z_j >= z - depth_gap)
-        hit = ends & (z_j <= z + depth_gap) & (jnp.abs(x - x_j) <= reach)
-        link = jnp.where(hit, slot - away, link)
+        aside = jnp.abs(x - x_j)
+        within = gap + (slope * aside >> SLOPE_BITS)
+        ends = looking & kept_j & (z_j >= z - within)
+        hit = ends & (z_j <= z + within) & (aside <= reach)
+        link = jnp.where(hit, slot - away, link) if away > 1 else link
         holes += 1 - kept_j.astype(jnp.int32)
-        looking &= ~ends & (kept_j | ~seen_j & (holes <= max_holes))
+        looking &= ~ends & (kept_j | ~seen_j & (holes <= settings.max_holes))
     return jnp.pad(link, ((0, 0), (first, 0)), constant_values=-1)

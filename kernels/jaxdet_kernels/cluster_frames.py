@@ -68,36 +68,106 @@ _SLICES = """
         const int slices = slice(farthest_z + start[cut]) - first[cut] + 1;
         for (int k = 0; k < slices; ++k) last[cut][k] = 65535;
     }
-    for (int i = 0; i < n; ++i) {
-        int root = i;
+    // The left neighbour of each point in its slice of each cut.
+    unsigned short beside[2][most];
+    for (int i = 0; i < n; ++i)
         for (int cut = 0; cut < 2; ++cut) {
             unsigned short& left = last[cut][slice(depth[i] + start[cut]) - first[cut]];
-            if (left != 65535 && side[i] - side[left] <= lateral_gap) {
-                const int other = find(left), after = other > root ? other : root;
-                root = other < root ? other : root;
-                parent[after] = root;
-            }
+            const bool near = left != 65535 && side[i] - side[left] <= lateral_gap;
+            beside[cut][i] = near ? left : 65535;
             left = i;
         }
-    }
     const int* row = v.data + (size_t)b * N;
+    const int* down = y.data + (size_t)b * N;
     const int* seen = camera_z.data + (size_t)b * N;
     unsigned short place[most];
-    for (int i = 0; i < n && reach; ++i) place[slot[i]] = i;
+    for (int i = 0; i < n; ++i) place[slot[i]] = i;
     for (int i = first_grid; i < N && reach; ++i) {
         if (!keep[i]) continue;
-        const int gap = gaps.data[depths[i]];
         int holes = 0;
-        for (int j = i - 1; j >= first_grid && j >= i - 16 && row[j] == row[i]; --j) {
+        for (int j = i - 1; j >= first_grid && j >= i - pixels && row[j] == row[i]; --j) {
             if (keep[j]) {
+                int aside = sides[i] - sides[j];
+                aside = aside < 0 ? -aside : aside;
+                const int gap = gaps.data[depths[i]] + (slope * aside >> 10);
                 if (depths[j] < depths[i] - gap) continue;
-                const int aside = sides[i] - sides[j];
-                if (depths[j] <= depths[i] + gap && aside <= reach && -aside <= reach)
+                if (depths[j] <= depths[i] + gap && aside <= reach && j < i - 1)
                     link(place[j], place[i]);
                 break;
             }
             if (seen[j] > 0 || ++holes > max_holes) break;
         }
+    }
+    int tall = 0, columns = 1;
+    while (first_grid + columns < N && row[first_grid + columns] == row[first_grid]) ++columns;
+    if (tall_units) {
+        const int* steps = gaps.data + 65536;
+        auto neighbours = [&](int i, int j) {
+            if (!keep[i] || !keep[j]) return;
+            const int nearer = depths[i] < depths[j] ? depths[i] : depths[j];
+            const int step = depths[i] - depths[j];
+            if (step <= steps[nearer] && -step <= steps[nearer]) link(place[i], place[j]);
+        };
+        for (int i = first_grid + 1; i < N; ++i) {
+            if (row[i] == row[i - 1]) neighbours(i, i - 1);
+            if (i >= first_grid + columns) neighbours(i, i - columns);
+        }
+    }
+    // Whose each surface is, by its root: how many links away, and the owner's smallest slot.
+    const int nobody = 1 << 30;
+    int owner[most], top[most], bottom[most];
+    unsigned short surface[most];
+    if (tall_units) {
+        for (int i = 0; i < n; ++i) {
+            surface[i] = find(i);
+            owner[i] = slot[i];
+            top[i] = 1 << 20;
+            bottom[i] = -(1 << 20);
+        }
+        for (int i = 0; i < n; ++i) {
+            const int s = surface[i], at = down[slot[i]];
+            owner[s] = slot[i] < owner[s] ? slot[i] : owner[s];
+            if (slot[i] < first_grid) continue;
+            top[s] = at < top[s] ? at : top[s];
+            bottom[s] = at > bottom[s] ? at : bottom[s];
+        }
+        for (int i = 0; i < n; ++i) {
+            const bool stands = surface[i] == i && bottom[i] - top[i] >= tall_units;
+            tall += stands;
+            if (!stands) owner[i] = nobody;
+        }
+    }
+    if (tall < 2) {
+        for (int i = 0; i < n; ++i)
+            for (int cut = 0; cut < 2; ++cut)
+                if (beside[cut][i] != 65535) link(beside[cut][i], i);
+    } else {
+        int ends[2 * most][2], links = 0;
+        for (int i = 0; i < n; ++i)
+            for (int cut = 0; cut < 2; ++cut) {
+                if (beside[cut][i] == 65535) continue;
+                const int one = surface[i], two = surface[beside[cut][i]];
+                if (one == two || (owner[one] != nobody && owner[two] != nobody)) continue;
+                ends[links][0] = one;
+                ends[links++][1] = two;
+            }
+        for (int round = 1, more = 1; more; ++round) {
+            more = 0;
+            for (int k = 0; k < links; ++k)
+                for (int way = 0; way < 2; ++way) {
+                    const int from = owner[ends[k][way]];
+                    int& to = owner[ends[k][1 - way]];
+                    const int offer = round << 13 | (from & 8191);
+                    if (from >> 13 >= round || to <= offer) continue;
+                    to = offer;
+                    more = 1;
+                }
+        }
+        for (int k = 0; k < links; ++k)
+            if (owner[ends[k][0]] == nobody && owner[ends[k][1]] == nobody)
+                link(ends[k][0], ends[k][1]);
+        for (int i = 0; i < n; ++i)
+            if (surface[i] == i && owner[i] != nobody) link(place[owner[i] & 8191], i);
     }
 """
 
@@ -164,16 +234,20 @@ _NUMBER = """
 def _cluster(
     b: int,
     x: wp.array2d[wp.int32],
+    y: wp.array2d[wp.int32],
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
     v: wp.array2d[wp.int32],
     camera_z: wp.array2d[wp.int32],
-    gaps: wp.array[wp.int32],
+    gaps: wp.array2d[wp.int32],
     lateral_gap: int,
     min_points: int,
     slice_units: int,
+    pixels: int,
     reach: int,
+    slope: int,
     max_holes: int,
+    tall_units: int,
     first_grid: int,
     labels_out: wp.array2d[wp.int32],
     count_out: wp.array[wp.int32],
@@ -185,16 +259,20 @@ def cluster_frames(
     share: int,
     shares: int,
     x: wp.array2d[wp.int32],
+    y: wp.array2d[wp.int32],
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
     v: wp.array2d[wp.int32],
     camera_z: wp.array2d[wp.int32],
-    gaps: wp.array[wp.int32],
+    gaps: wp.array2d[wp.int32],
     lateral_gap: int,
     min_points: int,
     slice_units: int,
+    pixels: int,
     reach: int,
+    slope: int,
     max_holes: int,
+    tall_units: int,
     first_grid: int,
     labels_out: wp.array2d[wp.int32],
     count_out: wp.array[wp.int32],
@@ -205,22 +283,27 @@ def cluster_frames(
         share: Which frames: thread i works on ``share + shares * i``.
         shares: Of how many shares.
         x: Sideways [depth units].
+        y: Down in the camera [depth units].
         z: Forward [depth units].
         kept: The points that take part.
         v: Rows of the image, for the grid's rows.
         camera_z: Depth in the camera, 0 = none.
-        gaps: The largest step in depth, by depth.
+        gaps: The largest steps in depth, within an obstacle and within a surface, by depth.
         lateral_gap: The largest step sideways [depth units].
         min_points: Sets of this many points or fewer are dropped.
         slice_units: Depth of a slice [depth units], at most 2^18; 0: no slices, but all depths and
             then sideways, once.
+        pixels: So far to the left in its row is looked for what goes on behind nearer things.
         reach: How far apart surfaces behind nearer things may be [depth units]; 0: not linked.
+        slope: By how much the step in depth grows for each unit between them, in 1/1024, at most
+            2048.
         max_holes: Pixels without depth between them.
+        tall_units: Surfaces at least so high stand on their own [depth units]; 0: none does.
         first_grid: The slot of the grid's first pixel.
         labels_out: ``(B, N)``, -1 = no obstacle.
         count_out: ``(B,)``, how many obstacles.
     """
     _cluster(
-        share + shares * wp.tid(), x, z, kept, v, camera_z, gaps, lateral_gap, min_points,
-        slice_units, reach, max_holes, first_grid, labels_out, count_out,
+        share + shares * wp.tid(), x, y, z, kept, v, camera_z, gaps, lateral_gap, min_points,
+        slice_units, pixels, reach, slope, max_holes, tall_units, first_grid, labels_out, count_out,
     )  # fmt: skip
