@@ -26,7 +26,7 @@ def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.nd
     Returns:
         ``(B, N)`` int32 labels, numbered by nearest z, then smallest x.
     """
-    gaps = gap_table(config.cluster, depth_unit)
+    gaps, _ = gap_table(config.cluster, depth_unit)
     lateral_gap = round(config.cluster.lateral_gap_m / depth_unit)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):

@@ -26,7 +26,7 @@ def labels_by_frames(
         features: ``(B, N)`` points.
         x: ``(B, N)`` int32, to the right [depth units].
         depth: ``(B, N)`` int32, forward [depth units], in [0, 65536).
-        gap_by_depth: ``(2, 65536)``, see :func:`jaxdet.plane.gap_table`.
+        gap_by_depth: ``(2, 65536)`` int32, see :func:`jaxdet.plane.gap_table`.
         first_grid: The slot of the grid's first pixel.
         depth_unit: Metres in one depth unit.
         settings: The distances.

@@ -30,7 +30,7 @@ def linked_sets(
         features: ``(B, N)`` points.
         x: ``(B, N)`` int32, to the right [depth units].
         z: ``(B, N)`` int32, forward [depth units].
-        gaps: ``(2, 65536)``, see :func:`jaxdet.plane.gap_table`.
+        gaps: ``(2, 65536)`` int32, see :func:`jaxdet.plane.gap_table`.
         first_grid: The slot of the grid's first pixel.
         depth_unit: Metres in one depth unit.
         settings: The distances.

@@ -68,15 +68,6 @@ _SLICES = """
         const int slices = slice(farthest_z + start[cut]) - first[cut] + 1;
         for (int k = 0; k < slices; ++k) last[cut][k] = 65535;
     }
-    // The left neighbour of each point in its slice of each cut.
-    unsigned short beside[2][most];
-    for (int i = 0; i < n; ++i)
-        for (int cut = 0; cut < 2; ++cut) {
-            unsigned short& left = last[cut][slice(depth[i] + start[cut]) - first[cut]];
-            const bool near = left != 65535 && side[i] - side[left] <= lateral_gap;
-            beside[cut][i] = near ? left : 65535;
-            left = i;
-        }
     const int* row = v.data + (size_t)b * N;
     const int* down = y.data + (size_t)b * N;
     const int* seen = camera_z.data + (size_t)b * N;
@@ -98,6 +89,13 @@ _SLICES = """
             if (seen[j] > 0 || ++holes > max_holes) break;
         }
     }
+    // The neighbour in its slice of a cut; points are asked for in order of x. 65535: none.
+    auto to_the_left = [&](int i, int cut) -> int {
+        unsigned short& before = last[cut][slice(depth[i] + start[cut]) - first[cut]];
+        const int left = before;
+        before = i;
+        return left != 65535 && side[i] - side[left] <= lateral_gap ? left : 65535;
+    };
     int tall = 0, columns = 1;
     while (first_grid + columns < N && row[first_grid + columns] == row[first_grid]) ++columns;
     if (tall_units) {
@@ -138,34 +136,48 @@ _SLICES = """
         }
     }
     if (tall < 2) {
-        for (int i = 0; i < n; ++i)
-            for (int cut = 0; cut < 2; ++cut)
-                if (beside[cut][i] != 65535) link(beside[cut][i], i);
+        for (int i = 0; i < n; ++i) {
+            int root = find(i);
+            for (int cut = 0; cut < 2; ++cut) {
+                const int left = to_the_left(i, cut);
+                if (left == 65535) continue;
+                const int other = find(left), after = other > root ? other : root;
+                root = other < root ? other : root;
+                parent[after] = root;
+            }
+        }
     } else {
         int ends[2 * most][2], links = 0;
         for (int i = 0; i < n; ++i)
             for (int cut = 0; cut < 2; ++cut) {
-                if (beside[cut][i] == 65535) continue;
-                const int one = surface[i], two = surface[beside[cut][i]];
+                const int left = to_the_left(i, cut);
+                if (left == 65535) continue;
+                const int one = surface[i], two = surface[left];
                 if (one == two || (owner[one] != nobody && owner[two] != nobody)) continue;
                 ends[links][0] = one;
                 ends[links++][1] = two;
             }
+        // A link has told all it can once one of its ends was given away in an earlier round.
         for (int round = 1, more = 1; more; ++round) {
+            int left = 0;
             more = 0;
-            for (int k = 0; k < links; ++k)
+            for (int k = 0; k < links; ++k) {
+                bool told = false;
                 for (int way = 0; way < 2; ++way) {
                     const int from = owner[ends[k][way]];
+                    if (from >> 13 >= round) continue;
                     int& to = owner[ends[k][1 - way]];
                     const int offer = round << 13 | (from & 8191);
-                    if (from >> 13 >= round || to <= offer) continue;
-                    to = offer;
-                    more = 1;
+                    if (to > offer) { to = offer; more = 1; }
+                    told = true;
                 }
+                if (told) continue;
+                ends[left][0] = ends[k][0];
+                ends[left++][1] = ends[k][1];
+            }
+            links = left;
         }
-        for (int k = 0; k < links; ++k)
-            if (owner[ends[k][0]] == nobody && owner[ends[k][1]] == nobody)
-                link(ends[k][0], ends[k][1]);
+        for (int k = 0; k < links; ++k) link(ends[k][0], ends[k][1]);
         for (int i = 0; i < n; ++i)
             if (surface[i] == i && owner[i] != nobody) link(place[owner[i] & 8191], i);
     }
