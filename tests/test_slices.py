@@ -130,7 +130,8 @@ def test_the_search_ends_after_a_number_of_pixels(backend):
 def picture(z: list[list[int]], step: int = 100) -> Features:
     """A grid of pixels without depth 0, so many millimetres apart, after one corner."""
     v, u = np.indices(np.shape(z))
-    x, y, depth, v = (np.concatenate([[0], a.ravel()]) for a in (u * step, v * step, np.array(z), v))
+    pixels = u * step, v * step, np.array(z), v
+    x, y, depth, v = (np.concatenate([[0], a.ravel()]) for a in pixels)
     features = points(x, depth, (depth > 0) & (np.arange(len(x)) > 0))
     return features._replace(y=y[None].astype(np.int32), v=v[None].astype(np.int32))
 
