@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxdet import detect, stages
-from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig
+from jaxdet.config import REACH, ClusterConfig, Config, FeaturesConfig, FootprintConfig
 from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import Calibration, Frames, Keep, Labels
@@ -65,7 +65,8 @@ def test_more_points_than_the_kernels_hold():
     ("settings", "names"),
     [
         (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m", "min_points")),
-        (ClusterConfig, ("depth_gap_per_m", "max_holes", "rounds")),
+        (ClusterConfig, ("depth_gap_per_m", "max_holes", "rounds", "occluder_slope")),
+        (ClusterConfig, ("surface_height_m", "surface_gap_m", "surface_gap_per_m")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
         (FootprintConfig, ("extension_m", "margin_m")),
         (FeaturesConfig, ("min_distance",)),
@@ -83,7 +84,8 @@ def test_the_largest_numbers_work():
     wide = FootprintConfig(1000.0, 8192, 1000.0, 1000.0)
     config = Config(features=FeaturesConfig(min_distance=8192.0), footprint=wide)
     for slices in (0.0, 1000.0):
-        cluster = ClusterConfig(**{**lengths, "slice_m": slices}, max_holes=16)
+        widest = {**lengths, "slice_m": slices, "max_holes": REACH, "occluder_slope": 2.0}
+        cluster = ClusterConfig(**widest, surface_gap_m=1000.0, surface_gap_per_m=1000.0)
         given = made(), replace(config, cluster=cluster)
         assert_equal(detect(*given), detect(*given, backend="reference"))
 
