@@ -206,9 +206,9 @@ class FootprintConfig:
     side_band_per_m: float = 0.006
     """A and B are the median of the points at most this far inside of the outermost [m], for each
     metre of distance: a silhouette is smeared over about three pixels. The paper's is 0."""
-    near_band_per_m2: float = 0.011
+    near_band_per_m2: float = 0.012
     """C is the median of the points at most this far behind the nearest [m], times the distance
-    squared [1/m]: of many noisy points the nearest is too near, and stereo noise grows so; 0.011
+    squared [1/m]: of many noisy points the nearest is too near, and stereo noise grows so; 0.012
     is some four standard deviations of a D435's. The paper's is 0."""
     extension_m: float = 0.20
     """How far the edge AB is extended backward when there is no vertex [m]."""
