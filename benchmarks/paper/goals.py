@@ -146,6 +146,10 @@ def _floor(figures: Figures, source: str, slope: str, part: str, text: str) -> G
     mean, worst = (figure.value for figure in found)
     shown = f"{percent(mean, Interval(found[0].low, found[0].high), 2)}, worst pose "
     shown += percent(worst, digits=2)
+    stem = f"floor.{source}_pixels.{slope}"
+    if pixels := _known(figures, [f"{stem}.{name}", f"{stem}.worst.{name}"]):
+        shares = (percent(figure.value, digits=2) for figure in pixels)
+        shown += " (all pixels: {}, worst pose {})".format(*shares)
     return Goal(key, text, shown, worst <= 0.01 if part == "floor" else worst >= 0.97)
 
 
