@@ -40,7 +40,7 @@ class Counts:
     """Test seeds used, one scene each for each tilt, roll and slope."""
     log_frames: int = 48
     """Frames of the log with the pedestrian."""
-    timed: int = 16
+    timed: int = 8
     """Frames that are timed in each condition."""
     rounds: int = 5
     """How often they are timed."""

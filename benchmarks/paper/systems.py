@@ -91,8 +91,8 @@ def found_by(system: System, frame: Frame) -> Detections:
 
 
 def joined(truth: FrameTruth) -> FrameTruth:
-    """The truth with obstacles joined that the robot can't pass between."""
-    return group_objects(truth, *JOIN_M)
+    """The truth with obstacles joined that the robot can't pass between; it has no outlines."""
+    return group_objects(truth, *JOIN_M)._replace(footprint=None)
 
 
 def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
@@ -103,6 +103,7 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
     """
     path, chosen = task
     shots = load_shots(path)
+    truths = [(shot.truth, joined(shot.truth)) for shot in shots]
     prepared: dict[Config, list[Frame]] = {}
     out: dict[str, list[Tally]] = {}
     for system in chosen:
@@ -111,10 +112,10 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
             prepared[config] = prepare(frames_of(shots), config)
         mine, together = [], []
         counted, plainly = eval_config(config, indices=system.name in INDEXED), eval_config(config)
-        for shot, frame in zip(shots, prepared[config], strict=True):
-            found, unit = found_by(system, frame), shot.calibration.depth_unit
-            mine += evaluate_frames(found, shot.truth, unit, counted)
-            together += evaluate_frames(found, joined(shot.truth), unit, plainly)
+        for frame, (plain, whole) in zip(prepared[config], truths, strict=True):
+            found, unit = found_by(system, frame), frame.calibration.depth_unit
+            mine += evaluate_frames(found, plain, unit, counted)
+            together += evaluate_frames(found, whole, unit, plainly)
         out[system.name], out[JOINED + system.name] = mine, together
     return out
 
