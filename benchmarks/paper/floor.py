@@ -46,7 +46,7 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
             inside = (z >= ground.min_depth_m) & (z <= ground.max_depth_m)
             assert shot.height is not None and shot.truth.depth_m is not None
             off = np.abs(shot.truth.depth_m[0].astype(np.float32) - z)
-            own = off <= counted.depth_slack_m + counted.depth_slack_per_m2 * z * z
+            own = off <= counted.depth_slack(z)
             for key, taken in ((source, inside & own), (source + PIXELS, inside)):
                 tally = keep_shares(
                     frame.keep,

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from benchmarks.paper.floor import PIXELS
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M
 from benchmarks.paper.rivals import against, beating
@@ -146,7 +147,7 @@ def _floor(figures: Figures, source: str, slope: str, part: str, text: str) -> G
     mean, worst = (figure.value for figure in found)
     shown = f"{percent(mean, Interval(found[0].low, found[0].high), 2)}, worst pose "
     shown += percent(worst, digits=2)
-    stem = f"floor.{source}_pixels.{slope}"
+    stem = f"floor.{source}{PIXELS}.{slope}"
     if pixels := _known(figures, [f"{stem}.{name}", f"{stem}.worst.{name}"]):
         shares = (percent(figure.value, digits=2) for figure in pixels)
         shown += " (all pixels: {}, worst pose {})".format(*shares)

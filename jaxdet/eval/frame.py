@@ -144,9 +144,8 @@ def objects_of(
     if truth.depth_m is None:
         return by_pixel
     z = z * depth_unit
-    slack = config.depth_slack_m + config.depth_slack_per_m2 * z * z
     by_depth = measured_objects(
-        ids, truth.depth_m[b], truth.is_wall, u, v, z, slack, config.smear_px
+        ids, truth.depth_m[b], truth.is_wall, u, v, z, config.depth_slack(z), config.smear_px
     )
     return np.where(by_depth >= 0, by_depth, by_pixel)
 

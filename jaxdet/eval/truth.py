@@ -45,6 +45,10 @@ class EvalConfig:
     indices: bool = False
     """Whether the silhouette and the Davies-Bouldin index are computed too; they take longer."""
 
+    def depth_slack(self, z_m: np.ndarray) -> np.ndarray:
+        """How far from a true depth a measured one may be of it, at each measured z [m]."""
+        return self.depth_slack_m + self.depth_slack_per_m2 * z_m * z_m
+
 
 class FrameTruth(NamedTuple):
     """The truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.

@@ -43,9 +43,10 @@ SLICES = """
         before = i;
         return left != 65535 && side[i] - side[left] <= lateral_gap ? left : 65535;
     };
-    int tall = 0, columns = 1;
-    while (first_grid + columns < N && row[first_grid + columns] == row[first_grid]) ++columns;
+    int tall = 0;
     if (tall_units) {
+        int columns = 1;
+        while (first_grid + columns < N && row[first_grid + columns] == row[first_grid]) ++columns;
         const int* steps = gaps.data + 65536;
         auto neighbours = [&](int i, int j) {
             if (!keep[i] || !keep[j]) return;
