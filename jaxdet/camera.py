@@ -163,6 +163,44 @@ def grid_pixels(width: int, height: int, columns: int) -> tuple[np.ndarray, np.n
 
 
 @lru_cache(maxsize=16)
+def cell_rays(calibration: Calibration, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """The ray through the middle of each cell of the depth image, turned into the colour camera.
+
+    A point at depth ``d`` of the depth camera is at ``ray d + offset`` (Eq. 1-3).
+
+    Args:
+        calibration: Depth that is already aligned has the colour camera's rays.
+        side: Of a cell [depth pixel].
+
+    Returns:
+        ``(3, R, C)`` int64 with ``RAY_BITS`` fraction bits, and ``(3,)`` int64 [depth units];
+        read-only.
+
+    Raises:
+        CalibrationError: A ray is steeper than ``MAX_RAY``, or there are no extrinsics.
+    """
+    camera, motion = calibration.depth or calibration.color, calibration.color_from_depth
+    if motion is None and not calibration.is_aligned:
+        raise CalibrationError(
+            "no extrinsics to align with",
+            remedy="give --log.color-from-depth, or --log.depth-aligned if depth is aligned",
+        )
+    rows, columns = camera.height // side, camera.width // side
+    v, u = (np.mgrid[0:rows, 0:columns] * side + (side - 1) / 2).astype(np.float64)
+    x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
+    rays = np.stack([x, y, np.ones_like(x)])
+    if np.abs(rays).max(initial=0.0) > MAX_RAY:
+        raise CalibrationError(
+            "the field of view is too wide for the pinhole geometry",
+            remedy="check the focal length, or give --log.depth-intrinsics",
+        )
+    T = np.eye(4) if motion is None else motion.T
+    turned = np.tensordot(T[:3, :3], rays, axes=1)
+    fixed = np.rint(turned * (1 << RAY_BITS)).astype(np.int64)
+    return _frozen(fixed), _frozen(np.rint(T[:3, 3] / calibration.depth_unit).astype(np.int64))
+
+
+@lru_cache(maxsize=16)
 def corner_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
     """The rays through the corners of each depth pixel, in librealsense's float32 arithmetic.
 

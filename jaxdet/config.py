@@ -138,6 +138,96 @@ class FeaturesConfig:
 
 
 @dataclass(frozen=True)
+class SurfaceConfig:
+    """Surfaces in a grid of depth cells; with them, obstacles are made of surfaces."""
+
+    cell_rad: float = 0.0
+    """Angle that a square cell of the depth image takes up at its middle [rad]; 0.0078 is 4 pixels
+    of a Kinect's 640 columns, 3 of a D435's. 0: no surfaces, obstacles are clusters of points as in
+    the paper."""
+    step_m: float = 0.03
+    """Largest step in depth between neighbouring cells of a surface [m]."""
+    step_per_m: float = 0.011
+    """Added to it in proportion to z squared [1/m]: some four standard deviations of a D435's
+    depth."""
+    crease_cells: int = 3
+    """A crease is a bend of the depth over so many cells to both sides."""
+    crease_m: float = 0.015
+    """Bends deeper than this part surfaces [m]."""
+    crease_per_m: float = 0.006
+    """Added to it in proportion to z squared [1/m]."""
+    min_cells: int = 6
+    """Smaller components are no surfaces of their own."""
+    bent_m: float = 0.15
+    """Surfaces at most so high that go on into the floor sideways are floor that the sensor bends
+    up, at the margins of the image or far away [m]. 0: off."""
+    beyond: float = 1.15
+    """Surfaces are followed so much farther than the largest depth, so that the end of the range
+    does not cut a thing into pieces; what begins beyond the range is no obstacle."""
+
+    def __post_init__(self) -> None:
+        _require_within(self.cell_rad, 0, 0.1, "surface.cell-rad")
+        _require_within(self.step_m, 0, FARTHEST_M, "surface.step-m")
+        _require_within(self.step_per_m, 0, FARTHEST_M, "surface.step-per-m")
+        _require_within(self.crease_cells, 1, 16, "surface.crease-cells")
+        _require_within(self.crease_m, 0, FARTHEST_M, "surface.crease-m")
+        _require_within(self.crease_per_m, 0, FARTHEST_M, "surface.crease-per-m")
+        _require_within(self.min_cells, 1, MAX_POINTS, "surface.min-cells")
+        _require_within(self.bent_m, 0, FARTHEST_M, "surface.bent-m")
+        _require_within(self.beyond, 1, 4, "surface.beyond")
+
+
+@dataclass(frozen=True)
+class ObstacleConfig:
+    """Obstacles made of surfaces: what goes on behind nearer things, and gaps on the floor."""
+
+    depth_gap_m: float = 0.12
+    """Parts of a surface on both sides of a nearer thing or of a hole are one when their depths
+    differ by at most this [m]."""
+    depth_slope: float = 0.25
+    """Added to it for each metre between the two: surfaces are seen obliquely."""
+    hidden_m: float = 1.0
+    """Longest stretch that a nearer thing may hide [m]."""
+    hole_m: float = 0.4
+    """Longest stretch without any depth [m]."""
+    hidden_share: float = 0.1
+    """So many of the rows (or columns) of the smaller part must go on in the other one."""
+    contact_m: float = 0.10
+    """Pieces too small to be an obstacle join the surface they touch, over at most such a step
+    [m]."""
+    narrow_m: float = 0.25
+    """Surfaces narrower than this (legs, poles, arms) are joined by gaps on the floor, as the
+    paper joins points [m]. 0: off."""
+    compact_m: float = 0.8
+    """... with surfaces at most so wide and deep [m]."""
+    lateral_gap_m: float = 0.15
+    """Largest gap sideways, d_x [m]."""
+    forward_gap_m: float = 0.15
+    """Largest gap in depth on the floor, d_z [m]."""
+    overlap_gap_m: float = 0.35
+    """Largest gap in depth between narrow surfaces that touch in the image [m]: a walker's
+    legs."""
+    hanging_m: float = 0.15
+    """Compact surfaces that end so high above the floor, with something to stand on within
+    ``hanging_reach_m``, belong to it [m]: arms, leaves. 0: off."""
+    hanging_reach_m: float = 0.35
+    """Distance on the floor [m]."""
+    min_size_m: float = 0.05
+    """Obstacles are at least so wide or so high [m]."""
+    min_cells: int = 10
+    """And have so many cells, but for what is that small at its distance."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if name.endswith("_m"):
+                value = getattr(self, name)
+                _require_within(value, 0, FARTHEST_M, f"obstacle.{name.replace('_', '-')}")
+        _require_within(self.depth_slope, 0, 4, "obstacle.depth-slope")
+        _require_within(self.hidden_share, 0, 1, "obstacle.hidden-share")
+        _require_within(self.min_cells, 1, MAX_POINTS, "obstacle.min-cells")
+
+
+@dataclass(frozen=True)
 class ClusterConfig:
     """Gaps in depth, then sideways (Section 3.4, Eq. 6), or slice by slice."""
 
@@ -236,3 +326,5 @@ class Config:
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
+    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
+    obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)

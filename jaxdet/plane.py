@@ -189,6 +189,24 @@ def gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     return gaps
 
 
+@lru_cache(maxsize=64)
+def quadratic_table(constant_m: float, per_m: float, depth_unit: float) -> np.ndarray:
+    """A length that grows as stereo noise does, ``constant + per z^2``, by z.
+
+    Args:
+        constant_m: At z = 0 [m].
+        per_m: Added in proportion to z squared [1/m].
+        depth_unit: Metres in one depth unit.
+
+    Returns:
+        ``(65536,)`` int64 [depth units], by z in depth units, read-only.
+    """
+    z = np.arange(65536) * depth_unit
+    table = np.rint((constant_m + per_m * z * z) / depth_unit).astype(np.int64)
+    table.setflags(write=False)
+    return table
+
+
 def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
     """How deep the bands are whose medians are the points A and B, and C.
 

@@ -14,7 +14,7 @@ the bit. The metric results are computed from these integers once, in :mod:`jaxd
 Arrays are NumPy arrays in :mod:`jaxdet.reference` and JAX arrays in :mod:`jaxdet.stages`.
 """
 
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +22,9 @@ import numpy as np
 Array = Any
 """A NumPy or a JAX array."""
 
+
+MAX_CONTOUR = 256
+"""Most points of an obstacle's contour: columns of cells."""
 
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
@@ -139,6 +142,23 @@ class Frames(NamedTuple):
     """The floor of each frame; None leaves it to the configuration or to an estimate."""
 
 
+class Cells(NamedTuple):
+    """A regular grid of depth cells, ``R`` rows and ``C`` columns, in the colour optical frame."""
+
+    x: Array
+    """``(B, R, C)`` int32, to the right [depth units]."""
+    y: Array
+    """``(B, R, C)`` int32, down in the camera [depth units]."""
+    z: Array
+    """``(B, R, C)`` int32, forward [depth units], 0 = no measurement."""
+    uv_min: Array
+    """``(B, R, C, 2)`` int32, the first colour column and row that the cell covers [pixel]."""
+    uv_max: Array
+    """``(B, R, C, 2)`` int32, the last."""
+    in_view: Array
+    """``(B, R, C)`` bool, measured and at least partly in the colour image."""
+
+
 class AlignedDepth(NamedTuple):
     """Depth at each colour pixel (Eq. 1-4)."""
 
@@ -229,11 +249,46 @@ class Obstacles(NamedTuple):
     (cross product): least and largest along, least and largest across."""
 
 
+class FreeEnd(IntEnum):
+    """What ends the free floor in a direction."""
+
+    UNKNOWN = 0
+    """Nothing is measured beyond, or no floor is seen at all."""
+    OBSTACLE = 1
+    DROP = 2
+    """What is seen beyond lies clearly below the floor: a step down, a hole."""
+    RANGE = 3
+    """The end of the depth range."""
+
+
+class Scene(NamedTuple):
+    """What is seen beside the obstacles themselves, where they are made of surfaces."""
+
+    plane: GroundPlane
+    """The floor of each frame."""
+    floor_source: np.ndarray
+    """``(B,)`` object, where it comes from, see :class:`jaxdet.types.FloorSource`."""
+    contour: Array
+    """``(B, M, MAX_CONTOUR, 2)`` int32, the visible edge of each obstacle, right and forward in the
+    ground frame, from left to right [depth units]."""
+    contour_points: Array
+    """``(B, M)`` int32, how many of them are used."""
+    bottom_top: Array
+    """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
+    free: Array
+    """``(B, C, 2, 2)`` int32, by column of cells: where the free floor begins and where it ends,
+    right and forward in the ground frame [depth units]; zero where nothing is seen."""
+    free_end: Array
+    """``(B, C)`` int32, what ends it, see :class:`FreeEnd`."""
+
+
 class Detections(NamedTuple):
-    """All that the five stages return for a batch."""
+    """All that is found in a batch."""
 
     features: Features
     labels: Labels
     obstacles: Obstacles
     has_depth: Array
     """``(B,)`` bool, some pixel of the frame has a depth in range."""
+    scene: Scene | None = None
+    """Outlines, floor and free floor; None where obstacles are clusters of points."""

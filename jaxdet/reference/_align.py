@@ -53,10 +53,10 @@ def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
     x, y = corner_rays(calibration.depth)
     v, u = np.nonzero(depth)
     units = depth[v, u]
-    left, top, z, seen = _project(x[v, u], y[v, u], units, splat)
+    left, top, z, seen = project_corners(x[v, u], y[v, u], units, splat)
     right, bottom = left, top
     if splat.fills_corners:
-        right, bottom, _, seen_1 = _project(x[v + 1, u + 1], y[v + 1, u + 1], units, splat)
+        right, bottom, _, seen_1 = project_corners(x[v + 1, u + 1], y[v + 1, u + 1], units, splat)
         seen &= seen_1
     seen &= (right >= 0) & (bottom >= 0) & (left < color.width) & (top < color.height)
     key = (units.astype(np.uint32) << 16) | z
@@ -66,10 +66,21 @@ def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
     return keys
 
 
-def _project(
+def project_corners(
     x: np.ndarray, y: np.ndarray, units: np.ndarray, splat: SplatParameters
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rays and depths ``(n,)`` to colour column, row and z (all integers), and a valid mask."""
+    """Projects points on depth rays into the colour image (Eq. 1-4), in float32.
+
+    Args:
+        x: ``(n,)`` float32, the ray's x over z in the depth camera.
+        y: ``(n,)`` float32, y over z.
+        units: ``(n,)`` uint16, depth [depth units].
+        splat: The alignment's constants.
+
+    Returns:
+        Colour column and row, z in the colour camera [depth units], and whether it is in front
+        and inside the lens model, each ``(n,)``.
+    """
     f32, r, t = np.float32, splat.rotation, splat.translation
     depth = units.astype(f32) * splat.depth_unit
     px, py = depth * x, depth * y

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxdet.config import REACH, ClusterConfig
 from jaxdet.plane import SLOPE_BITS, slice_units, slope_units
+from jaxdet.reference._components import components
 
 
 class Points(NamedTuple):
@@ -181,30 +182,3 @@ def _apart(surface: np.ndarray, tall: np.ndarray, links: np.ndarray) -> np.ndarr
     rest = (owner[one] == nobody) & (owner[two] == nobody)
     other = components(count, one[rest], two[rest])
     return np.where(owner == nobody, count + other, owner)[surface]
-
-
-def components(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The connected components of a graph.
-
-    Args:
-        count: Nodes.
-        first: ``(L,)`` integer, one end of each link.
-        second: ``(L,)`` integer, the other.
-
-    Returns:
-        ``(count,)`` int64, the smallest node of each node's component.
-
-    Example:
-        >>> components(5, np.array([1, 4]), np.array([3, 3])).tolist()
-        [0, 1, 2, 1, 1]
-    """
-    label = np.arange(count)
-    while True:
-        before = label.copy()
-        ends = label[first], label[second]
-        for end in ends:
-            np.minimum.at(label, end, np.minimum(*ends))
-        while (label != label[label]).any():
-            label = label[label]
-        if (label == before).all():
-            return label

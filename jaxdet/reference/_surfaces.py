@@ -1,0 +1,184 @@
+"""Surfaces: connected components of the cells above the floor, cut along creases."""
+
+import numpy as np
+
+from jaxdet.config import SurfaceConfig
+from jaxdet.plane import quadratic_table
+from jaxdet.reference._components import components
+
+FRACTION_BITS = 4
+"""Fraction bits of smoothed depths."""
+
+
+def surfaces(z: np.ndarray, keep: np.ndarray, depth_unit: float, config: SurfaceConfig) -> np.ndarray:
+    """Groups the kept cells of a frame into surfaces.
+
+    Neighbours in a row or column are one surface when their depths differ by at most
+    ``step_m + step_per_m z^2`` (depth discontinuities part things). Where two things touch, depth
+    goes on but has a crease: it is larger than halfway between the depths ``crease_cells`` before
+    and after (a concave edge). Those cells take no part in the linking (:func:`creases`) and then
+    go to the neighbouring surface that is nearest in depth, as do components of fewer than
+    ``min_cells`` cells.
+
+    Args:
+        z: ``(R, C)`` int32 [depth units], 0 = no measurement.
+        keep: ``(R, C)`` bool, in range and above the floor.
+        depth_unit: Metres in one depth unit.
+        config: The steps and the creases.
+
+    Returns:
+        ``(R, C)`` int64, surfaces numbered from 0 in the order of their first cell, row by row; -1
+        where there is none.
+
+    Example:
+        >>> z = np.array([[900, 910, 1500, 1505]], np.int32)
+        >>> surfaces(z, z > 0, 0.001, SurfaceConfig(min_cells=1)).tolist()
+        [[0, 0, 1, 1]]
+    """
+    z = z.astype(np.int64)
+    step = quadratic_table(config.step_m, config.step_per_m, depth_unit)[z]
+    linked = keep & ~creases(z, step, keep, depth_unit, config)
+    label = _components(z, step, linked)
+    size = np.bincount(label.ravel(), minlength=label.size)
+    label = np.where(linked & (size[label] >= config.min_cells), label, -1)
+    return renumbered(_given_back(label, z, step, keep, config.crease_cells + 1))
+
+
+def creases(
+    z: np.ndarray, step: np.ndarray, keep: np.ndarray, depth_unit: float, config: SurfaceConfig
+) -> np.ndarray:
+    """Kept cells on a concave edge: where things touch each other or stand before a wall.
+
+    With depth smoothed twice over the 3 x 3 neighbours within two steps (noise of a single cell
+    makes no crease), p is on a crease when, in its row or its column and ``s = crease_cells`` away,
+
+        z(p) - (z(p - s) + z(p + s)) / 2 > crease_m + crease_per_m z^2
+
+    and both differ from z(p) by less than s steps, for a jump in depth is no crease.
+
+    Returns:
+        ``(R, C)`` bool.
+    """
+    smooth = z << FRACTION_BITS
+    for _ in range(2):
+        smooth = _smoothed(smooth, z > 0, 2 * step << FRACTION_BITS)
+    limit = quadratic_table(config.crease_m, config.crease_per_m, depth_unit)[z]
+    reach, found = config.crease_cells, np.zeros(z.shape, bool)
+    for axis in (0, 1):
+        before, after = (_shifted(smooth, d, axis) for d in (reach, -reach))
+        measured = (_shifted(z, reach, axis) > 0) & (_shifted(z, -reach, axis) > 0)
+        bend = 2 * smooth - before - after > 2 * limit << FRACTION_BITS
+        farthest = np.maximum(np.abs(before - smooth), np.abs(after - smooth))
+        found |= bend & measured & (farthest < reach * step << FRACTION_BITS)
+    return found & keep
+
+
+def without_bent_floor(
+    label: np.ndarray,
+    z: np.ndarray,
+    height: np.ndarray,
+    floor: np.ndarray,
+    depth_unit: float,
+    config: SurfaceConfig,
+) -> np.ndarray:
+    """Surfaces without floor that the sensor bends up.
+
+    Stereo cameras bend flat floor at the margins of the image and far away. Such a surface is low
+    (at most ``bent_m``) and goes on into the floor sideways: of the ends of its rows that have a
+    measured floor cell beside them or a jump in depth, at least half go on without a jump. Beside
+    a thing of that height the floor in the same row is farther away by a jump.
+
+    Args:
+        label: ``(R, C)`` surfaces, -1 = none.
+        z: ``(R, C)`` int32 [depth units].
+        height: ``(R, C)`` above the floor [depth units].
+        floor: ``(R, C)`` bool, cells measured on the floor.
+        depth_unit: Metres in one depth unit.
+        config: The height and the step.
+
+    Returns:
+        ``(R, C)`` int64, numbered anew.
+    """
+    count = int(label.max(initial=-1)) + 1
+    step = quadratic_table(config.step_m, config.step_per_m, depth_unit)[z]
+    on, smooth, ends = label >= 0, np.zeros(count, np.int64), np.zeros(count, np.int64)
+    for by in (1, -1):
+        beside, there = _shifted(floor.astype(np.int64), by, 1) > 0, _shifted(z, by, 1)
+        end = on & (_shifted(label + 1, by, 1) - 1 != label) & (there > 0)
+        np.add.at(ends, label[end], 1)
+        end &= beside & (np.abs(there - z) <= step)
+        np.add.at(smooth, label[end], 1)
+    top = np.full(count, -1)
+    np.maximum.at(top, label[on], height[on])
+    bent = (top <= round(config.bent_m / depth_unit)) & (2 * smooth >= ends) & (ends > 0)
+    return renumbered(np.where(on & ~np.append(bent, False)[label], label, -1))
+
+
+def renumbered(label: np.ndarray) -> np.ndarray:
+    """Labels as 0, 1, ... in the order of their first cell; negative ones become -1.
+
+    Example:
+        >>> renumbered(np.array([7, -1, 3, 7])).tolist()
+        [0, -1, 1, 0]
+    """
+    values, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    order = np.where(values < 0, -1, np.argsort(np.argsort(np.where(values < 0, -1, first))))
+    order = np.where(values < 0, -1, order - np.count_nonzero(values < 0))
+    return order[inverse.reshape(label.shape)]
+
+
+def _shifted(a: np.ndarray, by: int, axis: int) -> np.ndarray:
+    """What lies ``by`` cells before each cell along an axis, 0 beyond the edge."""
+    out = np.zeros_like(a)
+    size = a.shape[axis]
+    if abs(by) < size:
+        to, source = [slice(None)] * 2, [slice(None)] * 2
+        to[axis] = slice(max(by, 0), size + min(by, 0))
+        source[axis] = slice(max(-by, 0), size + min(-by, 0))
+        out[tuple(to)] = a[tuple(source)]
+    return out
+
+
+def _smoothed(values: np.ndarray, measured: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """The rounded mean of the measured 3 x 3 neighbours that differ by at most ``near``."""
+    total, count = np.zeros_like(values), np.zeros_like(values)
+    for dv in (-1, 0, 1):
+        for du in (-1, 0, 1):
+            there = _shifted(_shifted(values, dv, 0), du, 1)
+            counts = _shifted(_shifted(measured.astype(np.int64), dv, 0), du, 1) > 0
+            counts &= np.abs(there - values) <= near
+            total += np.where(counts, there, 0)
+            count += counts
+    count = np.maximum(count, 1)
+    return np.where(measured, (2 * total + count) // (2 * count), 0)
+
+
+def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarray:
+    """The smallest cell of each cell's component, ``(R, C)``."""
+    cell = np.arange(z.size).reshape(z.shape)
+    first, second = [], []
+    for here, there in (
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+    ):
+        near = np.abs(z[here] - z[there]) <= np.minimum(step[here], step[there])
+        near &= linked[here] & linked[there]
+        first.append(cell[here][near])
+        second.append(cell[there][near])
+    return components(z.size, np.concatenate(first), np.concatenate(second)).reshape(z.shape)
+
+
+def _given_back(
+    label: np.ndarray, z: np.ndarray, step: np.ndarray, keep: np.ndarray, rounds: int
+) -> np.ndarray:
+    """Kept cells without a label take that of the neighbour nearest in depth, ring by ring."""
+    for _ in range(rounds):
+        free = keep & (label < 0)
+        best, taken = np.full(z.shape, 1 << 40), label.copy()
+        for axis, by in ((1, 1), (1, -1), (0, 1), (0, -1)):
+            there = _shifted(label + 1, by, axis) - 1
+            apart = np.abs(_shifted(z, by, axis) - z)
+            better = free & (there >= 0) & (apart <= step) & (apart < best)
+            best, taken = np.where(better, apart, best), np.where(better, there, taken)
+        label = taken
+    return label
