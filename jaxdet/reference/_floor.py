@@ -1,0 +1,285 @@
+"""The floor of each frame, found in its own depth."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.plane import flat_plane
+from jaxdet.reference._floor_planes import (
+    ANGLES,
+    BELOW,
+    STEEPEST,
+    Cells,
+    Plane,
+    Scale,
+    below,
+    score,
+)
+from jaxdet.reference._floor_ramp import (
+    SLOPE_BITS,
+    Hinge,
+    crossing,
+    distance,
+    find_hinge,
+    ramp_plane,
+    rises,
+)
+from jaxdet.reference._floor_search import PITCHES_DEG, ROLLS_DEG, any_plane, near_planes
+from jaxdet.types import GroundPlane
+
+MIN_CELLS = 50
+"""Of fewer cells, nothing is said."""
+FAR_GAIN = 0.05
+"""A plane far from the prior is believed where so many more of the cells lie on it, as a share."""
+RAMP_M = 3.6
+"""Such a plane is a ramp where it crosses the prior so near."""
+MARGIN = 8
+"""This part of the columns at each side doesn't vote for ramps: stereo depth bends up there."""
+STEP_M, TABLE_M = 0.05, 0.10
+"""Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
+OBSTACLE = (0.95, 0.85)
+"""Largest share of obstacle, with a prior and without."""
+UNDER = ((0.10, 2), (0.03, 8))
+"""With a prior and without: a plane is a table's where more than this share of the cells lies
+under it, and more than one for so many on it: a glossy floor mirrors a few."""
+
+
+class Refusal(IntEnum):
+    """Why a frame's own depth does not decide its floor."""
+
+    NONE = 0
+    """It does."""
+    TOO_LITTLE = 1
+    """Too few cells lie on any one plane."""
+    MOSTLY_OBSTACLE = 2
+    """The best plane makes most of the picture an obstacle."""
+    FAR = 3
+    """The best plane is too far from the prior and no ramp ahead of it, or without a prior more
+    tilted than a floor is seen."""
+    TABLE = 4
+    """Too much is seen below the best plane."""
+
+
+@dataclass(frozen=True)
+class FloorConfig:
+    """How the floor of each frame is looked for."""
+
+    max_cells: int = 4800
+    """Most cells used: a regular part of those given."""
+    max_depth_m: float = 6.0
+    """Farthest depth used [m]."""
+    noise_per_m: float = 0.004
+    """Error of depth over its square [1/m]; 0.004 is a D435's."""
+    max_turn_deg: float = 3.5
+    """Most that a prior's pitch and roll are corrected [degree]."""
+    max_shift_m: float = 0.06
+    """Most that its height is corrected [m]."""
+    min_share: float = 0.04
+    """Least share of the cells on the floor."""
+    min_share_alone: float = 0.10
+    """The same without a prior; cells clearly below the floor count twice against it."""
+    ramps: bool = True
+    """Look for a ramp ahead."""
+
+
+class FloorFit(NamedTuple):
+    """The floor of each frame."""
+
+    plane: GroundPlane
+    """``B`` planes: the frame's own, or where that was refused the prior."""
+    own: np.ndarray
+    """``(B,)`` bool, the frame's own depth decided."""
+    share: np.ndarray
+    """``(B,)`` float64, share of the cells on the frame's own best floor."""
+    refused: np.ndarray
+    """``(B,)`` int32, a :class:`Refusal`."""
+
+
+class _Found(NamedTuple):
+    """The best floor of one frame."""
+
+    plane: Plane
+    hinge: Hinge | None
+    share: float
+    refused: Refusal
+
+
+def find_floor(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    prior: GroundPlane,
+    config: FloorConfig,
+    depth_unit: float,
+) -> FloorFit:
+    """Finds the floor plane of each frame, and a ramp ahead, in the frame alone.
+
+    Planes on a fixed lattice of pitch, roll and height, around the prior or over all that cameras
+    can have, get the votes of a fourth of the cells: one for each cell within a tolerance that
+    grows with depth, less two for each clearly below. The best few are refined by weighted least
+    squares on the cells near them, in fixed rounds. Planes that only the nearer cells speak for are
+    tried with ramps ahead; a ramp is taken where clearly more cells speak for it.
+
+    Every decision is made on integers: angles of 1/32 degree and whole depth units. Only tables of
+    sines and tangents are rounded from floating point.
+
+    Args:
+        x: ``(B, R, C)`` int32, right of the optical axis [depth units].
+        y: ``(B, R, C)`` int32, below it.
+        z: ``(B, R, C)`` int32, along it, 0 = none; of a regular grid over the image.
+        prior: ``B`` planes; not valid where nothing is known. Its ramps are not used.
+        config: What to correct and what to refuse.
+        depth_unit: Metres in one depth unit.
+
+    Returns:
+        The planes, and why they are not the frames' own. A camera pitched by more than 85 degrees
+        keeps its prior.
+    """
+    scale = Scale(depth_unit, config.noise_per_m)
+    found = []
+    for b in range(len(z)):
+        cells, few = _take(x[b], y[b], z[b], config, scale)
+        found.append(_find(cells, few, _known(prior, b, scale), config, scale))
+    own = np.array([f.refused == Refusal.NONE for f in found], bool)
+    mine = _planes(found, depth_unit)
+    plane = GroundPlane(*(np.where(own, a, b) for a, b in zip(mine, prior, strict=True)))
+    share = np.array([f.share for f in found], np.float64)
+    return FloorFit(plane, own, share, np.array([f.refused for f in found], np.int32))
+
+
+def _known(prior: GroundPlane, b: int, scale: Scale) -> Plane | None:
+    """A frame's prior, rounded."""
+    if not prior.valid[b]:
+        return None
+    pitch, roll = (round(float(np.degrees(a[b])) * ANGLES) for a in (prior.pitch, prior.roll))
+    return Plane(min(max(pitch, -STEEPEST), STEEPEST), roll, scale.length(float(prior.height[b])))
+
+
+def _planes(found: list[_Found], unit: float) -> GroundPlane:
+    """The planes in metres and radians."""
+    every = np.array([f.plane for f in found], np.float64).reshape(-1, 3)
+    pitch, roll = np.radians(every[:, :2] / ANGLES).T
+    hinges = [f.hinge or Hinge(0, 0) for f in found]
+    return flat_plane(every[:, 2] * unit, pitch, roll)._replace(
+        ramp_start=np.array([h.start * unit if h.turn else np.inf for h in hinges]),
+        ramp_slope=np.array([h.slope / (1 << SLOPE_BITS) for h in hinges]),
+    )
+
+
+def _take(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
+) -> tuple[Cells, Cells]:
+    """The cells used, and every second of them in rows and columns."""
+    step = max(1, int(np.ceil((z.size / config.max_cells) ** 0.5)))
+    part = slice(step // 2, None, step)
+    x, y, z = (a[part, part].astype(np.int64) for a in (x, y, z))
+    row, column = np.indices(z.shape)
+    margin = z.shape[1] // MARGIN
+    inner = (column >= margin) & (column < z.shape[1] - margin)
+    used = (z > 0) & (z <= scale.length(config.max_depth_m))
+    cells = Cells(np.stack([x[used], y[used], z[used]], axis=1), inner[used])
+    return cells, cells.take(((row | column) % 2 == 0)[used])
+
+
+def _find(
+    cells: Cells, few: Cells, prior: Plane | None, config: FloorConfig, scale: Scale
+) -> _Found:
+    """The best floor of one frame."""
+    if len(few.z) < MIN_CELLS:
+        return _Found(prior or Plane(0, 0, 0), None, 0.0, Refusal.TOO_LITTLE)
+    guess = prior or any_plane(few, scale)
+    planes = [guess, *near_planes(few, guess, prior, scale)]
+    votes = [int(score(below(p, few), scale.fine.of(few.z, p.height))) for p in planes]
+    near = [_is_near(p, prior, config, scale) for p in planes]
+    allowed = [(v, p) for v, p, n in zip(votes, planes, near, strict=True) if n]
+    plane, hinge = max(allowed, key=lambda pair: pair[0])[1], None
+    if config.ramps:
+        plane, hinge = find_hinge(plane, [p for _, p in allowed], few, scale)
+    plane, hinge = _refined(plane, hinge, cells, prior, scale)
+    found = _judge(plane, hinge, cells, prior, config, scale)
+    most = max(votes)
+    if found.refused == Refusal.FAR:
+        steep = plane
+    elif most > round((found.share + FAR_GAIN) * len(few.z)) and not near[votes.index(most)]:
+        steep = planes[votes.index(most)]
+    else:
+        return found
+    ramp = _as_ramp(steep, prior, config, scale) if prior and config.ramps else None
+    if not ramp:
+        return found._replace(refused=Refusal.FAR)
+    return _judge(*ramp, cells, prior, config, scale)
+
+
+def _refined(
+    plane: Plane, hinge: Hinge | None, cells: Cells, prior: Plane | None, scale: Scale
+) -> tuple[Plane, Hinge | None]:
+    """A plane refined on all cells, or on those before its ramp, and the ramp on those after."""
+    if not hinge:
+        return scale.refined(plane, cells, (0, 1, 5), prior), None
+    steep = ramp_plane(plane, hinge)
+    beyond = distance(plane, cells) >= hinge.start
+    plane = scale.refined(plane, cells.take(~beyond), (0, 1, 5), prior)
+    steep = scale.refined(steep, cells.take(beyond), (0, 1, 5), steep)
+    ahead = crossing(plane, steep)
+    return plane, ahead if ahead and 0 < ahead.start <= scale.length(RAMP_M) else hinge
+
+
+def _is_usual(plane: Plane) -> bool:
+    """Whether a camera on a robot or in a hand can be so tilted: no wall is a floor."""
+    low, high = (n * ANGLES for n in PITCHES_DEG)
+    return low <= plane.pitch <= high and abs(plane.roll) <= ROLLS_DEG[1] * ANGLES
+
+
+def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
+    """Whether a plane is no farther from the prior than that is corrected."""
+    if prior is None:
+        return True
+    turn = round(config.max_turn_deg * ANGLES)
+    return (
+        abs(plane.pitch - prior.pitch) <= turn
+        and abs(plane.roll - prior.roll) <= turn
+        and abs(plane.height - prior.height) <= scale.length(config.max_shift_m)
+    )
+
+
+def _as_ramp(
+    steep: Plane, prior: Plane, config: FloorConfig, scale: Scale
+) -> tuple[Plane, Hinge] | None:
+    """A plane far from the prior as a ramp ahead of it, where the two cross."""
+    level = prior._replace(roll=steep.roll)
+    hinge = crossing(level, steep) if _is_near(level, prior, config, scale) else None
+    return (level, hinge) if hinge and 0 < hinge.start <= scale.length(RAMP_M) else None
+
+
+def _judge(
+    plane: Plane,
+    hinge: Hinge | None,
+    cells: Cells,
+    prior: Plane | None,
+    config: FloorConfig,
+    scale: Scale,
+) -> _Found:
+    """Says whether a floor is to be believed."""
+    deep = below(plane, cells)
+    if hinge:
+        deep = deep + rises(np.array(hinge.start), np.array(hinge.turn), distance(plane, cells))
+    slack, total = scale.fine.of(cells.z, plane.height), len(cells.z)
+    on = int(np.count_nonzero(np.abs(deep) <= slack))
+    low = int(np.count_nonzero(deep > BELOW * slack + scale.length(TABLE_M)))
+    high = int(np.count_nonzero(-deep > slack + scale.length(STEP_M)))
+    known = prior is not None
+    share, part = UNDER[not known]
+    enough = on if known else int(score(deep, slack))
+    least = config.min_share if known else config.min_share_alone
+    refused = Refusal.NONE
+    if not (_is_near(plane, prior, config, scale) if prior else _is_usual(plane)):
+        refused = Refusal.FAR
+    elif low > round(share * total) and part * low > on:
+        refused = Refusal.TABLE
+    elif high > round(OBSTACLE[not known] * total):
+        refused = Refusal.MOSTLY_OBSTACLE
+    elif enough < round(least * total):
+        refused = Refusal.TOO_LITTLE
+    return _Found(plane, hinge, on / max(total, 1), refused)

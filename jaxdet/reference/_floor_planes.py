@@ -1,0 +1,261 @@
+"""Planes, and their refinement by least squares, all on integers.
+
+Angles are whole :data:`ANGLES` of a degree and directions have ``DOWN_BITS`` fraction bits, both
+from one table of sines; heights and positions are whole depth units. So every step is a sum, a
+product, a shift or a division of integers.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+ANGLES = 32
+"""Steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m."""
+SINE_BITS = 15
+"""Fraction bits of sines; the product of two has 32 bits with its sign."""
+DOWN_BITS = 12
+"""Fraction bits of a direction: with the largest position its product has 32 bits."""
+_TURN = np.radians(np.arange(-360 * ANGLES, 360 * ANGLES + 1) / ANGLES)
+SINES = np.rint(np.sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)
+STEEPEST = 85 * ANGLES
+"""Largest pitch, up or down: beyond it roll means nothing."""
+RADIAN = round(180 * ANGLES / np.pi)
+"""Angle steps in a radian."""
+SLACK_BITS = 26
+"""Fraction bits of what a tolerance has in proportion to depth."""
+ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
+"""Tolerances: roughness [m] where a plane is looked for and where it is known; and how much floors
+and depth images are bowed, for each metre."""
+LARGEST_TURN = 8 * ANGLES
+"""Most that a round of refinement turns a plane."""
+SHARP_M, SHARP_PER_Z = 0.005, 0.0015
+"""The same for the last steps: so that a book on a table moves nothing."""
+BELOW = 4
+"""A cell so many tolerances below a plane lies clearly below it."""
+BELOW_COST = 2
+"""And counts so many times as much as one on it: nothing is seen through a floor."""
+TURN_BITS = 24
+"""Bits of the sums that the refinement multiplies; four of them and an angle fit into 64."""
+LEVER_M = 0.008
+"""Distances on the floor are measured so, to hold their squares."""
+RIDGE = 14
+"""Square of 3 cm in levers of 8 mm: floor seen over a few centimetres tells no tilt."""
+
+
+class Cells(NamedTuple):
+    """Cells with depth, at most some thousands."""
+
+    xyz: np.ndarray
+    """``(K, 3)`` int64, camera optical frame [depth units]."""
+    inner: np.ndarray
+    """``(K,)`` bool, not at the left or right margin of the image."""
+
+    @property
+    def z(self) -> np.ndarray:
+        """``(K,)`` int64, depth [depth units]."""
+        return self.xyz[:, 2]
+
+    def take(self, which: np.ndarray) -> "Cells":
+        """Some of them."""
+        return Cells(self.xyz[which], self.inner[which])
+
+
+class Plane(NamedTuple):
+    """A plane in whole angle steps and depth units."""
+
+    pitch: int
+    roll: int
+    height: int
+
+
+class Slack(NamedTuple):
+    """How far from a plane of height h its cells may lie: ``base + per_z z + noise z h``."""
+
+    base: int
+    """Roughness of a floor [depth units]."""
+    per_z: int
+    """Errors of direction and bowed floors, ``SLACK_BITS`` fraction bits."""
+    noise: int
+    """Stereo noise ``c z^2`` along a ray that meets the floor at the angle whose sine is h / z,
+    ``SLACK_BITS`` fraction bits."""
+
+    def of(self, z: np.ndarray, height: int) -> np.ndarray:
+        """The tolerance at each depth, ``(K,)`` int64 [depth units]."""
+        return self.base + ((z * (self.per_z + self.noise * height)) >> SLACK_BITS)
+
+
+class Scale(NamedTuple):
+    """Lengths in depth units."""
+
+    unit: float
+    """Metres in one depth unit."""
+    noise_per_m: float
+    """Standard error of depth over its square [1/m]."""
+
+    def length(self, metres: float) -> int:
+        """Rounded, at least one."""
+        return max(round(metres / self.unit), 1)
+
+    def bits(self, metres: float) -> int:
+        """The nearest power of two."""
+        return max(round(np.log2(metres / self.unit)), 0)
+
+    def slack(self, base_m: float, per_z: float) -> Slack:
+        """A tolerance of so much, and so much more for each metre of depth."""
+        one = 1 << SLACK_BITS
+        noise = round(self.noise_per_m * self.unit * one)
+        return Slack(self.length(base_m), round(per_z * one), noise)
+
+    def coarse(self, z: np.ndarray, step_deg: float) -> np.ndarray:
+        """The tolerance of votes for directions so far apart, whatever the height, ``(K,)``."""
+        slack = self.slack(ROUGH_M, float(np.radians(step_deg / 2)))
+        return slack.of(z, 0) + ((z * z * slack.noise) >> SLACK_BITS)
+
+    def refined(
+        self, plane: Plane, cells: Cells, rounds: tuple[int, int, int], prior: Plane | None
+    ) -> Plane:
+        """:func:`refine` in some rounds with a rough tolerance, a fine and a sharp one."""
+        rough = self.slack(ROUGH_M, float(np.radians(0.5)))
+        sharp = self.slack(SHARP_M, SHARP_PER_Z)
+        for slack, count in zip((rough, self.fine, sharp), rounds, strict=True):
+            plane = refine(plane, cells, slack, count, prior, self.bits(LEVER_M))
+        return plane
+
+    @property
+    def fine(self) -> Slack:
+        """The tolerance of floor cells from their own plane."""
+        return self.slack(FINE_M, FINE_PER_Z)
+
+
+def sine(angle: np.ndarray | int) -> np.ndarray:
+    """Sines of angle steps within three quarters of a turn, ``SINE_BITS`` fraction bits."""
+    return SINES[np.asarray(angle) + 360 * ANGLES]
+
+
+def cosine(angle: np.ndarray | int) -> np.ndarray:
+    """Cosines likewise."""
+    return SINES[np.asarray(angle) + 450 * ANGLES]
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    bits = 2 * SINE_BITS - DOWN_BITS
+    return (a * b + (1 << (bits - 1))) >> bits
+
+
+def down_units(pitch: np.ndarray | int, roll: np.ndarray | int) -> np.ndarray:
+    """:func:`jaxdet.plane.down_vector` with ``DOWN_BITS`` fraction bits, ``(..., 3)`` int64."""
+    one = np.full(np.shape(pitch), 1 << SINE_BITS)
+    parts = (
+        _product(sine(roll), cosine(pitch)),
+        _product(cosine(roll), cosine(pitch)),
+        _product(one, sine(pitch)),
+    )
+    return np.stack(np.broadcast_arrays(*parts), axis=-1).astype(np.int64)
+
+
+def floor_axes(plane: Plane) -> np.ndarray:
+    """Right, down and forward of a plane with ``DOWN_BITS`` fraction bits, ``(3, 3)`` int64.
+
+    Forward is the derivative of down by pitch; right, times the cosine of pitch, that by roll.
+    """
+    quarter = 90 * ANGLES
+    right = down_units(0, plane.roll + quarter)
+    down = down_units(plane.pitch, plane.roll)
+    return np.stack([right, down, down_units(plane.pitch + quarter, plane.roll)])
+
+
+def along(directions: np.ndarray, cells: Cells) -> np.ndarray:
+    """Positions along directions ``(..., 3)``, rounded, ``(..., K)`` int64 [depth units]."""
+    return (directions @ cells.xyz.T + (1 << (DOWN_BITS - 1))) >> DOWN_BITS
+
+
+def below(plane: Plane, cells: Cells) -> np.ndarray:
+    """How far cells lie below a plane, ``(K,)`` int64 [depth units]."""
+    return along(down_units(plane.pitch, plane.roll), cells) - plane.height
+
+
+def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    """Cells on a floor, less ``BELOW_COST`` times those clearly below it; over the last axis."""
+    on = np.count_nonzero(np.abs(below) <= slack, axis=-1)
+    return on - BELOW_COST * np.count_nonzero(below > BELOW * slack, axis=-1)
+
+
+def refine(
+    plane: Plane, cells: Cells, slack: Slack, rounds: int, prior: Plane | None, lever_bits: int
+) -> Plane:
+    """Weighted least squares on the cells near a plane, in fixed rounds.
+
+    With ``e`` how far a cell lies below the plane, ``t`` its distance forward and ``s`` to the
+    right, all less their means, the turns a, b that minimise ``sum w (e + a t + b s)^2`` solve two
+    equations by Cramer's rule. To both squares ``RIDGE`` is added, so that a turn that the cells
+    don't tell leads to the prior, or to none. The sums are exact in 64 bits and shifted to
+    ``TURN_BITS`` before they are multiplied, so all products are exact too.
+
+    Args:
+        plane: Where to begin; it stays where fewer than 20 cells are near.
+        cells: ``K`` of them.
+        slack: Cells one and a half times so far away count as near. The weight is its inverse
+            square times Tukey's biweight, so that the feet of walls weigh little.
+        rounds: How often.
+        prior: What is known of the angles; None: nothing.
+        lever_bits: ``t`` and ``s`` are measured in ``2**lever_bits`` depth units.
+    """
+    for _ in range(rounds):
+        right, down, forward = floor_axes(plane)
+        e = along(down, cells) - plane.height
+        allowed = slack.of(cells.z, plane.height)
+        near = 2 * np.abs(e) <= 3 * allowed
+        if np.count_nonzero(near) < 20:
+            return plane
+        some = cells.take(near)
+        gate = 9 * allowed[near] * allowed[near]
+        taper = 64 - 64 * 4 * e[near] * e[near] // gate
+        weight = taper * taper * (64 * 9 * slack.base * slack.base // gate + 1) >> 6
+        t, s = (along(axis, some) >> lever_bits for axis in (forward, right))
+        turns = _turns(weight, e[near], t, s, _pull(plane, prior), lever_bits)
+        pitch, roll = plane.pitch + turns[0], plane.roll
+        roll += rounded(turns[1] << SINE_BITS, int(cosine(plane.pitch)))
+        pitch = min(max(pitch, -STEEPEST), STEEPEST)
+        height = along(down_units(pitch, roll), some)
+        plane = Plane(pitch, roll, rounded(int(weight @ height), int(weight.sum())))
+    return plane
+
+
+def _pull(plane: Plane, prior: Plane | None) -> tuple[int, int]:
+    """From a plane to the prior: turns about right and forward in angle steps."""
+    if prior is None:
+        return 0, 0
+    side = (prior.roll - plane.roll) * int(cosine(plane.pitch))
+    return prior.pitch - plane.pitch, rounded(side, 1 << SINE_BITS)
+
+
+def _turns(
+    weight: np.ndarray,
+    e: np.ndarray,
+    t: np.ndarray,
+    s: np.ndarray,
+    pull: tuple[int, int],
+    lever_bits: int,
+) -> tuple[int, int]:
+    """The turns about right and forward in angle steps, at most ``LARGEST_TURN``."""
+    total = int(weight.sum())
+    e, t, s = (a - rounded(int(weight @ a), total) for a in (e, t, s))
+    tt, ts, ss, te, se = (
+        int(weight @ (a * b)) for a, b in ((t, t), (t, s), (s, s), (t, e), (s, e))
+    )
+    ridge = total * RIDGE
+    tt, ss = tt + ridge, ss + ridge
+    te, se = (
+        a - rounded(ridge * (p << lever_bits), RADIAN) for a, p in zip((te, se), pull, strict=True)
+    )
+    shift = max(max(abs(a) for a in (tt, ss, te, se)).bit_length() - TURN_BITS, 0)
+    tt, ts, ss, te, se = (a >> shift for a in (tt, ts, ss, te, se))
+    det = max(tt * ss - ts * ts, 1) << lever_bits
+    pitch, side = (rounded(a * RADIAN, det) for a in (se * ts - te * ss, te * ts - se * tt))
+    pitch, side = (min(max(a, -LARGEST_TURN), LARGEST_TURN) for a in (pitch, side))
+    return pitch, side
+
+
+def rounded(a: int, b: int) -> int:
+    """``a / b`` rounded, for positive b."""
+    return (2 * a + b) // (2 * b)

@@ -1,0 +1,192 @@
+"""Where planes are looked for: near a guess, or in all directions that cameras have."""
+
+import numpy as np
+
+from jaxdet.reference._floor_planes import (
+    ANGLES,
+    BELOW,
+    BELOW_COST,
+    STEEPEST,
+    Cells,
+    Plane,
+    Scale,
+    along,
+    below,
+    down_units,
+    score,
+)
+
+HEIGHTS_M = (0.05, 3.0)
+"""Heights of a robot's or a hand-held camera."""
+PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
+"""Its tilts; a wall in front of a level camera is as a floor at 90 degrees."""
+STEP_DEG = 3
+"""Directions are tried so far apart at first, then a degree."""
+WINNERS = 10
+"""So many of the first planes are looked at more closely."""
+BIN_M = 0.008
+"""Heights are tried so far apart, a power of two of the depth unit."""
+APART = 12
+"""Planes of neighbouring directions within so many bins are one."""
+NEAR_DEG, NEAR_M = 4, 0.10
+"""A plane is looked for so far from a guess: a robot rocks and mounts are wrong by less."""
+STEEP_DEG, STEEP_M = 8, 0.20
+"""And one so far in pitch and height: where all that is seen is a ramp, it is that plane."""
+RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
+"""Before a ramp, only the cells up to some distance tell the plane."""
+LEAST = np.iinfo(np.int64).min
+"""Fewer votes than any plane has."""
+MIN_SHARE = 3
+"""They must be so many percent of all."""
+
+
+def vote(
+    cells: Cells,
+    down: np.ndarray,
+    slack: np.ndarray,
+    heights: tuple[int, int, int],
+    ring: np.ndarray,
+    rings: int,
+) -> np.ndarray:
+    """:func:`score` of all planes of some directions and heights, by the cells up to each ring.
+
+    A cell's votes are the ends of ranges of heights, so their running sum is the score.
+
+    Args:
+        cells: ``K`` of them.
+        down: ``(D, 3)`` directions.
+        slack: ``(K,)`` tolerance [depth units].
+        heights: The least [depth units], how many, and ``bits``: they are ``2**bits`` apart.
+        ring: ``(K,)`` int64, the ring of each cell.
+        rings: How many there are.
+
+    Returns:
+        ``(rings, D, bins)`` int64.
+    """
+    lowest, bins, bits = heights
+    height = along(down, cells) - lowest
+    shape = rings, len(down), bins + 1
+    row = (ring * shape[1] + np.arange(shape[1])[:, None]) * shape[2]
+    ends = (
+        (-((slack - height) >> bits), 1),
+        (((height + slack) >> bits) + 1, -1),
+        (((height - BELOW * slack - 1) >> bits) + 1, BELOW_COST),
+    )
+    out = np.zeros(shape, np.int64)
+    for end, worth in ends:
+        place = (row + np.clip(end, 0, bins)).ravel()
+        out += worth * np.bincount(place, minlength=out.size).reshape(shape)
+    votes = np.cumsum(np.cumsum(out, axis=2), axis=0)[..., :bins]
+    below_all = BELOW_COST * np.cumsum(np.bincount(ring, minlength=rings))
+    return votes - below_all[:, None, None]
+
+
+def peaks(votes: np.ndarray, count: int, reach: int) -> np.ndarray:
+    """The best planes of a lattice of pitch, roll and height, each apart from the others.
+
+    Args:
+        votes: ``(P, R, bins)``.
+        count: How many.
+        reach: Planes of neighbouring directions whose heights differ by so many bins are one.
+
+    Returns:
+        ``(count, 3)`` indices, best first.
+    """
+    left, out = votes.copy(), []
+    for _ in range(count):
+        p, r, h = (int(i) for i in np.unravel_index(np.argmax(left), left.shape))
+        out.append((p, r, h))
+        part = tuple(slice(max(i - n, 0), i + n + 1) for i, n in ((p, 1), (r, 1), (h, reach)))
+        left[part] = LEAST
+    return np.array(out)
+
+
+def _lattice(center: int, reach: tuple[int, int], step: int) -> np.ndarray:
+    return center + ANGLES * np.arange(reach[0], reach[1] + 1, step)
+
+
+def _heights(low: int, high: int, scale: Scale) -> tuple[int, int, int]:
+    """The least height, how many there are, and the power of two between them."""
+    bits = scale.bits(BIN_M)
+    return low, ((high - low) >> bits) + 1, bits
+
+
+class _Lattice:
+    """Votes for planes on a lattice of pitch, roll and height, by rings."""
+
+    def __init__(self, pitch: np.ndarray, roll: np.ndarray, heights: tuple[int, int, int]) -> None:
+        self.pitch, self.roll, self.heights = np.clip(pitch, -STEEPEST, STEEPEST), roll, heights
+
+    def votes(self, cells: Cells, slack: np.ndarray, ring: np.ndarray, rings: int) -> np.ndarray:
+        """``(rings, P, R, bins)`` int64."""
+        down = down_units(self.pitch[:, None], self.roll[None]).reshape(-1, 3)
+        votes = vote(cells, down, slack, self.heights, ring, rings)
+        return votes.reshape(rings, len(self.pitch), len(self.roll), -1)
+
+    def best(self, votes: np.ndarray, count: int) -> list[Plane]:
+        """The planes with most votes ``(P, R, bins)``."""
+        lowest, _, bits = self.heights
+        return [
+            Plane(int(self.pitch[i]), int(self.roll[j]), lowest + (k << bits))
+            for i, j, k in peaks(votes, count, APART).tolist()
+        ]
+
+
+def near_planes(cells: Cells, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
+    """Planes near a guess: for each ring the best of the cells up to it, and of all cells three.
+
+    The last of them may be steeper than the others.
+
+    Args:
+        cells: ``K`` of them.
+        guess: In the middle of what is tried.
+        prior: What is known of the angles; None: nothing.
+        scale: The depth unit.
+    """
+    span = scale.length(STEEP_M)
+    lattice = _Lattice(
+        _lattice(guess.pitch, (-STEEP_DEG, STEEP_DEG), 1),
+        _lattice(guess.roll, (-NEAR_DEG, NEAR_DEG), 1),
+        _heights(guess.height - span, guess.height + span, scale),
+    )
+    ends = np.array([scale.length(m) for m in RINGS_M])
+    ring = np.searchsorted(ends, cells.z)
+    votes = lattice.votes(cells, scale.coarse(cells.z, 1), ring, len(ends) + 1)
+    near = votes.copy()
+    edge = (span - scale.length(NEAR_M)) >> scale.bits(BIN_M)
+    for axis, n in ((1, STEEP_DEG - NEAR_DEG), (3, edge)):
+        np.moveaxis(near, axis, 0)[np.r_[:n, near.shape[axis] - n : near.shape[axis]]] = LEAST
+    out = []
+    for n in range(len(ends) + 1):
+        some = cells.take(ring <= n)
+        if 100 * len(some.z) < MIN_SHARE * len(cells.z):
+            continue
+        whole = n == len(ends)
+        planes = lattice.best(near[n], 2 if whole else 1)
+        planes += lattice.best(votes[n], 1) if whole else []
+        out += [scale.refined(plane, some, (2, 2, 1), prior) for plane in planes]
+    return out
+
+
+def any_plane(cells: Cells, scale: Scale) -> Plane:
+    """The best floor of any camera that a robot or a hand holds."""
+    once, span = np.zeros(len(cells.z), np.int64), scale.length(STEEP_M)
+    low, high = (scale.length(m) for m in HEIGHTS_M)
+    wide = _Lattice(
+        _lattice(0, PITCHES_DEG, STEP_DEG),
+        _lattice(0, ROLLS_DEG, STEP_DEG),
+        _heights(low, high, scale),
+    )
+    first = wide.votes(cells, scale.coarse(cells.z, STEP_DEG), once, 1)[0]
+    best = []
+    for plane in wide.best(first, WINNERS):
+        close = _Lattice(
+            _lattice(plane.pitch, (-1, 1), 1),
+            _lattice(plane.roll, (-1, 1), 1),
+            _heights(plane.height - span, plane.height + span, scale),
+        )
+        [plane] = close.best(close.votes(cells, scale.coarse(cells.z, 1), once, 1)[0], 1)
+        plane = scale.refined(plane, cells, (2, 2, 0), None)
+        slack = scale.fine.of(cells.z, plane.height)
+        best.append((int(score(below(plane, cells), slack)), plane))
+    return max(best, key=lambda pair: pair[0])[1]

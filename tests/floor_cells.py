@@ -1,0 +1,107 @@
+"""Made cells of floors, ramps and boxes, and their floor as found."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.camera import RAY_BITS, fixed_rays, pixel_rays
+from jaxdet.plane import down_vector, flat_plane, forward_vector
+from jaxdet.reference._floor import FloorConfig, FloorFit, Refusal, find_floor
+from jaxdet.types import GroundPlane, Intrinsics
+
+CAMERA = Intrinsics(160, 120, 152.0, 152.0, 79.5, 59.5)
+CONFIG = FloorConfig()
+UNIT = 0.001
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+BOXES: list[Box] = [
+    ((-0.6, 1.2, 0.0), (-0.2, 1.6, 0.3)),
+    ((0.3, 1.8, 0.0), (0.9, 2.2, 0.6)),
+    ((-4.0, 3.5, 0.0), (4.0, 3.6, 2.5)),
+]
+"""Two boxes and a wall behind them: corners to the right, forward and up on the floor [m]."""
+
+
+class Pose(NamedTuple):
+    """Height [m], pitch and roll [degree]."""
+
+    height: float
+    pitch: float
+    roll: float
+
+    def plane(self, height: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> GroundPlane:
+        """As a prior that is wrong by so much."""
+        angles = np.radians([[self.pitch + pitch], [self.roll + roll]])
+        return flat_plane(np.array([self.height + height]), *angles)
+
+
+POSES = [Pose(0.3, 10, 1), Pose(0.62, 19, 10), Pose(0.62, 19, -10), Pose(1.2, 35, 3)]
+
+
+def cast(
+    pose: Pose, boxes: list[Box], *, ramp: tuple[float, float] | None = None, floor: bool = True
+) -> np.ndarray:
+    """Depth of a floor, perhaps with a ramp (start [m], slope), and boxes, ``(R, C)`` [m]."""
+    x, y = pixel_rays(CAMERA)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+    down = down_vector(*np.radians([[pose.pitch], [pose.roll]]))
+    forward = forward_vector(down)
+    axes = np.concatenate([np.cross(down, forward), forward, -down])
+    along, origin = rays @ axes.T, np.array([0.0, 0.0, pose.height])
+    z = np.full(x.shape, np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if floor:
+            z = np.where(along[..., 2] < 0, pose.height / -along[..., 2], np.inf)
+        if ramp:
+            drop = ramp[1] * along[..., 1] - along[..., 2]
+            tilted = np.where(drop > 0, (pose.height + ramp[0] * ramp[1]) / drop, np.inf)
+            z = np.minimum(z, tilted) if ramp[1] > 0 else np.maximum(z, tilted)
+        for box in boxes:
+            ends = np.sort((np.array(box)[:, None, None] - origin) / along, axis=0)
+            enter, leave = ends[0].max(axis=-1), ends[1].min(axis=-1)
+            z = np.where((enter < leave) & (enter > 0), np.minimum(z, enter), z)
+    return z
+
+
+def measured(z: np.ndarray, seed: int = 0, noise: float = 0.002) -> np.ndarray:
+    """The same as a stereo camera has it, with its noise and holes [mm]."""
+    rng = np.random.default_rng(seed)
+    z = np.minimum(z, 20)
+    z = z + rng.normal(0, 1, z.shape) * noise * z * z
+    z[rng.random(z.shape) < 0.1] = 0
+    return np.where(z < 8, np.rint(z / UNIT), 0).astype(np.uint16)
+
+
+def positions(z: np.ndarray, camera: Intrinsics, step: int = 1) -> list[np.ndarray]:
+    """Cells of depth images ``(B, H, W)``: every so many pixels in rows and columns."""
+    part = slice(step // 2, None, step)
+    depth = z[:, part, part].astype(np.int64)
+    half = 1 << (RAY_BITS - 1)
+    x, y = ((ray[part, part] * depth + half) >> RAY_BITS for ray in fixed_rays(camera))
+    return [a.astype(np.int32) for a in (x, y, depth)]
+
+
+def found(z: np.ndarray, prior: GroundPlane, config: FloorConfig = CONFIG) -> FloorFit:
+    """The floor of one made frame."""
+    return find_floor(*positions(z[None], CAMERA), prior, config, UNIT)
+
+
+def errors(fit: FloorFit, pose: Pose) -> tuple[float, float, float]:
+    """Height [mm], pitch and roll [degree] against the true ones."""
+    plane = fit.plane
+    pitch, roll = np.degrees([plane.pitch[0], plane.roll[0]])
+    return 1000 * (plane.height[0] - pose.height), pitch - pose.pitch, roll - pose.roll
+
+
+def assert_found(fit: FloorFit, pose: Pose, angle: float = 0.12, height: float = 4.0) -> None:
+    assert fit.own[0]
+    assert fit.refused[0] == Refusal.NONE
+    off = errors(fit, pose)
+    assert abs(off[0]) < height, off
+    assert max(abs(off[1]), abs(off[2])) < angle, off
+
+
+def assert_refused(fit: FloorFit, why: Refusal, prior: GroundPlane) -> None:
+    assert Refusal(int(fit.refused[0])) == why
+    assert not fit.own[0]
+    for mine, given in zip(fit.plane, prior, strict=True):
+        np.testing.assert_array_equal(mine, given)

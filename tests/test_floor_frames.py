@@ -1,0 +1,205 @@
+"""find_floor: the floor of each frame on made cells."""
+
+import numpy as np
+import pytest
+
+from jaxdet.camera import pixel_rays
+from jaxdet.plane import down_vector, forward_vector, unknown_plane
+from jaxdet.reference._floor import FloorConfig, Refusal, find_floor
+from jaxdet.types import GroundPlane
+from tests.floor_cells import (
+    BOXES,
+    CAMERA,
+    CONFIG,
+    POSES,
+    UNIT,
+    Box,
+    Pose,
+    assert_found,
+    assert_refused,
+    cast,
+    found,
+    measured,
+    positions,
+)
+
+# by hand
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize(
+    "wrong", [None, (0.0, 0.0, 0.0), (0.03, 2.0, 0.0), (-0.03, -2.0, 1.0), (0.05, 0.0, -3.0)]
+)
+def test_plane_is_found_beside_boxes(pose, wrong):
+    prior = unknown_plane(1) if wrong is None else pose.plane(*wrong)
+    fit = found(measured(cast(pose, BOXES)), prior)
+    assert_found(fit, pose)
+    assert np.isinf(fit.plane.ramp_start[0])
+
+
+@pytest.mark.parametrize("noise", [0.004, 0.006])
+def test_noise_moves_the_plane_little(noise):
+    pose = POSES[0]
+    fit = found(measured(cast(pose, BOXES), noise=noise), pose.plane(0.03, 1.0, -1.0))
+    assert_found(fit, pose, angle=0.25, height=6.0)
+
+
+def test_level_floor_by_head():
+    """A camera 500 mm up that looks level: floor cells are 500 below it, whatever their depth."""
+    z = np.zeros((120, 160), np.int32)
+    v = np.arange(61, 120)
+    z[61:] = (500 * 152 / (v - 59.5))[:, None]
+    fit = found(np.where(z < 6000, z, 0), Pose(0.52, 1.0, 1.0).plane())
+    assert_found(fit, Pose(0.5, 0.0, 0.0), angle=0.05, height=1.01)
+    assert fit.share[0] > 0.99
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_walls_are_no_floor(known):
+    walls: list[Box] = [((-4, 1.5, 0), (4, 1.6, 3)), ((-1.0, 0, 0), (-0.9, 1.5, 3))]
+    pose = Pose(1.2, 0.0, 0.0)
+    prior = pose.plane() if known else unknown_plane(1)
+    fit = found(measured(cast(pose, walls, floor=False)), prior)
+    assert fit.refused[0] in (Refusal.TOO_LITTLE, Refusal.MOSTLY_OBSTACLE, Refusal.FAR)
+    assert_refused(fit, Refusal(int(fit.refused[0])), prior)
+
+
+TABLE: list[Box] = [((-0.8, 0.2, 0.70), (0.8, 1.0, 0.74)), ((-4.0, 3.5, 0.0), (4.0, 3.6, 2.5))]
+
+
+def test_table_is_not_the_floor():
+    """Seen from 1.3 m, the table fills half of the picture and the floor goes on behind it."""
+    pose = Pose(1.3, 40.0, 0.0)
+    z = measured(cast(pose, TABLE))
+    assert_found(found(z, pose.plane(0.04, 2.0, 1.0)), pose, angle=0.3, height=15.0)
+    alone = found(z, unknown_plane(1))
+    assert not alone.own[0] or abs(alone.plane.height[0] - 1.3) < 0.02
+
+
+def test_table_alone_is_refused_when_something_is_seen_below_it():
+    pose = Pose(1.3, 35.0, 0.0)
+    low: Box = ((-4.0, 2.0, 0.0), (4.0, 2.1, 2.5))
+    z = measured(cast(pose, [((-2.0, 0.2, 0.70), (2.0, 1.1, 0.74)), low], floor=False))
+    assert_refused(found(z, unknown_plane(1)), Refusal.TABLE, unknown_plane(1))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_reflections_do_not_veto_the_floor(known):
+    """A glossy floor shows a lamp as far below itself as it hangs above."""
+    pose = Pose(0.6, 20.0, 0.0)
+    z = cast(pose, BOXES)
+    z[70:100, 60:76] *= 1.6
+    fit = found(measured(z), pose.plane(0.0, 1.0, 0.0) if known else unknown_plane(1))
+    assert_found(fit, pose)
+
+
+def test_too_few_cells():
+    z = np.zeros((120, 160), np.uint16)
+    z[100:104, 20:60] = 1000
+    for prior in (POSES[0].plane(), unknown_plane(1)):
+        assert_refused(found(z, prior), Refusal.TOO_LITTLE, prior)
+        assert_refused(found(0 * z, prior), Refusal.TOO_LITTLE, prior)
+
+
+def test_a_wall_close_ahead_leaves_too_little_floor():
+    pose = Pose(0.5, 5.0, 0.0)
+    wall: list[Box] = [((-4, 1.1, 0), (4, 1.2, 3))]
+    fit = found(measured(cast(pose, wall)), unknown_plane(1))
+    assert not fit.own[0]
+    assert not fit.plane.valid[0]
+
+
+def test_a_plane_too_far_from_the_prior_is_refused():
+    pose = POSES[1]
+    z = measured(cast(pose, BOXES))
+    for wrong in ((0.0, 0.0, 6.0), (0.12, 0.0, 0.0)):
+        prior = pose.plane(*wrong)
+        assert_refused(found(z, prior), Refusal.FAR, prior)
+
+
+@pytest.mark.parametrize("slope", [-8.0, -4.0, 4.0, 8.0])
+@pytest.mark.parametrize("wrong", [(0.0, 0.0, 0.0), (0.02, 1.0, 0.5), None])
+def test_ramp_is_found_or_is_the_plane(slope, wrong):
+    """The surface is within 2 cm + 1.5 cm/m wherever floor is seen, as plane or as ramp."""
+    pose, start = Pose(0.4, 15.0, 2.0), 1.3
+    z = cast(pose, BOXES[:1], ramp=(start, float(np.tan(np.radians(slope)))))
+    prior = unknown_plane(1) if wrong is None else pose.plane(*wrong)
+    fit = found(measured(z), prior)
+    assert fit.own[0]
+    bare = cast(pose, [], ramp=(start, float(np.tan(np.radians(slope)))))
+    seen = (bare < 4) & (z == bare)
+    x, y = pixel_rays(CAMERA)
+    points = np.stack([x, y, np.ones_like(x)], axis=-1)[seen] * bare[seen, None]
+    down = down_vector(fit.plane.pitch, fit.plane.roll)
+    beyond = np.maximum(points @ forward_vector(down)[0] - fit.plane.ramp_start[0], 0.0)
+    deep = points @ down[0] - fit.plane.height[0] + fit.plane.ramp_slope[0] * beyond
+    assert np.mean(np.abs(deep) < 0.02 + 0.015 * points[:, 2]) > 0.98
+    if wrong == (0.0, 0.0, 0.0):
+        assert abs(np.degrees(np.arctan(fit.plane.ramp_slope[0])) - slope) < 0.75
+        assert abs(fit.plane.ramp_start[0] - start) < 0.2
+
+
+@pytest.mark.parametrize("slope", [-4.0, 4.0])
+def test_without_ramps_none_is_found(slope):
+    pose = Pose(0.4, 15.0, 2.0)
+    z = measured(cast(pose, [], ramp=(1.3, float(np.tan(np.radians(slope))))))
+    fit = found(z, pose.plane(), FloorConfig(ramps=False))
+    assert np.isinf(fit.plane.ramp_start[0])
+
+
+@pytest.mark.parametrize("pose", POSES[:2])
+def test_bent_margins_tilt_nothing(pose):
+    """The outer tenth of the columns comes nearer by up to 8 percent, on one side or on both."""
+    u = np.arange(160)
+    for sides in ((True, True), (True, False)):
+        bend = np.maximum(np.where(sides[0], 16 - u, 0), np.where(sides[1], u - 143, 0)).clip(0)
+        z = measured(cast(pose, BOXES) * (1 - 0.08 * bend / 16))
+        fit = found(z, pose.plane(0.0, 1.0, 1.0))
+        assert_found(fit, pose, angle=0.25, height=6.0)
+        assert np.isinf(fit.plane.ramp_start[0])
+
+
+def test_a_box_face_is_no_ramp():
+    pose = Pose(0.3, 10.0, 0.0)
+    for distance in (0.9, 1.5, 2.2):
+        low: list[Box] = [((-2.0, distance, 0.0), (2.0, distance + 0.3, 0.12))]
+        fit = found(measured(cast(pose, low)), pose.plane(0.02, 1.0, 0.0))
+        assert fit.own[0]
+        assert np.isinf(fit.plane.ramp_start[0])
+
+
+# laws
+
+
+def test_batch_is_the_stack_of_singles():
+    z = np.stack([measured(cast(pose, BOXES), seed=7) for pose in POSES])
+    z[2] = 0
+    priors = [POSES[0].plane(), unknown_plane(1), POSES[2].plane(), POSES[3].plane(0.02, 1.0)]
+    prior = GroundPlane(*(np.concatenate(parts) for parts in zip(*priors, strict=True)))
+    batch = find_floor(*positions(z, CAMERA), prior, CONFIG, UNIT)
+    assert batch.own.tolist() == [True, True, False, True]
+    for b, one in enumerate(priors):
+        single = found(z[b], one)
+        for whole, part in zip(
+            (*batch.plane, *batch[1:]), (*single.plane, *single[1:]), strict=True
+        ):
+            np.testing.assert_array_equal(whole[b : b + 1], part)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_a_wrong_prior_gives_the_same_plane(pose):
+    z = measured(cast(pose, BOXES), seed=3)
+    true = found(z, pose.plane()).plane
+    for wrong in ((0.0, 2.0, 0.0), (0.0, -2.0, 0.0), (0.03, 0.0, 2.0), (-0.03, 0.0, -2.0)):
+        plane = found(z, pose.plane(*wrong)).plane
+        assert abs(np.degrees(plane.pitch - true.pitch)) < 0.1
+        assert abs(np.degrees(plane.roll - true.roll)) < 0.1
+        assert abs(plane.height - true.height) < 0.003
+
+
+def test_the_depth_unit_matters_little():
+    pose = POSES[0]
+    z = measured(cast(pose, BOXES))
+    x, y, depth = positions(z[None], CAMERA)
+    fit = find_floor(10 * x, 10 * y, 10 * depth, pose.plane(0.02, 1.0), CONFIG, UNIT / 10)
+    assert_found(fit, pose)
