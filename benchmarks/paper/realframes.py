@@ -1,0 +1,200 @@
+"""Labelled frames of real cameras: found, false, floor taken for obstacles, distances."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.labelled import Recording, find_recordings, labels_of, log_of
+from benchmarks.paper.pictures import encode, grid, titled
+from benchmarks.paper.section import Direction, Section, number, percent, wilson
+from jaxdet.config import Config
+from jaxdet.engine import decide_planes
+from jaxdet.engine.rows import to_host
+from jaxdet.eval import BoxTally, FrameLabels, match_boxes, score_boxes, tally_boxes
+from jaxdet.io import Log, open_log
+from jaxdet.metric import extents
+from jaxdet.pipeline import detect, floor_of, load_backend
+from jaxdet.presets import PRESETS
+from jaxdet.render import canvas
+from jaxdet.render.camera import camera_view
+from jaxdet.types import Detections, Frames
+
+TITLES: tuple[tuple[str, Config], ...] = (
+    ("wheeled", PRESETS["wheeled"]),
+    ("uneven", PRESETS["uneven"]),
+    ("paper", PRESETS["paper"]),
+)
+"""What is compared, by title; the first is pictured."""
+WORST = 6
+"""Frames pictured of each recording."""
+COLUMNS, WIDTH = 3, 420
+FOUND, MISSED = (255, 255, 255), (255, 40, 40)
+DIRECTIONS: dict[str, Direction] = {
+    "recall": "higher",
+    "precision": "higher",
+    "swamped": "lower",
+    "on_floor": "lower",
+    "floor_kept": "lower",
+    "error_median_m": "lower",
+    "error_p90_m": "lower",
+}
+
+
+class Found(NamedTuple):
+    """A frame of a log and what was found in it, each a batch of one."""
+
+    frames: Frames
+    """With the floor that was used."""
+    detections: Detections
+
+    @property
+    def boxes(self) -> np.ndarray:
+        """``(n, 4)`` int32, image boxes of the obstacles [pixel]."""
+        count, obstacles = self.detections.labels.num_obstacles[0], self.detections.obstacles
+        return np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
+
+    @property
+    def nearest_m(self) -> np.ndarray:
+        """``(n,)`` float, least forward depth of each [m]."""
+        box = extents(self.detections.obstacles, self.frames.calibration.depth_unit)
+        return box.minimum[0, : self.detections.labels.num_obstacles[0], 2]
+
+
+class Judged(NamedTuple):
+    """A frame held against its labels."""
+
+    found: Found
+    labels: FrameLabels
+    tally: BoxTally
+
+    @property
+    def right(self) -> float:
+        """Share of what is there or was found that is both."""
+        tally = self.tally
+        return tally.matched / max(tally.objects + tally.detections - tally.matched, 1)
+
+
+def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
+    """Every frame of a log as ``jaxdet run --backend reference`` finds its obstacles."""
+    planes = decide_planes(log, config, "reference")
+    for batch in log.batches(1):
+        frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
+        yield Found(frames, to_host(detect(frames, config, backend="reference")))
+
+
+def judge(recording: Recording, folder: Path, log: Log, config: Config) -> list[Judged]:
+    """All labelled frames of a recording."""
+    stages = load_backend("reference")
+    judged = []
+    for found in find_obstacles(log, config):
+        frames, calibration = found.frames, found.frames.calibration
+        aligned = stages.align(frames.depth, calibration)
+        z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
+        labels = labels_of(recording, folder, int(frames.number[0]), z_m, calibration)
+        if labels is None:
+            continue
+        kept = stages.ground(aligned, floor_of(frames, config), calibration, config).mask[0]
+        boxes, nearest = found.boxes, found.nearest_m
+        least = recording.least_iou
+        tally = tally_boxes(labels, boxes, nearest, np.asarray(kept), z_m > 0, least)
+        judged.append(Judged(found, labels, tally))
+    return judged
+
+
+def run(lab: Lab) -> Section:
+    """Figures on labelled frames of real cameras; not in the paper."""
+    section = Section("realframes", "Labelled frames of real cameras")
+    places = find_recordings(lab.recordings)
+    if not places:
+        section.say("Not run: no labelled recording was found (--recordings FOLDER names one).")
+        return section
+    section.say(
+        "A detection is right when its image box and a labelled object's overlap by enough (IoU "
+        f"{', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to one; one on "
+        "mostly unlabelled ground is neither right nor wrong. A frame is swamped when one box "
+        "covers more than half of its floor. Floor kept: share of the floor's measured pixels "
+        "that the ground stage takes as above the floor; where only boxes are labelled, the floor "
+        "is what has none. Distance: the detection's least forward depth against the near "
+        "surface's. Nothing may be tuned on the held-out frames of mosd; wheelchair_5cm leaves "
+        "out lower objects."
+    )
+    rows: list[list[str]] = []
+    for recording, folder in places:
+        lab.log(f"labelled frames of {recording.name}")
+        with open_log(str(log_of(recording, folder, lab.store.folder))) as log:
+            for title, config in TITLES:
+                judged = judge(recording, folder, log, config)
+                for part, mine in parts_of(recording, judged).items():
+                    rows.append([part, title, *_row(section, f"{part}.{title}", mine)])
+                if title == TITLES[0][0] and not recording.least_height_m:
+                    _pictures(section, recording, title, judged)
+    header = ["Recording", "Preset", "Frames", "Objects", "Recall", "Precision", "Swamped"]
+    header += ["False on floor", "Floor kept", "Distance error, median [m]", "90th percentile"]
+    section.table(header, rows)
+    section.blocks.sort(key=lambda block: hasattr(block, "png"))
+    return section
+
+
+def parts_of(recording: Recording, judged: list[Judged]) -> dict[str, list[Judged]]:
+    """The frames as they are reported: all, or the tuning part and the held-out part."""
+    if not recording.held_out:
+        return {recording.name: judged}
+    parts: dict[str, list[Judged]] = {"tuning": [], "held_out": []}
+    for one in judged:
+        last = one.found.frames.number[0] % recording.held_out == recording.held_out - 1
+        parts["held_out" if last else "tuning"].append(one)
+    return {f"{recording.name}.{part}": mine for part, mine in parts.items()}
+
+
+def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
+    """Adds the figures of some frames; returns them as texts."""
+    tallies = [one.tally for one in judged]
+    score = score_boxes(tallies)
+    objects, detections, matched = (
+        sum(getattr(tally, name) for tally in tallies)
+        for name in ("objects", "detections", "matched")
+    )
+    ends = {"recall": wilson(matched, objects), "precision": wilson(matched, detections)}
+    for name, direction in DIRECTIONS.items():
+        unit = "m" if name.endswith("_m") else ""
+        section.add(f"{key}.{name}", getattr(score, name), unit, direction, ends.get(name))
+    return [
+        f"{len(judged)}",
+        f"{objects}",
+        percent(score.recall, ends["recall"]),
+        percent(score.precision, ends["precision"]),
+        f"{score.swamped}",
+        f"{score.on_floor}",
+        percent(score.floor_kept),
+        number(score.error_median_m),
+        number(score.error_p90_m),
+    ]
+
+
+def _pictures(section: Section, recording: Recording, title: str, judged: list[Judged]) -> None:
+    """The worst frames, fewest right first."""
+    worst = sorted(judged, key=lambda one: one.right)[:WORST]
+    views = [_picture(recording, one) for one in worst]
+    if views:
+        caption = f"{recording.name}, {title}: the frames with the fewest right of what is there or"
+        caption += " was found. White outlines: objects found, red: missed."
+        section.picture(recording.name, encode(grid(views, COLUMNS)), caption)
+
+
+def _picture(recording: Recording, judged: Judged) -> np.ndarray:
+    """The camera's view with the labelled boxes over it."""
+    found, labels, tally = judged
+    frames = found.frames
+    unit = frames.calibration.depth_unit
+    view = camera_view(frames.color[0], found.detections, 0, unit, 1.0)
+    pairs = match_boxes(labels.boxes, found.boxes, recording.least_iou)
+    for box, pair in zip(labels.boxes, pairs.tolist(), strict=True):
+        left, top, right, bottom = box.tolist()
+        corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+        canvas.polygon(view, corners, FOUND if pair >= 0 else MISSED, width=1 if pair >= 0 else 2)
+    text = f"{recording.name} {frames.number[0]}: {tally.matched} of {tally.objects} found, "
+    text += f"{tally.detections - tally.matched} false"
+    return titled(view, text, WIDTH)
