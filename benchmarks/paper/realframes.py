@@ -13,7 +13,14 @@ from benchmarks.paper.section import Direction, Section, number, percent, wilson
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
 from jaxdet.engine.rows import to_host
-from jaxdet.eval import BoxTally, FrameLabels, match_boxes, score_boxes, tally_boxes
+from jaxdet.eval import (
+    BoxTally,
+    FrameLabels,
+    match_boxes,
+    on_known_ground,
+    score_boxes,
+    tally_boxes,
+)
 from jaxdet.io import Log, open_log
 from jaxdet.metric import extents
 from jaxdet.pipeline import detect, floor_of, load_backend
@@ -63,18 +70,24 @@ class Found(NamedTuple):
         return box.minimum[0, : self.detections.labels.num_obstacles[0], 2]
 
 
-class Judged(NamedTuple):
-    """A frame held against its labels."""
+class Task(NamedTuple):
+    """A recording to be judged under a configuration."""
 
-    found: Found
-    labels: FrameLabels
-    tally: BoxTally
+    recording: Recording
+    folder: Path
+    log: Path
+    config: Config
+    pictured: int
+    """How many of the worst frames."""
 
-    @property
-    def right(self) -> float:
-        """Share of what is there or was found that is both."""
-        tally = self.tally
-        return tally.matched / max(tally.objects + tally.detections - tally.matched, 1)
+
+class Judgement(NamedTuple):
+    """Labelled frames of a recording held against their labels."""
+
+    numbers: list[int]
+    tallies: list[BoxTally]
+    views: list[np.ndarray]
+    """Pictures of the worst, fewest right first."""
 
 
 def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
@@ -85,23 +98,37 @@ def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
         yield Found(frames, to_host(detect(frames, config, backend="reference")))
 
 
-def judge(recording: Recording, folder: Path, log: Log, config: Config) -> list[Judged]:
+def judge(task: Task) -> Judgement:
     """All labelled frames of a recording."""
+    with open_log(str(task.log)) as log:
+        each = [(found, *_held(task, found)) for found in find_obstacles(log, task.config)]
+    known = [(found, labels, tally) for found, labels, tally in each if labels is not None]
+    worst = sorted(known, key=lambda one: _right(one[2]))[: task.pictured]
+    return Judgement(
+        [int(found.frames.number[0]) for found, _, _ in known],
+        [tally for _, _, tally in known],
+        [_picture(task.recording, *one) for one in worst],
+    )
+
+
+def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
+    """A frame's labels and counts."""
+    frames, calibration = found.frames, found.frames.calibration
     stages = load_backend("reference")
-    judged = []
-    for found in find_obstacles(log, config):
-        frames, calibration = found.frames, found.frames.calibration
-        aligned = stages.align(frames.depth, calibration)
-        z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
-        labels = labels_of(recording, folder, int(frames.number[0]), z_m, calibration)
-        if labels is None:
-            continue
-        kept = stages.ground(aligned, floor_of(frames, config), calibration, config).mask[0]
-        boxes, nearest = found.boxes, found.nearest_m
-        least = recording.least_iou
-        tally = tally_boxes(labels, boxes, nearest, np.asarray(kept), z_m > 0, least)
-        judged.append(Judged(found, labels, tally))
-    return judged
+    aligned = stages.align(frames.depth, calibration)
+    z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
+    labels = labels_of(task.recording, task.folder, int(frames.number[0]), z_m, calibration)
+    if labels is None:
+        return None, BoxTally()
+    plane = floor_of(frames, task.config, backend="reference")
+    kept = np.asarray(stages.ground(aligned, plane, calibration, task.config).mask[0])
+    boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
+    return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
+
+
+def _right(tally: BoxTally) -> float:
+    """Share of what is there or was found that is both."""
+    return tally.matched / max(tally.objects + tally.detections - tally.matched, 1)
 
 
 def run(lab: Lab) -> Section:
@@ -121,37 +148,41 @@ def run(lab: Lab) -> Section:
         "surface's. Nothing may be tuned on the held-out frames of mosd; wheelchair_5cm leaves "
         "out lower objects."
     )
-    rows: list[list[str]] = []
-    for recording, folder in places:
-        lab.log(f"labelled frames of {recording.name}")
-        with open_log(str(log_of(recording, folder, lab.store.folder))) as log:
-            for title, config in TITLES:
-                judged = judge(recording, folder, log, config)
-                for part, mine in parts_of(recording, judged).items():
-                    rows.append([part, title, *_row(section, f"{part}.{title}", mine)])
-                if title == TITLES[0][0] and not recording.least_height_m:
-                    _pictures(section, recording, title, judged)
+    tasks = [
+        Task(recording, folder, log_of(recording, folder, lab.store.folder), config, pictured)
+        for recording, folder in places
+        for (_, config), pictured in zip(TITLES, [WORST, *[0] * len(TITLES)], strict=False)
+    ]
+    titles = [title for title, _ in TITLES] * len(places)
+    rows, pictures = [], []
+    for task, title, judged in zip(tasks, titles, lab.run(judge, tasks), strict=True):
+        for part, tallies in parts_of(task.recording, judged).items():
+            rows.append([part, title, *_row(section, f"{part}.{title}", tallies)])
+        if judged.views:
+            pictures.append((task.recording.name, title, judged.views))
     header = ["Recording", "Preset", "Frames", "Objects", "Recall", "Precision", "Swamped"]
     header += ["False on floor", "Floor kept", "Distance error, median [m]", "90th percentile"]
     section.table(header, rows)
-    section.blocks.sort(key=lambda block: hasattr(block, "png"))
+    for name, title, views in pictures:
+        caption = f"{name}, {title}: the frames with the fewest right of what is there or was "
+        caption += "found. White outlines: objects found, red: missed."
+        section.picture(name, encode(grid(views, COLUMNS)), caption)
     return section
 
 
-def parts_of(recording: Recording, judged: list[Judged]) -> dict[str, list[Judged]]:
+def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally]]:
     """The frames as they are reported: all, or the tuning part and the held-out part."""
     if not recording.held_out:
-        return {recording.name: judged}
-    parts: dict[str, list[Judged]] = {"tuning": [], "held_out": []}
-    for one in judged:
-        last = one.found.frames.number[0] % recording.held_out == recording.held_out - 1
-        parts["held_out" if last else "tuning"].append(one)
-    return {f"{recording.name}.{part}": mine for part, mine in parts.items()}
+        return {recording.name: judged.tallies}
+    parts: dict[str, list[BoxTally]] = {"tuning": [], "held_out": []}
+    for frame, tally in zip(judged.numbers, judged.tallies, strict=True):
+        last = frame % recording.held_out == recording.held_out - 1
+        parts["held_out" if last else "tuning"].append(tally)
+    return {f"{recording.name}.{part}": tallies for part, tallies in parts.items()}
 
 
-def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
+def _row(section: Section, key: str, tallies: list[BoxTally]) -> list[str]:
     """Adds the figures of some frames; returns them as texts."""
-    tallies = [one.tally for one in judged]
     score = score_boxes(tallies)
     objects, detections, matched = (
         sum(getattr(tally, name) for tally in tallies)
@@ -162,7 +193,7 @@ def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
         unit = "m" if name.endswith("_m") else ""
         section.add(f"{key}.{name}", getattr(score, name), unit, direction, ends.get(name))
     return [
-        f"{len(judged)}",
+        f"{len(tallies)}",
         f"{objects}",
         percent(score.recall, ends["recall"]),
         percent(score.precision, ends["precision"]),
@@ -174,23 +205,15 @@ def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
     ]
 
 
-def _pictures(section: Section, recording: Recording, title: str, judged: list[Judged]) -> None:
-    """The worst frames, fewest right first."""
-    worst = sorted(judged, key=lambda one: one.right)[:WORST]
-    views = [_picture(recording, one) for one in worst]
-    if views:
-        caption = f"{recording.name}, {title}: the frames with the fewest right of what is there or"
-        caption += " was found. White outlines: objects found, red: missed."
-        section.picture(recording.name, encode(grid(views, COLUMNS)), caption)
-
-
-def _picture(recording: Recording, judged: Judged) -> np.ndarray:
+def _picture(
+    recording: Recording, found: Found, labels: FrameLabels, tally: BoxTally
+) -> np.ndarray:
     """The camera's view with the labelled boxes over it."""
-    found, labels, tally = judged
     frames = found.frames
     unit = frames.calibration.depth_unit
     view = camera_view(frames.color[0], found.detections, 0, unit, 1.0)
-    pairs = match_boxes(labels.boxes, found.boxes, recording.least_iou)
+    counted = found.boxes[on_known_ground(labels, found.boxes)]
+    pairs = match_boxes(labels.boxes, counted, recording.least_iou)
     for box, pair in zip(labels.boxes, pairs.tolist(), strict=True):
         left, top, right, bottom = box.tolist()
         corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])

@@ -17,6 +17,7 @@ from jaxdet.eval.boxes import (
     labels_of_image,
     match_boxes,
     near_surface,
+    on_known_ground,
     score_boxes,
     tally_boxes,
 )
@@ -57,6 +58,7 @@ __all__ = [
     "match",
     "match_boxes",
     "near_surface",
+    "on_known_ground",
     "pair_counts",
     "score",
     "score_boxes",

@@ -87,8 +87,11 @@ def box_iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     low = np.maximum(a[:, None, :2], b[None, :, :2])
     high = np.minimum(a[:, None, 2:], b[None, :, 2:]) + 1
     both = np.maximum(high - low, 0).prod(axis=2)
-    sizes = [(box[:, 2:] - box[:, :2] + 1).prod(axis=1) for box in (a, b)]
-    return both / (sizes[0][:, None] + sizes[1] - both)
+    return both / (_sizes(a)[:, None] + _sizes(b) - both)
+
+
+def _sizes(boxes: np.ndarray) -> np.ndarray:
+    return (boxes[:, 2:] - boxes[:, :2] + 1).prod(axis=1)
 
 
 def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.ndarray:
@@ -136,14 +139,14 @@ def tally_boxes(
         measured: ``(H, W)`` bool, pixels with a depth.
         least_iou: Least IoU of a pair, more than 0.
     """
-    known, floor = (_shares(mask, found) for mask in (labels.known, labels.floor))
-    sizes = (found[:, 2:] - found[:, :2] + 1).prod(axis=1)
-    counted = np.flatnonzero(2 * known >= sizes)
+    floor = _pixels(labels.floor, found)
+    counted = np.flatnonzero(on_known_ground(labels, found))
     pairs = match_boxes(labels.boxes, found[counted], least_iou)
     matched = pairs >= 0
     chosen = counted[pairs[matched]]
     errors = nearest_m[chosen] - labels.distance_m[matched]
     false = np.setdiff1d(counted, chosen)
+    sizes = _sizes(found)
     ground = labels.floor & measured
     return BoxTally(
         objects=len(labels.boxes),
@@ -157,7 +160,12 @@ def tally_boxes(
     )
 
 
-def _shares(mask: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+def on_known_ground(labels: FrameLabels, found: np.ndarray) -> np.ndarray:
+    """Which boxes ``(n, 4)`` count, those of at least half known pixels: ``(n,)`` bool."""
+    return 2 * _pixels(labels.known, found) >= _sizes(found)
+
+
+def _pixels(mask: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """How many pixels of a mask each box holds, ``(n,)`` int64."""
     return np.array([mask[v : b + 1, u : r + 1].sum() for u, v, r, b in boxes], np.int64)
 
