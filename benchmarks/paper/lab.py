@@ -57,6 +57,7 @@ class Lab:
         self.store, self.pool = Store(folder, pool), pool
         self.detectors = detectors or {}
         self.sections: dict[str, Section] = {}
+        self.recordings: tuple[Path, ...] = ()
         self.quiet, self.rehearsal = False, rehearsal
         self.start = time.perf_counter()
 

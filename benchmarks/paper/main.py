@@ -31,6 +31,7 @@ from benchmarks.paper import (
     floor,
     goals,
     realdata,
+    realframes,
     table1_indices,
     table2_detection,
     table3_detectors,
@@ -38,6 +39,7 @@ from benchmarks.paper import (
     table5_canny,
 )  # fmt: skip
 from benchmarks.paper.lab import Lab
+from benchmarks.paper.labelled import BESIDE
 from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
@@ -58,6 +60,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "floor": floor.run,
     "coverage": coverage.run,
     "failures": failures.run,
+    "realframes": realframes.run,
     "goals": goals.run,
 }
 """In the order in which they run; the goals are judged last and stand first."""
@@ -85,7 +88,8 @@ class Options:
     detector: tuple[str, ...] = ()
     """Rows of Table 3 as NAME=FILE.onnx; weights are not part of the project."""
     recordings: tuple[Path, ...] = ()
-    """Folders of real recordings, to be pictured."""
+    """Folders of real recordings, to be pictured; labelled ones are also looked for in and beside
+    them, by default in ../shared/data, for the experiment ``realframes``."""
     frames: Path | None = None
     """Keeps the simulated frames here for the next run of the same code; by default they go."""
     workers: int = 0
@@ -107,6 +111,7 @@ def main(options: Options) -> int:
         models = dict(_named(item) for item in options.detector)
         counts, rehearsal = FULL if options.full else QUICK, options.rehearsal
         lab = Lab(counts, folder, pool, detectors=models, rehearsal=rehearsal)
+        lab.recordings = options.recordings or (BESIDE,)
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):
             lab.log(f"pictures of {place.name}")

@@ -8,6 +8,19 @@
 """
 
 from jaxdet.eval.bootstrap import Interval, difference_intervals, intervals
+from jaxdet.eval.boxes import (
+    BoxScore,
+    BoxTally,
+    FrameLabels,
+    box_iou,
+    labels_of_boxes,
+    labels_of_image,
+    match_boxes,
+    near_surface,
+    on_known_ground,
+    score_boxes,
+    tally_boxes,
+)
 from jaxdet.eval.frame import evaluate, evaluate_frames
 from jaxdet.eval.group import group_objects
 from jaxdet.eval.indices import davies_bouldin, silhouette
@@ -18,8 +31,11 @@ from jaxdet.eval.tally import Case, Tally, keep_shares, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth, LogTruth, truth_of
 
 __all__ = [
+    "BoxScore",
+    "BoxTally",
     "Case",
     "EvalConfig",
+    "FrameLabels",
     "FrameTruth",
     "Interval",
     "LogTruth",
@@ -28,6 +44,7 @@ __all__ = [
     "Success",
     "Tally",
     "assign",
+    "box_iou",
     "davies_bouldin",
     "difference_intervals",
     "evaluate",
@@ -36,11 +53,18 @@ __all__ = [
     "group_objects",
     "intervals",
     "keep_shares",
+    "labels_of_boxes",
+    "labels_of_image",
     "match",
+    "match_boxes",
+    "near_surface",
+    "on_known_ground",
     "pair_counts",
     "score",
+    "score_boxes",
     "silhouette",
     "success_by_distance",
+    "tally_boxes",
     "total",
     "truth_of",
 ]

@@ -1,0 +1,140 @@
+"""Labelled frames of real cameras in the report: the labels, a made recording, the real ones."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from benchmarks.paper import labelled, realframes, section
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.labelled import BOXES, RECORDINGS, Recording, find_recordings, read_boxes
+from benchmarks.paper.plan import Counts
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions, run
+from jaxdet.errors import InputError
+from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.pipeline import load_backend
+from jaxdet.sim import SimConfig, load_obstacle_ids, write_log
+
+FRAMES = {"aims_slam": 18, "d435_boxes_felixchenfy": 10}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_labels_of_the_project(name):
+    boxes = read_boxes(BOXES / f"{name}.txt")
+    assert sorted(boxes) == list(range(FRAMES[name]))
+    for objects, distance, ignored in boxes.values():
+        assert len(objects) == len(distance) >= 1
+        assert ((distance > 0.2) & (distance < 4)).all()
+        every = np.concatenate([objects, ignored])
+        assert (every[:, :2] <= every[:, 2:]).all() and (every >= 0).all()
+        assert (every[:, 2] < 640).all() and (every[:, 3] < 480).all()
+        assert (objects[:, 2:] - objects[:, :2] >= 16).all()
+
+
+def test_a_line_that_is_no_label(tmp_path):
+    path = tmp_path / "one.txt"
+    good = "3 0 1 8 9 0.50 obstacle a box, open\n\n# ignored\n3 2 2 4 4 - ignore wall\n"
+    path.write_text(good)
+    objects, distance, ignored = read_boxes(path)[3]
+    assert (objects.tolist(), distance.tolist()) == ([[0, 1, 8, 9]], [0.5])
+    assert ignored.tolist() == [[2, 2, 4, 4]]
+    for bad in ("3 0 1 8 9 0.5 box it", "3 0 1 8 9 - obstacle it", "3 5 1 4 9 1 obstacle it", "3"):
+        path.write_text(good + bad)
+        with pytest.raises(InputError, match="line 5 is no label"):
+            read_boxes(path)
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch) -> Path:
+    """A simulated log of four boxes whose truth is its label images; walls are unknown."""
+    config = SimConfig(scene="row", frames=3, width=320, height=240)
+    write_log(tmp_path / "row.mcap", config)
+    (tmp_path / "labels").mkdir()
+    ids = load_obstacle_ids(tmp_path / "row.mcap", [0, 1, 2])
+    for frame, image in enumerate(ids):
+        cv2.imwrite(
+            str(tmp_path / "labels" / f"{frame:03d}.png"), np.where(image <= 4, image + 1, 0)
+        )
+    one = Recording("row", "row.mcap", 0.5, "labels", least_pixels=20, held_out=3)
+    monkeypatch.setattr(labelled, "RECORDINGS", (one,))
+    monkeypatch.setattr(realframes, "TITLES", realframes.TITLES[:2])
+    return tmp_path
+
+
+def test_a_made_recording(made):
+    lab = Lab(Counts(), made / "kept")
+    lab.quiet, lab.recordings = True, (made,)
+    found = realframes.run(lab)
+    by_key = {figure.key: figure.value for figure in found.figures}
+    stem = "realframes.row.{}.wheeled.{}"
+    for part in ("tuning", "held_out"):
+        assert by_key[stem.format(part, "recall")] == 1
+        assert by_key[stem.format(part, "precision")] == 1
+        assert by_key[stem.format(part, "swamped")] == 0
+        assert by_key[stem.format(part, "floor_kept")] < 0.02
+        assert by_key[stem.format(part, "error_p90_m")] < 0.1
+    table = next(block for block in found.blocks if isinstance(block, section.Table))
+    assert [row[:3] for row in table.rows] == [
+        ("row.tuning", "wheeled", "2"),
+        ("row.held_out", "wheeled", "1"),
+        ("row.tuning", "uneven", "2"),
+        ("row.held_out", "uneven", "1"),
+    ]
+    assert {len(row) for row in table.rows} == {len(table.header)}
+    pictures = [block.name for block in found.blocks if isinstance(block, section.Picture)]
+    assert pictures == ["realframes_row"]
+
+
+def test_a_frame_without_labels_is_left_out(made):
+    (made / "labels" / "001.png").unlink()
+    task = realframes.Task(labelled.RECORDINGS[0], made, made / "row.mcap", Config(), 1)
+    judged = realframes.judge(task)
+    assert judged.numbers == [0, 2] and len(judged.tallies) == 2 and len(judged.views) == 1
+
+
+def test_without_recordings(tmp_path):
+    found = realframes.run(Lab(Counts(), tmp_path))
+    assert not found.figures and "Not run" in str(found.blocks[0])
+    assert find_recordings([tmp_path]) == []
+
+
+def test_a_recording_s_own_folder_will_do(made):
+    (made / "deep").mkdir()
+    assert [place for _, place in find_recordings([made / "deep"])] == [made]
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_distances_are_in_the_depth_images(shared_data, tmp_path, name):
+    recording = next(one for one in RECORDINGS if one.name == name)
+    boxes = read_boxes(BOXES / f"{name}.txt")
+    with open_log(str(labelled.log_of(recording, shared_data, tmp_path))) as log:
+        assert log.num_frames == FRAMES[name]
+        for batch in log.batches(1):
+            frames = batch.frames
+            z_m = load_backend("reference").align(frames.depth, frames.calibration).z[0] * 1e-3
+            objects, distance, _ = boxes[int(frames.number[0])]
+            for (u, v, right, bottom), metres in zip(objects, distance, strict=True):
+                part = z_m[v : bottom + 1, u : right + 1]
+                assert (np.abs(part - metres) < 0.05).mean() > 0.02
+
+
+def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
+    recording = next(one for one in RECORDINGS if one.name == "wheelchair")
+    path, config = shared_data / recording.place, Config()
+    options = RunOptions(tmp_path, "reference", pictures=0)
+    run(find_logs([str(path)]), config, LogOptions(), options)
+    script = str(shared_data / "labelled" / "score.py")
+    command = [sys.executable, script, str(tmp_path), "wheelchair", "--json"]
+    theirs = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+    judged = realframes.judge(realframes.Task(recording, shared_data, path, config, 0))
+    for key in ("objects", "detections", "matched"):
+        assert sum(getattr(tally, key) for tally in judged.tallies) == theirs["all"][key]
+    swamped = [n for n, t in zip(judged.numbers, judged.tallies, strict=True) if t.swamped]
+    assert swamped == theirs["swamped_frames"]
