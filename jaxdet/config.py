@@ -138,6 +138,30 @@ class FeaturesConfig:
 
 
 @dataclass(frozen=True)
+class FloorConfig:
+    """How the floor of each frame is looked for."""
+
+    max_cells: int = 4800
+    """Most cells used: a regular part of those given."""
+    max_depth_m: float = 6.0
+    """Farthest depth used [m]."""
+    noise_per_m: float = 0.004
+    """Error of depth over its square [1/m]; 0.004 is a D435's."""
+    max_turn_deg: float = 3.5
+    """Most that a prior's pitch and roll are corrected [degree]."""
+    max_shift_m: float = 0.06
+    """Most that its height is corrected [m]."""
+    min_share: float = 0.04
+    """Least share of the cells on the floor."""
+    min_share_alone: float = 0.10
+    """The same without a prior; cells clearly below the floor count twice against it."""
+    ramps: bool = True
+    """Look for a ramp ahead."""
+    gap_m: float = 0.5
+    """Free floor ends where so much of it shows no measurement [m]."""
+
+
+@dataclass(frozen=True)
 class SurfaceConfig:
     """Surfaces in a grid of depth cells; with them, obstacles are made of surfaces."""
 
@@ -188,9 +212,9 @@ class ObstacleConfig:
     """Added to it for each metre between the two: surfaces are seen obliquely."""
     hidden_m: float = 1.0
     """Longest stretch that a nearer thing may hide [m]."""
-    hole_m: float = 0.4
+    hole_m: float = 0.6
     """Longest stretch without any depth [m]."""
-    hidden_share: float = 0.1
+    hidden_share: float = 0.0
     """So many of the rows (or columns) of the smaller part must go on in the other one."""
     contact_m: float = 0.10
     """Pieces too small to be an obstacle join the surface they touch, over at most such a step
@@ -307,6 +331,9 @@ class FootprintConfig:
     the paper's, which leaves out what stands beyond A, B or C."""
     margin_m: float = 0.03
     """Added to the rectangle on all sides [m]."""
+    fitted: bool = False
+    """The rectangle of an obstacle made of surfaces: the one that fits its visible contour best;
+    off: the paper's, along AB."""
 
     def __post_init__(self) -> None:
         _require_within(self.vertex_threshold_m, 0, FARTHEST_M, "footprint.vertex-threshold-m")
@@ -326,5 +353,6 @@ class Config:
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
+    floor: FloorConfig = field(default_factory=FloorConfig)
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)

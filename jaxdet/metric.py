@@ -56,6 +56,10 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     obstacle are inside ("ensuring absolute safety for the robot", Section 3.5): points beyond AB
     or to the sides of A and B would be left out otherwise. ``margin_m`` is added on all sides.
 
+    With ``config.fitted``, ``direction`` and ``span`` are those of the rectangle itself and only the
+    margin is added; AB is the side whose middle is
+    nearest to the camera.
+
     Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
     forward it has no side away from the camera; the normal that points away from the camera's
     own line of sight is taken (to the right on that line).
@@ -69,6 +73,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         ``(B, M, 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
         corner beyond B, the corner beyond A.
     """
+    if config.fitted:
+        return _fitted_rectangles(obstacles, depth_unit, config)
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
     edge = np.asarray(obstacles.direction).astype(np.float64) if config.cover else b - a
     length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
@@ -94,6 +100,33 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     corners = [(left, front), (right, front), (right, back), (left, back)]
     points = [s[..., None] * along + t[..., None] * across for s, t in corners]
     return np.stack(points, axis=-2) * depth_unit
+
+
+def _fitted_rectangles(
+    obstacles: Obstacles, depth_unit: float, config: FootprintConfig
+) -> np.ndarray:
+    """The rectangles of direction and span, margin added; ``(B, M, 4, 2)`` float64 [m]."""
+    edge = np.asarray(obstacles.direction).astype(np.float64)
+    length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
+    scale = np.where(length > 0, length, 1.0)
+    along, span = edge / scale, np.asarray(obstacles.span) / scale
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    margin = config.margin_m / depth_unit
+    left, right, near, far = np.moveaxis(span, -1, 0)
+    left, right, near, far = left - margin, right + margin, near - margin, far + margin
+    # The four sides in turn, counted counter-clockwise from the one that faces across.
+    corners = [(left, near), (right, near), (right, far), (left, far)]
+    points = [s[..., None] * along + t[..., None] * across for s, t in corners]
+    ring = np.stack(points, axis=-2)
+    first = np.argmin(_sides(ring), axis=-1)
+    order = (first[..., None] + np.arange(4)) % 4
+    return np.take_along_axis(ring, order[..., None], axis=-2) * depth_unit
+
+
+def _sides(ring: np.ndarray) -> np.ndarray:
+    """How far the middle of each side of rectangles is from the camera, squared."""
+    middle = ring + np.roll(ring, -1, axis=-2)
+    return np.sum(middle * middle, axis=-1)
 
 
 def _oriented(

@@ -96,6 +96,8 @@ def detect(
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     check_frames(frames)
     check_points(slots_of(calibration.color, config.features))
+    if config.surface.cell_rad:
+        return _detect_surfaces(frames, config, backend)
 
     program = _program(stages, frames, config)
     if program is not None:
@@ -109,6 +111,21 @@ def detect(
     obstacles = stages.footprint(features, labels, plane, unit, config)
 
     return Detections(features, labels, obstacles, keep.has_depth)
+
+
+def _detect_surfaces(frames: Frames, config: Config, backend: BackendName) -> Detections:
+    """Obstacles made of surfaces, with the floor of each frame."""
+    if backend != "reference":
+        raise ConfigError(
+            f"obstacles made of surfaces have no program for backend {backend!r} yet",
+            remedy="use --backend reference, or a preset without surfaces such as wheeled",
+        )
+    from jaxdet import reference
+
+    prior = known_plane(frames, config)
+    if prior is None:
+        prior = unknown_plane(len(frames.depth))
+    return reference.detect(frames, prior, config)
 
 
 def _program(stages: Backend, frames: Frames, config: Config) -> Detections | None:

@@ -3,7 +3,15 @@
 from dataclasses import replace
 from typing import Any
 
-from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
+from jaxdet.config import (
+    ClusterConfig,
+    Config,
+    FeaturesConfig,
+    FootprintConfig,
+    GroundConfig,
+    ObstacleConfig,
+    SurfaceConfig,
+)
 from jaxdet.errors import ConfigError
 
 
@@ -13,6 +21,9 @@ def _with(ground: dict[str, Any], footprint: dict[str, float] | None = None) -> 
         footprint=replace(FootprintConfig(), **(footprint or {})),
     )
 
+
+CELL_RAD = 0.0078
+"""4 pixels of a Kinect's depth image of 640 columns, 3 of a D435's, 7 of a D415's of 1280."""
 
 PRESETS: dict[str, Config] = {
     "wheeled": Config(),
@@ -24,6 +35,34 @@ PRESETS: dict[str, Config] = {
         cluster=ClusterConfig(lateral_gap_m=0.40, min_points=10, slice_m=0.0),
         footprint=FootprintConfig(
             trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, cover=False, margin_m=0.0
+        ),
+    ),
+    "surfaces": Config(
+        footprint=FootprintConfig(fitted=True), surface=SurfaceConfig(cell_rad=CELL_RAD)
+    ),
+    "tabletop": Config(
+        ground=GroundConfig(max_depth_m=2.0, step_height_m=0.008, step_height_per_m=0.004),
+        footprint=FootprintConfig(fitted=True, margin_m=0.005),
+        surface=SurfaceConfig(
+            cell_rad=CELL_RAD,
+            step_m=0.008,
+            step_per_m=0.005,
+            crease_m=0.002,
+            crease_per_m=0.002,
+            bent_m=0.02,
+            beyond=1.0,
+        ),
+        obstacle=ObstacleConfig(
+            depth_gap_m=0.02,
+            depth_slope=0.1,
+            hidden_m=0.4,
+            hole_m=0.02,
+            hidden_share=0.5,
+            contact_m=0.03,
+            narrow_m=0.0,
+            hanging_m=0.0,
+            min_size_m=0.025,
+            min_cells=12,
         ),
     ),
     "uneven": _with({"window_s": 0.1, "sample_frames": 1, "step_height_per_m": 0.001}),

@@ -261,13 +261,31 @@ class FreeEnd(IntEnum):
     """The end of the depth range."""
 
 
+class Refusal(IntEnum):
+    """Why a frame's own depth does not decide its floor."""
+
+    NONE = 0
+    """It does."""
+    TOO_LITTLE = 1
+    """Too few cells lie on any one plane."""
+    MOSTLY_OBSTACLE = 2
+    """The best plane makes most of the picture an obstacle."""
+    FAR = 3
+    """The best plane is too far from the prior and no ramp ahead of it, or without a prior more
+    tilted than a floor is seen."""
+    TABLE = 4
+    """Too much is seen below the best plane."""
+
+
 class Scene(NamedTuple):
     """What is seen beside the obstacles themselves, where they are made of surfaces."""
 
     plane: GroundPlane
     """The floor of each frame."""
-    floor_source: np.ndarray
-    """``(B,)`` object, where it comes from, see :class:`jaxdet.types.FloorSource`."""
+    own_floor: np.ndarray
+    """``(B,)`` bool, found in the frame's own depth; else it is the one given."""
+    refused: np.ndarray
+    """``(B,)`` int32, why not, see :class:`Refusal`."""
     contour: Array
     """``(B, M, MAX_CONTOUR, 2)`` int32, the visible edge of each obstacle, right and forward in the
     ground frame, from left to right [depth units]."""

@@ -1,11 +1,10 @@
 """The floor of each frame, found in its own depth."""
 
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.config import FloorConfig
 from jaxdet.plane import flat_plane
 from jaxdet.reference._floor_planes import (
     ANGLES,
@@ -27,7 +26,7 @@ from jaxdet.reference._floor_ramp import (
     rises,
 )
 from jaxdet.reference._floor_search import PITCHES_DEG, ROLLS_DEG, any_plane, near_planes
-from jaxdet.types import GroundPlane
+from jaxdet.types import GroundPlane, Refusal
 
 MIN_CELLS = 50
 """Of fewer cells, nothing is said."""
@@ -44,44 +43,6 @@ OBSTACLE = (0.95, 0.85)
 UNDER = ((0.10, 2), (0.03, 8))
 """With a prior and without: a plane is a table's where more than this share of the cells lies
 under it, and more than one for so many on it: a glossy floor mirrors a few."""
-
-
-class Refusal(IntEnum):
-    """Why a frame's own depth does not decide its floor."""
-
-    NONE = 0
-    """It does."""
-    TOO_LITTLE = 1
-    """Too few cells lie on any one plane."""
-    MOSTLY_OBSTACLE = 2
-    """The best plane makes most of the picture an obstacle."""
-    FAR = 3
-    """The best plane is too far from the prior and no ramp ahead of it, or without a prior more
-    tilted than a floor is seen."""
-    TABLE = 4
-    """Too much is seen below the best plane."""
-
-
-@dataclass(frozen=True)
-class FloorConfig:
-    """How the floor of each frame is looked for."""
-
-    max_cells: int = 4800
-    """Most cells used: a regular part of those given."""
-    max_depth_m: float = 6.0
-    """Farthest depth used [m]."""
-    noise_per_m: float = 0.004
-    """Error of depth over its square [1/m]; 0.004 is a D435's."""
-    max_turn_deg: float = 3.5
-    """Most that a prior's pitch and roll are corrected [degree]."""
-    max_shift_m: float = 0.06
-    """Most that its height is corrected [m]."""
-    min_share: float = 0.04
-    """Least share of the cells on the floor."""
-    min_share_alone: float = 0.10
-    """The same without a prior; cells clearly below the floor count twice against it."""
-    ramps: bool = True
-    """Look for a ramp ahead."""
 
 
 class FloorFit(NamedTuple):

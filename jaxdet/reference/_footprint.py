@@ -8,7 +8,13 @@ from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 
 def footprint(
-    features: Features, labels: Labels, plane: GroundPlane, depth_unit: float, config: Config
+    features: Features,
+    labels: Labels,
+    plane: GroundPlane,
+    depth_unit: float,
+    config: Config,
+    *,
+    slots: int | None = None,
 ) -> Obstacles:
     """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
 
@@ -27,12 +33,13 @@ def footprint(
         plane: The floor of each frame, for the ground frame's axes.
         depth_unit: Metres in one depth unit.
         config: Its footprint part; with N, ``min_points`` of its cluster part sets ``M``.
+        slots: ``M``, if it is known otherwise.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.
     """
     batch, n = labels.labels.shape
-    m = max(1, n // (config.cluster.min_points + 1))
+    m = slots or max(1, n // (config.cluster.min_points + 1))
     threshold = round(config.footprint.vertex_threshold_m / depth_unit)
     shapes = {"num_points": (m,), "has_vertex": (m,)}
     shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction"), (m, 2))

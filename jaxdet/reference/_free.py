@@ -23,9 +23,6 @@ class FloorView(NamedTuple):
     """Ground frame [depth units]."""
     forward: np.ndarray
     """Ground frame [depth units]."""
-    reach: np.ndarray
-    """Distance at which the ray through the cell meets the floor [depth units], large where it
-    meets none; known without a measurement."""
 
 
 def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray, np.ndarray]:
@@ -48,26 +45,25 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     Returns:
         ``(C, 2, 2)`` int32, where the floor begins and where it ends, right and forward in the
         ground frame [depth units], both the same where only an obstacle is seen and zero where
-        nothing is; and ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`).
+        nothing is; distances are compared forward; and ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`).
     """
     columns = view.label.shape[1]
     line, end = np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
     place = np.stack([view.right, view.forward], axis=-1)
-    distance = np.sqrt((place * place).sum(axis=-1)).astype(np.int64)
     for column in range(columns):
         blocked = np.flatnonzero(view.label[:, column] >= 0)
-        nearest = blocked[np.argmin(distance[blocked, column])] if len(blocked) else -1
-        limit = distance[nearest, column] if len(blocked) else far
-        floor = np.flatnonzero(view.floor[:, column] & (view.reach[:, column] < limit))[::-1]
+        nearest = blocked[np.argmin(view.forward[blocked, column])] if len(blocked) else -1
+        limit = view.forward[nearest, column] if len(blocked) else far
+        floor = np.flatnonzero(view.floor[:, column] & (view.forward[:, column] < limit))[::-1]
         if not len(floor):
             if len(blocked):
                 line[column] = place[nearest, column]
                 end[column] = FreeEnd.OBSTACLE
             continue
-        steps = np.flatnonzero(np.diff(view.reach[floor, column]) > longest_gap)
+        steps = np.flatnonzero(np.diff(view.forward[floor, column]) > longest_gap)
         last = floor[steps[0]] if len(steps) else floor[-1]
         line[column] = place[floor[0], column], place[last, column]
-        close = limit - view.reach[last, column] <= longest_gap
+        close = limit - view.forward[last, column] <= longest_gap
         if _drops(view, column, int(last)):
             end[column] = FreeEnd.DROP
         elif close and len(blocked):

@@ -28,6 +28,8 @@ class View(NamedTuple):
     """On the floor."""
     height: np.ndarray
     """Above the floor."""
+    in_view: np.ndarray
+    """bool, at least partly in the colour image."""
 
 
 class Extents(NamedTuple):
@@ -63,7 +65,12 @@ class Extents(NamedTuple):
 
 
 def obstacles(
-    label: np.ndarray, keep: np.ndarray, view: View, farthest: int, unit: float, config: ObstacleConfig
+    label: np.ndarray,
+    keep: np.ndarray,
+    view: View,
+    farthest: int,
+    unit: float,
+    config: ObstacleConfig,
 ) -> np.ndarray:
     """Groups the surfaces of a frame into obstacles.
 
@@ -76,8 +83,9 @@ def obstacles(
     4. what hangs in the air, with what stands nearest to it (:func:`_hanging`).
 
     Large surfaces stand on their own: a gap that one sees through parts them, however narrow.
-    What is smaller than ``min_size_m``, has fewer than ``min_cells`` cells or begins beyond the
-    range is no obstacle.
+    What is smaller than ``min_size_m``, shows fewer than ``min_cells`` cells in the colour image or
+    begins beyond the range is no obstacle. Depth images often see more than the colour image: what
+    is beside or above it helps to tell what belongs together.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
@@ -198,9 +206,7 @@ def _lines(
     return votes
 
 
-def _fragments(
-    label: np.ndarray, view: View, unit: float, config: ObstacleConfig
-) -> np.ndarray:
+def _fragments(label: np.ndarray, view: View, unit: float, config: ObstacleConfig) -> np.ndarray:
     """Pieces smaller than ``min_size_m`` or thinner than three cells, each with a surface.
 
     It is the one that most of the piece's cells touch (the next cell or the one after it, in row
@@ -239,9 +245,7 @@ def _gaps(known: Extents) -> tuple[np.ndarray, np.ndarray]:
     return np.maximum(aside, 0), np.maximum(ahead, 0)
 
 
-def _across_gaps(
-    label: np.ndarray, view: View, unit: float, config: ObstacleConfig
-) -> np.ndarray:
+def _across_gaps(label: np.ndarray, view: View, unit: float, config: ObstacleConfig) -> np.ndarray:
     """Compact surfaces a gap apart on the floor, one of them narrow.
 
     The gap is at most ``lateral_gap_m`` sideways and ``forward_gap_m`` forward (Eq. 6), or
@@ -298,7 +302,8 @@ def _ordered(
     """Obstacles by distance; what is too small or too far becomes -1."""
     known = extents(label, view)
     size = np.maximum(known.width, known.top - known.bottom)
-    good = (size >= round(config.min_size_m / unit)) & (known.cells >= config.min_cells)
+    shown = np.bincount(label[(label >= 0) & view.in_view], minlength=len(size))
+    good = (size >= round(config.min_size_m / unit)) & (shown >= config.min_cells)
     good &= known.nearest <= farthest
     leftmost = np.full(len(good), 1 << 40)
     on = label >= 0

@@ -10,7 +10,9 @@ FRACTION_BITS = 4
 """Fraction bits of smoothed depths."""
 
 
-def surfaces(z: np.ndarray, keep: np.ndarray, depth_unit: float, config: SurfaceConfig) -> np.ndarray:
+def surfaces(
+    z: np.ndarray, keep: np.ndarray, depth_unit: float, config: SurfaceConfig
+) -> np.ndarray:
     """Groups the kept cells of a frame into surfaces.
 
     Neighbours in a row or column are one surface when their depths differ by at most
