@@ -143,9 +143,6 @@ class ClusterConfig:
 
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
-    depth_gap_per_m: float = 0.0
-    """Added to d_z in proportion to z squared [1/m], as stereo noise grows: the gap at depth z
-    is depth_gap_m + depth_gap_per_m * z * z."""
     lateral_gap_m: float = 0.15
     """d_x [m]: a larger sideways gap starts a new set. The paper's is the robot's width, 0.40."""
     min_points: int = 18
@@ -168,20 +165,13 @@ class ClusterConfig:
     surface_gap_m: float = 0.03
     """Largest step in depth between neighbouring pixels of a surface [m]."""
     surface_gap_per_m: float = 0.011
-    """Added to it in proportion to z squared [1/m]: some four standard deviations of a D435's
-    depth."""
-    rounds: int = 1
-    """Without slices: how often each set is split by depth and then sideways: a set that falls
-    apart sideways may fall apart in depth again."""
-    on_floor: bool = False
-    """Measure the gaps on the floor, forward and to the right of the camera, instead of along the
-    camera's axes: a tilted camera then sees an upright thing at one distance."""
+    """Added to it in proportion to z squared [1/m], as stereo noise grows: some four standard
+    deviations of a D435's depth."""
 
     def __post_init__(self) -> None:
         _require_within(self.depth_gap_m, 0, FARTHEST_M, "cluster.depth-gap-m")
         _require_within(self.lateral_gap_m, 0, FARTHEST_M, "cluster.lateral-gap-m")
         _require_within(self.min_points, 0, MAX_POINTS, "cluster.min-points")
-        _require_within(self.depth_gap_per_m, 0, FARTHEST_M, "cluster.depth-gap-per-m")
         _require_within(self.slice_m, 0, FARTHEST_M, "cluster.slice-m")
         _require_within(self.occluder_m, 0, FARTHEST_M, "cluster.occluder-m")
         _require_within(self.occluder_slope, 0, 2, "cluster.occluder-slope")
@@ -189,7 +179,6 @@ class ClusterConfig:
         _require_within(self.surface_height_m, 0, FARTHEST_M, "cluster.surface-height-m")
         _require_within(self.surface_gap_m, 0, FARTHEST_M, "cluster.surface-gap-m")
         _require_within(self.surface_gap_per_m, 0, FARTHEST_M, "cluster.surface-gap-per-m")
-        _require_within(self.rounds, 1, 8, "cluster.rounds")
 
 
 @dataclass(frozen=True)

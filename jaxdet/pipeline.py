@@ -42,9 +42,7 @@ class Backend(Protocol):
         calibration: Calibration,
         config: FeaturesConfig,
     ) -> Features: ...
-    def cluster(
-        self, features: Features, plane: GroundPlane, depth_unit: float, config: Config
-    ) -> Labels: ...
+    def cluster(self, features: Features, depth_unit: float, config: Config) -> Labels: ...
     def footprint(
         self,
         features: Features,
@@ -105,7 +103,7 @@ def detect(
     plane = _plane_of(frames, aligned, config)
     keep = stages.ground(aligned, plane, calibration, config)
     features = stages.features(frames.color, keep, calibration, config.features)
-    labels = stages.cluster(features, plane, unit, config)
+    labels = stages.cluster(features, unit, config)
     obstacles = stages.footprint(features, labels, plane, unit, config)
 
     return Detections(features, labels, obstacles, keep.has_depth)

@@ -55,7 +55,7 @@ def test_the_stages_refuse_other_sizes():
 def test_more_points_than_the_kernels_hold():
     many = points(np.zeros(8193, int), np.full(8193, 1000))
     with pytest.raises(ConfigError, match="8193 points"):
-        stages.cluster(many, level(1), 0.001, Config())
+        stages.cluster(many, 0.001, Config())
     labels = Labels(np.zeros((1, 8193), np.int32), np.ones(1, np.int32))
     with pytest.raises(ConfigError, match="8193 points"):
         stages.footprint(many, labels, level(1), 0.001, Config())
@@ -65,7 +65,7 @@ def test_more_points_than_the_kernels_hold():
     ("settings", "names"),
     [
         (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m", "min_points")),
-        (ClusterConfig, ("depth_gap_per_m", "max_holes", "rounds", "occluder_slope")),
+        (ClusterConfig, ("max_holes", "occluder_slope")),
         (ClusterConfig, ("surface_height_m", "surface_gap_m", "surface_gap_per_m")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
         (FootprintConfig, ("extension_m", "margin_m")),

@@ -69,7 +69,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         align,
         _ground.tables(plane, calibration, config),
         _features.tables(calibration.color, config.features.grid_columns),
-        _cluster.gaps(config.cluster, unit),
+        _cluster.surface_gaps(config.cluster, unit),
         _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
@@ -105,7 +105,7 @@ def _detect(
     config: Config,
 ) -> Detections:
     features, has_depth = _features_of(color, depth, tables, align, config)
-    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
+    labels = _cluster.labels(features, tables.gaps, unit, config)
     obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
     return Detections(features, labels, obstacles, has_depth)
 
