@@ -87,7 +87,8 @@ def detect(
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
         InputError: There are not as many colour images, depth images and planes.
-        ConfigError: The backend is unknown, or a frame has too many feature slots.
+        ConfigError: The backend is unknown, a frame has too many feature slots, or colour images
+            are smaller or larger than the kernels take.
     """
     config = config or Config()
     stages = load_backend(backend)
@@ -110,9 +111,9 @@ def detect(
 
 
 def _program(stages: Backend, frames: Frames, config: Config) -> Detections | None:
-    """The same five stages in one compiled program, where the backend has one for the device."""
+    """The same five stages in one compiled program, where the backend has one for the frames."""
     covers = getattr(stages, "covers", None)
-    if covers is None or not covers(frames, config):
+    if covers is None or not covers(frames):
         return None
     return cast(Any, stages).detect(frames, floor_of(frames, config), config)
 

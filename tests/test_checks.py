@@ -10,7 +10,7 @@ from jaxdet.config import REACH, ClusterConfig, Config, FeaturesConfig, Footprin
 from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import Calibration, Frames, Keep, Labels
-from tests.scenes import assert_equal, blocks, frames, level, points, small, smooth_depth
+from tests.scenes import assert_equal, blocks, frames, level, points, resized, small, smooth_depth
 
 
 def made(batch: int = 2) -> Frames:
@@ -50,6 +50,19 @@ def test_the_stages_refuse_other_sizes():
     for color, mask in ((given.color[:, :30], keep), (given.color, small_mask)):
         with pytest.raises(CalibrationError, match="images of 96x30"):
             stages.features(color, mask, given.calibration, FeaturesConfig())
+
+
+@pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
+def test_images_smaller_or_larger_than_the_kernels_take(width, height):
+    camera = resized(small().color, width, height)
+    z = np.zeros((1, height, width), np.uint16)
+    color, keep = np.zeros((*z.shape, 3), np.uint8), Keep(z > 0, z, np.zeros(1, bool))
+    config = Config(features=FeaturesConfig(grid_columns=0))
+    message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
+    with pytest.raises(ConfigError, match=message):
+        stages.features(color, keep, Calibration(camera), config.features)
+    with pytest.raises(ConfigError, match=message):
+        detect(frames(Calibration(camera), color, z, plane=level(1)), config)
 
 
 def test_more_points_than_the_kernels_hold():
