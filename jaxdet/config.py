@@ -1,4 +1,4 @@
-"""Configuration: one frozen dataclass for each stage.
+"""Configuration: one frozen dataclass for each stage but align, which has no free parameters.
 
 Every field is a command-line flag (``--cluster.depth-gap-m``) and a TOML key
 (``[cluster] depth_gap_m``). All are hashable, so JAX can take them as static arguments.
@@ -33,11 +33,6 @@ def _require(condition: bool, field_name: str, rule: str) -> None:
 
 def _require_within(value: float, low: float, high: float, field_name: str) -> None:
     _require(low <= value <= high, field_name, f"from {low:g} to {high:g}")
-
-
-@dataclass(frozen=True)
-class AlignConfig:
-    """Depth to colour (Eq. 1-4). The rule has no free parameters beside the calibration."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +203,6 @@ class FootprintConfig:
 class Config:
     """The whole method."""
 
-    align: AlignConfig = field(default_factory=AlignConfig)
     ground: GroundConfig = field(default_factory=GroundConfig)
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)
