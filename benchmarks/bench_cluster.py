@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from benchmarks.baselines.sortgap import sort_and_gap
-from benchmarks.points import camera, plane_of, points, settings
+from benchmarks.points import camera, points, settings
 from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import CONFIG
 from benchmarks.sweep import Point, kind
@@ -82,12 +82,12 @@ def at(point: Point) -> Case:
 
 
 def _case(host: Features, config: Config) -> Case:
-    features, plane = jax.device_put(host), plane_of(len(host.x))
-    return Case("", partial(stages.cluster, features, plane, UNIT, config), len(host.x))
+    features = jax.device_put(host)
+    return Case("", partial(stages.cluster, features, UNIT, config), len(host.x))
 
 
 def _reference(features: Features, config: Config) -> np.ndarray:
-    return reference.cluster(features, plane_of(len(features.x)), UNIT, config).labels
+    return reference.cluster(features, UNIT, config).labels
 
 
 def _metres(features: Features, b: int) -> np.ndarray:

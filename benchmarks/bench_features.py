@@ -83,7 +83,6 @@ def _one_frame(color: np.ndarray, mask: np.ndarray, canny: Canny) -> np.ndarray:
         CORNERS.quality_level,
         CORNERS.min_distance,
         mask=mask,
-        blockSize=CORNERS.block_size,
     )
     return np.zeros((0, 2), int) if corners is None else corners[:, 0].astype(int)
 

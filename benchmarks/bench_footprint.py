@@ -15,7 +15,7 @@ def cases() -> list[Case]:
     """One batch of labelled features on the device; no other library has this step."""
     host, plane = points(BATCH, DEFAULT_SLOTS), plane_of(BATCH)
     config = settings(CONFIG, DEFAULT_SLOTS)
-    labels = reference.cluster(host, plane, UNIT, config)
+    labels = reference.cluster(host, UNIT, config)
     return [
         at(Point("", DEFAULT_SLOTS, BATCH))._replace(
             name="vs_reference",
@@ -30,7 +30,7 @@ def at(point: Point) -> Case:
     """``slots`` labelled points a frame, on the device."""
     features, plane = jax.device_put(points(point.batch, point.slots)), plane_of(point.batch)
     config = settings(CONFIG, point.slots)
-    labels = jax.block_until_ready(stages.cluster(features, plane, UNIT, config))
+    labels = jax.block_until_ready(stages.cluster(features, UNIT, config))
     read = *features[:5], features.kept, labels.labels
     return Case(
         name=point.name,

@@ -106,7 +106,7 @@ def inputs(size: str) -> Inputs:
     aligned = reference.align(depths, calibration)
     keep = reference.ground(aligned, plane, calibration, CONFIG)
     features = reference.features(colors, keep, calibration, CONFIG.features)
-    labels = reference.cluster(features, plane, calibration.depth_unit, CONFIG)
+    labels = reference.cluster(features, calibration.depth_unit, CONFIG)
     return Inputs(calibration, colors, depths, plane, aligned, keep, features, labels)
 
 

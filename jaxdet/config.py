@@ -1,9 +1,10 @@
-"""Configuration: one frozen dataclass for each stage.
+"""Configuration: one frozen dataclass for each stage but align, which has no free parameters.
 
 Every field is a command-line flag (``--cluster.depth-gap-m``) and a TOML key
 (``[cluster] depth_gap_m``). All are hashable, so JAX can take them as static arguments.
 """
 
+import math
 from dataclasses import dataclass, field
 
 from jaxdet.errors import ConfigError
@@ -35,11 +36,6 @@ def _require_within(value: float, low: float, high: float, field_name: str) -> N
 
 
 @dataclass(frozen=True)
-class AlignConfig:
-    """Depth to colour (Eq. 1-4). The rule has no free parameters beside the calibration."""
-
-
-@dataclass(frozen=True)
 class GroundConfig:
     """Range and floor (Section 3.3, Eq. 5)."""
 
@@ -52,9 +48,6 @@ class GroundConfig:
     step_height_per_m: float = 0.003
     """Added to the step height for each metre of depth: how well the floor's tilt is known
     (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0."""
-    contour_radius: int = 0
-    """A pixel this near to a kept one is kept too and takes the nearest kept depth [pixel]:
-    contours often fall into the hole, or on the background, beside the object. 0: off."""
     camera_height_m: float | None = None
     """Optical centre above the floor [m]; unset: from the log's TF, else estimated."""
     camera_pitch_rad: float = 0.0
@@ -75,7 +68,6 @@ class GroundConfig:
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
         _require(self.step_height_m >= 0, "ground.step-height-m", "at least 0")
         _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
-        _require(0 <= self.contour_radius <= 16, "ground.contour-radius", "from 0 to 16 pixels")
         _require(
             self.camera_height_m is None or 0 < self.camera_height_m < 20,
             "ground.camera-height-m",
@@ -96,29 +88,16 @@ class GroundConfig:
 class FeaturesConfig:
     """Canny, then Shi-Tomasi on the edge image (Section 3.2)."""
 
-    canny: bool = True
-    """Look for corners on the Canny edge image; off: on the grey image (Fig. 2a)."""
     canny_low: float = 50.0
     """Lower hysteresis bound [grey levels of the L1 gradient]."""
     canny_high: float = 100.0
     """Upper hysteresis bound [grey levels of the L1 gradient]."""
-    canny_reference_level: float = 0.0
-    """Mean grey level at which the bounds hold; darker frames get lower bounds in proportion,
-    brighter ones keep them. 0: the bounds are fixed."""
-    canny_least_share: float = 0.2
-    """The bounds never fall below this share of themselves."""
     max_corners: int = 1024
     """Feature slots N: the strongest corners that are used."""
     quality_level: float = 0.01
     """Weakest corner used, as a share of the strongest one's minimum eigenvalue."""
     min_distance: float = 3.0
     """Least distance between two corners [pixel]; below 1: none."""
-    block_size: int = 3
-    """Side of the window summed for the minimum eigenvalue [pixel]: 3 or 5."""
-    tile_size: int = 80
-    """Side of the tiles that share out the slots [pixel]."""
-    max_per_tile: int = 0
-    """Most corners of a tile, so that one textured region can't use up the slots; 0: no limit."""
     grid_columns: int = 80
     """Columns of a regular grid whose kept pixels are points too, with square meshes, so that
     surfaces without corners (plain, dim) are seen by their depth. 0: corners only."""
@@ -129,12 +108,16 @@ class FeaturesConfig:
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
         _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")
-        _require(self.block_size in (3, 5), "features.block-size", "3 or 5")
-        _require(0 <= self.canny_reference_level <= 255, "features.canny-reference-level", "a grey")
-        _require(0 < self.canny_least_share <= 1, "features.canny-least-share", "in (0, 1]")
-        _require(self.tile_size >= 8, "features.tile-size", "at least 8 pixels")
-        _require(self.max_per_tile >= 0, "features.max-per-tile", "at least 0")
         _require(0 <= self.grid_columns <= 320, "features.grid-columns", "from 0 to 320")
+
+    @property
+    def canny_bounds(self) -> tuple[int, int]:
+        """Canny's bounds in whole grey levels, the lower first, from -1 to 2047.
+
+        The L1 gradient of a 3x3 Sobel is from 0 to 2040, so bounds farther out mean the same.
+        """
+        low, high = sorted((self.canny_low, self.canny_high))
+        return math.floor(min(max(low, -1), 2047)), math.floor(min(max(high, -1), 2047))
 
 
 @dataclass(frozen=True)
@@ -257,9 +240,6 @@ class ClusterConfig:
 
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
-    depth_gap_per_m: float = 0.0
-    """Added to d_z in proportion to z squared [1/m], as stereo noise grows: the gap at depth z
-    is depth_gap_m + depth_gap_per_m * z * z."""
     lateral_gap_m: float = 0.15
     """d_x [m]: a larger sideways gap starts a new set. The paper's is the robot's width, 0.40."""
     min_points: int = 18
@@ -282,20 +262,13 @@ class ClusterConfig:
     surface_gap_m: float = 0.03
     """Largest step in depth between neighbouring pixels of a surface [m]."""
     surface_gap_per_m: float = 0.011
-    """Added to it in proportion to z squared [1/m]: some four standard deviations of a D435's
-    depth."""
-    rounds: int = 1
-    """Without slices: how often each set is split by depth and then sideways: a set that falls
-    apart sideways may fall apart in depth again."""
-    on_floor: bool = False
-    """Measure the gaps on the floor, forward and to the right of the camera, instead of along the
-    camera's axes: a tilted camera then sees an upright thing at one distance."""
+    """Added to it in proportion to z squared [1/m], as stereo noise grows: some four standard
+    deviations of a D435's depth."""
 
     def __post_init__(self) -> None:
         _require_within(self.depth_gap_m, 0, FARTHEST_M, "cluster.depth-gap-m")
         _require_within(self.lateral_gap_m, 0, FARTHEST_M, "cluster.lateral-gap-m")
         _require_within(self.min_points, 0, MAX_POINTS, "cluster.min-points")
-        _require_within(self.depth_gap_per_m, 0, FARTHEST_M, "cluster.depth-gap-per-m")
         _require_within(self.slice_m, 0, FARTHEST_M, "cluster.slice-m")
         _require_within(self.occluder_m, 0, FARTHEST_M, "cluster.occluder-m")
         _require_within(self.occluder_slope, 0, 2, "cluster.occluder-slope")
@@ -303,7 +276,6 @@ class ClusterConfig:
         _require_within(self.surface_height_m, 0, FARTHEST_M, "cluster.surface-height-m")
         _require_within(self.surface_gap_m, 0, FARTHEST_M, "cluster.surface-gap-m")
         _require_within(self.surface_gap_per_m, 0, FARTHEST_M, "cluster.surface-gap-per-m")
-        _require_within(self.rounds, 1, 8, "cluster.rounds")
 
 
 @dataclass(frozen=True)
@@ -348,7 +320,6 @@ class FootprintConfig:
 class Config:
     """The whole method."""
 
-    align: AlignConfig = field(default_factory=AlignConfig)
     ground: GroundConfig = field(default_factory=GroundConfig)
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)

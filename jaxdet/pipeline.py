@@ -42,9 +42,7 @@ class Backend(Protocol):
         calibration: Calibration,
         config: FeaturesConfig,
     ) -> Features: ...
-    def cluster(
-        self, features: Features, plane: GroundPlane, depth_unit: float, config: Config
-    ) -> Labels: ...
+    def cluster(self, features: Features, depth_unit: float, config: Config) -> Labels: ...
     def footprint(
         self,
         features: Features,
@@ -89,7 +87,8 @@ def detect(
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
         InputError: There are not as many colour images, depth images and planes.
-        ConfigError: The backend is unknown, or a frame has too many feature slots.
+        ConfigError: The backend is unknown, a frame has too many feature slots, or colour images
+            are smaller or larger than the kernels take.
     """
     config = config or Config()
     stages = load_backend(backend)
@@ -107,7 +106,7 @@ def detect(
     plane = _plane_of(frames, aligned, config)
     keep = stages.ground(aligned, plane, calibration, config)
     features = stages.features(frames.color, keep, calibration, config.features)
-    labels = stages.cluster(features, plane, unit, config)
+    labels = stages.cluster(features, unit, config)
     obstacles = stages.footprint(features, labels, plane, unit, config)
 
     return Detections(features, labels, obstacles, keep.has_depth)
@@ -129,9 +128,9 @@ def _detect_surfaces(frames: Frames, config: Config, backend: BackendName) -> De
 
 
 def _program(stages: Backend, frames: Frames, config: Config) -> Detections | None:
-    """The same five stages in one compiled program, where the backend has one for the device."""
+    """The same five stages in one compiled program, where the backend has one for the frames."""
     covers = getattr(stages, "covers", None)
-    if covers is None or not covers(frames, config):
+    if covers is None or not covers(frames):
         return None
     return cast(Any, stages).detect(frames, floor_of(frames, config), config)
 

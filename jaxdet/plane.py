@@ -172,21 +172,23 @@ def slice_units(config: ClusterConfig, depth_unit: float) -> int:
     return max(1, round(config.slice_m / depth_unit)) if config.slice_m else 0
 
 
-@lru_cache(maxsize=16)
-def gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
-    """The largest steps in depth: within an obstacle, and from pixel to pixel of a surface.
+def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
+    """d_z [depth units], at most 2^20, which no two depths are apart."""
+    return min(round(config.depth_gap_m / depth_unit), 1 << 20)
 
-    ``d_z + c z^2`` with the constants of each, rounded to whole depth units.
+
+@lru_cache(maxsize=16)
+def surface_gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
+    """The largest step in depth from pixel to pixel of a surface.
+
+    ``d + c z^2`` with the configured constants, rounded to whole depth units, at most 2^20.
 
     Returns:
-        ``(2, 65536)`` int32 [depth units], by z in depth units, read-only.
+        ``(65536,)`` int32 [depth units], by z in depth units, read-only.
     """
     z = np.arange(65536) * depth_unit
-    steps = (
-        config.depth_gap_m + config.depth_gap_per_m * z * z,
-        config.surface_gap_m + config.surface_gap_per_m * z * z,
-    )
-    gaps = np.minimum(np.rint(np.stack(steps) / depth_unit), 1 << 20).astype(np.int32)
+    steps = config.surface_gap_m + config.surface_gap_per_m * z * z
+    gaps = np.minimum(np.rint(steps / depth_unit), 1 << 20).astype(np.int32)
     gaps.setflags(write=False)
     return gaps
 

@@ -8,7 +8,7 @@ import pytest
 from jaxdet import reference, stages
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.types import Features
-from tests.scenes import level, points
+from tests.scenes import points
 
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
 
@@ -23,7 +23,7 @@ def config(corners: int = 1024, **cluster) -> Config:
 
 
 def labels(backend, features: Features, settings_: Config) -> list[int]:
-    found = backend.cluster(features, level(1), 0.001, settings_).labels
+    found = backend.cluster(features, 0.001, settings_).labels
     return np.asarray(found)[0].tolist()
 
 

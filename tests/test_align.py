@@ -1,13 +1,10 @@
 """align: by hand, against librealsense, and the Warp kernel against the reference."""
 
-import dataclasses
-
 import cv2
 import numpy as np
 import pytest
 
 from jaxdet import reference, stages
-from jaxdet.config import Config
 from jaxdet.errors import CalibrationError
 from jaxdet.reference._lens import arctangent
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
@@ -211,7 +208,3 @@ def test_a_deeper_hit_never_hides_a_nearer_one(device):
     more = np.where(depth == 0, np.uint16(9000), depth)
     after = np.asarray(stages.align(more, small()).depth)
     assert np.array_equal(after[before > 0], before[before > 0])
-
-
-def test_config_has_no_free_parameters():
-    assert dataclasses.fields(Config().align) == ()

@@ -103,7 +103,7 @@ def test_the_registry():
 
 def test_ours_is_the_reference(frame):
     found = detect_with(BASELINES["ours"], frame, CONFIG)
-    expected = reference.cluster(frame.features, LEVEL, 0.001, CONFIG)
+    expected = reference.cluster(frame.features, 0.001, CONFIG)
     np.testing.assert_array_equal(found.labels.labels, expected.labels)
     outlines = reference.footprint(frame.features, expected, LEVEL, 0.001, CONFIG)
     for ours, theirs in zip(found.obstacles, outlines, strict=True):

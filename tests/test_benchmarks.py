@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import fit, gate, report
 from benchmarks.baselines.sortgap import sort_and_gap
-from benchmarks.points import plane_of, points, settings
+from benchmarks.points import points, settings
 from benchmarks.run import Case, Metric, Missing, metrics_of, with_peer
 from benchmarks.sweep import AXES, Point, points_of
 from jaxdet import reference
@@ -128,9 +128,9 @@ def test_the_numpy_loop_equals_the_reference(n: int) -> None:
     some = found._replace(kept=np.arange(6 * n).reshape(6, n) % 7 > 0)
     none = found._replace(kept=np.zeros((6, n), bool))
     for features in (found, some, none):
-        want = reference.cluster(features, plane_of(6), 0.001, config).labels
+        want = reference.cluster(features, 0.001, config).labels
         np.testing.assert_array_equal(sort_and_gap(features, 0.001, config), want)
-    assert n < 700 or want.max() < reference.cluster(found, plane_of(6), 0.001, config).labels.max()
+    assert n < 700 or want.max() < reference.cluster(found, 0.001, config).labels.max()
 
 
 # the sweep and its fits

@@ -10,7 +10,7 @@ from jaxdet.config import REACH, ClusterConfig, Config, FeaturesConfig, Footprin
 from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import Calibration, Frames, Keep, Labels
-from tests.scenes import assert_equal, blocks, frames, level, points, small, smooth_depth
+from tests.scenes import assert_equal, blocks, frames, level, points, resized, small, smooth_depth
 
 
 def made(batch: int = 2) -> Frames:
@@ -52,10 +52,23 @@ def test_the_stages_refuse_other_sizes():
             stages.features(color, mask, given.calibration, FeaturesConfig())
 
 
+@pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
+def test_images_smaller_or_larger_than_the_kernels_take(width, height):
+    camera = resized(small().color, width, height)
+    z = np.zeros((1, height, width), np.uint16)
+    color, keep = np.zeros((*z.shape, 3), np.uint8), Keep(z > 0, z, np.zeros(1, bool))
+    config = Config(features=FeaturesConfig(grid_columns=0))
+    message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
+    with pytest.raises(ConfigError, match=message):
+        stages.features(color, keep, Calibration(camera), config.features)
+    with pytest.raises(ConfigError, match=message):
+        detect(frames(Calibration(camera), color, z, plane=level(1)), config)
+
+
 def test_more_points_than_the_kernels_hold():
     many = points(np.zeros(8193, int), np.full(8193, 1000))
     with pytest.raises(ConfigError, match="8193 points"):
-        stages.cluster(many, level(1), 0.001, Config())
+        stages.cluster(many, 0.001, Config())
     labels = Labels(np.zeros((1, 8193), np.int32), np.ones(1, np.int32))
     with pytest.raises(ConfigError, match="8193 points"):
         stages.footprint(many, labels, level(1), 0.001, Config())
@@ -65,7 +78,7 @@ def test_more_points_than_the_kernels_hold():
     ("settings", "names"),
     [
         (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m", "min_points")),
-        (ClusterConfig, ("depth_gap_per_m", "max_holes", "rounds", "occluder_slope")),
+        (ClusterConfig, ("max_holes", "occluder_slope")),
         (ClusterConfig, ("surface_height_m", "surface_gap_m", "surface_gap_per_m")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
         (FootprintConfig, ("extension_m", "margin_m")),

@@ -41,7 +41,7 @@ def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
     main(["run", "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert ", ".join(PRESETS) in text
-    for flag in ("--cluster.depth-gap-m", "--features.no-canny", "--log.color-from-depth"):
+    for flag in ("--cluster.depth-gap-m", "--features.no-use-mask", "--log.color-from-depth"):
         assert flag in text
 
 
@@ -96,7 +96,8 @@ def test_a_wrong_flag_names_the_nearest(capsys: Captured) -> None:
 def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
-        'preset = "d455"\n[cluster]\ndepth_gap_m = 1\nmin_points = 4\n[features]\ncanny = false\n'
+        'preset = "d455"\n[cluster]\ndepth_gap_m = 1\nmin_points = 4\n'
+        "[features]\nuse_mask = false\n"
         "[log]\ncolor_intrinsics = [600, 600, 320, 240.5]\n"
     )
     args = ["a.mcap", "--output", "x", "--config", str(file), "--cluster.min-points", "7"]
@@ -106,10 +107,10 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     assert (command.cluster.depth_gap_m, command.cluster.min_points) == (1.0, 7)
     assert isinstance(command.cluster.depth_gap_m, float)
     assert command.ground == PRESETS["d455"].ground
-    assert not command.features.canny
+    assert not command.features.use_mask
     assert command.log.color_intrinsics == (600.0, 600.0, 320.0, 240.5)
     assert parse([*args, "--preset=zed"]).ground == PRESETS["zed"].ground
-    assert parse([*args, "--features.canny"]).features.canny
+    assert parse([*args, "--features.use-mask"]).features.use_mask
 
 
 @pytest.mark.parametrize(

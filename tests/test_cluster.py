@@ -13,7 +13,7 @@ from jaxdet import reference, stages
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.errors import ConfigError
 from jaxdet.types import Features
-from tests.scenes import assert_equal, level, points
+from tests.scenes import assert_equal, points
 
 gap_rule = partial(ClusterConfig, slice_m=0.0)
 """The paper's: gaps in depth, then sideways."""
@@ -34,9 +34,7 @@ def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) ->
 
 
 def labels(backend, features: Features, settings_: Config) -> list:
-    return np.asarray(
-        backend.cluster(features, level(len(features.z)), 0.001, settings_).labels
-    ).tolist()
+    return np.asarray(backend.cluster(features, 0.001, settings_).labels).tolist()
 
 
 # by hand
@@ -81,15 +79,15 @@ def test_order_is_nearest_depth_then_smallest_x(backend):
 def test_only_kept_points_take_part(backend):
     z, kept = [500, 501, 502, 503], [True, False, True, True]
     assert labels(backend, points([0] * 4, z, kept), config()) == [[0, -1, 0, 0]]
-    found = backend.cluster(points([0] * 4, z, [False] * 4), level(1), 0.001, config())
+    found = backend.cluster(points([0] * 4, z, [False] * 4), 0.001, config())
     assert np.asarray(found.num_obstacles).tolist() == [0]
 
 
 def test_gaps_follow_the_depth_unit():
     z = [5000, 6000, 7000]
-    found = reference.cluster(points([0] * 3, z), level(1), 0.0001, config())
+    found = reference.cluster(points([0] * 3, z), 0.0001, config())
     assert found.labels.tolist() == [[0, 0, 0]]
-    found = reference.cluster(points([0] * 3, z), level(1), 0.001, config())
+    found = reference.cluster(points([0] * 3, z), 0.001, config())
     assert found.labels.tolist() == [[-1] * 3]
 
 
@@ -127,7 +125,7 @@ def test_same_partition_as_scipy(backend, count, gaps):
     rng = np.random.default_rng(count)
     x, z = rng.integers(-2000, 2000, count), rng.integers(300, 4000, count)
     settings_ = config(*gaps, min_points=2)
-    found = np.asarray(backend.cluster(points(x, z), level(1), 0.001, settings_).labels)[0]
+    found = np.asarray(backend.cluster(points(x, z), 0.001, settings_).labels)[0]
     parts = [frozenset(np.flatnonzero(found == n).tolist()) for n in range(found.max() + 1)]
     assert sorted(parts, key=sorted) == single_linkage(x, z, settings_)
 
@@ -147,68 +145,8 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
 @pytest.mark.parametrize("spread", [3, 500, 65535])
 def test_twin(device, cluster_form, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
-    given_ = features, level(batch), 0.001, config(30, 60, min_points)
+    given_ = features, 0.001, config(30, 60, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
-
-
-OPTIONS = {
-    "rounds": gap_rule(0.03, lateral_gap_m=0.06, min_points=2, rounds=3),
-    "noise": gap_rule(0.01, depth_gap_per_m=0.02, lateral_gap_m=0.06, min_points=2),
-    "floor": gap_rule(0.03, lateral_gap_m=0.06, min_points=2, on_floor=True),
-    "all": gap_rule(0.01, 0.01, 0.05, 1, rounds=2, on_floor=True),
-}
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-@pytest.mark.parametrize("spread", [60, 900, 2500])
-def test_twin_with_options(device, cluster_form, name, spread):
-    rng = np.random.default_rng(spread)
-    features = random_points(spread, 3, 400, spread)
-    features = features._replace(y=rng.integers(-spread, spread, (3, 400)).astype(np.int32))
-    plane = level(3, 0.5, 0.4, -0.2)
-    plane.valid[1] = False
-    given_ = features, plane, 0.001, replace(Config(), cluster=OPTIONS[name])
-    want = reference.cluster(*given_)
-    assert want.num_obstacles.max() > 0
-    assert_equal(stages.cluster(*given_), want)
-
-
-# options, by hand
-
-
-@BACKENDS
-def test_the_gap_grows_with_depth(backend):
-    z = [1000, 1010, 1020, 1060, 1070, 1080, 3000, 3010, 3020, 3060, 3070, 3080]
-    settings_ = gap_rule(0.02, depth_gap_per_m=0.005, lateral_gap_m=1, min_points=2)
-    found = labels(backend, points([0] * 12, z), replace(Config(), cluster=settings_))
-    assert found == [[0, 0, 0, 1, 1, 1, 2, 2, 2, 2, 2, 2]]
-
-
-@BACKENDS
-def test_a_second_round_splits_what_fell_apart_sideways(backend):
-    # Two things at 1.0 and 1.1 m on the left, bridged in depth by one on the right.
-    x = [-900] * 6 + [900] * 6
-    z = [1000, 1001, 1002, 1100, 1101, 1102] + [1000, 1020, 1040, 1060, 1080, 1100]
-    once, twice = (
-        replace(Config(), cluster=gap_rule(0.03, lateral_gap_m=0.4, min_points=2, rounds=r))
-        for r in (1, 2)
-    )
-    assert labels(backend, points(x, z), once) == [[0] * 6 + [1] * 6]
-    assert labels(backend, points(x, z), twice) == [[0] * 3 + [2] * 3 + [1] * 6]
-
-
-@BACKENDS
-def test_on_the_floor_an_upright_pole_is_at_one_distance(backend):
-    pitch = np.radians(30.0)
-    up = np.arange(0, 1000, 200)
-    y = np.rint(-1500 * np.sin(pitch) + (600 - up) * np.cos(pitch)).astype(np.int32)
-    z = np.rint(1500 * np.cos(pitch) + (600 - up) * np.sin(pitch))
-    pole = points(0 * up, z)._replace(y=y[None])
-    plane = level(1, 0.6, pitch)
-    for on_floor, count in ((False, 0), (True, 1)):
-        settings_ = gap_rule(0.05, min_points=2, on_floor=on_floor)
-        found = backend.cluster(pole, plane, 0.001, replace(Config(), cluster=settings_))
-        assert np.asarray(found.num_obstacles).tolist() == [count]
 
 
 # laws
@@ -223,13 +161,12 @@ hostile = st.lists(
 @settings(max_examples=80)
 def test_twin_on_anything(rows, depth_gap, lateral_gap, min_points):
     x, z, kept = (np.array(column) for column in zip(*rows, strict=True))
-    given_ = points(x, z, kept), level(1), 0.001, config(depth_gap, lateral_gap, min_points)
+    given_ = points(x, z, kept), 0.001, config(depth_gap, lateral_gap, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 
 def found(features: Features) -> np.ndarray:
-    plane = level(len(features.z))
-    return np.asarray(stages.cluster(features, plane, 0.001, config(20, 60)).labels)
+    return np.asarray(stages.cluster(features, 0.001, config(20, 60)).labels)
 
 
 @given(st.integers(0, 2**32 - 1))

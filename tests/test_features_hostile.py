@@ -99,7 +99,7 @@ def test_sums_of_squares_lose_nothing_but_residues():
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-@pytest.mark.parametrize("size", [(48, 64), (33, 97), (20, 1100), (3, 3)])
+@pytest.mark.parametrize("size", [(48, 64), (33, 97), (20, 1100), (3, 3), (7, 4096), (4096, 5)])
 def test_hostile_images(device, size, name):
     grey = np.stack(list(hostile(*size).values()))
     rng = np.random.default_rng(1)

@@ -155,31 +155,6 @@ def test_twin(device, batch):
     assert reference.ground(*given).mask.any()
 
 
-@pytest.mark.parametrize("radius", [1, 3])
-def test_twin_with_contours(device, radius):
-    camera = resized(small().color, 97, 61)
-    z = noise_depth(2, camera)
-    config = replace(Config(), ground=GroundConfig(contour_radius=radius))
-    given = aligned(z), level(2, 0.5, 0.2), Calibration(camera), config
-    assert_equal(stages.ground(*given), reference.ground(*given))
-
-
-@BACKENDS
-def test_a_contour_takes_the_nearest_kept_depth(backend):
-    z = np.zeros((1, 48, 64), np.uint16)
-    z[0, 10:20, 20:30] = 1000
-    z[0, 10:20, 30:40] = 3000
-    z[0, 40, 20:30] = 2000  # floor: stays floor, and gives its depth to nobody
-    config = replace(WIDE, ground=replace(WIDE.ground, contour_radius=2))
-    keep = backend.ground(aligned(z), level(1, 0.5), CALIBRATION, config)
-    mask, depth = np.asarray(keep.mask)[0], np.asarray(keep.z)[0]
-    assert depth[15, 17:34].tolist() == [0] + [1000] * 14 + [3000] * 2
-    assert mask[15, 18] and not mask[15, 17]
-    assert mask[8, 25] and not mask[7, 25]
-    assert not mask[38:43].any()
-    assert depth[40, 25] == 2000
-
-
 # laws
 
 

@@ -11,7 +11,16 @@ from jaxdet import detect, stages
 from jaxdet.config import Config, GroundConfig
 from jaxdet.presets import PRESETS
 from jaxdet.types import Calibration, Frames
-from tests.scenes import assert_equal, blocks, frames, level, noise_depth, small, with_lens
+from tests.scenes import (
+    assert_equal,
+    blocks,
+    frames,
+    level,
+    noise_depth,
+    small,
+    smooth_depth,
+    with_lens,
+)
 
 CONFIGS = {
     "default": Config(),
@@ -32,7 +41,7 @@ def aligned_frames(batch: int, width: int, height: int, lens: str = "pinhole") -
 @pytest.mark.parametrize("size", [(96, 61), (33, 20), (9, 8)])
 def test_depth_that_is_aligned_already(device, size, lens, name):
     given_ = aligned_frames(3, *size, lens), CONFIGS[name]
-    assert stages.covers(*given_)
+    assert stages.covers(given_[0])
     want = detect(*given_, backend="reference")
     assert not want.has_depth[0]
     for _ in range(2):
@@ -50,6 +59,18 @@ def test_one_pixel_of_depth(width, height, units):
     made = calibration._replace(depth=depth_camera)
     given_ = frames(made, blocks(1, 36, 48), depth, plane=level(1))
     assert_equal(detect(given_), detect(given_, backend="reference"))
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "plumb_bob"])
+def test_full_hd(device, lens):
+    """2^20 pixels and more, which are no power of two a side."""
+    camera = with_lens(small(1920, 1080).color, lens)
+    calibration = small()._replace(color=camera)
+    depth = smooth_depth(1, calibration.depth)
+    given_ = frames(calibration, blocks(1, 1080, 1920), depth, plane=level(1, 0.3))
+    want = detect(given_, backend="reference")
+    assert want.features.kept.sum() > 500
+    assert_equal(detect(given_), want)
 
 
 def test_images_in_aligned_memory_are_left_alone():

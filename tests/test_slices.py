@@ -13,7 +13,7 @@ from jaxdet import reference, stages
 from jaxdet.config import REACH
 from jaxdet.reference._slices import components
 from jaxdet.types import Features
-from tests.scenes import assert_equal, level, points
+from tests.scenes import assert_equal, points
 from tests.slices import BACKENDS, config, labels, row_labels, rows_of
 
 
@@ -151,27 +151,15 @@ def test_sideways_links_are_those_of_all_pairs_in_a_slice(backend, count):
 @pytest.mark.parametrize("spread", [3, 500, 65535])
 def test_twin(device, cluster_form, batch, n, spread, corners):
     features = rows_of(np.random.default_rng(n + spread), batch, n, corners, spread)
-    given_ = features, level(batch), 0.001, config(corners, min_points=2)
+    given_ = features, 0.001, config(corners, min_points=2)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 
 @pytest.mark.parametrize("unit", [0.0001, 0.001, 0.02])
 def test_twin_in_other_units(device, cluster_form, unit):
     features = rows_of(np.random.default_rng(9), 3, 900, 100, 3000)
-    given_ = features, level(3), unit, config(100, depth_gap_per_m=0.01)
+    given_ = features, unit, config(100)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
-
-
-def test_twin_on_the_floor(device, cluster_form):
-    rng = np.random.default_rng(4)
-    features = rows_of(rng, 3, 900, 100, 2500)
-    features = features._replace(y=rng.integers(-2500, 2500, (3, 900)).astype(np.int32))
-    plane = level(3, 0.5, 0.4, -0.2)
-    plane.valid[1] = False
-    given_ = features, plane, 0.001, config(100, on_floor=True, min_points=1)
-    want = reference.cluster(*given_)
-    assert want.num_obstacles.max() > 0
-    assert_equal(stages.cluster(*given_), want)
 
 
 def test_one_long_chain(device, cluster_form):
@@ -179,7 +167,7 @@ def test_one_long_chain(device, cluster_form):
     order = np.random.default_rng(0).permutation(8192)
     z = 1000 + 5 * (order % 4096)
     features = points(40 * (order % 2), z)
-    given_ = features, level(1), 0.001, config(8192, slice_m=0.012)
+    given_ = features, 0.001, config(8192, slice_m=0.012)
     want = reference.cluster(*given_)
     assert want.num_obstacles.tolist() == [1]
     assert_equal(stages.cluster(*given_), want)
@@ -222,7 +210,7 @@ def test_twin_on_anything(rows, gap, depth, holes, corners, height):
         surface_height_m=height / 1000,
         surface_gap_m=gap / 2000,
     )
-    given_ = features, level(1), 0.001, settings_
+    given_ = features, 0.001, settings_
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from jaxdet import detect
 from jaxdet.config import Config, FeaturesConfig, GroundConfig
 from jaxdet.presets import PRESETS
-from jaxdet.stages import _corners_cuda, _sparse
+from jaxdet.stages import _align_points, _corners_cuda
 from jaxdet.types import Calibration, Extrinsics, Frames
 from tests.scenes import (
     assert_equal,
@@ -119,7 +119,7 @@ CASES += [("default", "turned"), ("strongest", "coarse"), ("paper", "turned")]
 @pytest.mark.parametrize(("name", "calibration"), CASES)
 def test_hostile_frames(device, name, calibration):
     given_ = pairs(CALIBRATIONS[calibration])
-    assert _sparse.covers(given_.calibration, CONFIGS[name])
+    assert _align_points.covers(given_.calibration)
     want = detect(given_, CONFIGS[name], backend="reference")
     assert want.features.valid.any() and not want.has_depth.all() and want.has_depth.any()
     assert_equal(detect(given_, CONFIGS[name]), want)
@@ -156,7 +156,5 @@ def test_made_frames(device, seed, mesh, holes, deepest, name):
 
 def test_what_needs_the_dense_alignment():
     bent = SMALL._replace(color=with_lens(SMALL.color, "plumb_bob"))
-    contour = replace(Config(), ground=GroundConfig(contour_radius=2))
-    assert not _sparse.covers(bent, Config())
-    assert not _sparse.covers(SMALL, contour)
-    assert not _sparse.covers(Calibration(SMALL.color), Config())
+    assert not _align_points.covers(bent)
+    assert not _align_points.covers(Calibration(SMALL.color))

@@ -30,7 +30,7 @@ def scene(batch: int) -> Frames:
 def test_two_devices_equal_the_reference(monkeypatch, batch):
     """The CUDA program's way over the devices, with the CPU's program in its place."""
 
-    def tables(calibration: Calibration, config: Config) -> Any:
+    def tables(calibration: Calibration) -> Any:
         arrays, *flags = _program_cpu._align_tables(calibration)
         return arrays, tuple(flags)
 

@@ -5,7 +5,7 @@ import pytest
 
 from jaxdet import reference, stages
 from jaxdet.types import Features
-from tests.scenes import assert_equal, level, points
+from tests.scenes import assert_equal, points
 from tests.slices import BACKENDS, config, row_labels, rows_of
 
 
@@ -81,7 +81,7 @@ def test_twin_with_tall_surfaces(device, cluster_form, height, gap):
     settings_ = config(
         200, surface_height_m=height, surface_gap_m=gap, surface_gap_per_m=0.01, occluder_slope=0.3
     )
-    given_ = features._replace(x=x, z=z), level(4), 0.001, settings_
+    given_ = features._replace(x=x, z=z), 0.001, settings_
     want = reference.cluster(*given_)
     assert want.num_obstacles.min() > 1
     assert_equal(stages.cluster(*given_), want)

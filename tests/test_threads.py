@@ -9,7 +9,6 @@ import pytest
 import warp as wp
 
 from jaxdet import detect, reference, stages
-from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.stages import _threads
 from tests.scenes import (
@@ -50,12 +49,12 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
     calibration = small(96, 61)
     depth = noise_depth(batch, calibration.depth)
     given = frames(calibration, blocks(batch, 61, 96), depth, plane=level(batch, 0.3))
-    assert stages.covers(given, Config())
+    assert stages.covers(given)
     assert_equal(detect(given), detect(given, backend="reference"))
 
 
 def test_stages_one_by_one_do_not_depend_on_the_threads(threads):
-    """A distorted depth camera and masks of contours keep the stages apart."""
+    """A distorted depth camera keeps the stages apart."""
     base = small(96, 61)
     calibration = base._replace(depth=with_lens(base.depth, "rational"))
     depth = noise_depth(5, calibration.depth)

@@ -83,5 +83,5 @@ def ours(frame: Frame, config: Config, **params: Any) -> np.ndarray:
     """
     chosen = replace(config, cluster=replace(config.cluster, **params))
     unit = frame.calibration.depth_unit
-    found = reference.cluster(frame.features, frame.plane, unit, chosen)
+    found = reference.cluster(frame.features, unit, chosen)
     return found.labels[frame.features.kept]

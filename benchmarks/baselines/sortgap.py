@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import gap_table
+from jaxdet.plane import depth_gap_units
 from jaxdet.types import MAX_LATERAL, Features
 
 SLOT_BITS = 13
@@ -16,7 +16,7 @@ def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.nd
     """Sorts by depth, cuts at gaps, sorts each set sideways, cuts again; equals the reference.
 
     Every sort is of one integer key that carries the slot in its low bits, which NumPy sorts in
-    vectors; nothing is looped over but the frames. One round, gaps along the camera's axes.
+    vectors; nothing is looped over but the frames.
 
     Args:
         features: ``(B, N)`` points.
@@ -26,7 +26,7 @@ def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.nd
     Returns:
         ``(B, N)`` int32 labels, numbered by nearest z, then smallest x.
     """
-    gaps, _ = gap_table(config.cluster, depth_unit)
+    depth_gap = depth_gap_units(config.cluster, depth_unit)
     lateral_gap = round(config.cluster.lateral_gap_m / depth_unit)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):
@@ -36,7 +36,7 @@ def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.nd
             continue
         key = np.sort((z[slot].astype(np.uint32) << SLOT_BITS) | slot.astype(np.uint32))
         depth = (key >> SLOT_BITS).astype(np.intp)
-        group, large = _runs(depth[1:] - depth[:-1] > gaps[depth[:-1]], least)
+        group, large = _runs(depth[1:] - depth[:-1] > depth_gap, least)
         slot, group = (key & SLOT_MASK)[large], group[large]
         if not len(slot):
             continue

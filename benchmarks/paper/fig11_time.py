@@ -28,7 +28,7 @@ def run(lab: Lab) -> Section:
         name: partial(_labels, lab, frames, name, lab.tuned.get(name, {})) for name in names
     }
     functions["stages"] = lambda i: stages.cluster(
-        frames[i].features, frames[i].plane, frames[i].calibration.depth_unit, lab.config
+        frames[i].features, frames[i].calibration.depth_unit, lab.config
     )
     times = in_turns(functions, len(frames), lab.counts.rounds)
     points = np.median([int(frame.features.kept.sum()) for frame in frames])

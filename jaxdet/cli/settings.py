@@ -15,7 +15,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.presets import preset
 
 DEFAULT_PRESET = "wheeled"
-SECTIONS = ("align", "ground", "features", "cluster", "footprint", "log")
+SECTIONS = ("ground", "features", "cluster", "footprint", "log")
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -61,4 +61,4 @@ def _on_cuda(work: LogWork) -> bool:
     from jaxdet import stages
     from jaxdet.stages._device import on_cuda
 
-    return on_cuda() and stages.covers(work.log.read([]).frames, work.job.config)
+    return on_cuda() and stages.covers(work.log.read([]).frames)

@@ -5,8 +5,8 @@ import numpy as np
 f32, f64 = np.float32, np.float64
 
 
-def min_eigenvalue(image: np.ndarray, block_size: int = 3) -> np.ndarray:
-    """Smaller eigenvalue of the gradient's covariance, as ``cv2.cornerMinEigenVal``.
+def min_eigenvalue(image: np.ndarray) -> np.ndarray:
+    """Smaller eigenvalue of the gradient's covariance, as ``cv2.cornerMinEigenVal(image, 3)``.
 
     The bits are those of OpenCV's AVX2 path: the smoothing of both Sobel filters is a fused
     multiply-add (here: in float64, rounded once), the eigenvalue itself is not fused. OpenCV
@@ -15,13 +15,12 @@ def min_eigenvalue(image: np.ndarray, block_size: int = 3) -> np.ndarray:
 
     Args:
         image: ``(H, W)`` uint8.
-        block_size: Side of the summed window [pixel], odd.
 
     Returns:
         ``(H, W)`` float32.
     """
-    dx, dy = _scaled_sobel(image, 1.0 / (4 * block_size * 255))
-    xx, xy, yy = (_box_sum(p, block_size) for p in (dx * dx, dx * dy, dy * dy))
+    dx, dy = _scaled_sobel(image, 1.0 / (4 * 3 * 255))
+    xx, xy, yy = (_box_sum(p) for p in (dx * dx, dx * dy, dy * dy))
     a, c = f32(0.5) * xx, f32(0.5) * yy
     t = a - c
     return (a + c) - np.sqrt(t * t + xy * xy)
@@ -44,24 +43,20 @@ def _scaled_sobel(image: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarr
     return dx, smooth[2:] - smooth[:-2]
 
 
-def _box_sum(values: np.ndarray, size: int) -> np.ndarray:
-    """Sum over ``size`` x ``size`` windows, borders mirrored (101); ``(H, W)`` float32.
+def _box_sum(values: np.ndarray) -> np.ndarray:
+    """Sum over 3x3 windows, borders mirrored (101); ``(H, W)`` float32.
 
     As OpenCV's box filter: float64, left to right along rows, and a running sum down each
     column, to which the next row is added and from which the oldest is then taken away. The
     running sum's rounding decides ties on edge images, so it is part of the rule.
     """
     height, width = values.shape
-    p = np.pad(values.astype(f64), size // 2, mode="reflect")
-    rows = p[:, :width].copy()
-    for i in range(1, size):
-        rows += p[:, i : i + width]
-    running = np.zeros(width)
-    for row in rows[: size - 1]:
-        running = running + row
+    p = np.pad(values.astype(f64), 1, mode="reflect")
+    rows = p[:, :-2] + p[:, 1:-1] + p[:, 2:]
+    running = rows[0] + rows[1]
     sums = np.empty((height, width), f32)
     for v in range(height):
-        total = running + rows[v + size - 1]
+        total = running + rows[v + 2]
         sums[v] = total
         running = total - rows[v]
     return sums

@@ -75,64 +75,14 @@ def _with_grid(
 
 def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig) -> np.ndarray:
     """The corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
-    source = grey(image)
-    if config.canny:
-        source = canny(source, *canny_bounds(source, config))
-    strength = min_eigenvalue(source, config.block_size)
-    if not config.max_per_tile:
-        return strongest_corners(
-            strength, mask, config.max_corners + 1, config.quality_level, config.min_distance
-        )
-    corners = strongest_corners(strength, mask, 0, config.quality_level, config.min_distance)
-    return share_out(corners, config.tile_size, config.max_per_tile)[: config.max_corners + 1]
-
-
-def canny_bounds(image: np.ndarray, config: FeaturesConfig) -> tuple[int, int]:
-    """Canny's bounds for a grey image, lower in darker frames where the configuration says so.
-
-    The mean grey level is taken in sixteenths, rounded down; each bound is multiplied by
-    ``mean / canny_reference_level``, at most 1 and at least ``canny_least_share``, and rounded
-    down. All integers, so that every implementation agrees.
-
-    Args:
-        image: ``(H, W)`` uint8.
-        config: The bounds and the reference level.
-
-    Returns:
-        The lower and the upper bound.
-
-    Example:
-        >>> image = np.full((2, 2), 32, np.uint8)
-        >>> canny_bounds(image, FeaturesConfig(canny_reference_level=64))
-        (25, 50)
-    """
-    bounds = sorted((int(config.canny_low // 1), int(config.canny_high // 1)))
-    level = int(16 * config.canny_reference_level)
-    if not level:
-        return bounds[0], bounds[1]
-    mean = int(image.sum(dtype=np.int64)) * 16 // image.size
-    mean = min(max(mean, int(config.canny_least_share * level)), level)
-    return bounds[0] * mean // level, bounds[1] * mean // level
-
-
-def share_out(corners: np.ndarray, tile_size: int, max_per_tile: int) -> np.ndarray:
-    """Keeps the first corners of each tile.
-
-    Args:
-        corners: ``(n, 2)`` int32, column and row, strongest first.
-        tile_size: Side of a tile [pixel].
-        max_per_tile: Most corners of a tile.
-
-    Returns:
-        ``(m, 2)`` int32, in the same order.
-    """
-    if not len(corners):
-        return corners
-    _, tile = np.unique(corners // tile_size, axis=0, return_inverse=True)
-    order = np.argsort(tile.reshape(-1), kind="stable")
-    ordered = tile.reshape(-1)[order]
-    rank = np.arange(len(order)) - np.searchsorted(ordered, ordered)
-    return corners[np.sort(order[rank < max_per_tile])]
+    edges = canny(grey(image), config.canny_low, config.canny_high)
+    return strongest_corners(
+        min_eigenvalue(edges),
+        mask,
+        config.max_corners + 1,
+        config.quality_level,
+        config.min_distance,
+    )
 
 
 def lateral(ray: np.ndarray, z: np.ndarray) -> np.ndarray:

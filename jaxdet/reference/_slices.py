@@ -17,18 +17,16 @@ class Points(NamedTuple):
     y: np.ndarray
     """int32, down in the camera [depth units]."""
     z: np.ndarray
-    """int32, forward [depth units]."""
+    """int32, forward [depth units], 0 = no depth."""
     kept: np.ndarray
     """bool, the points to group."""
-    measured: np.ndarray
-    """bool, there is a depth."""
     row: np.ndarray
     """Integer, equal for consecutive grid pixels of a row; -1 for corners."""
 
 
 def linked_sets(
     points: Points,
-    depth_gap: np.ndarray,
+    depth_gap: int,
     surface_gap: np.ndarray,
     depth_unit: float,
     settings: ClusterConfig,
@@ -58,8 +56,9 @@ def linked_sets(
 
     Args:
         points: Of the frame.
-        depth_gap: ``(N,)`` int32, d_z at each point [depth units].
-        surface_gap: ``(N,)`` int32, the same for neighbours in a surface [depth units].
+        depth_gap: d_z [depth units].
+        surface_gap: ``(N,)`` int32, the largest step from each point to a neighbour in its surface
+            [depth units].
         depth_unit: Metres in one depth unit.
         settings: The distances.
 
@@ -97,10 +96,10 @@ def _sideways(points: Points, depth_unit: float, settings: ClusterConfig) -> lis
 
 
 def _behind(
-    points: Points, depth_gap: np.ndarray, depth_unit: float, settings: ClusterConfig
+    points: Points, depth_gap: int, depth_unit: float, settings: ClusterConfig
 ) -> np.ndarray:
     """Links along the rows of the grid, ``(2, L)`` indices."""
-    x, _, z, kept, measured, row = points
+    x, _, z, kept, row = points
     reach, slope = round(settings.occluder_m / depth_unit), slope_units(settings)
     links = []
     for i in np.flatnonzero(kept & (row >= 0)) if reach else ():
@@ -110,14 +109,14 @@ def _behind(
                 break
             if kept[j]:
                 aside = abs(int(x[i]) - int(x[j]))
-                gap = depth_gap[i] + (slope * aside >> SLOPE_BITS)
+                gap = depth_gap + (slope * aside >> SLOPE_BITS)
                 if z[j] < z[i] - gap:
                     continue
                 if z[j] <= z[i] + gap and aside <= reach and j < i - 1:
                     links.append((j, i))
                 break
             holes += 1
-            if measured[j] or holes > settings.max_holes:
+            if z[j] > 0 or holes > settings.max_holes:
                 break
     return np.array(links, np.int64).reshape(-1, 2).T
 

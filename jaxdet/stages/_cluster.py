@@ -8,17 +8,16 @@ from jax import lax
 
 from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
-from jaxdet.plane import gap_table, ground_axes
+from jaxdet.plane import depth_gap_units, surface_gap_table
 from jaxdet.stages import _cluster_cpu
-from jaxdet.stages._footprint import to_ground
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
 from jaxdet.stages._slices import linked_sets
-from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels
+from jaxdet.types import MAX_LATERAL, Features, Labels
 
 LAST = jnp.iinfo(jnp.int32).max
 
 
-def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: Config) -> Labels:
+def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
     Equals :func:`jaxdet.reference.cluster`. By default the points are linked slice by slice
@@ -29,9 +28,8 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
     Args:
         features: ``(B, N)`` points, N at most 8192; only ``kept`` ones take part. z is below 65536,
             x at most MAX_LATERAL.
-        plane: The floor of each frame, used when the distances are measured on it.
         depth_unit: Metres in one depth unit.
-        config: The gaps, N and the options of its cluster part.
+        config: The gaps and N of its cluster part.
 
     Returns:
         Labels numbered in order of nearest z, then smallest x, then first slot, with -1 for no
@@ -41,69 +39,50 @@ def cluster(features: Features, plane: GroundPlane, depth_unit: float, config: C
         ConfigError: N is larger.
     """
     check_points(features.z.shape[1])
-    axes = jnp.asarray(ground_axes(plane)) if config.cluster.on_floor else None
-    return labels(features, gaps(config.cluster, depth_unit), axes, depth_unit, config)
+    return labels(features, surface_gaps(config.cluster, depth_unit), depth_unit, config)
 
 
 @lru_cache(maxsize=8)
-def gaps(config: ClusterConfig, depth_unit: float) -> jax.Array:
-    """:func:`jaxdet.plane.gap_table` on the device."""
-    return jnp.asarray(gap_table(config, depth_unit))
+def surface_gaps(config: ClusterConfig, depth_unit: float) -> jax.Array:
+    """:func:`jaxdet.plane.surface_gap_table` on the device."""
+    return jnp.asarray(surface_gap_table(config, depth_unit))
 
 
 @partial(jax.jit, static_argnames=("depth_unit", "config"))
-def labels(
-    features: Features,
-    gap_by_depth: jax.Array,
-    axes: jax.Array | None,
-    depth_unit: float,
-    config: Config,
-) -> Labels:
-    """The labels, from :func:`gaps` and, on the floor, :func:`jaxdet.plane.ground_axes`."""
-    settings = config.cluster
+def labels(features: Features, gaps: jax.Array, depth_unit: float, config: Config) -> Labels:
+    """The labels, from :func:`surface_gaps`."""
     with jax.named_scope("cluster"):
-        x, depth = features.x, features.z
-        if settings.on_floor:
-            assert axes is not None
-            floor = to_ground(jnp.stack([x, features.y, depth], axis=-1), axes)
-            x = jnp.clip(floor[..., 0], -MAX_LATERAL, MAX_LATERAL)
-            depth = jnp.clip(floor[..., 1], 0, 65535)
-        first_grid = min(config.features.max_corners, x.shape[1])
-        given = features, x, depth, gap_by_depth
-        static = {"first_grid": first_grid, "depth_unit": depth_unit, "settings": settings}
+        first_grid = min(config.features.max_corners, features.x.shape[1])
+        given = features, gaps
+        static = {"first_grid": first_grid, "depth_unit": depth_unit, "settings": config.cluster}
         by_frames, by_arrays = (
             partial(f, **static) for f in (_cluster_cpu.labels_by_frames, labels_by_arrays)
         )
-        if settings.rounds > 1 and not settings.slice_m:
-            return Labels(*by_arrays(*given))
         return Labels(*lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays))
 
 
 def labels_by_arrays(
     features: Features,
-    x: jax.Array,
-    depth: jax.Array,
-    gap_by_depth: jax.Array,
+    gaps: jax.Array,
     first_grid: int,
     depth_unit: float,
     settings: ClusterConfig,
 ) -> tuple[jax.Array, jax.Array]:
     """The array program; takes and gives what ``_cluster_cpu.labels_by_frames`` does."""
+    x, z = features.x, features.z
     if settings.slice_m:
-        root = linked_sets(features, x, depth, gap_by_depth, first_grid, depth_unit, settings)
+        root = linked_sets(features, gaps, first_grid, depth_unit, settings)
         part = jax.vmap(partial(_large, min_points=settings.min_points))(root, features.kept)
     else:
-        lateral_gap = round(settings.lateral_gap_m / depth_unit)
         split = partial(
             _gap_parts,
-            lateral_gap=lateral_gap,
+            depth_gap=depth_gap_units(settings, depth_unit),
+            lateral_gap=round(settings.lateral_gap_m / depth_unit),
             min_points=settings.min_points,
-            rounds=settings.rounds,
         )
-        gap = gap_by_depth[0, jnp.clip(depth, 0, 65535)]
-        part = jax.vmap(split)(x, depth, features.kept, gap)
+        part = jax.vmap(split)(x, z, features.kept)
     number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
-    return jax.vmap(number)(part, x, depth)
+    return jax.vmap(number)(part, x, z)
 
 
 def _large(root: jax.Array, kept: jax.Array, min_points: int) -> jax.Array:
@@ -117,10 +96,9 @@ def _gap_parts(
     x: jax.Array,
     z: jax.Array,
     kept: jax.Array,
-    depth_gap: jax.Array,
+    depth_gap: int,
     lateral_gap: int,
     min_points: int,
-    rounds: int,
 ) -> jax.Array:
     """The sets of Steps 1-5 of one frame, ``(N,)`` each: a number a set, N for none.
 
@@ -132,26 +110,25 @@ def _gap_parts(
     by_z, z_rank = rank(z)
     by_x, x_rank = rank(x + MAX_LATERAL)
     group = jnp.where(kept, 0, n)
-    for _ in range(rounds):
-        for values, order, place, gap in (
-            (z, by_z, z_rank, depth_gap),
-            (x, by_x, x_rank, jnp.full(n, lateral_gap, jnp.int32)),
-        ):
-            key = jnp.sort((group.astype(jnp.uint32) << RANK_BITS) | place)
-            slot = order[key & RANK_MASK]
-            sorted_group = (key >> RANK_BITS).astype(jnp.int32)
-            part = _gap_sets(values[slot], sorted_group, gap[slot], min_points)
-            group = jnp.zeros(n, jnp.int32).at[slot].set(part, unique_indices=True)
+    for values, order, place, gap in (
+        (z, by_z, z_rank, depth_gap),
+        (x, by_x, x_rank, lateral_gap),
+    ):
+        key = jnp.sort((group.astype(jnp.uint32) << RANK_BITS) | place)
+        slot = order[key & RANK_MASK]
+        sorted_group = (key >> RANK_BITS).astype(jnp.int32)
+        part = _gap_sets(values[slot], sorted_group, gap, min_points)
+        group = jnp.zeros(n, jnp.int32).at[slot].set(part, unique_indices=True)
     return group
 
 
-def _gap_sets(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: int) -> jax.Array:
+def _gap_sets(values: jax.Array, group: jax.Array, gap: int, min_points: int) -> jax.Array:
     """Numbers the runs of ``values`` without a gap, in order.
 
     Args:
         values: ``(N,)`` int32, rising within each group.
         group: ``(N,)`` int32, rising; a new group starts a new run; N takes no part.
-        gap: ``(N,)`` int32, the largest step from each entry to the next.
+        gap: The largest step from an entry to the next.
         min_points: Runs of this many entries or fewer are dropped.
 
     Returns:
@@ -160,7 +137,7 @@ def _gap_sets(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: i
     n = values.shape[0]
     position = jnp.arange(n, dtype=jnp.int32)
     valid = group != n
-    steps = (values[1:] - values[:-1] > gap[:-1]) | (group[1:] != group[:-1])
+    steps = (values[1:] - values[:-1] > gap) | (group[1:] != group[:-1])
     starts = jnp.concatenate([jnp.ones(1, bool), steps]) | ~valid
     first = lax.cummax(jnp.where(starts, position, 0))
     next_start = jnp.concatenate([jnp.where(starts, position, n)[1:], jnp.full(1, n, jnp.int32)])

@@ -3,7 +3,7 @@
 import jax
 
 from jaxdet.config import REACH, ClusterConfig
-from jaxdet.plane import slice_units, slope_units
+from jaxdet.plane import depth_gap_units, slice_units, slope_units
 from jaxdet.stages._threads import FrameKernel
 from jaxdet.types import Features
 from jaxdet_kernels import cluster_frames as kernels
@@ -13,20 +13,16 @@ _cluster = FrameKernel(kernels.cluster_frames, num_outputs=2)
 
 def labels_by_frames(
     features: Features,
-    x: jax.Array,
-    depth: jax.Array,
-    gap_by_depth: jax.Array,
+    gaps: jax.Array,
     first_grid: int,
     depth_unit: float,
     settings: ClusterConfig,
 ) -> tuple[jax.Array, jax.Array]:
-    """Numbers each frame's obstacles; with slices or a single round.
+    """Numbers each frame's obstacles.
 
     Args:
         features: ``(B, N)`` points.
-        x: ``(B, N)`` int32, to the right [depth units].
-        depth: ``(B, N)`` int32, forward [depth units], in [0, 65536).
-        gap_by_depth: ``(2, 65536)`` int32, see :func:`jaxdet.plane.gap_table`.
+        gaps: ``(65536,)`` int32, see :func:`jaxdet.plane.surface_gap_table`.
         first_grid: The slot of the grid's first pixel.
         depth_unit: Metres in one depth unit.
         settings: The distances.
@@ -36,13 +32,13 @@ def labels_by_frames(
     """
     depth_of_slice = min(slice_units(settings, depth_unit), 1 << 18)  # more hold all depths as well
     labels, count = _cluster(
-        x,
+        features.x,
         features.y,
-        depth,
+        features.z,
         features.kept,
         features.v,
-        features.z,
-        gap_by_depth,
+        gaps,
+        depth_gap_units(settings, depth_unit),
         round(settings.lateral_gap_m / depth_unit),
         settings.min_points,
         depth_of_slice,
@@ -52,7 +48,7 @@ def labels_by_frames(
         settings.max_holes,
         round(settings.surface_height_m / depth_unit),
         first_grid,
-        frames=x.shape[0],
-        output_dims={"labels_out": x.shape, "count_out": (x.shape[0],)},
+        frames=len(features.x),
+        output_dims={"labels_out": features.x.shape, "count_out": (len(features.x),)},
     )
     return labels, count

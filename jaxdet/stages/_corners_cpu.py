@@ -4,26 +4,15 @@ import jax
 import jax.numpy as jnp
 
 from jaxdet.config import FeaturesConfig
-from jaxdet.stages._corners_cuda import canny_bounds
 from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet_kernels import features_canny_lines as canny_kernels
 from jaxdet_kernels import features_select_lines as select_kernels
-
-MAX_HEIGHT = 4096
-"""Most rows of an image, for the kernels' tables."""
 
 _edges = FrameKernel(canny_kernels.canny_lines, num_outputs=3)
 _corners = FrameKernel(select_kernels.corners_lines, num_outputs=6, in_out_argnames=["strength"])
 
 
-def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
-    """Whether the kernels cover images of ``(H, W)`` with this configuration."""
-    height, width = size
-    settings = config.canny and config.block_size == 3 and not config.max_per_tile
-    return settings and 3 <= width <= canny_kernels.MAX_WIDTH and 3 <= height <= MAX_HEIGHT
-
-
-def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def edges(color: jax.Array, low: int, high: int) -> jax.Array:
     """``cv2.Canny`` of the grey images; as :func:`jaxdet.stages._corners_cuda.edges`."""
     batch, height, width, _ = color.shape
     words = 2 * -(-width // 64)
@@ -53,7 +42,7 @@ def strongest_corners(
         corners qualify ``(B,)`` int32, at most one more than there are slots.
     """
     batch, height, width = mask.shape
-    edge = edges(color, *canny_bounds(color, config))
+    edge = edges(color, *config.canny_bounds)
     shares = shares_of(batch)
     strengths = shares, height, 32 * edge.shape[2] + 32
     slots = (batch, config.max_corners)

@@ -11,9 +11,6 @@ from jax import lax
 from jaxdet.config import FeaturesConfig
 from jaxdet_kernels import features as kernels
 
-MAX_WIDTH = 2048
-"""The hysteresis gives each lane of a warp one 64-bit word of a row."""
-
 CANDIDATES = 8192
 """Most maxima of a frame that are listed, a multiple of 256; a frame with more takes longer."""
 
@@ -29,20 +26,13 @@ _maxima = wp.jax_kernel(kernels.corners_maxima, block_dim=kernels.MAXIMA_BLOCK)
 _spread = wp.jax_kernel(kernels.corners_spread, num_outputs=5, block_dim=kernels.SPREAD_BLOCK)
 
 
-def supports(size: tuple[int, int], config: FeaturesConfig) -> bool:
-    """Whether the kernels cover images of ``(H, W)`` with this configuration."""
-    height, width = size
-    settings = config.canny and config.block_size == 3 and not config.max_per_tile
-    return settings and 3 <= width <= MAX_WIDTH and height >= 3 and height * width < 1 << 20
-
-
-def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """``cv2.Canny`` of the grey images, with bounds for each frame.
+def edges(color: jax.Array, low: int, high: int) -> jax.Array:
+    """``cv2.Canny`` of the grey images.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
-        low: ``(B,)`` int32, lower bound.
-        high: ``(B,)`` int32, upper bound.
+        low: Lower bound, from -1 to 2047.
+        high: Upper bound, from -1 to 2047.
 
     Returns:
         ``(B, H, 2 ceil(W / 64))`` uint32, a bit a pixel.
@@ -65,20 +55,6 @@ def edges(color: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
         output_dims={"edges_out": rows},
     )
     return found
-
-
-def canny_bounds(color: jax.Array, config: FeaturesConfig) -> tuple[jax.Array, jax.Array]:
-    """Canny's bounds of each frame ``(B,)`` int32, lower in darker frames if so configured."""
-    batch, height, width, _ = color.shape
-    low, high = sorted((int(config.canny_low // 1), int(config.canny_high // 1)))
-    level = int(16 * config.canny_reference_level)
-    if not level:
-        return jnp.full(batch, low, jnp.int32), jnp.full(batch, high, jnp.int32)
-    red, green, blue = (color[..., c].astype(jnp.uint32) for c in range(3))
-    grey = (9798 * red + 19235 * green + 3735 * blue + (1 << 14)) >> 15
-    mean = jnp.sum(grey, axis=(1, 2), dtype=jnp.uint32) * 16 // (height * width)
-    mean = jnp.clip(mean, int(config.canny_least_share * level), level)
-    return (low * mean // level).astype(jnp.int32), (high * mean // level).astype(jnp.int32)
 
 
 class Strengths(NamedTuple):
@@ -127,7 +103,7 @@ def strongest_corners(
 def strengths(color: jax.Array, mask: jax.Array | None, config: FeaturesConfig) -> Strengths:
     """The strength of each pixel as a corner of the edge image; ``mask`` None allows all."""
     batch, height, width, _ = color.shape
-    edge = edges(color, *canny_bounds(color, config))
+    edge = edges(color, *config.canny_bounds)
     blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)
     best, count, strength, peak, listed = _eigenvalue(
         edge,

@@ -1,20 +1,18 @@
-"""Stage 3, features: Warp kernels, or OpenCV on host threads for what they don't cover."""
+"""Stage 3, features: Warp kernels and a look-up of depth."""
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-import cv2
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxdet.camera import fixed_rays, grid_pixels
 from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
-from jaxdet.stages import _corners_cpu, _corners_cuda, _corners_host
-from jaxdet.stages._device import on_cuda
+from jaxdet.errors import ConfigError
+from jaxdet.stages import _corners_cpu, _corners_cuda
 from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
+from jaxdet_kernels.features_canny_lines import MAX_SIZE
 
 
 class Tables(NamedTuple):
@@ -41,8 +39,7 @@ def features(
 ) -> Features:
     """Finds the strongest Shi-Tomasi corners of the Canny edge image and looks up their depth.
 
-    Equals :func:`jaxdet.reference.features`. All of it is one program; for settings that the
-    kernels don't cover, the corners come from OpenCV on host threads.
+    Equals :func:`jaxdet.reference.features`. All of it is one program.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
@@ -56,16 +53,27 @@ def features(
 
     Raises:
         CalibrationError: The images or the mask are not of the colour camera's size.
+        ConfigError: That size is not one that the kernels take, see :func:`check_kernels_size`.
     """
+    check_kernels_size(calibration.color)
     for what, images in (("colour", color), ("mask", keep.mask)):
-        check_size(what, np.shape(images), calibration.color)
+        check_size(what, images.shape, calibration.color)
     arrays = tables(calibration.color, config.grid_columns)
-    corners = _corners_cuda if on_cuda() else _corners_cpu
-    if corners.supports(color.shape[1:3], config):
-        return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, config)
-    uv, count = _on_host(np.asarray(color), keep, config)
-    u, v, found = jnp.asarray(uv[0]), jnp.asarray(uv[1]), jnp.asarray(count)
-    return _look_up(u, v, found, keep.z, keep.mask, arrays)
+    return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, config)
+
+
+def check_kernels_size(camera: Intrinsics) -> None:
+    """Refuses colour images that the kernels have no room for.
+
+    Raises:
+        ConfigError: A side is shorter than 3 or longer than ``MAX_SIZE``.
+    """
+    if not 3 <= min(camera.width, camera.height) <= max(camera.width, camera.height) <= MAX_SIZE:
+        raise ConfigError(
+            f"colour images of {camera.width}x{camera.height} pixels, but the kernels take from "
+            f"3 to {MAX_SIZE} a side",
+            remedy="use --backend reference",
+        )
 
 
 @partial(jax.jit, static_argnames="config")
@@ -76,7 +84,7 @@ def on_device(
     arrays: Tables,
     config: FeaturesConfig,
 ) -> Features:
-    """The features by kernels alone, from :func:`tables`."""
+    """The features, from :func:`tables`."""
     with jax.named_scope("features"):
 
         def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -88,34 +96,6 @@ def on_device(
         return _look_up(u, v, count, z, keep, arrays)
 
 
-def _on_host(
-    color: np.ndarray, keep: Keep, config: FeaturesConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Corners ``(2, B, N)`` int32, column and row, and their number ``(B,)`` int32."""
-    masks = np.asarray(keep.mask).view(np.uint8) if config.use_mask else [None] * len(color)
-    batch, n = len(color), config.max_corners
-    uv = np.zeros((2, batch, n), np.int32)
-    count = np.zeros(batch, np.int32)
-
-    def find(b: int) -> None:
-        corners = _corners(color[b], masks[b], config)
-        count[b] = len(corners)
-        uv[:, b, : min(len(corners), n)] = corners[:n].T
-
-    with ThreadPoolExecutor() as pool:
-        list(pool.map(find, range(batch)))
-    return uv, count
-
-
-def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig) -> np.ndarray:
-    """The corners of one frame, one more than there are slots; ``(n, 2)`` int32 column, row."""
-    source = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    if config.canny:
-        source = cv2.Canny(source, *_corners_host.canny_bounds(source, config))
-    return _corners_host.strongest_corners(source, mask, config)
-
-
-@jax.jit
 def _look_up(
     u: jax.Array,
     v: jax.Array,
@@ -125,21 +105,20 @@ def _look_up(
     arrays: Tables,
 ) -> Features:
     """The features' depth, coordinates and flags, from their pixels ``(B, N)``."""
-    with jax.named_scope("features"):
-        n = u.shape[1]
-        valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
-        kept = keep[:, arrays.grid_v, arrays.grid_u]
-        known = jnp.concatenate([valid, jnp.ones_like(kept)], axis=1)
-        valid = jnp.concatenate([valid, kept], axis=1)
-        u, v = (
-            jnp.concatenate([corner, jnp.broadcast_to(grid, kept.shape)], axis=1)
-            for corner, grid in ((u, arrays.grid_u), (v, arrays.grid_v))
-        )
-        frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
-        z = jnp.where(known, z[frame, v, u].astype(jnp.int32), 0)
-        kept = valid & keep[frame, v, u]
-        x, y = (lateral(ray[v, u], z) for ray in (arrays.ray_x, arrays.ray_y))
-        return Features(u, v, x, y, z, valid, kept, overflow=count > n)
+    n = u.shape[1]
+    valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
+    kept = keep[:, arrays.grid_v, arrays.grid_u]
+    known = jnp.concatenate([valid, jnp.ones_like(kept)], axis=1)
+    valid = jnp.concatenate([valid, kept], axis=1)
+    u, v = (
+        jnp.concatenate([corner, jnp.broadcast_to(grid, kept.shape)], axis=1)
+        for corner, grid in ((u, arrays.grid_u), (v, arrays.grid_v))
+    )
+    frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
+    z = jnp.where(known, z[frame, v, u].astype(jnp.int32), 0)
+    kept = valid & keep[frame, v, u]
+    x, y = (lateral(ray[v, u], z) for ray in (arrays.ray_x, arrays.ray_y))
+    return Features(u, v, x, y, z, valid, kept, overflow=count > n)
 
 
 def lateral(ray: jax.Array, z: jax.Array) -> jax.Array:

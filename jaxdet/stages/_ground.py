@@ -1,6 +1,6 @@
 """Stage 2, ground: one comparison a pixel."""
 
-from functools import lru_cache, partial, reduce
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -24,14 +24,13 @@ def ground(
         aligned: Depth at the colour pixels; ``z`` is used.
         plane: The floor of each of the ``B`` frames.
         calibration: For the colour camera and the depth unit.
-        config: Range, step height and contour radius of its ground part.
+        config: Range and step height of its ground part.
 
     Returns:
         The mask, True where the pixel may belong to an obstacle, the depth that a feature there
         gets, and whether a frame has any depth in range.
     """
-    arrays = tables(plane, calibration, config)
-    return keep(aligned.z, *arrays, config.ground.contour_radius)
+    return keep(aligned.z, *tables(plane, calibration, config))
 
 
 def tables(
@@ -55,36 +54,16 @@ def _bounds(nearest: int, farthest: int) -> tuple[jax.Array, jax.Array]:
     return jnp.asarray(np.uint16(nearest)), jnp.asarray(np.uint16(farthest))
 
 
-@partial(jax.jit, static_argnames="radius")
+@jax.jit
 def keep(
     z: jax.Array,
     limits: jax.Array,
     which: jax.Array,
     nearest: jax.Array,
     farthest: jax.Array,
-    radius: int,
 ) -> Keep:
     """The pixels kept, from :func:`tables`."""
     with jax.named_scope("ground"):
         in_range = (z >= nearest) & (z <= farthest)
         mask = in_range & (z <= limits[which])
-        if radius:
-            most = jnp.uint16(65535)
-            nearest_kept = _window_minimum(jnp.where(mask, z, most), radius)
-            mask = nearest_kept < most
-            z = jnp.where(mask, nearest_kept, z)
         return Keep(mask, z, in_range.any(axis=(1, 2)))
-
-
-def _window_minimum(values: jax.Array, radius: int) -> jax.Array:
-    """The least of ``values`` ``(B, H, W)`` in the square of ``radius`` around each pixel."""
-    for axis in (1, 2):
-        size = values.shape[axis]
-        padding = [(0, 0)] * 3
-        padding[axis] = (radius, radius)
-        padded = jnp.pad(values, padding, constant_values=jnp.uint16(65535))
-        shifted = [
-            jax.lax.slice_in_dim(padded, d, d + size, axis=axis) for d in range(2 * radius + 1)
-        ]
-        values = reduce(jnp.minimum, shifted)
-    return values

@@ -12,14 +12,12 @@ from jaxdet.stages import (
     _align,
     _align_points,
     _cluster,
-    _corners_cuda,
     _features,
     _footprint,
     _ground,
     _sparse,
     _spread,
 )
-from jaxdet.stages._device import on_cuda
 from jaxdet.types import AlignedDepth, Calibration, Detections, Features, Frames, GroundPlane
 
 
@@ -45,11 +43,6 @@ SPECS = cast(Any, _Tables)(
 """Which tables have a row for each frame."""
 
 
-def covers(frames: Frames, config: Config) -> bool:
-    """Whether these frames run as one program: on CUDA, with settings that the kernels cover."""
-    return on_cuda() and _corners_cuda.supports(frames.color.shape[1:3], config.features)
-
-
 def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Runs the five stages on the devices without a stop at the host.
 
@@ -64,12 +57,12 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     among, count = _spread.devices_for(frames.color), len(frames.color)
     color, depth, plane = _spread.even(frames.color, frames.depth, plane, len(among))
-    align, static = _align_tables(calibration, config)
+    align, static = _align_tables(calibration)
     tables = _Tables(
         align,
         _ground.tables(plane, calibration, config),
         _features.tables(calibration.color, config.features.grid_columns),
-        _cluster.gaps(config.cluster, unit),
+        _cluster.surface_gaps(config.cluster, unit),
         _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
@@ -77,9 +70,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     return found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
 
 
-def _align_tables(
-    calibration: Calibration, config: Config
-) -> tuple[tuple[jax.Array, ...], tuple | None]:
+def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], tuple | None]:
     """The alignment's arrays and its static arguments.
 
     One static argument for a look-up at the features, four for the dense alignment, none for
@@ -87,7 +78,7 @@ def _align_tables(
     """
     if calibration.is_aligned:
         return (), None
-    if _sparse.covers(calibration, config):
+    if _align_points.covers(calibration):
         *arrays, fills = _align_points.tables(calibration)
         return tuple(arrays), (fills,)
     *arrays, model, fills, separable = _align.tables(calibration)
@@ -105,7 +96,7 @@ def _detect(
     config: Config,
 ) -> Detections:
     features, has_depth = _features_of(color, depth, tables, align, config)
-    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
+    labels = _cluster.labels(features, tables.gaps, unit, config)
     obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
     return Detections(features, labels, obstacles, has_depth)
 
@@ -122,6 +113,6 @@ def _features_of(
     aligned = AlignedDepth(depth, depth)
     if align is not None:
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
-    keep = _ground.keep(aligned.z, *tables.ground, config.ground.contour_radius)
+    keep = _ground.keep(aligned.z, *tables.ground)
     found = _features.on_device(color, keep.z, keep.mask, tables.features, config.features)
     return found, keep.has_depth

@@ -8,9 +8,7 @@ import jax.numpy as jnp
 
 from jaxdet.config import Config, FeaturesConfig
 from jaxdet.plane import ground_axes
-from jaxdet.stages import _align_points, _cluster, _corners_cpu, _features, _footprint, _ground
-from jaxdet.stages._corners_cuda import canny_bounds
-from jaxdet.stages._device import on_cuda
+from jaxdet.stages import _align_points, _cluster, _features, _footprint, _ground
 from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane
 from jaxdet_kernels import features_depth_lines as kernels
@@ -31,15 +29,9 @@ class _Tables(NamedTuple):
     axes: jax.Array
 
 
-def covers(frames: Frames, config: Config) -> bool:
-    """Whether these frames run as one program: on the CPU, with what the kernels cover."""
-    calibration = frames.calibration
-    return (
-        not on_cuda()
-        and _corners_cpu.supports(frames.color.shape[1:3], config.features)
-        and not config.ground.contour_radius
-        and (calibration.is_aligned or _align_points.covers(calibration))
-    )
+def covers(calibration: Calibration) -> bool:
+    """Whether depth can be looked up where features are."""
+    return calibration.is_aligned or _align_points.covers(calibration)
 
 
 def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
@@ -60,7 +52,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         arrays,
         _ground.tables(plane, calibration, config),
         _features.tables(calibration.color, config.features.grid_columns),
-        _cluster.gaps(config.cluster, unit),
+        _cluster.surface_gaps(config.cluster, unit),
         _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
@@ -88,7 +80,7 @@ def _detect(
     config: Config,
 ) -> Detections:
     features, has_depth = _points(color, depth, tables, flags, config.features)
-    labels = _cluster.labels(features, tables.gaps, tables.axes, unit, config)
+    labels = _cluster.labels(features, tables.gaps, unit, config)
     obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
     return Detections(features, labels, obstacles, has_depth)
 
@@ -115,7 +107,7 @@ def _points(
         strengths = shares, height, 32 * words + 32
         _, u, v, x, y, z, valid, kept, found, has_depth, *_ = _find(
             color,
-            *canny_bounds(color, config),
+            *config.canny_bounds,
             depth,
             *tables.align,
             limits,

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import warp as wp
 
 from jaxdet.config import REACH, ClusterConfig
-from jaxdet.plane import SLOPE_BITS, slice_units, slope_units
+from jaxdet.plane import SLOPE_BITS, depth_gap_units, slice_units, slope_units
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
 from jaxdet.types import MAX_LATERAL, Features
 from jaxdet_kernels import linked_sets as kernels
@@ -17,8 +17,6 @@ _linked_sets = wp.jax_kernel(
 
 def linked_sets(
     features: Features,
-    x: jax.Array,
-    z: jax.Array,
     gaps: jax.Array,
     first_grid: int,
     depth_unit: float,
@@ -28,9 +26,7 @@ def linked_sets(
 
     Args:
         features: ``(B, N)`` points.
-        x: ``(B, N)`` int32, to the right [depth units].
-        z: ``(B, N)`` int32, forward [depth units].
-        gaps: ``(2, 65536)`` int32, see :func:`jaxdet.plane.gap_table`.
+        gaps: ``(65536,)`` int32, see :func:`jaxdet.plane.surface_gap_table`.
         first_grid: The slot of the grid's first pixel.
         depth_unit: Metres in one depth unit.
         settings: The distances.
@@ -38,12 +34,13 @@ def linked_sets(
     Returns:
         ``(B, N)`` int32, the smallest slot of each point's set.
     """
-    depth = slice_units(settings, depth_unit)
+    x, z, depth = features.x, features.z, slice_units(settings, depth_unit)
     gap, reach = (round(m / depth_unit) for m in (settings.lateral_gap_m, settings.occluder_m))
     order, place = jax.vmap(rank)(x + MAX_LATERAL)
     behind = jnp.full_like(x, -1)
     if reach and first_grid < x.shape[1]:
-        behind = _behind(features, x, z, gaps[0], first_grid, reach, settings)
+        gap_behind = depth_gap_units(settings, depth_unit)
+        behind = _behind(features, gap_behind, first_grid, reach, settings)
     links = [
         _sideways(features.kept, x, (z + start) // depth, order, place, gap)
         for start in (0, depth // 2)
@@ -87,35 +84,27 @@ def _sideways(
 
 
 def _behind(
-    features: Features,
-    x: jax.Array,
-    z: jax.Array,
-    gap_by_depth: jax.Array,
-    first: int,
-    reach: int,
-    settings: ClusterConfig,
+    features: Features, depth_gap: int, first: int, reach: int, settings: ClusterConfig
 ) -> jax.Array:
     """The point at the other side of what stands before each; -1 = none; ``(B, N)`` int32.
 
     All points look one grid pixel farther to the left in each step.
     """
-    n = x.shape[1]
+    n = features.x.shape[1]
     slope = slope_units(settings)
-    row, kept, seen = (a[:, first:] for a in (features.v, features.kept, features.z > 0))
-    x, z = (a[:, first:] for a in (x, z))
-    gap = gap_by_depth[jnp.clip(z, 0, 65535)]
+    row, kept, x, z = (a[:, first:] for a in (features.v, features.kept, features.x, features.z))
     slot = jnp.arange(first, n, dtype=jnp.int32)[None, :]
     link, holes, looking = jnp.full_like(x, -1), jnp.zeros_like(x), kept
     for away in range(1, min(REACH, n - first - 1) + 1):
-        row_j, kept_j, seen_j, x_j, z_j = (
-            jnp.pad(a[:, :-away], ((0, 0), (away, 0))) for a in (row, kept, seen, x, z)
+        row_j, kept_j, x_j, z_j = (
+            jnp.pad(a[:, :-away], ((0, 0), (away, 0))) for a in (row, kept, x, z)
         )
         looking &= (row_j == row) & (slot - away >= first)
         aside = jnp.abs(x - x_j)
-        within = gap + (slope * aside >> SLOPE_BITS)
+        within = depth_gap + (slope * aside >> SLOPE_BITS)
         ends = looking & kept_j & (z_j >= z - within)
         hit = ends & (z_j <= z + within) & (aside <= reach)
         link = jnp.where(hit, slot - away, link) if away > 1 else link
         holes += 1 - kept_j.astype(jnp.int32)
-        looking &= ~ends & (kept_j | ~seen_j & (holes <= settings.max_holes))
+        looking &= ~ends & (kept_j | (z_j == 0) & (holes <= settings.max_holes))
     return jnp.pad(link, ((0, 0), (first, 0)), constant_values=-1)

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import warp as wp
 
 from jaxdet.camera import grid_pixels
-from jaxdet.config import Config, FeaturesConfig
+from jaxdet.config import FeaturesConfig
 from jaxdet.stages import _align_points, _corners_cuda
 from jaxdet.stages._features import Tables, lateral
-from jaxdet.types import Calibration, Features
+from jaxdet.types import Features
 from jaxdet_kernels import features as kernels
 
 PROBE_COLUMNS = 16
@@ -54,11 +54,6 @@ class Source(NamedTuple):
     corner_y: jax.Array
     parameters: jax.Array
     search: jax.Array
-
-
-def covers(calibration: Calibration, config: Config) -> bool:
-    """Whether features need no dense alignment; a contour radius looks at every pixel."""
-    return _align_points.covers(calibration) and not config.ground.contour_radius
 
 
 def features(

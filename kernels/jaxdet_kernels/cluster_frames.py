@@ -70,7 +70,7 @@ _GAPS = """
         if (k > farthest) { size_by_z[sets] = 0; open[sets++] = -1; }
         size_by_z[sets - 1] += at[k];
         at[k] = sets - 1;
-        farthest = k + gaps.data[k];
+        farthest = k + depth_gap;
     }
     for (int i = 0; i < n; ++i) {
         const int s = at[depth[i]];
@@ -126,8 +126,8 @@ def _cluster(
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
     v: wp.array2d[wp.int32],
-    camera_z: wp.array2d[wp.int32],
-    gaps: wp.array2d[wp.int32],
+    gaps: wp.array[wp.int32],
+    depth_gap: int,
     lateral_gap: int,
     min_points: int,
     slice_units: int,
@@ -151,8 +151,8 @@ def cluster_frames(
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
     v: wp.array2d[wp.int32],
-    camera_z: wp.array2d[wp.int32],
-    gaps: wp.array2d[wp.int32],
+    gaps: wp.array[wp.int32],
+    depth_gap: int,
     lateral_gap: int,
     min_points: int,
     slice_units: int,
@@ -172,11 +172,11 @@ def cluster_frames(
         shares: Of how many shares.
         x: Sideways [depth units].
         y: Down in the camera [depth units].
-        z: Forward [depth units].
+        z: Forward [depth units], 0 = none.
         kept: The points that take part.
         v: Rows of the image, for the grid's rows.
-        camera_z: Depth in the camera, 0 = none.
-        gaps: The largest steps in depth, within an obstacle and within a surface, by depth.
+        gaps: The largest step in depth within a surface, by depth.
+        depth_gap: The largest step in depth within an obstacle [depth units].
         lateral_gap: The largest step sideways [depth units].
         min_points: Sets of this many points or fewer are dropped.
         slice_units: Depth of a slice [depth units], at most 2^18; 0: no slices, but all depths and
@@ -192,6 +192,6 @@ def cluster_frames(
         count_out: ``(B,)``, how many obstacles.
     """
     _cluster(
-        share + shares * wp.tid(), x, y, z, kept, v, camera_z, gaps, lateral_gap, min_points,
+        share + shares * wp.tid(), x, y, z, kept, v, gaps, depth_gap, lateral_gap, min_points,
         slice_units, pixels, reach, slope, max_holes, tall_units, first_grid, labels_out, count_out,
     )  # fmt: skip

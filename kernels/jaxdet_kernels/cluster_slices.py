@@ -17,7 +17,6 @@ SLICES = """
     }
     const int* row = v.data + (size_t)b * N;
     const int* down = y.data + (size_t)b * N;
-    const int* seen = camera_z.data + (size_t)b * N;
     unsigned short place[most];
     for (int i = 0; i < n; ++i) place[slot[i]] = i;
     for (int i = first_grid; i < N && reach; ++i) {
@@ -27,13 +26,13 @@ SLICES = """
             if (keep[j]) {
                 int aside = sides[i] - sides[j];
                 aside = aside < 0 ? -aside : aside;
-                const int gap = gaps.data[depths[i]] + (slope * aside >> 10);
+                const int gap = depth_gap + (slope * aside >> 10);
                 if (depths[j] < depths[i] - gap) continue;
                 if (depths[j] <= depths[i] + gap && aside <= reach && j < i - 1)
                     link(place[j], place[i]);
                 break;
             }
-            if (seen[j] > 0 || ++holes > max_holes) break;
+            if (depths[j] > 0 || ++holes > max_holes) break;
         }
     }
     // The neighbour in its slice of a cut; points are asked for in order of x. 65535: none.
@@ -47,12 +46,11 @@ SLICES = """
     if (tall_units) {
         int columns = 1;
         while (first_grid + columns < N && row[first_grid + columns] == row[first_grid]) ++columns;
-        const int* steps = gaps.data + 65536;
         auto neighbours = [&](int i, int j) {
             if (!keep[i] || !keep[j]) return;
             const int nearer = depths[i] < depths[j] ? depths[i] : depths[j];
             const int step = depths[i] - depths[j];
-            if (step <= steps[nearer] && -step <= steps[nearer]) link(place[i], place[j]);
+            if (step <= gaps.data[nearer] && -step <= gaps.data[nearer]) link(place[i], place[j]);
         };
         for (int i = first_grid + 1; i < N; ++i) {
             if (row[i] == row[i - 1]) neighbours(i, i - 1);

@@ -73,8 +73,7 @@ _SUPPRESS = """
     // 0, 1, 2 are the columns -1 and 0, 1 and 2, 3 and 4; the own pairs are 0 and 1, 2 and 3.
     const unsigned BIAS = 0x04000400u, ONE = 0x00010001u, ANY = 0x7fff7fffu;
     const int first = (thread / 32) * 6, x = x0 + 4 * lane;
-    const int lo = min(max(low.data[b] + 1, 0), 0x7fff), hi = min(max(high.data[b] + 1, 0), 0x7fff);
-    const unsigned least = lo * ONE, sure = hi * ONE;
+    const unsigned least = (low + 1) * ONE, sure = (high + 1) * ONE;
     unsigned inside[3];
     for (int k = 0; k < 3; ++k) {
         const int left = x + 2 * k - 1;
@@ -174,8 +173,8 @@ def _suppress(
     block: int,
     thread: int,
     color: wp.array4d[wp.uint8],
-    low: wp.array[wp.int32],
-    high: wp.array[wp.int32],
+    low: int,
+    high: int,
     candidates_out: wp.array3d[wp.uint32],
     strong_out: wp.array3d[wp.uint32],
 ): ...
@@ -184,11 +183,14 @@ def _suppress(
 @wp.kernel(launch_bounds=(256, 4))
 def canny_suppress(
     color: wp.array4d[wp.uint8],
-    low: wp.array[wp.int32],
-    high: wp.array[wp.int32],
+    low: int,
+    high: int,
     candidates_out: wp.array3d[wp.uint32],
     strong_out: wp.array3d[wp.uint32],
 ):
-    """Grey, 3x3 Sobel and non-maximum suppression, a block a tile of 48 rows, 128 columns."""
+    """Grey, 3x3 Sobel and non-maximum suppression, a block a tile of 48 rows, 128 columns.
+
+    The bounds are from -1 to 2047.
+    """
     i = wp.tid()
     _suppress(i // 256, i % 256, color, low, high, candidates_out, strong_out)

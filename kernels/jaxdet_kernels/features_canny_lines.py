@@ -8,20 +8,19 @@ import warp as wp
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
-MAX_WIDTH = 2048
-"""Longest row of a colour image."""
+MAX_SIZE = 4096
+"""Most columns and rows of a colour image."""
 
 _SUPPRESS = """
 #if !defined(__CUDA_ARCH__)
     typedef short lane __attribute__((ext_vector_type(32), aligned(2)));
     typedef bool flag __attribute__((ext_vector_type(32)));
     const int H = color.shape[1], W = color.shape[2], words = candidates_out.shape[1];
-    const int most = 2047, lo = low.data[b] < most ? (low.data[b] > -1 ? low.data[b] : -1) : most;
-    const int hi = high.data[b] < most ? (high.data[b] > -1 ? high.data[b] : -1) : most;
     const unsigned char* rgb = color.data + (size_t)b * H * W * 3;
     // Rings of rows; column x is at x + 32, and what is outside the image is at both ends.
-    short greys[3][2176], magnitudes[3][2176], across[2][2176], down[2][2176];
-    for (int i = 0; i < 2176; ++i) magnitudes[0][i] = magnitudes[1][i] = magnitudes[2][i] = 0;
+    const int RING = MAX_SIZE + 128;
+    short greys[3][RING], magnitudes[3][RING], across[2][RING], down[2][RING];
+    for (int i = 0; i < RING; ++i) magnitudes[0][i] = magnitudes[1][i] = magnitudes[2][i] = 0;
     auto load = [&](int y) {
         const unsigned char* __restrict__ from = rgb + (size_t)y * W * 3;
         short* __restrict__ row = greys[y % 3] + 32;
@@ -71,7 +70,7 @@ _SUPPRESS = """
         for (int w = 0; w < words; ++w) {
             const int x = w * 32;
             const lane here = at(own, x);
-            wp::uint32 keep = bits(here > (lane)(short)lo);
+            wp::uint32 keep = bits(here > (lane)(short)low);
             if (keep) {
                 const lane h = at(dx, x), v = at(dy, x);
                 const lane ax = __builtin_elementwise_abs(h), ay = __builtin_elementwise_abs(v);
@@ -92,11 +91,11 @@ _SUPPRESS = """
                 if (W - x < 32) keep &= W - x > 0 ? (1u << (W - x)) - 1 : 0u;
             }
             weak[w] = keep;
-            strong[w] = keep ? keep & bits(here > (lane)(short)hi) : 0u;
+            strong[w] = keep ? keep & bits(here > (lane)(short)high) : 0u;
         }
     }
 #endif
-"""
+""".replace("MAX_SIZE", str(MAX_SIZE))
 
 _HYSTERESIS = """
 #if !defined(__CUDA_ARCH__)
@@ -150,7 +149,7 @@ _HYSTERESIS = """
     for (int i = 0; i < H * n; ++i) reached[i] = seeds[i];
     for (int y = 0; y < H; ++y) fill(y);
     // Rows that have not told the next one, below and above, what they reach.
-    unsigned char tells[2][4096];
+    unsigned char tells[2][MAX_SIZE];
     for (int y = 0; y < H; ++y) tells[0][y] = tells[1][y] = 1;
     for (bool told = true; told;) {
         told = false;
@@ -166,19 +165,19 @@ _HYSTERESIS = """
             }
     }
 #endif
-"""
+""".replace("MAX_SIZE", str(MAX_SIZE))
 
 
 @wp.func_native(_SUPPRESS)
 def canny_suppress_lines(
     b: int,
     color: wp.array4d[wp.uint8],
-    low: wp.array[wp.int32],
-    high: wp.array[wp.int32],
+    low: int,
+    high: int,
     candidates_out: wp.array2d[wp.uint32],
     strong_out: wp.array2d[wp.uint32],
 ):
-    """Grey, Sobel and suppression of frame b into rows of bits."""
+    """Grey, Sobel and suppression of frame b into rows of bits; the bounds are from -1 to 2047."""
 
 
 @wp.func_native(_HYSTERESIS)
@@ -196,8 +195,8 @@ def canny_lines(
     share: int,
     shares: int,
     color: wp.array4d[wp.uint8],
-    low: wp.array[wp.int32],
-    high: wp.array[wp.int32],
+    low: int,
+    high: int,
     edges_out: wp.array3d[wp.uint32],
     candidates_out: wp.array3d[wp.uint32],
     strong_out: wp.array3d[wp.uint32],

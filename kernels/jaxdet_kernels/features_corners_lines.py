@@ -7,6 +7,8 @@ zero, but their strength is never positive: squares of gradients are whole multi
 else below 2^-66, too small to change the sum of any others, so they can only be missing in the end.
 """
 
+from jaxdet_kernels.features_canny_lines import MAX_SIZE
+
 STRENGTH = """
     typedef unsigned long long u64;
     typedef float f16 __attribute__((ext_vector_type(16), aligned(4)));
@@ -14,6 +16,7 @@ STRENGTH = """
     typedef int i16 __attribute__((ext_vector_type(16)));
     typedef bool b16 __attribute__((ext_vector_type(16)));
     const int words = edges.shape[2] / 2, groups = (words + 15) / 16;
+    const int MOST_GROUPS = MAX_SIZE / 1024, RING = MAX_SIZE + 32;
     const u64* map = (const u64*)edge_map;
     const double scale = 1.0 / (4.0 * 3.0 * 255.0);
     const double k1 = (float)scale, k0 = (float)(2.0 * scale);
@@ -25,9 +28,9 @@ STRENGTH = """
     }
     const float middle = (float)(255.0 * k0);
     // Column x is at x + 16. Rows of edges, smoothed and differences; products; their sums.
-    float smooths[3][2080], steps[3][2080], products[3][2080];
-    double sums[3][3][2080], totals[3][2080];
-    u64 near_edge[3][2], lively[3][2], produced[2];
+    float smooths[3][RING], steps[3][RING], products[3][RING];
+    double sums[3][3][RING], totals[3][RING];
+    u64 near_edge[3][MOST_GROUPS], lively[3][MOST_GROUPS], produced[MOST_GROUPS];
     auto mirrored = [&](int y) { return y < 0 ? -y : (y >= H ? 2 * H - 2 - y : y); };
     auto pick = [](wp::uint32 word, f16 yes, f16 no) {
         const wp::uint16 low = (wp::uint16)word;
@@ -42,7 +45,7 @@ STRENGTH = """
     // Reads row y into slot s.
     auto read = [&](int y, int s) {
         const u64* row = map + (size_t)y * words;
-        u64 found[2] = {0, 0};
+        u64 found[MOST_GROUPS] = {};
         for (int w = 0; w < words; ++w) {
             const u64 left = w > 0 ? row[w - 1] : 0, right = w + 1 < words ? row[w + 1] : 0;
             if (!(row[w] | (left >> 62) | (right & 3))) continue;
@@ -112,13 +115,13 @@ STRENGTH = """
                 });
         }
     };
-"""
+""".replace("MAX_SIZE", str(MAX_SIZE))
 
 MEASURE = """
     // Strengths of the whole frame; 0 where there is no edge near. Which blocks are not, by row.
     const int pitch = strength.shape[1];
     float* image_strength = strength.data + 16;
-    u64 lives[4096][2];
+    u64 lives[MAX_SIZE][MOST_GROUPS];
     auto measure = [&]() -> float {
         const int size = words * 64 + 32;
         for (int s = 0; s < 3; ++s)
@@ -126,7 +129,7 @@ MEASURE = """
                 smooths[s][i] = steps[s][i] = products[s][i] = 0.0f;
                 for (int q = 0; q < 3; ++q) sums[s][q][i] = 0.0;
             }
-        for (int g = 0; g < 2; ++g) {
+        for (int g = 0; g < groups; ++g) {
             produced[g] = 0;
             for (int s = 0; s < 3; ++s) near_edge[s][g] = lively[s][g] = 0;
         }
@@ -175,4 +178,4 @@ MEASURE = """
                     *(f16*)(image_strength + (size_t)y * pitch + x) = (f16)0.0f;
                 });
     };
-"""
+""".replace("MAX_SIZE", str(MAX_SIZE))

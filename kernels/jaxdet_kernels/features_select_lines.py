@@ -11,6 +11,7 @@ that memory can be fetched, and ``accept(slot, x, y)``, and leaves the number of
 
 import warp as wp
 
+from jaxdet_kernels.features_canny_lines import MAX_SIZE
 from jaxdet_kernels.features_corners_lines import MEASURE, STRENGTH
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
@@ -23,7 +24,7 @@ SELECT = """
     wp::uint32* blocked = blocked_out.data;
     const int reach = distance >= 1.0 ? (int)__builtin_ceil(distance) - 1 : -1;
     const double nearest = distance * distance;
-    int halves[4096];
+    int halves[MAX_SIZE];
     for (int dy = 0; dy <= reach && dy < H; ++dy) {
         int half = (int)__builtin_sqrt(nearest - (double)dy * dy);
         while (half >= 0 && (double)half * half + (double)dy * dy >= nearest) --half;
@@ -148,7 +149,7 @@ SELECT = """
         }
     }
     clear();
-"""
+""".replace("MAX_SIZE", str(MAX_SIZE))
 
 _MASKED = """
     const int H = mask.shape[1], W = mask.shape[2], N = u_out.shape[1];

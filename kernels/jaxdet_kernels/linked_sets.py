@@ -83,7 +83,7 @@ _SURFACES = """
         for (int up = 0; up < 2; ++up) {
             const int j = up ? i - columns : i - 1;
             if (j < first_grid || !keep[j] || (!up && row[i] != row[j])) continue;
-            const int most = gaps.data[65536 + (depth[i] < depth[j] ? depth[i] : depth[j])];
+            const int most = gaps.data[depth[i] < depth[j] ? depth[i] : depth[j]];
             const int ahead = depth[i] - depth[j];
             if (ahead <= most && -ahead <= most) link(i, j);
         }
@@ -165,7 +165,7 @@ def _linked_sets(
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
     v: wp.array2d[wp.int32],
-    gaps: wp.array2d[wp.int32],
+    gaps: wp.array[wp.int32],
     tall_units: int,
     first_grid: int,
     scratch_out: wp.array3d[wp.int32],
@@ -180,7 +180,7 @@ def linked_sets(
     z: wp.array2d[wp.int32],
     kept: wp.array2d[wp.bool],
     v: wp.array2d[wp.int32],
-    gaps: wp.array2d[wp.int32],
+    gaps: wp.array[wp.int32],
     tall_units: int,
     first_grid: int,
     scratch_out: wp.array3d[wp.int32],
@@ -195,7 +195,7 @@ def linked_sets(
         z: Forward [depth units].
         kept: The points that take part.
         v: Rows of the image, for the grid's rows.
-        gaps: The largest steps in depth, within an obstacle and within a surface, by depth.
+        gaps: The largest step in depth within a surface, by depth.
         tall_units: Surfaces at least so high stand on their own [depth units]; 0: none does.
         first_grid: The slot of the grid's first pixel.
         scratch_out: ``(B, 2, N)``, what the kernel needs meanwhile.
