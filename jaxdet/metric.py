@@ -56,9 +56,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     obstacle are inside ("ensuring absolute safety for the robot", Section 3.5): points beyond AB
     or to the sides of A and B would be left out otherwise. ``margin_m`` is added on all sides.
 
-    With ``config.fitted``, ``direction`` and ``span`` are those of the rectangle itself and only the
-    margin is added; AB is the side whose middle is
-    nearest to the camera.
+    With ``config.fitted``, ``direction`` and ``span`` are those of the rectangle itself and only
+    the margin is added; AB is the side whose middle is nearest to the camera.
 
     Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
     forward it has no side away from the camera; the normal that points away from the camera's

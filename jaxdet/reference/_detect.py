@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.config import TRIM_SHARE, Config
+from jaxdet.config import Config
 from jaxdet.plane import depth_range, floor_frame, linear_table, ramp_rise
 from jaxdet.reference._align import align
 from jaxdet.reference._cells import cells
@@ -103,7 +103,8 @@ def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:
     xyz = np.stack([grid.x[b], grid.y[b], grid.z[b]]).astype(np.int64)
     right, forward, height = floor_frame(plane, b, xyz, unit)
     height = height - ramp_rise(plane, b, forward, unit)
-    return View(*xyz, right, forward, height, grid.in_view[b])
+    x, y, z = xyz
+    return View(x, y, z, right, forward, height, grid.in_view[b])
 
 
 def _corners(frames: Frames, plane: GroundPlane, config: Config) -> Features:
@@ -170,27 +171,28 @@ def _outlines(
     unit: float,
     config: Config,
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The obstacles measured on all of their cells, with contours and heights."""
+    """The obstacles, measured on their cells in the colour image, and outlined on all of them."""
     batch = len(found)
     flat = {k: getattr(grid, k).reshape(batch, -1) for k in "xyz"}
-    seen, none = flat["z"] > 0, np.zeros(batch, bool)
+    seen, none = grid.in_view.reshape(batch, -1), np.zeros(batch, bool)
     every = Features(flat["x"], flat["y"], **flat, valid=seen, kept=seen, overflow=none)
     label = np.stack([one.label.ravel() for one in found])
+    shown = np.where(seen, label, -1)
     count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
-    measured = footprint(every, Labels(label, count), plane, unit, config, slots=MAX_OBSTACLES)
+    measured = footprint(every, Labels(shown, count), plane, unit, config, slots=MAX_OBSTACLES)
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):
             own = one.label == number
-            shown = own & grid.in_view[b]
-            measured.uv_min[b, number] = grid.uv_min[b][shown].min(axis=0)
-            measured.uv_max[b, number] = grid.uv_max[b][shown].max(axis=0)
+            inside = own & grid.in_view[b]
+            measured.uv_min[b, number] = grid.uv_min[b][inside].min(axis=0)
+            measured.uv_max[b, number] = grid.uv_max[b][inside].max(axis=0)
             line = lines[b][0][number, : lines[b][1][number]]
             direction = fitted_direction(line)
             place = np.stack([one.view.right[own], one.view.forward[own]], axis=-1)
             measured.direction[b, number] = direction
-            measured.span[b, number] = fitted_span(place, direction, TRIM_SHARE * 4)
+            measured.span[b, number] = fitted_span(place, direction)
             heights[b, number] = one.view.height[own].min(), one.view.height[own].max()
     shape, used = (np.stack(part) for part in zip(*lines, strict=True))
     return measured, (shape, used, heights)

@@ -45,7 +45,8 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     Returns:
         ``(C, 2, 2)`` int32, where the floor begins and where it ends, right and forward in the
         ground frame [depth units], both the same where only an obstacle is seen and zero where
-        nothing is; distances are compared forward; and ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`).
+        nothing is; and ``(C,)`` int32, what ends it (:class:`jaxdet.types.FreeEnd`). Distances are
+        compared forward.
     """
     columns = view.label.shape[1]
     line, end = np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)

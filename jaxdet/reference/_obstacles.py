@@ -8,7 +8,6 @@ from jaxdet.config import ObstacleConfig
 from jaxdet.reference._components import components
 from jaxdet.reference._surfaces import renumbered
 
-
 TRIM = 20
 """Such a part of a surface's cells is passed over at each side when it is measured."""
 

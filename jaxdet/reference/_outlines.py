@@ -89,22 +89,17 @@ def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return along, table[:, :1] * y - table[:, 1:] * x, table
 
 
-def fitted_span(points: np.ndarray, direction: np.ndarray, trim: int) -> np.ndarray:
+def fitted_span(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The extremes of an obstacle's cells along and across a direction.
-
-    The outermost part of the cells at each side is passed over: silhouettes are smeared.
 
     Args:
         points: ``(n, 2)`` integer, right and forward [depth units].
         direction: ``(2,)`` integer.
-        trim: One of so many cells is passed over at each of the four sides.
 
     Returns:
         ``(4,)`` int64: least and largest along (dot product), least and largest across (cross
         product with the direction).
     """
     x, y = points.astype(np.int64).T
-    along = np.sort(direction[0] * x + direction[1] * y)
-    across = np.sort(direction[0] * y - direction[1] * x)
-    over = len(points) // trim
-    return np.array([along[over], along[-1 - over], across[over], across[-1 - over]])
+    along, across = direction[0] * x + direction[1] * y, direction[0] * y - direction[1] * x
+    return np.array([along.min(), along.max(), across.min(), across.max()])
