@@ -18,7 +18,7 @@ def bend(
     sensor: DepthSensor,
     rng: np.random.Generator,
     specimen: int,
-) -> tuple[np.ndarray | float, np.ndarray | bool]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Errors of the disparity that hang together, and where margins have no depth.
 
     The bow is ``bow f B / 4 m`` in the corners times a form that a camera keeps: a bowl and a
@@ -33,13 +33,12 @@ def bend(
         specimen: Which camera of its kind it is.
 
     Returns:
-        ``(H, W)`` float [pixel] and ``(H, W)`` bool; numbers where the sensor has none of it.
+        ``(H, W)`` float64 [pixel] and ``(H, W)`` bool.
     """
     own = np.random.default_rng([specimen, 5])
     y, x = (np.linspace(-1, 1, n) for n in shape)
     x, y = x[None, :], y[:, None]
-    error: np.ndarray | float = 0.0
-    torn: np.ndarray | bool = False
+    error, torn = np.zeros(shape), np.zeros(shape, bool)
     bowl, twist, tilt = own.choice([-1, 1]), *own.uniform(-1, 1, 2)
     sides = own.uniform(-0.3, 1.0, 2)
     if sensor.bow:
@@ -59,7 +58,7 @@ def bend(
 
 def misread(
     z: np.ndarray, surface: Surface, sensor: DepthSensor, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which surface is matched where floors mirror and panes are clear.
 
     Args:
@@ -69,9 +68,10 @@ def misread(
         rng: Random numbers.
 
     Returns:
-        ``(H, W)`` float, depth of what is matched [m]; ``(H, W)`` bool, no depth.
+        ``(H, W)`` float, depth of what is matched [m]; ``(H, W)`` bool, no depth; ``(H, W)`` bool,
+        a mirror image, which is matched however bare the floor is.
     """
-    lost = np.zeros(z.shape, bool)
+    lost, ghost = np.zeros((2, *z.shape), bool)
     if surface.mirrored is not None and sensor.reflection > 0:
         grazing = np.clip(1 - surface.facing, 0, 1) ** 2
         share = np.minimum(sensor.reflection * surface.gloss * grazing, 1)
@@ -83,4 +83,4 @@ def misread(
         pane = ~np.isnan(surface.behind)
         lost |= pane & chosen(sensor.pane_holes, patches(z.shape, sensor.blotch_px, rng))
         z = np.where(pane, surface.behind, z)
-    return z, lost
+    return z, lost, ghost

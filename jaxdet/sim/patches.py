@@ -28,4 +28,5 @@ def chosen(share: np.ndarray | float, values: np.ndarray) -> np.ndarray:
         values: Normal noise, as of :func:`patches`; its logistic is taken for its distribution,
             which is right to 0.01.
     """
-    return 1 / (1 + np.exp(-1.702 * values / max(float(values.std()), 1e-6))) < share
+    standard = (values - values.mean()) / max(float(values.std()), 1e-6)
+    return 1 / (1 + np.exp(-1.702 * standard)) < share

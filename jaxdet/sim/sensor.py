@@ -43,19 +43,19 @@ def measure_depth(
     """
     # What a default sensor draws does not depend on whether more is drawn.
     more = rng.spawn(1)[0]
-    opaque = np.zeros(z.shape, bool)
+    lost = ghost = np.zeros(z.shape, bool)
     if sensor.enabled and surface is not None:
-        z, opaque = misread(z, surface, sensor, more)
+        z, lost, ghost = misread(z, surface, sensor, more)
     seen = np.isfinite(z) & (z > 0)
     if sensor.enabled:
         constant = camera.fx * sensor.baseline_m
         ideal = np.divide(constant, z, out=np.zeros_like(z), where=seen)
         noise = sensor.noise_px * smooth_noise(z.shape, sensor.noise_size_px, rng)
-        lost = _dropouts(z.shape, sensor, rng) | opaque
+        lost = lost | _dropouts(z.shape, sensor, rng)
         if surface is not None and sensor.contrast > 0:
             quality = match_quality(surface, z, sensor.projector_lux)
             spots = patches(z.shape, 8, rng)
-            lost |= quality < sensor.contrast * np.exp2(0.7 * spots)
+            lost |= (quality < sensor.contrast * np.exp2(0.7 * spots)) & ~ghost
             noise *= 1 + np.minimum(sensor.contrast / np.maximum(quality, 1e-3), 1)
         ideal = fatten(ideal, sensor.fattening_px, rng)
         lost |= is_shadowed(ideal) | (ideal > sensor.max_disparity_px)

@@ -77,14 +77,14 @@ class DepthSensor:
         return replace(
             self,
             noise_px=self.noise_px * (1 + 0.5 * scale),
-            bow=self.bow + 0.025 * scale,
-            waves_px=self.waves_px + 0.06 * scale,
-            dropout=min(self.dropout + 0.045 * scale, 0.9),
+            bow=self.bow + 0.05 * scale,
+            waves_px=self.waves_px + 0.12 * scale,
+            dropout=min(self.dropout + 0.04 * scale, 0.9),
             blotch_px=self.blotch_px if scale == 0 else max(self.blotch_px, 14),
             margin=self.margin if scale == 0 else max(self.margin, 0.11),
-            margin_bend_px=self.margin_bend_px + 1.0 * scale,
+            margin_bend_px=self.margin_bend_px + 5.0 * scale,
             margin_dropout=min(self.margin_dropout + 0.4 * scale, 0.9),
-            reflection=min(self.reflection + 0.8 * scale, 1.0),
+            reflection=min(self.reflection + 0.5 * scale, 1.0),
         )
 
 
