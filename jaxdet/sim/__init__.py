@@ -7,7 +7,9 @@
 
 ``write_log(path, SimConfig(...))`` makes a ROS 2 MCAP file of it, ``load_truth(path)`` reads the
 truth beside it. ``sample_frames("mixed", seed=0, count=100, light="dim")`` draws single frames of a
-family of scenes, ``frame_truth(frame)`` has their truth.
+family of scenes, ``frame_truth(frame)`` has their truth, ``floor_truth(frame)`` where the floor can
+be driven on. ``sample_frames("corridor", 0, 100, depth_error=1.0, mount_pitch_error_rad=0.01)`` is
+harder: walls in range, a real camera's depth, a mount that is not as the log says.
 """
 
 from importlib import import_module

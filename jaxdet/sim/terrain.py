@@ -66,7 +66,7 @@ def drops(draft: Draft) -> Scene:
     )
     side = np.array([-np.sin(yaw), np.cos(yaw)])
     for _ in range(int(rng.integers(1, 3))):
-        # Clear of the edge, on the robot's side of it or well beyond.
+        # Clear of the edge, on the robot's side of it, or people who rise above it beyond.
         before = start > 1.7 and rng.random() < 0.6
         beyond = start + 0.6 + 0.32 * steps
         low, high = (1.0, start - 0.6) if before else (beyond, beyond + 1.5)
@@ -75,7 +75,8 @@ def drops(draft: Draft) -> Scene:
         x, y = (place + float(rng.uniform(-half, half)) * along * side).tolist()
         if all(np.hypot(x - a, y - b) > 0.5 + r for a, b, r in draft.taken):
             draft.taken.append((x, y, 0.25))
-            draft.thing(str(rng.choice(["box", "bin", "cone", "person", "pole", "bucket"])), x, y)
+            kinds = ["box", "bin", "cone", "person", "pole", "bucket"]
+            draft.thing(str(rng.choice(kinds)) if before else "person", x, y)
     outdoors = bool(rng.random() < 0.5)
     left, right, front = rng.uniform((1.3, 1.3, 5.0), (4.0, 4.0, 9.0)).tolist()
     walls = building(rng) if outdoors else room(inner_wall(rng), left, right, front)
