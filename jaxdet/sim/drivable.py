@@ -41,12 +41,13 @@ def floor_truth(frame: SimFrame) -> FloorTruth:
     """
     floor = frame.truth.kind == PixelKind.FLOOR
     points = frame.truth.points[floor]
-    free = _level(frame.scene.ground, points[:, 0], points[:, 1])
+    x, y = np.ascontiguousarray(points[:, :2].T)
+    free = _level(frame.scene.ground, x, y)
     heights, _, outlines = placed(frame.scene, frame.time_s if frame.scene.moves else 0.0)
     for outline in outlines[heights > STEP_M]:
         corners = outline[~np.isnan(outline[:, 0])].astype(np.float64)
-        low, high = corners.min(0), corners.max(0)
-        near = np.flatnonzero(((points[:, :2] >= low) & (points[:, :2] <= high)).all(1) & free)
+        (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
+        near = np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1) & free)
         free[near[_inside(points[near, :2], corners)]] = False
     drivable = np.zeros(floor.shape, bool)
     drivable[floor] = free
