@@ -12,7 +12,7 @@ from jaxdet.cli.run import RunCommand, parse
 from jaxdet.cli.settings import defaults
 from jaxdet.errors import ConfigError
 from jaxdet.presets import PRESETS
-from jaxdet.sim import SimConfig, write_log
+from jaxdet.sim import SimConfig, load_truth, write_log
 
 Captured = pytest.CaptureFixture[str]
 
@@ -168,6 +168,15 @@ def test_info_says_what_is_used_and_why(sim_log: Path, capsys: Captured) -> None
         assert part in text
     assert main(["info", str(sim_log), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["logs"][0]["frames"] == 2
+
+
+def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "hard.mcap"
+    args = ["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]
+    errors = ["--depth-error", "1", "--mount-pitch-error-rad", "0.02", "--rock-rad", "0.01"]
+    assert main([*args, "--scene", "corridor", *errors]) == 0
+    truth = load_truth(path)
+    assert truth.is_wall.sum() >= 3 and truth.camera_pitch[0] != pytest.approx(0.1745)
 
 
 def test_sim_writes_a_log_and_its_truth(tmp_path: Path, capsys: Captured) -> None:

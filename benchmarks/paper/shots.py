@@ -11,7 +11,7 @@ import zstandard
 
 from jaxdet.eval import FrameTruth, truth_of
 from jaxdet.plane import flat_plane
-from jaxdet.sim import SimConfig, SimFrame, frame_truth, sample_frames, simulate
+from jaxdet.sim import SimConfig, SimFrame, floor_truth, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
 from jaxdet.types import Calibration, Frames
 
@@ -51,7 +51,8 @@ class Shot(NamedTuple):
     """``(H, W)`` uint16 on the depth camera's rays."""
     calibration: Calibration
     mount: tuple[float, float, float]
-    """Height [m], pitch and roll [rad] of the colour camera, as a log's TF has them."""
+    """Height [m], pitch and roll [rad] of the colour camera, as a log's TF has them: without the
+    mount's errors, which ``T_world_camera`` has."""
     T_world_camera: np.ndarray
     """``(4, 4)`` float64."""
     truth: FrameTruth
@@ -144,6 +145,7 @@ def _shot(spec: Spec, frame: SimFrame) -> Shot:
             [0],
             frame.truth.obstacle_id[None],
             frame.truth.depth[None].astype(np.float16),
+            floor_truth(frame).drivable[None],
         ),
         tuple(truth.names.tolist()),
         frame.truth.height.astype(np.float16) if spec.heights else None,

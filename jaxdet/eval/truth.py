@@ -79,6 +79,9 @@ class FrameTruth(NamedTuple):
     depth_m: np.ndarray | None = None
     """``(B, H, W)`` float, z of what each colour pixel shows [m], inf where nothing is; without
     it a feature is of what its pixel shows, whatever depth was measured there."""
+    drivable: np.ndarray | None = None
+    """``(B, H, W)`` bool, the pixel truly shows floor that the robot can drive on, outside all
+    footprints."""
 
     def asked(self, config: EvalConfig) -> np.ndarray:
         """Which objects have to be found: ``(B, J)`` bool.
@@ -149,6 +152,7 @@ def truth_of(
     frames: np.ndarray | Sequence[int],
     obstacle_id: np.ndarray,
     depth_m: np.ndarray | None = None,
+    drivable: np.ndarray | None = None,
 ) -> FrameTruth:
     """The truth of some frames of a simulated log, outlines turned into the ground frame.
 
@@ -157,6 +161,7 @@ def truth_of(
         frames: ``(B,)`` integer, which of its frames.
         obstacle_id: ``(B, H, W)`` integer, their pictures of object numbers.
         depth_m: ``(B, H, W)`` float, their true depth [m], if known.
+        drivable: ``(B, H, W)`` bool, whether their pixels show floor to drive on, if known.
 
     Returns:
         All other parts filled.
@@ -177,6 +182,7 @@ def truth_of(
         to_ground_frame(outline, log.T_world_camera[which]),
         height,
         depth_m,
+        drivable,
     )
 
 

@@ -7,7 +7,9 @@
 
 ``write_log(path, SimConfig(...))`` makes a ROS 2 MCAP file of it, ``load_truth(path)`` reads the
 truth beside it. ``sample_frames("mixed", seed=0, count=100, light="dim")`` draws single frames of a
-family of scenes, ``frame_truth(frame)`` has their truth.
+family of scenes, ``frame_truth(frame)`` has their truth, ``floor_truth(frame)`` where the floor can
+be driven on. ``sample_frames("corridor", 0, 100, depth_error=1.0, mount_pitch_error_rad=0.01)`` is
+harder: walls in range, a real camera's depth, a mount that is not as the log says.
 """
 
 from importlib import import_module
@@ -15,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxdet.sim.config import SimConfig
+    from jaxdet.sim.drivable import EDGE_BEARINGS_RAD, FloorTruth, floor_edge, floor_truth
     from jaxdet.sim.exposure import LIGHTS, ColorSensor
-    from jaxdet.sim.families import DISTANCES_M, FAMILIES, make_scene
+    from jaxdet.sim.families import DISTANCES_M, FAMILIES, HARD_FAMILIES, make_scene
     from jaxdet.sim.frames import SimFrame, simulate
     from jaxdet.sim.record import write_log
     from jaxdet.sim.render import PixelKind, Rendering
@@ -24,11 +27,12 @@ if TYPE_CHECKING:
     from jaxdet.sim.scene import Scene
     from jaxdet.sim.scenefile import read_scene, write_scene
     from jaxdet.sim.scenes import SCENES, load_scene
-    from jaxdet.sim.sensor import DepthSensor
+    from jaxdet.sim.stereo import D435_LIKE, DepthSensor
     from jaxdet.sim.truth import (
         Truth,
         frame_truth,
         load_depths,
+        load_drivable,
         load_obstacle_ids,
         load_truth,
         to_camera,
@@ -36,20 +40,27 @@ if TYPE_CHECKING:
     )
 
 _HOMES = {
+    "D435_LIKE": "stereo",
     "DISTANCES_M": "families",
+    "EDGE_BEARINGS_RAD": "drivable",
     "FAMILIES": "families",
+    "FloorTruth": "drivable",
+    "HARD_FAMILIES": "families",
     "LIGHTS": "exposure",
     "SCENES": "scenes",
     "ColorSensor": "exposure",
-    "DepthSensor": "sensor",
+    "DepthSensor": "stereo",
     "PixelKind": "render",
     "Rendering": "render",
     "Scene": "scene",
     "SimConfig": "config",
     "SimFrame": "frames",
     "Truth": "truth",
+    "floor_edge": "drivable",
+    "floor_truth": "drivable",
     "frame_truth": "truth",
     "load_depths": "truth",
+    "load_drivable": "truth",
     "load_obstacle_ids": "truth",
     "load_scene": "scenes",
     "load_truth": "truth",
@@ -64,20 +75,27 @@ _HOMES = {
 }
 
 __all__ = [
+    "D435_LIKE",
     "DISTANCES_M",
+    "EDGE_BEARINGS_RAD",
     "FAMILIES",
+    "HARD_FAMILIES",
     "LIGHTS",
     "SCENES",
     "ColorSensor",
     "DepthSensor",
+    "FloorTruth",
     "PixelKind",
     "Rendering",
     "Scene",
     "SimConfig",
     "SimFrame",
     "Truth",
+    "floor_edge",
+    "floor_truth",
     "frame_truth",
     "load_depths",
+    "load_drivable",
     "load_obstacle_ids",
     "load_scene",
     "load_truth",

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet.errors import ConfigError
 from jaxdet.sim.exposure import ColorSensor, LightName
-from jaxdet.sim.sensor import DepthSensor
+from jaxdet.sim.stereo import DepthSensor
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_F, DEPTH_CX, DEPTH_CY = 384.5, 321.7, 236.8
@@ -28,8 +28,9 @@ class SimConfig:
 
     scene: str = "demo"
     """Scene: demo, empty, single_box, row, posts; drawn by the seed: people_and_vehicle,
-    roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue, low_things, pedestrian; or a
-    TOML or JSON file."""
+    roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue, low_things, pedestrian, and
+    the harder corridor, wall_in_range, room, low_clutter, drops, ramps, tables; or a TOML or JSON
+    file."""
     frames: int = 60
     """Number of colour frames."""
     seed: int = 0
@@ -55,8 +56,21 @@ class SimConfig:
     """Its downward tilt [rad]."""
     camera_roll_rad: float = 0.0175
     """Its roll, clockwise seen from behind [rad]."""
+    mount_pitch_error_rad: float = 0.0
+    """How much more the camera truly looks down than ``camera_pitch_rad``, which the log's TF has
+    [rad]."""
+    mount_roll_error_rad: float = 0.0
+    """How much more it is truly rolled than the TF says [rad]."""
+    mount_height_error_m: float = 0.0
+    """How much higher it truly is than the TF says [m]."""
+    rock_rad: float = 0.0
+    """Standard deviation of the true pitch and roll from frame to frame, which the TF doesn't have
+    [rad]."""
     sensor: DepthSensor = field(default_factory=DepthSensor)
     """Errors of the depth camera."""
+    depth_error: float = 0.0
+    """How much of a real camera's errors on real floors is added to ``sensor``
+    (:meth:`DepthSensor.with_errors`): 0 nothing, 1 as a D435."""
     exposure: ColorSensor = field(default_factory=ColorSensor)
     """The colour camera's chip, lens and processor."""
     light: LightName = "normal"
@@ -85,6 +99,10 @@ class SimConfig:
             "height": self.height >= 16,
             "camera-height-m": self.camera_height_m > 0,
             "camera-pitch-rad": abs(self.camera_pitch_rad) < 1.5,
+            "mount-pitch-error-rad": abs(self.camera_pitch_rad + self.mount_pitch_error_rad) < 1.5,
+            "mount-height-error-m": self.camera_height_m + self.mount_height_error_m > 0,
+            "rock-rad": 0 <= self.rock_rad < 0.3,
+            "depth-error": 0 <= self.depth_error <= 10,
             "distance-m": self.distance_m > 0,
             "slope-rad": abs(self.slope_rad or 0.0) < 0.5,
             "odometry-hz": self.odometry_hz >= 0,

@@ -4,13 +4,17 @@ import numpy as np
 
 from jaxdet.sim.looks import (
     CARTON,
+    CONCRETE,
     DARK_CASE,
+    HARD_FLOORS,
     HEDGE,
     INDOOR_FLOORS,
     OUTDOOR_FLOORS,
+    PAINT,
     POST,
     RED_CRATE,
     WALLS,
+    WET,
     WHITE_BOX,
     Texture,
     pick,
@@ -96,35 +100,59 @@ class Draft:
             clutter: Whether things may stand far away, or a hedge.
         """
         rng = self.rng
-        walls = _building(rng) if outdoors else _hall(rng)
+        walls = building(rng) if outdoors else _hall(rng)
         if clutter and rng.random() < 0.5:
             self._clutter(outdoors=outdoors, far=walls[1].start[0] if not outdoors else 6.0)
         floor = pick(rng, *(OUTDOOR_FLOORS if outdoors else INDOOR_FLOORS))
-        way, lift = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.25)
-        lamp = (float(np.cos(way) * np.cos(lift)), float(np.sin(way) * np.cos(lift)))
+        light = self._lamp()
         bumps = Ground(bump_m=float(rng.choice([0.0, 0.0, 0.006])), seed=int(rng.integers(1000)))
-        return Scene(
-            family,
-            tuple(self.boxes),
-            tuple(self.cylinders),
-            tuple(self.models),
-            walls,
-            floor,
-            bumps if outdoors else Ground(),
-            Light((*lamp, float(np.sin(lift)))),
-            _STANDING,
-        )
+        return self._scene(family, walls, floor, bumps if outdoors else Ground(), light)
+
+    def enclosed(
+        self, family: str, walls: tuple[Wall, ...], floor: Texture, ground: Ground | None = None
+    ) -> Scene:
+        """The scene with given walls and floor, and a lamp."""
+        return self._scene(family, walls, floor, ground or Ground(), self._lamp())
+
+    def _lamp(self) -> Light:
+        way, lift = self.rng.uniform(0, 2 * np.pi), self.rng.uniform(0.75, 1.25)
+        lamp = (float(np.cos(way) * np.cos(lift)), float(np.sin(way) * np.cos(lift)))
+        return Light((*lamp, float(np.sin(lift))))
+
+    def _scene(
+        self, family: str, walls: tuple[Wall, ...], floor: Texture, ground: Ground, light: Light
+    ) -> Scene:
+        things = tuple(self.boxes), tuple(self.cylinders), tuple(self.models)
+        return Scene(family, *things, walls, floor, ground, light, _STANDING)
 
 
-def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
-    left, right, front = rng.uniform((2.4, 2.4, 5.0), (4.5, 4.5, 8.0)).tolist()
-    look, back = pick(rng, *WALLS), -3.0
+def hard_floor(rng: np.random.Generator, *, outdoors: bool) -> Texture:
+    """A floor, in half of the draws (outdoors a third) one with little texture or a mirror."""
+    if outdoors:
+        return pick(rng, *OUTDOOR_FLOORS, WET, CONCRETE)
+    return pick(rng, *HARD_FLOORS) if rng.random() < 0.5 else pick(rng, *INDOOR_FLOORS)
+
+
+def inner_wall(rng: np.random.Generator) -> Texture:
+    """The look of a wall indoors, plain paint in two of five draws."""
+    return pick(rng, *WALLS, PAINT, PAINT)
+
+
+def room(look: Texture, left: float, right: float, front: float) -> tuple[Wall, ...]:
+    """Four walls around the robot, their middles at these distances [m]; names begin with wall."""
+    back = -3.0
     corners = [(back, -right), (front, -right), (front, left), (back, left)]
     pairs = zip(corners, [*corners[1:], corners[0]], strict=True)
     return tuple(Wall(a, b, 2.8, texture=look, name=f"wall {i}") for i, (a, b) in enumerate(pairs))
 
 
-def _building(rng: np.random.Generator) -> tuple[Wall, ...]:
+def _hall(rng: np.random.Generator) -> tuple[Wall, ...]:
+    left, right, front = rng.uniform((2.4, 2.4, 5.0), (4.5, 4.5, 8.0)).tolist()
+    return room(pick(rng, *WALLS), left, right, front)
+
+
+def building(rng: np.random.Generator) -> tuple[Wall, ...]:
+    """The front of a house, out of range."""
     far, turn = float(rng.uniform(9, 14)), float(rng.normal(0, 1.5))
     look = pick(rng, *WALLS)
     return (Wall((far + turn, -14.0), (far - turn, 14.0), 6.0, 0.3, look, name="building"),)

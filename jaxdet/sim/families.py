@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxdet.sim import indoors, terrain
 from jaxdet.sim.draft import Draft
 from jaxdet.sim.looks import POST, Texture, pick
 from jaxdet.sim.scene import Cylinder, Model, Path, Scene
@@ -127,6 +128,21 @@ def _pedestrian(draft: Draft, distance_m: float) -> Scene:
     return replace(scene, path=Path(length=1.6, speed=0.4, weave=0.05))
 
 
+def _fixed(draw: Callable[[Draft], Scene]) -> Callable[[Draft, float], Scene]:
+    return lambda draft, distance_m: draw(draft)
+
+
+_HARD: dict[str, Callable[[Draft], Scene]] = {
+    "corridor": indoors.corridor,
+    "wall_in_range": indoors.wall_in_range,
+    "room": indoors.furnished,
+    "low_clutter": terrain.low_clutter,
+    "drops": terrain.drops,
+    "ramps": terrain.ramps,
+    "tables": indoors.tables,
+}
+HARD_FAMILIES = tuple(_HARD)
+"""Families with walls in range, low things, steps down, ramps; plain and mirroring floors."""
 _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "people_and_vehicle": _people_and_vehicle,
     "roadblocks": _roadblocks,
@@ -138,9 +154,10 @@ _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "queue": _queue,
     "low_things": _low_things,
     "pedestrian": _pedestrian,
+    **{name: _fixed(draw) for name, draw in _HARD.items()},
 }
 FAMILIES = tuple(_FAMILIES)
-"""Names of the families."""
+"""Names of all families."""
 
 
 def make_scene(family: str, seed: int, distance_m: float = 2.0) -> Scene:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from jaxdet.plane import flat_plane
 from jaxdet.sim.config import SimConfig, calibration_of
 from jaxdet.sim.exposure import LIGHTS, expose, reflectance_of
 from jaxdet.sim.ground import standing
@@ -14,7 +15,7 @@ from jaxdet.sim.robot import mount, pose_at, velocity_at
 from jaxdet.sim.scene import Scene
 from jaxdet.sim.scenes import scene_of
 from jaxdet.sim.sensor import Surface, measure_depth
-from jaxdet.types import Intrinsics
+from jaxdet.types import GroundPlane, Intrinsics
 
 
 class SimFrame(NamedTuple):
@@ -43,6 +44,20 @@ class SimFrame(NamedTuple):
     """How."""
     time_s: float
     """Since the first frame [s]."""
+    mount: tuple[float, float, float]
+    """True height [m], pitch and roll [rad] of the colour camera over the base."""
+
+    @property
+    def plane(self) -> GroundPlane:
+        """The floor, ``B`` = 1, as the log's TF has it: without the mount's errors."""
+        config = self.config
+        told = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
+        return flat_plane(*(np.array([value]) for value in told))
+
+    @property
+    def true_plane(self) -> GroundPlane:
+        """The floor under the robot, ``B`` = 1, as it is."""
+        return flat_plane(*(np.array([value]) for value in self.mount))
 
 
 def simulate(config: SimConfig) -> Iterator[SimFrame]:
@@ -68,7 +83,8 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     calibration = calibration_of(config)
     time_s = index / config.rate_hz
     T_world_base = base_pose(scene, time_s)
-    T_world_color = T_world_base @ _mount(config)
+    mounted = true_mount(config, index)
+    T_world_color = T_world_base @ mount(*mounted)
     truth = look(config, scene, calibration.color, T_world_color, time_s)
     light, cos_floor = LIGHTS[config.light], _cos_floor(scene)
     turn = abs(velocity_at(scene.path, time_s)[1]) if scene.path.length > 0 else 0.0
@@ -81,7 +97,7 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     if config.depth_form != "aligned":
         assert calibration.depth is not None and calibration.color_from_depth is not None
         later = time_s + config.depth_delay_s
-        T = base_pose(scene, later) @ _mount(config) @ calibration.color_from_depth.T
+        T = base_pose(scene, later) @ mount(*mounted) @ calibration.color_from_depth.T
         view = look(config, scene, calibration.depth, T, later, shadows=False)
         depth = _measure(view, calibration.depth, config, _rng(config, index, 1))
     if config.depth_form in ("aligned", "both"):
@@ -90,7 +106,7 @@ def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:
     delay_ns = round(config.depth_delay_s * 1e9)
     return SimFrame(
         index, stamp_ns, stamp_ns + delay_ns, color, depth, aligned, T_world_color, T_world_base,
-        truth, scene, config, time_s,
+        truth, scene, config, time_s, mounted,
     )  # fmt: skip
 
 
@@ -121,15 +137,27 @@ def _measure(
     view: Rendering, camera: Intrinsics, config: SimConfig, rng: np.random.Generator
 ) -> np.ndarray:
     """The depth image; the infrared cameras see the surfaces in even light."""
-    if not config.sensor.enabled:
-        return measure_depth(view.depth, camera, config.sensor, rng)
+    sensor = config.sensor.with_errors(config.depth_error) if config.depth_error else config.sensor
+    if not sensor.enabled:
+        return measure_depth(view.depth, camera, sensor, rng)
     reflectance = cv2.cvtColor(reflectance_of(view.color), cv2.COLOR_RGB2GRAY)
-    surface = Surface(reflectance, view.gloss, view.light[..., 2], LIGHTS[config.light].lux)
-    return measure_depth(view.depth, camera, config.sensor, rng, surface)
+    gloss = view.gloss if view.behind is None else np.where(np.isnan(view.behind), view.gloss, 0)
+    lux = LIGHTS[config.light].lux
+    surface = Surface(reflectance, gloss, view.light[..., 2], lux, view.mirrored, view.behind)
+    return measure_depth(view.depth, camera, sensor, rng, surface, specimen=config.seed)
 
 
-def _mount(config: SimConfig) -> np.ndarray:
-    return mount(config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad)
+def true_mount(config: SimConfig, index: int) -> tuple[float, float, float]:
+    """Height [m], pitch and roll [rad] of the colour camera in a frame: what the configuration
+    says, its errors, and how the robot rocks."""  # noqa: D205, D209
+    pitch, roll = 0.0, 0.0
+    if config.rock_rad:
+        pitch, roll = (config.rock_rad * _rng(config, index, 3).standard_normal(2)).tolist()
+    return (
+        config.camera_height_m + config.mount_height_error_m,
+        config.camera_pitch_rad + config.mount_pitch_error_rad + pitch,
+        config.camera_roll_rad + config.mount_roll_error_rad + roll,
+    )
 
 
 def _cos_floor(scene: Scene) -> float:

@@ -8,6 +8,8 @@ from jaxdet.sim.scene import Ground
 
 EXTENT_M = 60.0
 """Half the side of the floor [m]."""
+RISER_M = 1e-5
+"""Half of what the side of a step takes along the floor [m]."""
 _ALONG = np.arange(-5.0, 14.0, 0.08)
 _ACROSS = np.arange(-7.0, 7.0, 0.08)
 """The bumpy part of the floor, along and across the slope [m]."""
@@ -33,6 +35,8 @@ def ground_height(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
             k = 2 * np.pi / (ground.bump_size_m * rng.uniform(0.7, 1.4))
             wave = np.sin(k * (np.cos(way) * x + np.sin(way) * y) + phase)
             height = height + depth / waves * wave
+    for edge in ground.edges_m:
+        height = height - ground.drop_m * (a > edge)
     return height
 
 
@@ -45,7 +49,8 @@ def floor_mesh(ground: Ground, look: Texture) -> Mesh:
     lines = np.array([-EXTENT_M, EXTENT_M])
     start, length = ground.slope_start_m, ground.slope_length_m
     ramp = [start, start + length] if ground.slope_rad else []
-    along = np.unique(np.clip([*lines, *ramp], -EXTENT_M, EXTENT_M))
+    steps = [edge + side * RISER_M for edge in ground.edges_m for side in (-1, 1)]
+    along = np.unique(np.clip([*lines, *ramp, *steps], -EXTENT_M, EXTENT_M))
     across = lines
     if ground.bump_m:
         along, across = np.union1d(along, _ALONG), np.union1d(across, _ACROSS)

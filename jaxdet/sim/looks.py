@@ -32,7 +32,10 @@ class Texture:
     grain: float = 3.0
     """Fine variation, standard deviation [grey levels]."""
     gloss: float = 0.0
-    """How much of a mirror it is, 0 to 1: highlights for colour, holes for depth."""
+    """How much of a mirror it is, 0 to 1: highlights for colour, holes for depth; a level floor
+    with gloss shows what stands on it upside down."""
+    clear: float = 0.0
+    """How much of what is behind it is seen, 0 to 1; depth is measured through it."""
 
 
 TILES = Texture("tiles", color=(150, 146, 138), accent=(70, 68, 66), size_m=0.4, grain=3.0)
@@ -57,6 +60,17 @@ HEDGE = Texture("grass", color=(34, 56, 28), accent=(96, 120, 60), size_m=0.12, 
 BRICK_WALL = Texture("brick", color=(150, 84, 66), accent=(178, 170, 160), size_m=0.16, grain=5.0)
 CONCRETE = Texture("noise", color=(150, 150, 148), accent=(130, 130, 128), size_m=0.8, grain=3.0)
 
+PLAIN_FLOOR = Texture("plain", color=(142, 142, 138), grain=0.8)
+SCREED = Texture("noise", color=(128, 128, 124), accent=(116, 116, 112), size_m=1.2, grain=1.0)
+EPOXY = Texture("plain", color=(120, 126, 128), grain=0.6, gloss=0.35)
+LINOLEUM = Texture("noise", (136, 126, 108), (120, 110, 94), size_m=0.6, grain=1.5, gloss=0.25)
+POLISHED = Texture("tiles", (176, 172, 166), (134, 130, 126), size_m=0.6, grain=1.5, gloss=0.45)
+PAINT = Texture("plain", color=(186, 182, 172), grain=1.0)
+WET = Texture("asphalt", (62, 62, 64), (120, 120, 122), size_m=0.25, grain=4.0, gloss=0.4)
+DOOR = Texture("plain", color=(146, 112, 78), grain=2.0)
+CLEAR_GLASS = Texture("plain", color=(150, 160, 160), grain=0.5, gloss=0.3, clear=0.85)
+
+HARD_FLOORS = (PLAIN_FLOOR, SCREED, EPOXY, LINOLEUM, POLISHED)
 INDOOR_FLOORS = (TILES, WOOD, CARPET, CHECKERED, MOSAIC, MARKED)
 OUTDOOR_FLOORS = (ASPHALT, PAVING, MARKED, GRASS)
 WALLS = (PLASTER, BRICK_WALL, CONCRETE)

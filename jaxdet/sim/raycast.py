@@ -59,6 +59,7 @@ class Caster:
         index = [np.array([looks.index(k) for k in w.mesh.looks], np.int32) for w in worlds]
         look_of = np.concatenate([i[w.mesh.look] for i, w in zip(index, worlds, strict=True)])
         self.gloss = np.array([look.gloss for look in looks], np.float32)[look_of]
+        self.clear = np.array([look.clear for look in looks], np.float32)[look_of]
         corners = np.concatenate([world.mesh.corners for world in worlds])
         kinds = tuple(sorted({look.kind for look in looks}))
         self._arrays = (

@@ -10,7 +10,7 @@ from jaxdet.sim.exposure import LIGHTS, LightName
 from jaxdet.sim.ground import ground_height
 from jaxdet.sim.raycast import Caster, View
 from jaxdet.sim.scene import Ground, Scene
-from jaxdet.sim.world import world_at
+from jaxdet.sim.world import Part, world_at
 from jaxdet.types import Intrinsics
 
 
@@ -43,6 +43,12 @@ class Rendering(NamedTuple):
     """``(H, W, 3)`` float64, world [m]; not finite where nothing is hit."""
     ground: Ground
     """The floor's shape."""
+    mirrored: np.ndarray | None = None
+    """``(H, W)`` float64, z of what a floor with gloss mirrors, as if it were below the floor [m];
+    inf where that is nothing, NaN where no floor is seen; None: the floor doesn't mirror."""
+    behind: np.ndarray | None = None
+    """``(H, W)`` float64, z of what is behind clear panes [m], inf where that is nothing, NaN where
+    no pane is seen; None: the scene has no clear pane. All else is that of the pane itself."""
 
     @property
     def height(self) -> np.ndarray:
@@ -77,17 +83,35 @@ def render(
         light: The light, which sets how soft shadows are; None: no light is computed.
         device: Warp's name of the device that casts the rays.
     """
-    caster = caster_of(scene, time_s if scene.moves else 0.0, seed, device)
+    when = time_s if scene.moves else 0.0
+    caster = caster_of(scene, when, seed, device)
     softness = LIGHTS[light].softness if light else 0.0
     samples = LIGHTS[light].samples if light else 0
     view = View(T_world_camera, scene.light.direction, softness)
     face, depth, color, shine = (a[0] for a in caster.look(camera, [view], samples))
     seen = face >= 0
+    gloss = np.where(seen, caster.gloss[face], np.float32(0))
     number = np.where(seen, caster.object_of[face], 0).astype(np.uint8)
     kinds = np.full(len(scene.objects) + 1, PixelKind.OBSTACLE, np.uint8)
     kinds[0] = PixelKind.FLOOR
     kinds[len(kinds) - len(scene.walls) :] = PixelKind.WALL
     color[~seen] = scene.background
+    mirrored = behind = None
+    if _mirrors(scene):
+        flipped = view._replace(T_world_camera=np.diag([1.0, 1.0, -1.0, 1.0]) @ T_world_camera)
+        ghost = caster_of(scene, when, seed, device, "things").look(camera, [flipped])
+        floor = seen & (number == 0)
+        mirrored = np.where(floor, ghost.depth[0], np.nan)
+        share = np.where(floor, gloss * (1 - shine[..., 2]) ** 2, 0)[..., None]
+        image = np.where(ghost.face[0][..., None] >= 0, ghost.color[0], scene.background)
+        color = (color + share * (image - color)).astype(np.float32)
+    clear = np.where(seen, caster.clear[face], np.float32(0))
+    if clear.any():
+        back = caster_of(scene, when, seed, device, "opaque").look(camera, [view], samples)
+        behind = np.where(clear > 0, back.depth[0], np.nan)
+        image = np.where(back.face[0][..., None] >= 0, back.color[0], scene.background)
+        color = color + clear[..., None] * (image - color).astype(np.float32)
+        shine = shine + clear[..., None] * (back.light[0] - shine)
     v, u = np.mgrid[: camera.height, : camera.width]
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)])
     with np.errstate(invalid="ignore"):
@@ -96,16 +120,24 @@ def render(
     return Rendering(
         color=color,
         light=shine,
-        gloss=np.where(seen, caster.gloss[face], np.float32(0)),
+        gloss=gloss,
         depth=depth,
         obstacle_id=number,
         kind=np.where(seen, kinds[number], PixelKind.NOTHING).astype(np.uint8),
         points=points,
         ground=scene.ground,
+        mirrored=mirrored,
+        behind=behind,
     )
 
 
-@lru_cache(maxsize=2)
-def caster_of(scene: Scene, time_s: float, seed: int, device: str) -> Caster:
-    """The scene at a time on a device, ready to be looked at."""
-    return Caster([world_at(scene, time_s)], seed, device)
+def _mirrors(scene: Scene) -> bool:
+    """Whether the floor is a mirror: it has gloss and is level, and something stands on it."""
+    level = scene.ground == Ground(seed=scene.ground.seed)
+    return scene.floor.gloss > 0 and level and bool(scene.objects)
+
+
+@lru_cache(maxsize=4)
+def caster_of(scene: Scene, time_s: float, seed: int, device: str, part: Part = "all") -> Caster:
+    """The scene, or a part of it, at a time on a device, ready to be looked at."""
+    return Caster([world_at(scene, time_s, part)], seed, device)

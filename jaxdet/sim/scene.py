@@ -97,7 +97,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Ground:
-    """The floor's shape: level, a ramp, bumps."""
+    """The floor's shape: level, a ramp, bumps, steps down."""
 
     slope_rad: float = 0.0
     """Rise of the ramp [rad], negative goes down."""
@@ -114,6 +114,27 @@ class Ground:
     """About how long a bump and the hollow after it are [m]."""
     seed: int = 0
     """Where the bumps are."""
+    drop_m: float = 0.0
+    """How far the floor steps down [m]; a floor that ends is a great one."""
+    drop_start_m: float = 2.0
+    """Where it does, along ``slope_yaw`` from the origin [m]."""
+    drop_steps: int = 1
+    """Number of steps down, each by ``drop_m``: stairs."""
+    drop_tread_m: float = 0.3
+    """From one of them to the next [m]."""
+
+    def __post_init__(self) -> None:
+        if self.drop_m < 0 or self.drop_steps < 1 or self.drop_tread_m <= 0:
+            raise ConfigError(
+                "the floor's steps go down, and there is at least one",
+                remedy="use drop_m >= 0, drop_steps >= 1, drop_tread_m > 0",
+            )
+
+    @property
+    def edges_m(self) -> tuple[float, ...]:
+        """Where the floor steps down, along ``slope_yaw`` from the origin [m]."""
+        steps = range(self.drop_steps if self.drop_m else 0)
+        return tuple(self.drop_start_m + k * self.drop_tread_m for k in steps)
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,15 @@
 """The truth of a simulated log, kept beside it as ``<log>.truth.npz``.
 
 The file holds the arrays of :class:`Truth` under their names, and for each frame ``i`` the
-obstacle number of each colour pixel, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``, and its
-depth, ``(H, W)`` float16 [m], inf where nothing is, as ``depth_<i, six digits>``. Any NumPy reads
-it: ``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
+obstacle number of each colour pixel, ``(H, W)`` uint8, as ``obstacle_id_<i, six digits>``, its
+depth, ``(H, W)`` float16 [m], inf where nothing is, as ``depth_<i, six digits>``, and whether it
+shows floor to drive on, ``(H, W)`` bool, as ``drivable_<i, six digits>``. Any NumPy reads it:
+``np.load("demo.mcap.truth.npz")["obstacle_id_000000"]``.
 """
 
 import io
 import zipfile
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,11 +17,12 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.sim.config import SimConfig
+from jaxdet.sim.drivable import floor_edge, floor_truth
 from jaxdet.sim.frames import SimFrame, simulate_frame
-from jaxdet.sim.ground import ground_height
+from jaxdet.sim.placed import placed
 from jaxdet.sim.robot import ground_frame
 from jaxdet.sim.scene import Scene
-from jaxdet.sim.world import OUTLINE_CORNERS, STEP_M, bounds, heading, object_mesh, outline
+from jaxdet.sim.world import STEP_M
 
 
 class Truth(NamedTuple):
@@ -36,11 +37,12 @@ class Truth(NamedTuple):
     T_world_camera: np.ndarray
     """``(F, 4, 4)`` float64, colour optical frame to world, exact."""
     camera_height: np.ndarray
-    """``(F,)`` float64 [m]."""
+    """``(F,)`` float64, over the base, with the mount's errors that the log's TF doesn't have
+    [m]."""
     camera_pitch: np.ndarray
-    """``(F,)`` float64 [rad]."""
+    """``(F,)`` float64, likewise [rad]."""
     camera_roll: np.ndarray
-    """``(F,)`` float64 [rad]."""
+    """``(F,)`` float64, likewise [rad]."""
     names: np.ndarray
     """``(J,)`` str, the objects' names; models have their kind's, as ``person`` or ``cone``."""
     is_wall: np.ndarray
@@ -64,6 +66,11 @@ class Truth(NamedTuple):
     [m]; forward is the distance of its nearest face."""
     ground_max: np.ndarray
     """``(F, J, 2)`` float32, largest right, forward of the same [m]."""
+    edge_m: np.ndarray
+    """``(F, 81)`` float32, distance from the camera's foot to where the floor steps down, along the
+    bearings ``EDGE_BEARINGS_RAD`` (-40 to 40 degrees, clockwise) [m]; NaN where it goes on."""
+    edge_seen: np.ndarray
+    """``(F, 81)`` bool, whether the colour camera sees that edge."""
 
 
 def truth_path(log: str | Path) -> Path:
@@ -90,6 +97,7 @@ class TruthWriter:
         self._rows.append(frame_truth(frame))
         self._put(f"obstacle_id_{frame.number:06d}", frame.truth.obstacle_id)
         self._put(f"depth_{frame.number:06d}", frame.truth.depth.astype(np.float16))
+        self._put(f"drivable_{frame.number:06d}", floor_truth(frame).drivable)
 
     def finish(self) -> Truth:
         """Write the rest and close the file."""
@@ -123,20 +131,21 @@ _OF_LOG = ("names", "is_wall")
 
 def frame_truth(frame: SimFrame) -> Truth:
     """The truth of one frame, ``F`` = 1."""
-    scene, config = frame.scene, frame.config
-    shapes = _placed(scene, frame.time_s if scene.moves else 0.0)
+    scene = frame.scene
+    shapes = placed(scene, frame.time_s if scene.moves else 0.0)
     extents = visible_extents(frame, len(scene.objects))
+    height, pitch, roll = (np.array([value]) for value in frame.mount)
     return Truth(
         np.array([frame.stamp_ns], np.int64),
         frame.T_world_color[None],
-        np.array([config.camera_height_m]),
-        np.array([config.camera_pitch_rad]),
-        np.array([config.camera_roll_rad]),
+        height,
+        pitch,
+        roll,
         np.array(
             [getattr(o, "name", "") or getattr(o, "kind", "") for o in scene.objects], np.str_
         ),
         np.arange(len(scene.objects)) >= len(scene.objects) - len(scene.walls),
-        *(array[None] for array in (*shapes, *extents)),
+        *(array[None] for array in (*shapes, *extents, *floor_edge(frame))),
     )
 
 
@@ -146,24 +155,6 @@ def empty_truth(config: SimConfig, scene: Scene) -> Truth:
     truth = frame_truth(simulate_frame(tiny, scene, 0))
     arrays = truth._asdict().items()
     return Truth(**{name: a if name in _OF_LOG else a[:0] for name, a in arrays})
-
-
-@lru_cache(maxsize=4)
-def _placed(scene: Scene, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights, boxes and outlines of all objects at a time, as in :class:`Truth`."""
-    count = len(scene.objects)
-    heights = np.zeros(count, np.float32)
-    boxes = np.zeros((count, 8, 3), np.float32)
-    outlines = np.full((count, OUTLINE_CORNERS, 2), np.nan, np.float32)
-    for j in range(count):
-        mesh = object_mesh(scene, j, time_s)
-        boxes[j] = bounds(mesh, heading(scene, j, time_s))
-        x, y = boxes[j, :4, :2].mean(0)
-        floor_z = float(ground_height(scene.ground, x, y))
-        around = outline(mesh, floor_z)
-        outlines[j, : len(around)] = around
-        heights[j] = boxes[j, 4, 2] - floor_z
-    return heights, boxes, outlines
 
 
 def to_camera(T_world_camera: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -206,8 +197,8 @@ def load_truth(log: str | Path) -> Truth:
     try:
         with np.load(path) as arrays:
             truth = Truth(*(arrays[name] for name in Truth._fields))
-            if len(truth.stamp_ns) and "depth_000000" not in arrays:
-                raise KeyError("depth_000000")
+            if len(truth.stamp_ns) and "drivable_000000" not in arrays:
+                raise KeyError("drivable_000000")
             return truth
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         remedy = "only logs of jaxdet sim have one; those of older versions have to be made again"
@@ -222,6 +213,11 @@ def load_obstacle_ids(log: str | Path, frames: np.ndarray | list[int]) -> np.nda
 def load_depths(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
     """The true z of what each colour pixel of some frames shows, ``(B, H, W)`` float16 [m]."""
     return _load_images(log, "depth", frames)
+
+
+def load_drivable(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
+    """Which colour pixels of some frames show floor to drive on, ``(B, H, W)`` bool."""
+    return _load_images(log, "drivable", frames)
 
 
 def _load_images(log: str | Path, name: str, frames: np.ndarray | list[int]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A scene at one time as one triangle mesh, each triangle with its object."""
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,6 +22,10 @@ _WALL_FOOT_M = 1.5
 """How far walls go down below z = 0 where the ground is not level [m]."""
 
 
+Part = Literal["all", "opaque", "things"]
+"""What of a world is looked at: all; without clear panes; without the floor."""
+
+
 class World(NamedTuple):
     """A scene at one time."""
 
@@ -31,9 +35,16 @@ class World(NamedTuple):
     """``(F,)`` int32, number of the object of each triangle, 0 = floor."""
 
 
-def world_at(scene: Scene, time_s: float) -> World:
-    """The world at a time since the first frame; cached where nothing moves."""
-    return _world(scene, time_s if scene.moves else 0.0)
+def world_at(scene: Scene, time_s: float, part: Part = "all") -> World:
+    """The world, or a part of it, at a time since the first frame; cached where nothing moves."""
+    world = _world(scene, time_s if scene.moves else 0.0)
+    if part == "all":
+        return world
+    mesh, object_of = world
+    clear = np.array([look.clear > 0 for look in mesh.looks])[mesh.look]
+    kept = ~clear if part == "opaque" else object_of > 0
+    faces = (mesh.corners[kept], mesh.normals[kept], mesh.places[kept], mesh.look[kept])
+    return World(Mesh(*faces, mesh.looks), object_of[kept])
 
 
 @lru_cache(maxsize=4)
@@ -48,8 +59,9 @@ def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
     """The mesh of object ``j`` (from 0) in the world at a time."""
     thing = scene.objects[j]
     if isinstance(thing, Wall):
-        foot = _WALL_FOOT_M if scene.ground.slope_rad or scene.ground.bump_m else 0.0
-        return _box(thing.box, foot)
+        ground = scene.ground
+        foot = _WALL_FOOT_M if ground.slope_rad or ground.bump_m or ground.drop_m else 0.0
+        return _box(thing.box, foot + ground.drop_m * ground.drop_steps)
     if isinstance(thing, Box):
         mesh, (x, y) = _box(thing, 0.0), thing.center
     elif isinstance(thing, Cylinder):

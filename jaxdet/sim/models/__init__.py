@@ -10,13 +10,13 @@ import numpy as np
 
 from jaxdet.errors import ConfigError
 from jaxdet.sim.mesh import Mesh
-from jaxdet.sim.models.furniture import chair, table
+from jaxdet.sim.models.furniture import chair, round_table, sofa, table
 from jaxdet.sim.models.low import LOW_THINGS, low_thing
 from jaxdet.sim.models.outdoors import street_light, tree_trunk
 from jaxdet.sim.models.people import STRIDE_M, standing_person, walking_person
 from jaxdet.sim.models.roadworks import barrier, cone
 from jaxdet.sim.models.vehicle import vehicle
-from jaxdet.sim.models.vessels import bin_with_lid, bucket
+from jaxdet.sim.models.vessels import bin_with_lid, bucket, cable_drum
 
 _BUILDERS: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
     "person": standing_person,
@@ -31,10 +31,16 @@ _BUILDERS: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
     "table": table,
     "chair": chair,
 }
+_LATER: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
+    "sofa": sofa,
+    "round_table": round_table,
+    "cable_drum": cable_drum,
+}
+"""After the low things: a model's place among all draws it."""
 
 __all__ = ["KINDS", "LOW_THINGS", "STRIDE_M", "build_model"]
 
-KINDS = (*_BUILDERS, *LOW_THINGS)
+KINDS = (*_BUILDERS, *LOW_THINGS, *_LATER)
 """Names of the models."""
 
 
@@ -54,4 +60,4 @@ def build_model(kind: str, seed: int, phase: float = 0.0) -> Mesh:
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     if kind in LOW_THINGS:
         return low_thing(kind, rng)
-    return _BUILDERS[kind](rng, phase)
+    return {**_BUILDERS, **_LATER}[kind](rng, phase)

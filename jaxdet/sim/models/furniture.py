@@ -1,14 +1,15 @@
-"""Tables and chairs.
+"""Tables, chairs, sofas.
 
 Tables: EN 527-1 and EN 15372, tops 0.72-0.76 m high, 1.0-1.6 by 0.6-0.8 m. Chairs: EN 1335 and
-EN 16139, seats 0.43-0.47 m high and 0.40-0.46 m wide, backs up to 0.80-0.90 m.
+EN 16139, seats 0.43-0.47 m high and 0.40-0.46 m wide, backs up to 0.80-0.90 m. Sofas and round
+tables: sizes of a furniture house's catalogue.
 """
 
 import numpy as np
 
 from jaxdet.sim.looks import BLACK, CHROME, STEEL, WOOD, Texture, pick, tinted
 from jaxdet.sim.mesh import Mesh, join
-from jaxdet.sim.shapes import box, tube
+from jaxdet.sim.shapes import box, circle, fan, lathe, tube
 
 SEATS = ((40, 42, 46), (30, 60, 110), (150, 40, 40), (190, 160, 120))
 
@@ -47,4 +48,35 @@ def chair(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
         parts.append(tube(rear, [radius] * 3, frame, 10))
     lean = np.array([-a - 0.035, 0.0, back - 0.30])
     parts.append(box((0.03, width - 0.03, 0.28), cover, tuple(lean.tolist())))
+    return join(parts)
+
+
+def round_table(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
+    """A round table on one column and a flat foot."""
+    del phase
+    radius, height = rng.uniform((0.30, 0.70), (0.45, 0.76)).tolist()
+    top, column = pick(rng, WOOD, Texture("plain", (214, 212, 206))), pick(rng, BLACK, STEEL)
+    plate = [(radius, height - 0.028), (radius, height)]
+    post = [(0.26, 0.0), (0.26, 0.012), (0.04, 0.03), (0.04, height - 0.028)]
+    lids = [fan(circle(radius, z), top) for z in (height - 0.028, height)]
+    return join([lathe(plate, top), *lids, lathe(post, column)])
+
+
+def sofa(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
+    """A sofa or armchair with arms; its back at -x."""
+    del phase
+    length, depth, seat, back = rng.uniform((0.8, 0.75, 0.38, 0.70), (2.0, 0.90, 0.45, 0.90))
+    r, g, b = tinted(rng, SEATS[int(rng.integers(4))], 12)
+    cover = Texture("cloth", (r, g, b), (r // 2, g // 2, b // 2), 0.4, 4.0)
+    arm, foot = 0.14, float(rng.choice([0.0, 0.05, 0.12]))
+    parts = [
+        box((depth, length, seat - foot), cover, (0, 0, foot)),
+        box((0.2, length, back - seat), cover, (-depth / 2 + 0.1, 0, seat)),
+    ]
+    for y in (-1, 1):
+        place = (0.0, y * (length / 2 + arm / 2), foot)
+        parts.append(box((depth, arm, seat + 0.18 - foot), cover, place))
+        for x in (-1, 1):
+            corner = (x * (depth / 2 - 0.06), y * (length / 2 - 0.06), 0.0)
+            parts.append(box((0.05, 0.05, max(foot, 0.01)), BLACK, corner))
     return join(parts)

@@ -1,13 +1,13 @@
-"""Buckets and bins.
+"""Buckets, bins, cable drums.
 
 Buckets: household and builder's buckets hold 10-20 l, 0.26-0.36 m across the rim, 0.25-0.34 m
 high. Bins: pedal and office bins 0.3-0.7 m high; wheeled bins of EN 840-1, 120 l: 0.48 x 0.55 x
-0.93 m.
+0.93 m. Cable drums: of 0.1-0.2 m, of plastic or plywood.
 """
 
 import numpy as np
 
-from jaxdet.sim.looks import BLACK, STEEL, Texture, tinted
+from jaxdet.sim.looks import BLACK, STEEL, WOOD, Texture, tinted
 from jaxdet.sim.mesh import Mesh, join, sheet
 from jaxdet.sim.shapes import box, circle, cylinder, fan, lathe, tube
 
@@ -74,3 +74,17 @@ def _taper(
     high = np.column_stack([signs * (high_x, high_y), np.full(4, height)])
     order = [0, 1, 2, 3, 0]
     return sheet(np.array([low[order], high[order]]), look)
+
+
+def cable_drum(rng: np.random.Generator, phase: float = 0.0) -> Mesh:
+    """A drum of cable that lies on one of its discs."""
+    del phase
+    radius, height = rng.uniform((0.08, 0.06), (0.16, 0.20)).tolist()
+    disc = WOOD if rng.random() < 0.5 else Texture("plain", tinted(rng, (40, 40, 42), 20))
+    cable = Texture("stripes", tinted(rng, (170, 60, 40), 40), (60, 24, 20), 0.012, 2.0)
+    thick, core = 0.008, radius * float(rng.uniform(0.6, 0.9))
+    parts = [lathe([(core, thick), (core, height - thick)], cable)]
+    for low in (0.0, height - thick):
+        parts.append(lathe([(radius, low), (radius, low + thick)], disc))
+        parts += [fan(circle(radius, z), disc) for z in (low, low + thick)]
+    return join(parts)
