@@ -10,7 +10,15 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.paper import main, paper_figures, plan, realdata, report, section
+from benchmarks.paper import (
+    main,
+    paper_figures,
+    plan,
+    realdata,
+    report,
+    section,
+    table2_detection,
+)
 from benchmarks.paper.fig14_cylinder import errors_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import Counts
@@ -144,6 +152,14 @@ def test_recordings(lab, tmp_path):
     empty.mkdir()
     last = realdata.run(lab, empty).blocks[-1]
     assert isinstance(last, section.Text) and "Not read" in last.text
+
+
+def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):
+    monkeypatch.setattr(table2_detection, "MISSING", {"cure": "CURE needs a module"})
+    blocks = table2_detection.run(lab).blocks
+    table = next(block for block in blocks if isinstance(block, section.Table))
+    assert {len(row) for row in table.rows} == {len(table.header)}
+    assert (table.rows[-1][0], table.rows[-1][-1]) == ("CURE", "not run: CURE needs a module")
 
 
 def test_a_detector_s_row(lab, tmp_path):
