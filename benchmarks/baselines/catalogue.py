@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from benchmarks.baselines import clustering, cure, dense, perch, rock, rsc
+from benchmarks.baselines import clustering, cure, dcc, ddc, dense, perch, rock, rsc
 from benchmarks.baselines.registry import Baseline, Params
 from jaxdet.presets import preset
 
@@ -112,6 +112,24 @@ _ALL = (
         citation="Kobren, Monath, Krishnamurthy, McCallum, KDD 2017, 255-264; written anew",
         defaults={"diagonal_m": 0.6},
         grid={"diagonal_m": (0.3, 0.6, 1.0, 1.6, 2.5), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="ddc",
+        title="DDC on descriptors",
+        run=ddc.ddc,
+        space="frame",
+        citation="Ren, Wang, Li, Xu, Knowledge-Based Systems 197 (2020), 105841; written anew",
+        defaults={"ratio": 0.15, "depth_scale": 1.0},
+        grid={"ratio": (0.1, 0.15, 0.25), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="dcc",
+        title="DCC on descriptors",
+        run=dcc.dcc,
+        space="frame",
+        citation="Shah, Koltun, arXiv 1803.01449 (2018); written anew",
+        defaults={"pull": 100.0, "threshold": 10.0, "depth_scale": 1.0},
+        grid={"pull": (10.0, 100.0), "threshold": (5.0, 10.0, 20.0), "depth_scale": SCALES},
     ),
     Baseline(
         name="dbscan",
