@@ -17,6 +17,7 @@ from benchmarks.paper import (
     realdata,
     report,
     section,
+    table1_indices,
     table2_detection,
 )
 from benchmarks.paper.fig14_cylinder import errors_of
@@ -42,7 +43,7 @@ SMALLER = {
     "PITCHES_DEG": (10.0,),
     "ROLLS_DEG": (0.0,),
     "SLOPES_DEG": (0.0, 4.0),
-    "RIVALS": ("hierarchical_ward", "rsc", "dbscan", "range_image"),
+    "RIVALS": ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image"),
 }
 
 
@@ -117,6 +118,7 @@ def test_figures_as_json(sections, tmp_path):
     assert ours["paper"] == 0.8241 and ours["low"] <= ours["value"] <= ours["high"]
     assert by_key["table4.ours.normal.3m"]["paper"] == 0.873
     assert by_key["table1.rsc.roadblocks.davies_bouldin"]["direction"] == "lower"
+    assert by_key["table1.cure.roadblocks.silhouette"]["paper"] is None
 
 
 def test_report_files(sections, tmp_path):
@@ -155,11 +157,12 @@ def test_recordings(lab, tmp_path):
 
 
 def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):
-    monkeypatch.setattr(table2_detection, "MISSING", {"cure": "CURE needs a module"})
-    blocks = table2_detection.run(lab).blocks
-    table = next(block for block in blocks if isinstance(block, section.Table))
-    assert {len(row) for row in table.rows} == {len(table.header)}
-    assert (table.rows[-1][0], table.rows[-1][-1]) == ("CURE", "not run: CURE needs a module")
+    for table in (table1_indices, table2_detection):
+        monkeypatch.setattr(table, "MISSING", {"cure": "CURE needs a module"})
+        blocks = table.run(lab).blocks
+        found = next(block for block in blocks if isinstance(block, section.Table))
+        assert {len(row) for row in found.rows} == {len(found.header)}
+        assert found.rows[-1][0] == "CURE" and "not run: CURE needs a module" in found.rows[-1]
 
 
 def test_a_detector_s_row(lab, tmp_path):
