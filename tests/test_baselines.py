@@ -40,6 +40,7 @@ PARAMS = {
     "rsc_member": {"tau": 0.4},
     "rsc_mean": {"tau": 0.4},
     "rsc_count": {"clusters": 3},
+    "ddc": {"ratio": 0.1},
 }
 """Where the defaults are not for three boards."""
 LINKAGES = ("scipy_single", "hierarchical_single")

@@ -10,7 +10,16 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.paper import main, paper_figures, plan, realdata, report, section
+from benchmarks.paper import (
+    main,
+    paper_figures,
+    plan,
+    realdata,
+    report,
+    section,
+    table1_indices,
+    table2_detection,
+)
 from benchmarks.paper.fig14_cylinder import errors_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import Counts
@@ -34,7 +43,7 @@ SMALLER = {
     "PITCHES_DEG": (10.0,),
     "ROLLS_DEG": (0.0,),
     "SLOPES_DEG": (0.0, 4.0),
-    "RIVALS": ("hierarchical_ward", "rsc", "dbscan", "range_image"),
+    "RIVALS": ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image"),
 }
 
 
@@ -109,6 +118,7 @@ def test_figures_as_json(sections, tmp_path):
     assert ours["paper"] == 0.8241 and ours["low"] <= ours["value"] <= ours["high"]
     assert by_key["table4.ours.normal.3m"]["paper"] == 0.873
     assert by_key["table1.rsc.roadblocks.davies_bouldin"]["direction"] == "lower"
+    assert by_key["table1.cure.roadblocks.silhouette"]["paper"] is None
 
 
 def test_report_files(sections, tmp_path):
@@ -144,6 +154,15 @@ def test_recordings(lab, tmp_path):
     empty.mkdir()
     last = realdata.run(lab, empty).blocks[-1]
     assert isinstance(last, section.Text) and "Not read" in last.text
+
+
+def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):
+    for table in (table1_indices, table2_detection):
+        monkeypatch.setattr(table, "MISSING", {"cure": "CURE needs a module"})
+        blocks = table.run(lab).blocks
+        found = next(block for block in blocks if isinstance(block, section.Table))
+        assert {len(row) for row in found.rows} == {len(found.header)}
+        assert found.rows[-1][0] == "CURE" and "not run: CURE needs a module" in found.rows[-1]
 
 
 def test_a_detector_s_row(lab, tmp_path):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from benchmarks.baselines import clustering, dense, rsc
+from benchmarks.baselines import clustering, cure, dcc, ddc, dense, perch, rock, rsc
 from benchmarks.baselines.registry import Baseline, Params
 from jaxdet.presets import preset
 
@@ -75,6 +75,61 @@ _ALL = (
         citation=RSC,
         defaults={"clusters": 4, "root": "midpoint"},
         grid={"clusters": (1, 2, 3, 4, 5, 6, 8, 12), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="cure",
+        title="CURE",
+        run=cure.cure,
+        space="xz",
+        citation="Guha, Rastogi, Shim, SIGMOD 1998, 73-84; written anew",
+        defaults={"distance_m": 0.3, "representatives": 5, "shrink": 0.3},
+        grid={"distance_m": (0.2, 0.3, 0.4, 0.6, 0.9, 1.3), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="rock",
+        title="ROCK",
+        run=rock.rock,
+        space="xz",
+        citation="Guha, Rastogi, Shim, Information Systems 25 (2000), 345-366; written anew",
+        defaults={"radius_m": 0.2, "clusters": 1},
+        grid={"radius_m": (0.2, 0.4, 0.8, 1.2), "clusters": (1, 6), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="chameleon",
+        title="CHAMELEON",
+        run=clustering.chameleon,
+        space="xz",
+        citation="Karypis, Han, Kumar, Computer 32(8) (1999), 68-75; chameleon-cluster",
+        defaults={"clusters": 3, "neighbours": 10},
+        grid={"clusters": (1, 3), "neighbours": (6, 12), "depth_scale": SCALES},
+        needs=("pychameleon",),
+    ),
+    Baseline(
+        name="perch",
+        title="PERCH",
+        run=perch.perch,
+        space="xz",
+        citation="Kobren, Monath, Krishnamurthy, McCallum, KDD 2017, 255-264; written anew",
+        defaults={"diagonal_m": 0.6},
+        grid={"diagonal_m": (0.3, 0.6, 1.0, 1.6, 2.5), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="ddc",
+        title="DDC on descriptors",
+        run=ddc.ddc,
+        space="frame",
+        citation="Ren, Wang, Li, Xu, Knowledge-Based Systems 197 (2020), 105841; written anew",
+        defaults={"ratio": 0.15, "depth_scale": 1.0},
+        grid={"ratio": (0.1, 0.15, 0.25), "depth_scale": SCALES},
+    ),
+    Baseline(
+        name="dcc",
+        title="DCC on descriptors",
+        run=dcc.dcc,
+        space="frame",
+        citation="Shah, Koltun, arXiv 1803.01449 (2018); written anew",
+        defaults={"pull": 100.0, "threshold": 10.0, "depth_scale": 1.0},
+        grid={"pull": (10.0, 100.0), "threshold": (5.0, 10.0, 20.0), "depth_scale": SCALES},
     ),
     Baseline(
         name="dbscan",

@@ -1,6 +1,7 @@
 """Clustering by scikit-learn and SciPy, and ours, on a frame's kept features."""
 
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.cluster.hierarchy import linkage as scipy_linkage
 from sklearn.cluster import DBSCAN, HDBSCAN, AgglomerativeClustering, Birch
 
 from benchmarks.baselines.frames import Frame
+from benchmarks.baselines.sampling import cluster_sample
 from jaxdet import reference
 from jaxdet.config import Config
 
@@ -68,6 +70,32 @@ def birch(points: np.ndarray, threshold_m: float, branching: int = 50) -> np.nda
         n_clusters=None,  # pyright: ignore[reportArgumentType] (scikit-learn documents None)
     )
     return model.fit_predict(points)
+
+
+def chameleon(
+    points: np.ndarray, clusters: int, neighbours: int = 10, limit: int = 256
+) -> np.ndarray:
+    """chameleon-cluster's CHAMELEON: METIS cuts a graph of neighbours, what fits is merged.
+
+    A part of the graph that is not connected with others stays a cluster, also beyond
+    ``clusters``.
+
+    Args:
+        points: ``(n, d)`` [m].
+        clusters: Merging ends with so many.
+        neighbours: Of each point in the graph.
+        limit: A random sample of so many points is clustered, all others get the label of its
+            nearest.
+
+    Returns:
+        ``(n,)`` int64.
+
+    Raises:
+        ImportError: chameleon-cluster is not installed.
+    """
+    package: Any = import_module("pychameleon")
+    model = package.Chameleon(n_clusters=clusters, k_nn=max(2, neighbours))
+    return cluster_sample(points, limit, model.fit_predict)
 
 
 def ours(frame: Frame, config: Config, **params: Any) -> np.ndarray:

@@ -65,7 +65,14 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
 }
 """In the order in which they run; the goals are judged last and stand first."""
 RECORDINGS = "recordings"
-BENCH_PACKAGES = ("scikit-learn", "scipy", "matplotlib", "onnxruntime", "open3d")
+BENCH_PACKAGES = (
+    "scikit-learn",
+    "scipy",
+    "chameleon-cluster",
+    "matplotlib",
+    "onnxruntime",
+    "open3d",
+)
 
 
 @dataclass(frozen=True)

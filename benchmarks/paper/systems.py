@@ -23,8 +23,12 @@ RIVALS = tuple(
 MISSING = {name: b.missing for name, b in BASELINES.items() if b.missing}
 JOIN_M = (0.40, 0.10)
 """Lateral and depth gap that make two obstacles one by the paper's definition [m]."""
-INDEXED = (OURS, PRESET, "hierarchical_ward", "rsc")
+CITED = ("birch", "perch", "rock", "cure", "chameleon", "ddc", "dcc")
+"""What the paper's Section 2 names beside hierarchical clustering and RSC, in its order."""
+INDEXED = (OURS, PRESET, "hierarchical_ward", "rsc", *CITED)
 """The systems of Table 1, whose clusters are judged by internal indices too."""
+INDEXED_LIGHT = "normal"
+"""The light of Table 1."""
 JOINED = "joined:"
 """Before a system's name: scored on the truth with such obstacles joined."""
 
@@ -104,6 +108,7 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
     path, chosen = task
     shots = load_shots(path)
     truths = [(shot.truth, joined(shot.truth)) for shot in shots]
+    indexed = INDEXED if shots[0].spec.light == INDEXED_LIGHT else ()
     prepared: dict[Config, list[Frame]] = {}
     out: dict[str, list[Tally]] = {}
     for system in chosen:
@@ -111,7 +116,7 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
         if config not in prepared:
             prepared[config] = prepare(frames_of(shots), config)
         mine, together = [], []
-        counted, plainly = eval_config(config, indices=system.name in INDEXED), eval_config(config)
+        counted, plainly = eval_config(config, indices=system.name in indexed), eval_config(config)
         for frame, (plain, whole) in zip(prepared[config], truths, strict=True):
             found, unit = found_by(system, frame), frame.calibration.depth_unit
             mine += evaluate_frames(found, plain, unit, counted)
