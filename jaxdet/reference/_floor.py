@@ -72,9 +72,9 @@ class FloorConfig:
     """Farthest depth used [m]."""
     noise_per_m: float = 0.004
     """Error of depth over its square [1/m]; 0.004 is a D435's."""
-    max_turn_deg: float = 3.5
+    max_turn_deg: float = 4.0
     """Most that a prior's pitch and roll are corrected [degree]."""
-    max_shift_m: float = 0.06
+    max_shift_m: float = 0.07
     """Most that its height is corrected [m]."""
     min_share: float = 0.04
     """Least share of the cells on the floor."""
@@ -154,6 +154,7 @@ def _known(prior: GroundPlane, b: int, scale: Scale) -> Plane | None:
     if not prior.valid[b]:
         return None
     pitch, roll = (round(float(np.degrees(a[b])) * ANGLES) for a in (prior.pitch, prior.roll))
+    roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
     return Plane(min(max(pitch, -STEEPEST), STEEPEST), roll, scale.length(float(prior.height[b])))
 
 
@@ -199,11 +200,11 @@ def _find(
         plane, hinge = find_hinge(plane, [p for _, p in allowed], few, scale)
     plane, hinge = _refined(plane, hinge, cells, prior, scale)
     found = _judge(plane, hinge, cells, prior, config, scale)
-    most = max(votes)
-    if found.refused == Refusal.FAR:
+    best = votes.index(max(votes))
+    if not near[best] and votes[best] > round((found.share + FAR_GAIN) * len(few.z)):
+        steep = planes[best]
+    elif found.refused == Refusal.FAR:
         steep = plane
-    elif most > round((found.share + FAR_GAIN) * len(few.z)) and not near[votes.index(most)]:
-        steep = planes[votes.index(most)]
     else:
         return found
     ramp = _as_ramp(steep, prior, config, scale) if prior and config.ramps else None

@@ -215,6 +215,7 @@ def refine(
         turns = _turns(weight, e[near], t, s, _pull(plane, prior), lever_bits)
         pitch, roll = plane.pitch + turns[0], plane.roll
         roll += rounded(turns[1] << SINE_BITS, int(cosine(plane.pitch)))
+        roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
         pitch = min(max(pitch, -STEEPEST), STEEPEST)
         height = along(down_units(pitch, roll), some)
         plane = Plane(pitch, roll, rounded(int(weight @ height), int(weight.sum())))
