@@ -130,9 +130,9 @@ class FloorConfig:
     """Farthest depth used [m]."""
     noise_per_m: float = 0.004
     """Error of depth over its square [1/m]; 0.004 is a D435's."""
-    max_turn_deg: float = 3.5
+    max_turn_deg: float = 4.0
     """Most that a prior's pitch and roll are corrected [degree]."""
-    max_shift_m: float = 0.06
+    max_shift_m: float = 0.07
     """Most that its height is corrected [m]."""
     min_share: float = 0.04
     """Least share of the cells on the floor."""
@@ -142,6 +142,16 @@ class FloorConfig:
     """Look for a ramp ahead."""
     gap_m: float = 0.5
     """Free floor ends where so much of it shows no measurement [m]."""
+
+    def __post_init__(self) -> None:
+        _require(self.max_cells >= 100, "floor.max-cells", "at least 100")
+        _require_within(self.max_depth_m, 0.1, 65.535, "floor.max-depth-m")
+        _require_within(self.noise_per_m, 0, 1, "floor.noise-per-m")
+        _require_within(self.max_turn_deg, 0, 10, "floor.max-turn-deg")
+        _require_within(self.max_shift_m, 0, 1, "floor.max-shift-m")
+        _require_within(self.min_share, 0, 1, "floor.min-share")
+        _require_within(self.min_share_alone, 0, 1, "floor.min-share-alone")
+        _require_within(self.gap_m, 0, FARTHEST_M, "floor.gap-m")
 
 
 @dataclass(frozen=True)

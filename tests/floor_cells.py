@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.camera import RAY_BITS, fixed_rays, pixel_rays
+from jaxdet.config import FloorConfig
 from jaxdet.plane import down_vector, flat_plane, forward_vector
-from jaxdet.reference._floor import FloorConfig, FloorFit, Refusal, find_floor
-from jaxdet.types import GroundPlane, Intrinsics
+from jaxdet.reference._floor import FloorFit, find_floor
+from jaxdet.types import GroundPlane, Intrinsics, Refusal
 
 CAMERA = Intrinsics(160, 120, 152.0, 152.0, 79.5, 59.5)
 CONFIG = FloorConfig()

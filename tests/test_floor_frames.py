@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from jaxdet.camera import pixel_rays
-from jaxdet.plane import down_vector, forward_vector, unknown_plane
-from jaxdet.reference._floor import FloorConfig, Refusal, find_floor
-from jaxdet.types import GroundPlane
+from jaxdet.config import FloorConfig
+from jaxdet.plane import down_vector, flat_plane, forward_vector, unknown_plane
+from jaxdet.reference._floor import find_floor
+from jaxdet.types import GroundPlane, Refusal
 from tests.floor_cells import (
     BOXES,
     CAMERA,
@@ -35,6 +36,16 @@ def test_plane_is_found_beside_boxes(pose, wrong):
     fit = found(measured(cast(pose, BOXES)), prior)
     assert_found(fit, pose)
     assert np.isinf(fit.plane.ramp_start[0])
+
+
+@pytest.mark.parametrize("pose", [POSES[0], POSES[2]])
+@pytest.mark.parametrize("wrong", [None, (0.0, 0.0, 0.0), (0.03, 2.0, -1.0), (0.0, -1.0, 2.5)])
+def test_corridor(pose, wrong):
+    """Walls 60 cm to both sides, and low boxes between them."""
+    walls: list[Box] = [((-0.7, -1, 0), (-0.6, 9, 2.5)), ((0.6, -1, 0), (0.7, 9, 2.5))]
+    low: list[Box] = [((x, y, 0), (x + 0.2, y + 0.3, 0.08)) for x, y in ((-0.5, 1.0), (0.2, 1.7))]
+    prior = unknown_plane(1) if wrong is None else pose.plane(*wrong)
+    assert_found(found(measured(cast(pose, walls + low)), prior), pose)
 
 
 @pytest.mark.parametrize("noise", [0.004, 0.006])
@@ -166,6 +177,20 @@ def test_a_box_face_is_no_ramp():
         fit = found(measured(cast(pose, low)), pose.plane(0.02, 1.0, 0.0))
         assert fit.own[0]
         assert np.isinf(fit.plane.ramp_start[0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_is_no_floor(seed):
+    rng = np.random.default_rng(seed)
+    z = rng.integers(0, 8000, (120, 160)).astype(np.uint16)
+    for prior in (
+        unknown_plane(1),
+        POSES[2].plane(),
+        flat_plane(np.ones(1), np.full(1, 1.57), np.full(1, -3.1)),
+    ):
+        fit = found(z, prior)
+        assert_refused(fit, Refusal(int(fit.refused[0])), prior)
+        assert fit.refused[0] != Refusal.NONE
 
 
 # laws

@@ -30,18 +30,18 @@ from jaxdet.types import GroundPlane, Refusal
 
 MIN_CELLS = 50
 """Of fewer cells, nothing is said."""
-FAR_GAIN = 0.05
-"""A plane far from the prior is believed where so many more of the cells lie on it, as a share."""
+FAR_GAIN = 5
+"""A plane far from the prior is believed where so many percent more of the cells lie on it."""
 RAMP_M = 3.6
 """Such a plane is a ramp where it crosses the prior so near."""
 MARGIN = 8
 """This part of the columns at each side doesn't vote for ramps: stereo depth bends up there."""
 STEP_M, TABLE_M = 0.05, 0.10
 """Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
-OBSTACLE = (0.95, 0.85)
-"""Largest share of obstacle, with a prior and without."""
-UNDER = ((0.10, 2), (0.03, 8))
-"""With a prior and without: a plane is a table's where more than this share of the cells lies
+OBSTACLE = (95, 85)
+"""Largest share of obstacle, with a prior and without [percent]."""
+UNDER = ((10, 2), (3, 8))
+"""With a prior and without: a plane is a table's where more than so many percent of the cells lie
 under it, and more than one for so many on it: a glossy floor mirrors a few."""
 
 
@@ -63,7 +63,10 @@ class _Found(NamedTuple):
 
     plane: Plane
     hinge: Hinge | None
-    share: float
+    on: int
+    """Cells on it."""
+    total: int
+    """All cells."""
     refused: Refusal
 
 
@@ -106,7 +109,7 @@ def find_floor(
     own = np.array([f.refused == Refusal.NONE for f in found], bool)
     mine = _planes(found, depth_unit)
     plane = GroundPlane(*(np.where(own, a, b) for a, b in zip(mine, prior, strict=True)))
-    share = np.array([f.share for f in found], np.float64)
+    share = np.array([f.on / max(f.total, 1) for f in found], np.float64)
     return FloorFit(plane, own, share, np.array([f.refused for f in found], np.int32))
 
 
@@ -115,6 +118,7 @@ def _known(prior: GroundPlane, b: int, scale: Scale) -> Plane | None:
     if not prior.valid[b]:
         return None
     pitch, roll = (round(float(np.degrees(a[b])) * ANGLES) for a in (prior.pitch, prior.roll))
+    roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
     return Plane(min(max(pitch, -STEEPEST), STEEPEST), roll, scale.length(float(prior.height[b])))
 
 
@@ -149,7 +153,7 @@ def _find(
 ) -> _Found:
     """The best floor of one frame."""
     if len(few.z) < MIN_CELLS:
-        return _Found(prior or Plane(0, 0, 0), None, 0.0, Refusal.TOO_LITTLE)
+        return _Found(prior or Plane(0, 0, 0), None, 0, 0, Refusal.TOO_LITTLE)
     guess = prior or any_plane(few, scale)
     planes = [guess, *near_planes(few, guess, prior, scale)]
     votes = [int(score(below(p, few), scale.fine.of(few.z, p.height))) for p in planes]
@@ -160,11 +164,12 @@ def _find(
         plane, hinge = find_hinge(plane, [p for _, p in allowed], few, scale)
     plane, hinge = _refined(plane, hinge, cells, prior, scale)
     found = _judge(plane, hinge, cells, prior, config, scale)
-    most = max(votes)
-    if found.refused == Refusal.FAR:
+    best = votes.index(max(votes))
+    least = (100 * found.on + FAR_GAIN * found.total) * len(few.z)
+    if not near[best] and 100 * votes[best] * found.total > least:
+        steep = planes[best]
+    elif found.refused == Refusal.FAR:
         steep = plane
-    elif most > round((found.share + FAR_GAIN) * len(few.z)) and not near[votes.index(most)]:
-        steep = planes[votes.index(most)]
     else:
         return found
     ramp = _as_ramp(steep, prior, config, scale) if prior and config.ramps else None
@@ -233,14 +238,14 @@ def _judge(
     known = prior is not None
     share, part = UNDER[not known]
     enough = on if known else int(score(deep, slack))
-    least = config.min_share if known else config.min_share_alone
+    least = round(1000 * (config.min_share if known else config.min_share_alone))
     refused = Refusal.NONE
     if not (_is_near(plane, prior, config, scale) if prior else _is_usual(plane)):
         refused = Refusal.FAR
-    elif low > round(share * total) and part * low > on:
+    elif 100 * low > share * total and part * low > on:
         refused = Refusal.TABLE
-    elif high > round(OBSTACLE[not known] * total):
+    elif 100 * high > OBSTACLE[not known] * total:
         refused = Refusal.MOSTLY_OBSTACLE
-    elif enough < round(least * total):
+    elif 1000 * enough < least * total:
         refused = Refusal.TOO_LITTLE
-    return _Found(plane, hinge, on / max(total, 1), refused)
+    return _Found(plane, hinge, on, total, refused)

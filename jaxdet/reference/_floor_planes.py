@@ -26,16 +26,16 @@ SLACK_BITS = 26
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
 """Tolerances: roughness [m] where a plane is looked for and where it is known; and how much floors
 and depth images are bowed, for each metre."""
+SHARP_M, SHARP_PER_Z = 0.005, 0.0015
+"""The same for the last steps, so that a book on a table moves nothing."""
 LARGEST_TURN = 8 * ANGLES
 """Most that a round of refinement turns a plane."""
-SHARP_M, SHARP_PER_Z = 0.005, 0.0015
-"""The same for the last steps: so that a book on a table moves nothing."""
 BELOW = 4
 """A cell so many tolerances below a plane lies clearly below it."""
 BELOW_COST = 2
 """And counts so many times as much as one on it: nothing is seen through a floor."""
 TURN_BITS = 24
-"""Bits of the sums that the refinement multiplies; four of them and an angle fit into 64."""
+"""Bits of the sums that the refinement multiplies: two products and an angle fit into 64."""
 LEVER_M = 0.008
 """Distances on the floor are measured so, to hold their squares."""
 RIDGE = 14
@@ -215,6 +215,7 @@ def refine(
         turns = _turns(weight, e[near], t, s, _pull(plane, prior), lever_bits)
         pitch, roll = plane.pitch + turns[0], plane.roll
         roll += rounded(turns[1] << SINE_BITS, int(cosine(plane.pitch)))
+        roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
         pitch = min(max(pitch, -STEEPEST), STEEPEST)
         height = along(down_units(pitch, roll), some)
         plane = Plane(pitch, roll, rounded(int(weight @ height), int(weight.sum())))

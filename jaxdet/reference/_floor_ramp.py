@@ -34,7 +34,7 @@ RUN_M, RISE_M = 0.064, 0.004
 """A cell of the profile; both are rounded to powers of two of the depth unit."""
 FARTHEST_M, HIGHEST_M = 6.0, 1.3
 """Where the profile ends; what is lower is counted at its lower edge."""
-MIN_GAIN = 3
+MIN_GAIN = 4
 """A ramp must explain so many percent more of the cells."""
 MIN_SHARE = 40
 """Of the cells near the floor that tell the ramp from the plane, it must explain at least so many
