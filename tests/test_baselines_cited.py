@@ -162,11 +162,12 @@ def test_rock_by_hand():
 
 def test_rock_leaves_what_has_no_neighbour():
     points, truth = blobs(400)
-    points[0] = 50
-    out = [0] if 0 not in sample(400, 100) else []
+    lost = np.setdiff1d(np.arange(400), sample(400, 100))[0]
+    points[lost] = 50
     labels = rock.rock(points, 0.3, 4, limit=100)
-    assert (labels == -1).nonzero()[0].tolist() == out
-    assert adjusted_rand_score(truth[1:], labels[1:]) == 1
+    assert np.flatnonzero(labels == -1).tolist() == [lost]
+    others = np.arange(400) != lost
+    assert adjusted_rand_score(truth[others], labels[others]) == 1
 
 
 # --- PERCH ---
@@ -239,4 +240,4 @@ def test_chameleon_by_its_package():
     points, _ = blobs(200)
     own = package.Chameleon(n_clusters=3).fit_predict(points)
     np.testing.assert_array_equal(chameleon(points, 3), own)
-    assert len(np.unique(chameleon(points[:2], 1))) <= 2
+    assert chameleon(points[:2], 1).shape == (2,)
