@@ -229,6 +229,11 @@ class ObstacleConfig:
     ``hanging_reach_m``, belong to it [m]: arms, leaves. 0: off."""
     hanging_reach_m: float = 0.35
     """Distance on the floor [m]."""
+    bend_m: float = 0.25
+    """Obstacles whose contour lies so far behind the chord of its ends are split there: walls of a
+    room [m]. 0: off."""
+    side_m: float = 0.4
+    """Their sides are at least so long [m]."""
     min_size_m: float = 0.05
     """Obstacles are at least so wide or so high [m]."""
     min_cells: int = 10

@@ -32,8 +32,8 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     farther and no obstacle of the column is nearer. It is ended by
 
     - an obstacle, where the column's nearest one is at most ``longest_gap`` farther;
-    - a drop, where the next ``RUN`` measured cells are clearly below the floor (a reflection in a
-      glossy floor is too, but floor is seen beyond it);
+    - a drop, where the next ``RUN`` measured cells are clearly below the floor; a reflection in a
+      glossy floor is too, but beyond it floor is seen, or the thing that it mirrors;
     - the end of the range, at most ``longest_gap`` farther;
     - else by what is not known.
 
@@ -76,9 +76,10 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
 
 
 def _drops(view: FloorView, column: int, last: int) -> bool:
-    """Whether the next measured cells above the last floor cell are below the floor."""
+    """Whether the next measured cells up a column are below the floor, and nothing stands there."""
     above = slice(0, last)
-    kinds = view.below[above, column][::-1]
-    measured = kinds | view.floor[above, column][::-1] | (view.label[above, column][::-1] >= 0)
-    following = kinds[measured][:RUN]
-    return len(following) == RUN and bool(following.all())
+    below, thing = view.below[above, column][::-1], view.label[above, column][::-1] >= 0
+    measured = below | thing | view.floor[above, column][::-1]
+    below, thing = below[measured], thing[measured]
+    run = int(np.argmin(np.append(below, False)))
+    return run >= RUN and not (run < len(thing) and thing[run])

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxdet.config import ObstacleConfig
 from jaxdet.reference._components import components
+from jaxdet.reference._outlines import contours, straight_parts
 from jaxdet.reference._surfaces import renumbered
 
 TRIM = 20
@@ -81,6 +82,8 @@ def obstacles(
        at once (:func:`_across_gaps`);
     4. what hangs in the air, with what stands nearest to it (:func:`_hanging`).
 
+    Last, what bends around free floor is split where it does (:func:`straight_parts`).
+
     Large surfaces stand on their own: a gap that one sees through parts them, however narrow.
     What is smaller than ``min_size_m``, shows fewer than ``min_cells`` cells in the colour image or
     begins beyond the range is no obstacle. Depth images often see more than the colour image: what
@@ -103,6 +106,7 @@ def obstacles(
         label = _joined(label, _fragments(label, view, unit, config))
     label = _joined(label, _across_gaps(label, view, unit, config))
     label = _joined(label, _hanging(label, view, unit, config))
+    label = _straightened(label, view, unit, config)
     return _ordered(label, view, farthest, unit, config)
 
 
@@ -287,6 +291,24 @@ def _hanging(label: np.ndarray, view: View, unit: float, config: ObstacleConfig)
     nearest = np.argmin(distance, axis=1) if len(distance) else np.zeros(0, np.int64)
     hangs &= distance.min(axis=1, initial=1 << 40) <= reach * reach
     return np.stack([np.flatnonzero(hangs), nearest[hangs]])
+
+
+def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleConfig) -> np.ndarray:
+    """Obstacles that bend around free floor, split between columns of cells."""
+    bend, shortest = (round(a / unit) for a in (config.bend_m, config.side_m))
+    if not bend:
+        return label
+    count = int(label.max(initial=-1)) + 1
+    lines, used = contours(label, view.right, view.forward, count)
+    out, free = label.copy(), count
+    for number in range(count):
+        own = label == number
+        column = np.flatnonzero(own.any(axis=0))[: used[number]]
+        line = lines[number, : used[number]]
+        for start in straight_parts(line, bend, shortest, shortest)[1:]:
+            out[own & (np.arange(label.shape[1]) >= column[start])] = free
+            free += 1
+    return renumbered(out)
 
 
 def _joined(label: np.ndarray, pairs: np.ndarray) -> np.ndarray:

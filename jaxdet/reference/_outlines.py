@@ -6,6 +6,8 @@ from jaxdet.types import MAX_CONTOUR
 
 DIRECTIONS = 90
 """Directions tried for a rectangle, a degree apart."""
+FAR_BEHIND = 4
+"""Where a contour jumps, a corner lies so many times the bend behind the chord."""
 DIRECTION_BITS = 9
 """Fraction bits of a direction, short enough for products in 32 bits."""
 
@@ -45,6 +47,67 @@ def contours(
         count[number] = len(column)
         points[number, : len(column)] = np.stack([right[row, column], forward[row, column]], -1)
     return points, count
+
+
+def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> list[int]:
+    """Where a contour bends around free floor: split and merge.
+
+    A contour whose ends lie nearer to the camera than its middle encloses floor, as the walls of a
+    room or a corridor do, and one rectangle would claim it. It is split at the point farthest
+    behind the chord of its ends, if that is more than ``bend`` behind (where the contour jumps, as
+    between the legs of a table, four times that) and at least ``shortest`` from both ends; each
+    part again. Neighbouring parts
+    that together do not bend are merged. Duda and Hart, *Pattern Classification and Scene
+    Analysis* (1973), 338-339; Pavlidis and Horowitz, IEEE Transactions on Computers C-23 (1974).
+
+    Args:
+        contour: ``(n, 2)`` integer, right and forward, from left to right [depth units].
+        bend: [depth units].
+        shortest: [depth units].
+        jump: Largest distance between neighbouring points at a corner [depth units].
+
+    Returns:
+        The first point of each part, from 0 on.
+
+    Example:
+        >>> left = [(-600, y) for y in range(1000, 3000, 100)]
+        >>> across = [(x, 3000) for x in range(-600, 600, 100)]
+        >>> straight_parts(np.array(left + across), 200, 300, 200)
+        [0, 20]
+    """
+    points = contour.astype(np.float64)
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+
+    def corner(first: int, last: int) -> int | None:
+        """The point to split ``first .. last`` at."""
+        behind = _behind_chord(points[first : last + 1])
+        at = first + int(np.argmax(behind))
+        ends = np.linalg.norm(points[[first, last]] - points[at], axis=1)
+        smooth = step[max(at - 2, 0) : at + 2].max(initial=0.0) <= jump
+        bends = behind.max() > (bend if smooth else FAR_BEHIND * bend)
+        return at if bends and ends.min() >= shortest else None
+
+    def split(first: int, last: int) -> list[int]:
+        at = corner(first, last) if last - first >= 4 else None
+        return [first] if at is None else [*split(first, at), *split(at, last)]
+
+    if len(points) < 5:
+        return [0]
+    parts = [*split(0, len(points) - 1), len(points) - 1]
+    merged = parts[:1]
+    for place in range(1, len(parts) - 1):
+        if _behind_chord(points[merged[-1] : parts[place + 1] + 1]).max() > bend:
+            merged.append(parts[place])
+    return merged
+
+
+def _behind_chord(points: np.ndarray) -> np.ndarray:
+    """How far points lie behind the chord of the first and the last, as seen from the camera."""
+    first, last = points[0], points[-1]
+    normal = np.array([first[1] - last[1], last[0] - first[0]])
+    length = max(float(np.linalg.norm(normal)), 1.0)
+    sign = 1.0 if normal @ first >= 0 else -1.0
+    return (points - first) @ normal * (sign / length)
 
 
 def fitted_direction(contour: np.ndarray) -> np.ndarray:
