@@ -169,15 +169,15 @@ class SurfaceConfig:
     depth."""
     crease_cells: int = 3
     """A crease is a bend of the depth over so many cells to both sides."""
-    crease_m: float = 0.015
+    crease_m: float = 0.010
     """Bends deeper than this part surfaces [m]."""
-    crease_per_m: float = 0.006
+    crease_per_m: float = 0.004
     """Added to it in proportion to z squared [1/m]."""
     min_cells: int = 6
     """Smaller components are no surfaces of their own."""
     bent_m: float = 0.15
-    """Surfaces at most so high that go on into the floor sideways are floor that the sensor bends
-    up, at the margins of the image or far away [m]. 0: off."""
+    """Surfaces at most so high without a steep side are floor that the sensor bends up, at the
+    margins of the image or far away [m]. 0: off."""
     beyond: float = 1.15
     """Surfaces are followed so much farther than the largest depth, so that the end of the range
     does not cut a thing into pieces; what begins beyond the range is no obstacle."""
@@ -207,7 +207,7 @@ class ObstacleConfig:
     """Longest stretch that a nearer thing may hide [m]."""
     hole_m: float = 0.6
     """Longest stretch without any depth [m]."""
-    hidden_share: float = 0.0
+    hidden_share: float = 0.05
     """So many of the rows (or columns) of the smaller part must go on in the other one."""
     contact_m: float = 0.10
     """Pieces too small to be an obstacle join the surface they touch, over at most such a step
@@ -215,11 +215,11 @@ class ObstacleConfig:
     narrow_m: float = 0.25
     """Surfaces narrower than this (legs, poles, arms) are joined by gaps on the floor, as the
     paper joins points [m]. 0: off."""
-    compact_m: float = 0.8
+    compact_m: float = 1.2
     """... with surfaces at most so wide and deep [m]."""
-    lateral_gap_m: float = 0.15
+    lateral_gap_m: float = 0.20
     """Largest gap sideways, d_x [m]."""
-    forward_gap_m: float = 0.15
+    forward_gap_m: float = 0.20
     """Largest gap in depth on the floor, d_z [m]."""
     overlap_gap_m: float = 0.35
     """Largest gap in depth between narrow surfaces that touch in the image [m]: a walker's
@@ -229,7 +229,7 @@ class ObstacleConfig:
     ``hanging_reach_m``, belong to it [m]: arms, leaves. 0: off."""
     hanging_reach_m: float = 0.35
     """Distance on the floor [m]."""
-    bend_m: float = 0.25
+    bend_m: float = 0.15
     """Obstacles whose contour lies so far behind the chord of its ends are split there: walls of a
     room [m]. 0: off."""
     side_m: float = 0.4

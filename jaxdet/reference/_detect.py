@@ -91,7 +91,8 @@ def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config)
     keep = in_range & (view.height > step)
     floor = in_range & (np.abs(view.height) <= step)
     label = surfaces(view.z, keep, unit, settings)
-    straight = without_bent_floor(label, view.z, view.height, floor, unit, settings)
+    measured = view.z > 0
+    straight = without_bent_floor(label, measured, view.forward, view.height, unit, settings)
     bent = (label >= 0) & (straight < 0)
     keep, floor = keep & ~bent, floor | bent
     label = obstacles(straight, keep, view, farthest, unit, config.obstacle)

@@ -77,42 +77,44 @@ def creases(
 
 def without_bent_floor(
     label: np.ndarray,
-    z: np.ndarray,
+    measured: np.ndarray,
+    forward: np.ndarray,
     height: np.ndarray,
-    floor: np.ndarray,
     depth_unit: float,
     config: SurfaceConfig,
 ) -> np.ndarray:
     """Surfaces without floor that the sensor bends up.
 
-    Stereo cameras bend flat floor at the margins of the image and far away. Such a surface is low
-    (at most ``bent_m``) and goes on into the floor sideways: of the ends of its rows that have a
-    measured floor cell beside them or a jump in depth, at least half go on without a jump. Beside
-    a thing of that height the floor in the same row is farther away by a jump.
+    Stereo cameras bend flat floor at the margins of the image and far away. A surface at most
+    ``bent_m`` high is floor where it has no side: where, of its cells with a measured cell below
+    them in the image, fewer than a fourth rise from that one by more than they go forward.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
-        z: ``(R, C)`` int32 [depth units].
-        height: ``(R, C)`` above the floor [depth units].
-        floor: ``(R, C)`` bool, cells measured on the floor.
+        measured: ``(R, C)`` bool.
+        forward: ``(R, C)`` int64, on the floor [depth units].
+        height: ``(R, C)`` int64, above the floor [depth units].
         depth_unit: Metres in one depth unit.
-        config: The height and the step.
+        config: The height.
 
     Returns:
         ``(R, C)`` int64, numbered anew.
+
+    Example:
+        >>> label, yes = np.array([[0, 1], [-1, -1]]), np.ones((2, 2), bool)
+        >>> forward, height = np.array([[900, 800], [800, 800]]), np.array([[60, 60], [20, 0]])
+        >>> without_bent_floor(label, yes, forward, height, 0.001, SurfaceConfig()).tolist()
+        [[-1, 0], [-1, -1]]
     """
     count = int(label.max(initial=-1)) + 1
-    step = quadratic_table(config.step_m, config.step_per_m, depth_unit)[z]
-    on, smooth, ends = label >= 0, np.zeros(count, np.int64), np.zeros(count, np.int64)
-    for by in (1, -1):
-        beside, there = _shifted(floor.astype(np.int64), by, 1) > 0, _shifted(z, by, 1)
-        end = on & (_shifted(label + 1, by, 1) - 1 != label) & (there > 0)
-        np.add.at(ends, label[end], 1)
-        end &= beside & (np.abs(there - z) <= step)
-        np.add.at(smooth, label[end], 1)
+    on = label >= 0
+    rises, goes = (np.abs(a - _shifted(a, -1, 0)) for a in (height, forward))
+    beside = on & _shifted(measured.astype(np.int64), -1, 0).astype(bool)
+    pairs = np.bincount(label[beside], minlength=count)
+    steep = np.bincount(label[beside & (rises > goes)], minlength=count)
     top = np.full(count, -1)
     np.maximum.at(top, label[on], height[on])
-    bent = (top <= round(config.bent_m / depth_unit)) & (2 * smooth >= ends) & (ends > 0)
+    bent = (top <= round(config.bent_m / depth_unit)) & (4 * steep < pairs)
     return renumbered(np.where(on & ~np.append(bent, False)[label], label, -1))
 
 
