@@ -321,6 +321,9 @@ class FootprintConfig:
     fitted: bool = False
     """The rectangle of an obstacle made of surfaces: the one that fits its visible contour best;
     off: the paper's, along AB."""
+    long_m: float = 1.5
+    """Fitted rectangles longer than this pass over a twentieth of their cells at each long side:
+    walls are smeared over the floor before them [m]."""
 
     def __post_init__(self) -> None:
         _require_within(self.vertex_threshold_m, 0, FARTHEST_M, "footprint.vertex-threshold-m")
@@ -329,6 +332,7 @@ class FootprintConfig:
         _require_within(self.near_band_per_m2, 0, FARTHEST_M, "footprint.near-band-per-m2")
         _require(0 < self.extension_m <= FARTHEST_M, "footprint.extension-m", "above 0, to 1000 m")
         _require_within(self.margin_m, 0, FARTHEST_M, "footprint.margin-m")
+        _require_within(self.long_m, 0, FARTHEST_M, "footprint.long-m")
 
 
 @dataclass(frozen=True)

@@ -182,6 +182,7 @@ def _outlines(
     count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
     measured = footprint(every, Labels(shown, count), plane, unit, config, slots=MAX_OBSTACLES)
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
+    long = round(config.footprint.long_m / unit)
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):
@@ -193,7 +194,7 @@ def _outlines(
             direction = fitted_direction(line)
             place = np.stack([one.view.right[own], one.view.forward[own]], axis=-1)
             measured.direction[b, number] = direction
-            measured.span[b, number] = fitted_span(place, direction)
+            measured.span[b, number] = fitted_span(place, direction, long)
             heights[b, number] = one.view.height[own].min(), one.view.height[own].max()
     shape, used = (np.stack(part) for part in zip(*lines, strict=True))
     return measured, (shape, used, heights)

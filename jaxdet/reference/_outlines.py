@@ -6,6 +6,8 @@ from jaxdet.types import MAX_CONTOUR
 
 DIRECTIONS = 90
 """Directions tried for a rectangle, a degree apart."""
+LONG_TRIM = 20
+"""One of so many cells of a long thing is passed over at each of its long sides."""
 FAR_BEHIND = 4
 """Where a contour jumps, a corner lies so many times the bend behind the chord."""
 DIRECTION_BITS = 9
@@ -152,17 +154,28 @@ def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return along, table[:, :1] * y - table[:, 1:] * x, table
 
 
-def fitted_span(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def fitted_span(points: np.ndarray, direction: np.ndarray, long: int) -> np.ndarray:
     """The extremes of an obstacle's cells along and across a direction.
+
+    A thing's rectangle holds all of its cells. Walls and the like, longer than ``long``, are
+    smeared and bowed over far more floor than they stand on: of their cells, a twentieth is passed
+    over at each of the two long sides.
 
     Args:
         points: ``(n, 2)`` integer, right and forward [depth units].
         direction: ``(2,)`` integer.
+        long: [depth units].
 
     Returns:
         ``(4,)`` int64: least and largest along (dot product), least and largest across (cross
         product with the direction).
     """
     x, y = points.astype(np.int64).T
-    along, across = direction[0] * x + direction[1] * y, direction[0] * y - direction[1] * x
-    return np.array([along.min(), along.max(), across.min(), across.max()])
+    along = np.sort(direction[0] * x + direction[1] * y)
+    across = np.sort(direction[0] * y - direction[1] * x)
+    trim = [0, 0]
+    lengths = [int(a[-1] - a[0]) >> DIRECTION_BITS for a in (along, across)]
+    if max(lengths) > long:
+        trim[int(np.argmin(lengths))] = len(points) // LONG_TRIM
+    ends = [(a[over], a[-1 - over]) for a, over in zip((along, across), trim, strict=True)]
+    return np.array([*ends[0], *ends[1]])
