@@ -140,6 +140,11 @@ class FloorConfig:
     """The same without a prior; cells clearly below the floor count twice against it."""
     ramps: bool = True
     """Look for a ramp ahead."""
+    bow_per_m: float = 0.01
+    """What is measured below the plane by the step height and this, in proportion to z squared, is
+    floor still: far floors are bowed [1/m]."""
+    drop_m: float = 0.05
+    """A floor that falls by more than this at once, and by the noise, is a drop [m]."""
     gap_m: float = 0.5
     """Free floor ends where so much of it shows no measurement [m]."""
 
@@ -151,6 +156,8 @@ class FloorConfig:
         _require_within(self.max_shift_m, 0, 1, "floor.max-shift-m")
         _require_within(self.min_share, 0, 1, "floor.min-share")
         _require_within(self.min_share_alone, 0, 1, "floor.min-share-alone")
+        _require_within(self.bow_per_m, 0, 1, "floor.bow-per-m")
+        _require_within(self.drop_m, 0, FARTHEST_M, "floor.drop-m")
         _require_within(self.gap_m, 0, FARTHEST_M, "floor.gap-m")
 
 
@@ -175,7 +182,7 @@ class SurfaceConfig:
     """Added to it in proportion to z squared [1/m]."""
     min_cells: int = 6
     """Smaller components are no surfaces of their own."""
-    bent_m: float = 0.15
+    bent_m: float = 0.20
     """Surfaces at most so high without a steep side are floor that the sensor bends up, at the
     margins of the image or far away [m]. 0: off."""
     beyond: float = 1.15

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, floor_frame, linear_table, ramp_rise
+from jaxdet.plane import depth_range, floor_frame, linear_table, quadratic_table, ramp_rise
 from jaxdet.reference._align import align
 from jaxdet.reference._cells import cells
 from jaxdet.reference._features import features
@@ -42,10 +42,8 @@ class Found(NamedTuple):
     keep: np.ndarray
     """``(R, C)`` bool, in range and above the floor."""
     view: View
-    floor: np.ndarray
-    """``(R, C)`` bool, measured on the floor."""
-    below: np.ndarray
-    """``(R, C)`` bool, measured clearly below it."""
+    low: np.ndarray
+    """``(R, C)`` bool, measured and no higher than the step."""
 
 
 def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
@@ -89,14 +87,11 @@ def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config)
     step = linear_table(ground_config.step_height_m, ground_config.step_height_per_m, unit)[view.z]
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
     keep = in_range & (view.height > step)
-    floor = in_range & (np.abs(view.height) <= step)
-    label = surfaces(view.z, keep, unit, settings)
-    measured = view.z > 0
+    label, measured = surfaces(view.z, keep, unit, settings), view.z > 0
     straight = without_bent_floor(label, measured, view.forward, view.height, unit, settings)
-    bent = (label >= 0) & (straight < 0)
-    keep, floor = keep & ~bent, floor | bent
+    keep &= (label < 0) | (straight >= 0)
     label = obstacles(straight, keep, view, farthest, unit, config.obstacle)
-    return Found(label, keep, view, floor, in_range & (view.height < -step))
+    return Found(label, keep, view, measured & (view.height <= step))
 
 
 def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:
@@ -205,8 +200,14 @@ def _free(found: list[Found], unit: float, config: Config) -> tuple[np.ndarray, 
     parts = []
     far = round(config.ground.max_depth_m / unit)
     gap = round(config.floor.gap_m / unit)
+    settings, step = config.floor, config.ground.step_height_m
+    drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
+    bows = quadratic_table(step, settings.bow_per_m, unit)
     for one in found:
-        view = FloorView(one.label, one.floor, one.below, one.view.right, one.view.forward)
+        cell = one.view
+        floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
+        place = cell.right, cell.forward, cell.height
+        view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
         parts.append(free_floor(view, far, gap))
     line, end = zip(*parts, strict=True)
     return np.stack(line), np.stack(end)

@@ -6,8 +6,11 @@ import numpy as np
 
 from jaxdet.types import FreeEnd
 
-RUN = 2
-"""So many measured cells one after the other below the floor make a drop."""
+RUN = 3
+"""So many measured cells one after the other, all a drop lower than the last floor."""
+
+BESIDE = 10
+"""Columns on both sides of one that drops, more than half of which must drop too."""
 
 
 class FloorView(NamedTuple):
@@ -15,14 +18,18 @@ class FloorView(NamedTuple):
 
     label: np.ndarray
     """Obstacles, -1 = none."""
+    low: np.ndarray
+    """bool, measured, in range or beyond, and no higher than the step."""
     floor: np.ndarray
-    """bool, measured on the floor."""
-    below: np.ndarray
-    """bool, measured clearly below the floor."""
+    """bool, of these, those near enough to the plane to be floor."""
     right: np.ndarray
     """Ground frame [depth units]."""
     forward: np.ndarray
     """Ground frame [depth units]."""
+    height: np.ndarray
+    """Above the plane [depth units]."""
+    drop: np.ndarray
+    """How much lower than the floor before it the floor behind an edge lies [depth units]."""
 
 
 def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray, np.ndarray]:
@@ -31,9 +38,11 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     From the nearest floor cell on, the floor goes on while the next one is at most ``longest_gap``
     farther and no obstacle of the column is nearer. It is ended by
 
+    - a drop, where ``RUN`` measured cells one after the other lie lower than the last floor cell by
+      a drop at once, and flat. Stereo cameras bow far floor down, but slowly; a reflection in a
+      glossy floor lies below it too, but stands upright as the thing that it mirrors, and is
+      narrow: of a column and its ``BESIDE`` neighbours on both sides more than half must drop;
     - an obstacle, where the column's nearest one is at most ``longest_gap`` farther;
-    - a drop, where the next ``RUN`` measured cells are clearly below the floor; a reflection in a
-      glossy floor is too, but beyond it floor is seen, or the thing that it mirrors;
     - the end of the range, at most ``longest_gap`` farther;
     - else by what is not known.
 
@@ -61,25 +70,42 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
                 line[column] = place[nearest, column]
                 end[column] = FreeEnd.OBSTACLE
             continue
-        steps = np.flatnonzero(np.diff(view.forward[floor, column]) > longest_gap)
-        last = floor[steps[0]] if len(steps) else floor[-1]
+        last, drops = _followed(view, column, floor, longest_gap)
         line[column] = place[floor[0], column], place[last, column]
         close = limit - view.forward[last, column] <= longest_gap
-        if _drops(view, column, int(last)):
+        if drops:
             end[column] = FreeEnd.DROP
         elif close and len(blocked):
             end[column] = FreeEnd.OBSTACLE
             line[column, 1] = place[nearest, column]
         elif close:
             end[column] = FreeEnd.RANGE
+    drops = (end == FreeEnd.DROP).astype(np.int64)
+    beside = np.convolve(drops, np.ones(2 * BESIDE + 1, np.int64), "same")
+    end[(drops > 0) & (beside <= BESIDE)] = FreeEnd.UNKNOWN
     return line, end
 
 
+def _followed(view: FloorView, column: int, floor: np.ndarray, gap: int) -> tuple[int, bool]:
+    """The last row of the floor that begins at ``floor[0]``, and whether it drops there."""
+    last = int(floor[0])
+    for row in floor[1:].tolist():
+        if _drops(view, column, last):
+            return last, True
+        if view.forward[row, column] - view.forward[last, column] > gap:
+            return last, False
+        last = row
+    return last, _drops(view, column, last)
+
+
 def _drops(view: FloorView, column: int, last: int) -> bool:
-    """Whether the next measured cells up a column are below the floor, and nothing stands there."""
+    """Whether the next ``RUN`` measured cells up a column are a drop lower, and lie flat."""
     above = slice(0, last)
-    below, thing = view.below[above, column][::-1], view.label[above, column][::-1] >= 0
-    measured = below | thing | view.floor[above, column][::-1]
-    below, thing = below[measured], thing[measured]
-    run = int(np.argmin(np.append(below, False)))
-    return run >= RUN and not (run < len(thing) and thing[run])
+    thing, low = view.label[above, column][::-1] >= 0, view.low[above, column][::-1]
+    row = np.flatnonzero(low | thing)[:RUN]
+    if len(row) < RUN or thing[row].any():
+        return False
+    height, forward = (a[above, column][::-1][row] for a in (view.height, view.forward))
+    deep = view.height[last, column] - height > view.drop[above, column][::-1][row]
+    flat = np.abs(np.diff(height)) < np.abs(np.diff(forward))
+    return bool(deep.all() and flat.all())
