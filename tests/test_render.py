@@ -83,7 +83,7 @@ def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
     counts[30:40, 60:80] = 7  # large X, large Y: upper right
     counts[0, 0] = 1
     path = np.array([[0.0, 0.0], [1.0, 0.2], [2.0, 0.0]])
-    image = draw_map(MapImage(counts, (0.0, 0.0), 0.05, path), "name")
+    image = draw_map(MapImage(counts, 0 * counts, (0.0, 0.0), 0.05, path), "name")
     heat = cv2.applyColorMap(np.full((1, 1), 240, np.uint8), cv2.COLORMAP_INFERNO)[0, 0, ::-1]
     rows, columns = np.nonzero((image[60:-60] == heat).all(axis=2))
     assert rows.mean() < image.shape[0] / 2
@@ -97,5 +97,5 @@ def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", [np.zeros((0, 2)), np.array([[500.0, -300.0]])])
 def test_map_of_one_cell(path: np.ndarray) -> None:
-    image = draw_map(MapImage(np.ones((1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
+    image = draw_map(MapImage(*np.ones((2, 1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
     assert max(image.shape) < 1200

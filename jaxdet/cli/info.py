@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -56,7 +56,7 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     for files in find_logs(given(command.logs)):
         try:
-            about, lines = describe(files, Config(ground=command.ground), command.log)
+            about, lines = describe(files, replace(config, ground=command.ground), command.log)
         except JaxdetError as error:
             failed += 1
             about, lines = {"log": files.name, "error": str(error)}, []
