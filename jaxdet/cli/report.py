@@ -36,11 +36,22 @@ def _log_lines(log: "LogSummary") -> list[str]:
         f"obstacles  {log.obstacles}",
         f"ground     {ground_text(log.ground)}",
     ]
+    if log.floor_sources["frame"] or log.floor_refused:
+        text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
         text.append(f"overflow   {log.overflow_frames} frames had more features than slots")
     if log.score:
         text += _score_lines(log.score)
     return text + [f"warning    {warning}" for warning in log.warnings]
+
+
+def _floor_text(log: "LogSummary") -> str:
+    """Which frames show their floor themselves, and whose floor the others have."""
+    others = [f"{count} that of {name}" for name, count in sorted(log.floor_sources.items())]
+    others = [text for text in others if not text.endswith(" frame")]
+    text = ", ".join([f"{log.floor_sources['frame']} frames show their own", *others])
+    reasons = ", ".join(f"{count} {name}" for name, count in log.floor_refused.most_common())
+    return f"{text} (refused: {reasons})" if reasons else text
 
 
 def _score_lines(score: Mapping[str, Any]) -> list[str]:

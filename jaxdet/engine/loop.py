@@ -178,6 +178,7 @@ class _LogRun:
             from jaxdet.engine.scoring import scores
 
             part.score = scores(tallies)
+        part.warnings += [part.floor_warning] if part.floor_warning else []
         self._write_map(occupancy)
 
     def _job(self, log: "Log") -> LogJob:

@@ -39,6 +39,8 @@ def prior_of(
         found = sampled_floor(shown, fit.own[frames.valid])
         message = _said(known, _sample_text(found))
         if not (found.plane.valid[0] if plane.valid[0] else found.agrees):
+            if not plane.valid[0]:
+                message = f"each frame is searched alone; {message}"
             return replace(known, frames_used=found.decided, message=message), plane
         record = replace(
             record_of("estimate", found.plane, message),

@@ -12,7 +12,6 @@ HEADER, FOOTER, MARGIN = 46, 46, 24
 PATH: canvas.Color = (64, 180, 255)
 START: canvas.Color = (80, 214, 120)
 END: canvas.Color = (255, 92, 92)
-FREE: canvas.Color = (178, 196, 186)
 
 
 class MapImage(NamedTuple):
@@ -84,7 +83,7 @@ def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: fl
     inside = ((row >= 0) & (row < rows))[:, None] & ((column >= 0) & (column < columns))
     cell = np.clip(row, 0, rows - 1)[:, None], np.clip(column, 0, columns - 1)
     counts = image.counts[cell]
-    panel[inside & (image.free[cell] > 0)] = FREE
+    panel[inside & (image.free[cell] > 0)] = canvas.FREE
     shown = inside & (counts > 0)
     panel[shown] = _heat(counts, max(int(image.counts.max()), 1))[shown]
 
@@ -142,7 +141,11 @@ def _draw_legend(framed: np.ndarray, image: MapImage, right: int, y: int) -> Non
     framed[y - 10 : y + 2, right - 110 : right] = _heat(ramp[None], most)
     canvas.write(framed, "1", (right - 116, y + 2), canvas.FAINT, align="right")
     x = right - 150.0
-    entries = [(END, "end"), (START, "start"), *([(FREE, "seen free")] * bool(image.free.any()))]
+    entries = [
+        (END, "end"),
+        (START, "start"),
+        *([(canvas.FREE, "seen free")] * bool(image.free.any())),
+    ]
     for color, text in entries:
         x -= canvas.text_size(text, 15)[0]
         canvas.write(framed, text, (x, y + 2), canvas.FAINT)
