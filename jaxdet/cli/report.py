@@ -64,7 +64,16 @@ def _score_lines(score: Mapping[str, Any]) -> list[str]:
         f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
         f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "
         f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
+        *_claimed_lines(score["free_claimed"], score["free_claimed_worst"]),
     ]
+
+
+def _claimed_lines(share: float, worst: float) -> list[str]:
+    """How much floor to drive on the outlines take."""
+    if math.isnan(share):
+        return []
+    text = f"           {share:.1%} of the drivable floor is in outlines"
+    return [text if math.isnan(worst) else f"{text}, {worst:.1%} in the worst frame"]
 
 
 def ground_text(records: Sequence["GroundRecord"]) -> str:
