@@ -57,7 +57,7 @@ FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
 
 def test_by_hand() -> None:
     detections = found()
-    heights = np.zeros_like(detections.scene.bottom_top)  # pyright: ignore[reportOptionalMemberAccess]
+    heights = np.zeros_like(detections.scene.bottom_top)
     low = with_scene(detections, bottom_top=heights)
     one, other = claimed_floor(low, FLOOR, 0.001, CONFIG)
     assert one == Tally(drivable_pixels=4, drivable_claimed=3, claims=(0.75,))
