@@ -116,7 +116,7 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path
     assert about.floor_refused.total() == FRAMES
     assert about.floor_refused == {row["floor_refused"]: FRAMES for row in frames}
     (warning,) = [text for text in about.warnings if "don't show their floor" in text]
-    assert "have that of flags" in warning and "--ground.camera-height-m" in warning
+    assert f"{FRAMES} have that of flags: give" in warning and "--ground.camera-height-m" in warning
 
 
 def test_source_none_drops_nothing_as_floor(tmp_path: Path) -> None:

@@ -47,8 +47,11 @@ def _log_lines(log: "LogSummary") -> list[str]:
 
 def _floor_text(log: "LogSummary") -> str:
     """Which frames show their floor themselves, and whose floor the others have."""
-    others = [f"{count} that of {name}" for name, count in sorted(log.floor_sources.items())]
-    others = [text for text in others if not text.endswith(" frame")]
+    others = [
+        f"{count} have none" if name == "none" else f"{count} have that of {name}"
+        for name, count in sorted(log.floor_sources.items())
+        if count and name != "frame"
+    ]
     text = ", ".join([f"{log.floor_sources['frame']} frames show their own", *others])
     reasons = ", ".join(f"{count} {name}" for name, count in log.floor_refused.most_common())
     return f"{text} (refused: {reasons})" if reasons else text

@@ -74,11 +74,14 @@ class LogSummary:
         refused, good = self.floor_refused.total(), self.status[FrameStatus.OK]
         if refused <= MANY_REFUSED * good:
             return None
-        others = ", ".join(name for name in self.floor_sources if name != "frame")
         reasons = ", ".join(f"{n} {name}" for name, n in self.floor_refused.most_common())
+        nothing = self.floor_sources["none"]
+        others = [f"{n} have that of {name}" for name, n in self.floor_sources.items() if n]
+        others = [text for text in others if not text.endswith((" frame", " none"))]
+        others += [f"in {nothing} nothing is dropped as floor"] if nothing else []
         return (
-            f"{refused} of {good} frames don't show their floor themselves ({reasons}) and have "
-            f"that of {others}: check it, or give --ground.camera-height-m and its tilt"
+            f"{refused} of {good} frames don't show their floor themselves ({reasons}), "
+            f"{', '.join(others)}: give the camera's true --ground.camera-height-m and tilt"
         )
 
     @property
