@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.types import Obstacles
+from jaxdet.types import Detections, Obstacles
 
 
 class Extents(NamedTuple):
@@ -43,6 +43,32 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
             for a in (obstacles.xyz_min, obstacles.xyz_max, centroid)
         )
     )
+
+
+def distances(detections: Detections) -> np.ndarray:
+    """How far each obstacle is from the camera's foot on the floor.
+
+    Args:
+        detections: NumPy or JAX arrays.
+
+    Returns:
+        ``(B, M)`` float64 [depth units], to the nearest point of the contour, or without one to
+        the nearest of the points A, B and C; 0 in empty slots.
+    """
+    scene, obstacles = detections.scene, detections.obstacles
+    if scene is None:
+        points = np.stack([np.asarray(p) for p in (obstacles.a, obstacles.b, obstacles.c)], axis=-2)
+        return np.sqrt(_squared(points).min(axis=-1))
+    slots = np.arange(np.shape(scene.contour)[2])
+    used = slots < np.asarray(scene.contour_points)[..., None]
+    squared = np.where(used, _squared(np.asarray(scene.contour)), np.inf).min(axis=-1)
+    return np.sqrt(np.where(used.any(axis=-1), squared, 0.0))
+
+
+def _squared(points: np.ndarray) -> np.ndarray:
+    """The squared length of points ``(..., 2)``."""
+    x, y = np.moveaxis(points.astype(np.float64), -1, 0)
+    return x * x + y * y
 
 
 def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:

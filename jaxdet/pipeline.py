@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, Literal, Protocol, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from jaxdet.types import (
     Labels,
     Obstacles,
 )
+
+if TYPE_CHECKING:
+    from jaxdet.reference import FloorFit
 
 BackendName = Literal["reference", "jax"]
 
@@ -72,7 +75,9 @@ def detect(
 
     The floor of each frame is ``frames.plane``; where that is None, the configuration's camera
     height, pitch and roll; where those are unset, an estimate from these frames' depth
-    (:func:`estimate_plane`), unless ``config.ground.source`` is ``none``.
+    (:func:`estimate_plane`), unless ``config.ground.source`` is ``none``. With surfaces
+    (``config.surface``) the first two are what each frame's own depth corrects, and without them
+    each frame is searched alone; with ``none`` none is.
 
     Args:
         frames: ``B`` frames, see :class:`jaxdet.types.Frames`.
@@ -114,17 +119,54 @@ def detect(
 
 def _detect_surfaces(frames: Frames, config: Config, backend: BackendName) -> Detections:
     """Obstacles made of surfaces, with the floor of each frame."""
-    if backend != "reference":
+    check_backend(config, backend)
+    from jaxdet import reference
+
+    return reference.detect(frames, floor_of(frames, config), _searching(config))
+
+
+def check_backend(config: Config, backend: BackendName) -> None:
+    """Refuses a backend that has no program for a configuration.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if config.surface.cell_rad and backend != "reference":
         raise ConfigError(
             f"obstacles made of surfaces have no program for backend {backend!r} yet",
             remedy="use --backend reference, or a preset without surfaces such as wheeled",
         )
+
+
+def find_floors(frames: Frames, config: Config) -> "FloorFit":
+    """Finds the floor in each frame's own depth, as :func:`detect` does with surfaces.
+
+    Args:
+        frames: ``B`` frames; where ``plane`` is None, the prior is the configuration's.
+        config: ``surface.cell_rad`` is above 0.
+
+    Returns:
+        The planes, and why they are not the frames' own, see
+        :class:`jaxdet.reference.FloorFit`.
+
+    Raises:
+        CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
+        InputError: There are not as many images and planes.
+    """
     from jaxdet import reference
 
-    prior = known_plane(frames, config)
-    if prior is None:
-        prior = unknown_plane(len(frames.depth))
-    return reference.detect(frames, prior, config)
+    check_frames(frames)
+    unit, config = frames.calibration.depth_unit, _searching(config)
+    grid = reference.cells(frames.depth, frames.calibration, config.surface)
+    prior = floor_of(frames, config)
+    return reference.find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
+
+
+def _searching(config: Config) -> Config:
+    """With ``ground.source`` none no floor is looked for: there are no cells to see it in."""
+    if config.ground.source != "none":
+        return config
+    return replace(config, floor=replace(config.floor, max_depth_m=0.0))
 
 
 def _program(stages: Backend, frames: Frames, config: Config) -> Detections | None:
@@ -142,8 +184,13 @@ def slots_of(camera: Intrinsics, config: FeaturesConfig) -> int:
 
 
 def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:
-    """The floor of each frame as :func:`detect` takes it: given, configured or estimated."""
+    """The floor of each frame as :func:`detect` takes it: given, configured or estimated.
+
+    With surfaces it is what is known before the frames are looked at, not valid where nothing is.
+    """
     plane = known_plane(frames, config)
+    if plane is None and config.surface.cell_rad:
+        plane = unknown_plane(len(frames.depth))
     if plane is None:
         found = estimate_plane(frames, _one_window(config), backend=backend)
         plane = repeat_plane(found.plane, len(frames.depth))

@@ -128,6 +128,9 @@ def assert_equal(twin, reference) -> None:
         if hasattr(want, "_fields"):
             assert_equal(got, want)
             continue
+        if want is None:
+            assert got is None, name
+            continue
         got = np.asarray(got)
         assert (got.dtype, got.shape) == (want.dtype, want.shape), name
         assert np.array_equal(got, want), f"{name}: {np.sum(got != want)} of {want.size} differ"

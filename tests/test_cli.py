@@ -170,6 +170,12 @@ def test_info_says_what_is_used_and_why(sim_log: Path, capsys: Captured) -> None
     assert json.loads(capsys.readouterr().out)["logs"][0]["frames"] == 2
 
 
+def test_info_says_what_surfaces_start_from(sim_log: Path, capsys: Captured) -> None:
+    assert main(["info", str(sim_log), "--preset", "surfaces"]) == 0
+    text = capsys.readouterr().out
+    assert "2 of 2 sampled frames show their floor" in text and "tf: 0.300 m up" in text
+
+
 def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "hard.mcap"
     args = ["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]

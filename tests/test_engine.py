@@ -15,7 +15,7 @@ from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions, decide_planes
 from jaxdet.engine import loop as engine_loop
-from jaxdet.engine.planes import evenly
+from jaxdet.engine.ground import evenly
 from jaxdet.engine.prefetch import prefetch
 from jaxdet.errors import ConfigError, FrameStatus, InputError
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log

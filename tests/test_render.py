@@ -11,6 +11,7 @@ from jaxdet.engine.rows import to_host
 from jaxdet.metric import rectangles
 from jaxdet.pipeline import detect
 from jaxdet.plane import flat_plane, unknown_plane
+from jaxdet.presets import preset
 from jaxdet.render import MapImage, canvas, draw_frame, draw_map, write_png
 from jaxdet.render.topview import View, ground_points
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
@@ -78,12 +79,43 @@ def test_top_view_puts_right_to_the_right() -> None:
     np.testing.assert_allclose(points[:, 1], 1.2, atol=2e-3)
 
 
+def test_a_scene_shows_free_floor_and_drops() -> None:
+    """A floor with a box on it, which ends 2 m away; beyond is a lower one."""
+    frames, v = scene(), np.arange(120)[:, None]
+    below = np.maximum(v - 60, 1e-3) / 120.0
+    floor, lower = 500 / below, 900 / below
+    depth = np.where(floor < 2000, floor, np.where(lower < 6000, lower, 0)) + np.zeros((1, 160))
+    depth[30:80, 90:140] = 1200
+    frames = frames._replace(depth=depth[None].astype(np.uint16))
+    config = preset("surfaces")
+    found = to_host(detect(frames, config, backend="reference"))
+    assert found.scene is not None and found.scene.own_floor[0]
+    corners = rectangles(found.obstacles, 0.001, config.footprint)
+    image = draw_frame(frames, found, corners, 0, config, "")[46:-40]
+    assert found.labels.num_obstacles[0] == 1 and has_color(image, canvas.color_of(0))
+    assert has_color(image[:, -540:], canvas.DROP)
+    assert not has_color(image[:, :-550], canvas.DROP)
+    camera = image.shape[1] - 10 - 270, image.shape[0]
+    free = np.rint(0.7 * np.array((44, 54, 68)) + 0.3 * np.array(canvas.FREE))
+    rows, columns = np.nonzero((np.abs(image - free) < 16).all(axis=2))
+    assert len(rows) > 2000 and abs(columns.mean() - camera[0]) < 60
+
+
+def test_map_shows_where_it_was_free() -> None:
+    counts, free = np.zeros((2, 40, 80), np.int32)
+    counts[:, 40:], free[:20] = 1, 3
+    image = draw_map(MapImage(counts, free, (0.0, 0.0), 0.05, np.zeros((0, 2))), "n")
+    rows, columns = np.nonzero((image[60:-60] == canvas.FREE).all(axis=2))
+    assert rows.min() > 0.4 * (image.shape[0] - 120)
+    assert columns.max() < 0.6 * image.shape[1]
+
+
 def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
     counts = np.zeros((40, 80), np.int32)
     counts[30:40, 60:80] = 7  # large X, large Y: upper right
     counts[0, 0] = 1
     path = np.array([[0.0, 0.0], [1.0, 0.2], [2.0, 0.0]])
-    image = draw_map(MapImage(counts, (0.0, 0.0), 0.05, path), "name")
+    image = draw_map(MapImage(counts, 0 * counts, (0.0, 0.0), 0.05, path), "name")
     heat = cv2.applyColorMap(np.full((1, 1), 240, np.uint8), cv2.COLORMAP_INFERNO)[0, 0, ::-1]
     rows, columns = np.nonzero((image[60:-60] == heat).all(axis=2))
     assert rows.mean() < image.shape[0] / 2
@@ -97,5 +129,5 @@ def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", [np.zeros((0, 2)), np.array([[500.0, -300.0]])])
 def test_map_of_one_cell(path: np.ndarray) -> None:
-    image = draw_map(MapImage(np.ones((1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
+    image = draw_map(MapImage(*np.ones((2, 1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
     assert max(image.shape) < 1200

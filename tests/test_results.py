@@ -28,7 +28,17 @@ def frame_rows(start: int, stop: int) -> dict:
         "camera_height_m": np.where(n % 5, 0.6, np.nan),
         "camera_pitch_rad": np.where(n % 5, 0.3, np.nan),
         "camera_roll_rad": np.where(n % 5, -0.1, np.nan),
+        "floor_source": np.where(n % 2, "frame", "tf").astype(object),
+        "floor_refused": np.ma.array(np.full(n.size, "far", object), mask=n % 2 == 1),
+        **{f"free_{name}": lists(n, np.float32) for name in ("bearing_rad", "from_m", "to_m")},
+        "free_end": lists(n, np.int8),
+        "drop_m": np.where(n % 4, np.nan, 1.5),
     }
+
+
+def lists(numbers: np.ndarray, dtype: type) -> list:
+    """Of each number as many, and null for every third."""
+    return [np.full(n, n, dtype) if n % 3 else None for n in numbers.tolist()]
 
 
 def obstacle_rows(start: int, stop: int) -> dict:
@@ -43,6 +53,8 @@ def obstacle_rows(start: int, stop: int) -> dict:
         "vertices": (n % 2).astype(np.int8),
         "corners_ground": corners,
         "corners_world": world,
+        "bottom_m": np.where(n % 2, 0.1, np.nan),
+        "contour": lists(n, np.float32),
     }
 
 
@@ -64,6 +76,11 @@ def test_round_trip_with_nulls(tmp_path: Path) -> None:
     assert frames["camera_height_m"].to_pylist()[:2] == [None, pytest.approx(0.6)]
     assert obstacles["corners_world"].to_pylist()[:2] == [None, [1.0] * 8]
     assert obstacles["corners_ground"].to_pylist()[2] == [2.0] * 8
+    assert frames["floor_refused"].to_pylist()[:2] == ["far", None]
+    assert frames["free_end"].to_pylist()[:4] == [None, [1], [2, 2], None]
+    assert frames["drop_m"].to_pylist()[:2] == [1.5, None]
+    assert obstacles["contour"].to_pylist()[:3] == [None, [1.0], [2.0, 2.0]]
+    assert obstacles["bottom_m"].to_pylist()[:2] == [None, pytest.approx(0.1)]
     assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == {"b": "é"}
 
 

@@ -2,14 +2,14 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
-from jaxdet.cli.settings import defaults, given
+from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import JaxdetError
 from jaxdet.io.options import LogOptions
@@ -36,6 +36,8 @@ class InfoCommand:
 
     logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
     """MCAP files, folders (searched for .mcap) or globs."""
+    preset: str = DEFAULT_PRESET
+    """Configuration to start from, as for jaxdet run."""
     config: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file, as for jaxdet run."""
     json: Flag = False
@@ -46,9 +48,9 @@ class InfoCommand:
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    config, log_options, _ = defaults(args)
+    config, log_options, name = defaults(args)
     missing: Any = tyro.MISSING
-    start = InfoCommand(missing, ground=config.ground, log=log_options)
+    start = InfoCommand(missing, preset=name, ground=config.ground, log=log_options)
     command = parse_flags(start, args, "jaxdet info", DESCRIPTION)
     from jaxdet.io import find_logs
     from jaxdet.io.results import to_json
@@ -56,7 +58,7 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     for files in find_logs(given(command.logs)):
         try:
-            about, lines = describe(files, Config(ground=command.ground), command.log)
+            about, lines = describe(files, replace(config, ground=command.ground), command.log)
         except JaxdetError as error:
             failed += 1
             about, lines = {"log": files.name, "error": str(error)}, []

@@ -36,11 +36,25 @@ def _log_lines(log: "LogSummary") -> list[str]:
         f"obstacles  {log.obstacles}",
         f"ground     {ground_text(log.ground)}",
     ]
+    if log.floor_sources["frame"] or log.floor_refused:
+        text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
         text.append(f"overflow   {log.overflow_frames} frames had more features than slots")
     if log.score:
         text += _score_lines(log.score)
     return text + [f"warning    {warning}" for warning in log.warnings]
+
+
+def _floor_text(log: "LogSummary") -> str:
+    """Which frames show their floor themselves, and whose floor the others have."""
+    others = [
+        f"{count} have none" if name == "none" else f"{count} have that of {name}"
+        for name, count in sorted(log.floor_sources.items())
+        if count and name != "frame"
+    ]
+    text = ", ".join([f"{log.floor_sources['frame']} frames show their own", *others])
+    reasons = ", ".join(f"{count} {name}" for name, count in log.floor_refused.most_common())
+    return f"{text} (refused: {reasons})" if reasons else text
 
 
 def _score_lines(score: Mapping[str, Any]) -> list[str]:
@@ -53,7 +67,16 @@ def _score_lines(score: Mapping[str, Any]) -> list[str]:
         f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
         f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "
         f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
+        *_claimed_lines(score["free_claimed"], score["free_claimed_worst"]),
     ]
+
+
+def _claimed_lines(share: float, worst: float) -> list[str]:
+    """How much floor to drive on the outlines take."""
+    if math.isnan(share):
+        return []
+    text = f"           {share:.1%} of the drivable floor is in outlines"
+    return [text if math.isnan(worst) else f"{text}, {worst:.1%} in the worst frame"]
 
 
 def ground_text(records: Sequence["GroundRecord"]) -> str:

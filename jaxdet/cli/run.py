@@ -14,8 +14,11 @@ from jaxdet.config import (
     ClusterConfig,
     Config,
     FeaturesConfig,
+    FloorConfig,
     FootprintConfig,
     GroundConfig,
+    ObstacleConfig,
+    SurfaceConfig,
 )
 from jaxdet.io.options import LogOptions
 
@@ -45,12 +48,13 @@ class RunCommand:
     output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     preset: str = DEFAULT_PRESET
-    """Configuration to start from: wheeled, paper, uneven, d435, d455, oak-d, zed, azure-kinect,
-    orbbec."""
+    """Configuration to start from: wheeled, paper, surfaces, tabletop, uneven, d435, d455, oak-d,
+    zed, azure-kinect, orbbec."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with sections as below."""
     backend: Literal["jax", "reference"] = "jax"
-    """jax: jitted, on the GPU when there is one; reference: plain NumPy. Equal results."""
+    """jax: jitted, on the GPU when there is one; reference: plain NumPy. Equal results; only
+    reference has surfaces and tabletop."""
     batch_size: int = 16
     """Frames computed together; changes no result."""
     workers: int | None = None
@@ -70,6 +74,9 @@ class RunCommand:
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     cluster: ClusterConfig = field(default_factory=ClusterConfig)
     footprint: FootprintConfig = field(default_factory=FootprintConfig)
+    floor: FloorConfig = field(default_factory=FloorConfig)
+    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
+    obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)
     log: LogOptions = field(default_factory=LogOptions)
 
 
@@ -85,6 +92,9 @@ def parse(args: list[str]) -> RunCommand:
         features=config.features,
         cluster=config.cluster,
         footprint=config.footprint,
+        floor=config.floor,
+        surface=config.surface,
+        obstacle=config.obstacle,
         log=log,
     )
     return parse_flags(start, args, "jaxdet run", DESCRIPTION)
@@ -104,6 +114,9 @@ def main(args: list[str]) -> int:
         features=command.features,
         cluster=command.cluster,
         footprint=command.footprint,
+        floor=command.floor,
+        surface=command.surface,
+        obstacle=command.obstacle,
     )
     options = RunOptions(
         command.output,

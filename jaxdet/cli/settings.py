@@ -15,7 +15,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.presets import preset
 
 DEFAULT_PRESET = "wheeled"
-SECTIONS = ("ground", "features", "cluster", "footprint", "log")
+SECTIONS = tuple(part.name for part in dataclasses.fields(Config)) + ("log",)
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

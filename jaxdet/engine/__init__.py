@@ -1,8 +1,9 @@
 """Runs the pipeline over whole logs and writes the results."""
 
+from jaxdet.engine.ground import GroundRecord, Planes
 from jaxdet.engine.loop import Progress, ProgressCallback, RunOptions, run
 from jaxdet.engine.many import Workers
-from jaxdet.engine.planes import GroundRecord, Planes, decide_planes
+from jaxdet.engine.planes import decide_planes
 from jaxdet.engine.startup import start_up, use_caches
 from jaxdet.engine.summary import LogSummary, Summary, plain, versions
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.planes import Planes
+from jaxdet.engine.ground import Planes
 from jaxdet.engine.rows import Rows, batch_rows
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.render import draw_frame, write_png
@@ -43,6 +43,9 @@ class Started(NamedTuple):
 
     batch: "Batch"
     plane: GroundPlane
+    """The floor given to each frame."""
+    sources: list[str]
+    """Where it comes from."""
     detections: Detections
 
 
@@ -55,6 +58,8 @@ class Done(NamedTuple):
     """Columns of ``obstacles.parquet``."""
     T_world_camera: np.ndarray | None
     """``(B, 4, 4)`` float64."""
+    free_world: np.ndarray | None
+    """See :class:`jaxdet.engine.rows.Rows`."""
     errors: list[str]
     """Frames that could not be used, with the reason."""
     pictures: list[str]
@@ -98,11 +103,12 @@ class LogWork:
             batch: What was read.
             on_device: Its images on a device, where they are there already.
         """
-        plane = self.job.planes.of(batch.frames.stamp_ns)
+        stamps, planes = batch.frames.stamp_ns, self.job.planes
+        plane = planes.of(stamps)
         frames = batch.frames._replace(plane=plane, **on_device)
         found = detect(frames, self.job.config, backend=self.job.backend)
         _copy_to_host(found)
-        return Started(batch, plane, found)
+        return Started(batch, plane, planes.sources(stamps), found)
 
     def finish(self, started: Started) -> Done:
         """Waits for the detections and uses them."""
@@ -111,8 +117,15 @@ class LogWork:
         numbers = batch.frames.number.tolist()
         errors = [f"frame {i}: {e}" for i, e in zip(numbers, batch.errors, strict=False) if e]
         tally = self._scorer.tally(batch, rows.detections) if self._scorer else None
-        poses = batch.frames.T_world_camera
-        return Done(rows.frames, rows.obstacles, poses, errors, self._draw(started, rows), tally)
+        return Done(
+            rows.frames,
+            rows.obstacles,
+            batch.frames.T_world_camera,
+            rows.free_world,
+            errors,
+            self._draw(started, rows),
+            tally,
+        )
 
     @cached_property
     def _scorer(self) -> "Scorer | None":
@@ -123,7 +136,7 @@ class LogWork:
         return Scorer(self.job.truth, self.job.config)
 
     def _draw(self, started: Started, rows: Rows) -> list[str]:
-        frames = started.batch.frames._replace(plane=started.plane)
+        frames = started.batch.frames._replace(plane=rows.plane)
         drawn = []
         for row, index in enumerate(frames.number[: len(started.batch.status)].tolist()):
             if index in self.job.drawn and frames.valid[row]:

@@ -12,14 +12,15 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.batch import Done, LogJob, LogWork
+from jaxdet.engine.ground import evenly
 from jaxdet.engine.occupancy import OccupancyMap, save_map
-from jaxdet.engine.planes import decide_planes, evenly
+from jaxdet.engine.planes import decide_planes
 from jaxdet.engine.processes import Processes
 from jaxdet.engine.summary import LogSummary, Summary, plain
 from jaxdet.errors import JaxdetError
 from jaxdet.io import open_log
 from jaxdet.io.results import ResultWriter
-from jaxdet.pipeline import BackendName
+from jaxdet.pipeline import BackendName, check_backend
 from jaxdet.render import draw_map, write_png
 
 if TYPE_CHECKING:
@@ -88,9 +89,11 @@ def run(
         What is in ``summary.json``.
 
     Raises:
-        ConfigError: The output folder holds results already.
+        ConfigError: The output folder holds results already, or the backend has no program for
+            the configuration.
         InputError: The output folder can't be written to, or the truth can't be read.
     """
+    check_backend(config, options.backend)
     start = time.perf_counter()
     summary = Summary(options.backend, options.batch_size)
     with (
@@ -168,12 +171,14 @@ class _LogRun:
                 self._count(done, time.perf_counter() - start)
                 occupancy.add_path(done.T_world_camera)
                 occupancy.add(done.obstacles["corners_world"])
+                occupancy.add_free(done.free_world)
                 tallies += [done.tally] if done.tally else []
                 self.report(log.num_frames)
         if tallies:
             from jaxdet.engine.scoring import scores
 
             part.score = scores(tallies)
+        part.warnings += [part.floor_warning] if part.floor_warning else []
         self._write_map(occupancy)
 
     def _job(self, log: "Log") -> LogJob:
@@ -217,10 +222,12 @@ class _LogRun:
             self.part.warnings.append("no map: the log has no poses")
             return
         if occupancy.skipped:
-            self.part.warnings.append(f"{occupancy.skipped} outlines have no place on the map")
+            self.part.warnings.append(
+                f"{occupancy.skipped} outlines or views have no place on the map"
+            )
         image = occupancy.image()
         if image is None:
-            self.part.warnings.append("no map: no obstacle in the world, or too wide an area")
+            self.part.warnings.append("no map: nothing seen in the world, or too wide an area")
             return
         self.part.map = f"map_{self.file_name}"
         save_map(self.writer.path(f"{self.part.map}.npz"), image)

@@ -121,7 +121,9 @@ _STAMPS = ("number", "stamp_ns", "depth_stamp_ns")
 
 
 def _joined(parts: list[Any], count: int) -> Any:
-    """Named tuples of arrays one after the other, cut to ``count`` rows."""
+    """Named tuples of arrays, or None, one after the other, cut to ``count`` rows."""
+    if parts[0] is None:
+        return None
     if isinstance(parts[0], np.ndarray):
         return np.concatenate(parts)[:count]
     fields = zip(*parts, strict=True)

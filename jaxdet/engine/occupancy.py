@@ -1,4 +1,4 @@
-"""The map of a whole log: how many obstacle outlines cover each cell of the floor."""
+"""The map of a whole log: how often each cell was an obstacle's, and how often free."""
 
 from pathlib import Path
 
@@ -21,12 +21,14 @@ _UNITS = 1 << _SHIFT
 class OccupancyMap:
     """Integer counts on tiles, so neither the order of the frames nor the path's length matters.
 
-    An outline that has no place on the map (further than a 32-bit cell number, or absurdly
-    large) is counted in ``skipped``.
+    A cell is occupied where an outline covers it, free where it was only seen free, else not known.
+    What has no place on the map (further than a 32-bit cell number, or absurdly large), outlines
+    and the free floor of frames, is counted in ``skipped``.
     """
 
     def __init__(self) -> None:
         self.tiles: dict[tuple[int, int], np.ndarray] = {}
+        self.free_tiles: dict[tuple[int, int], np.ndarray] = {}
         self.path: list[np.ndarray] = []
         self.skipped = 0
 
@@ -39,52 +41,80 @@ class OccupancyMap:
     def add(self, corners: np.ndarray) -> None:
         """Counts outlines ``(R, 8)`` float32, world X and Y [m]; NaN ones are left out."""
         for polygon in corners[np.isfinite(corners).all(axis=1)].reshape(-1, 4, 2):
-            self._add_one(polygon.astype(np.float64) / CELL_M - 0.5)
+            self._add_union(self.tiles, polygon[None])
 
-    def _add_one(self, polygon: np.ndarray) -> None:
-        low = np.floor(polygon.min(axis=0)).astype(np.int64)
-        size = np.ceil(polygon.max(axis=0)).astype(np.int64) - low + 1
+    def add_free(self, fans: np.ndarray | None) -> None:
+        """Counts free floor ``(F, n, 4, 2)``, convex, world X and Y [m]; NaN is left out.
+
+        A cell that several of a frame's parts cover is counted once for the frame.
+        """
+        for parts in [] if fans is None else fans:
+            known = parts[np.isfinite(parts).all(axis=(1, 2))]
+            if len(known):
+                self._add_union(self.free_tiles, known)
+
+    def _add_union(self, tiles: dict[tuple[int, int], np.ndarray], polygons: np.ndarray) -> None:
+        """Counts the cells that any of these convex polygons ``(n, 4, 2)`` [m] covers."""
+        cells = polygons.astype(np.float64) / CELL_M - 0.5
+        low = np.floor(cells.min(axis=(0, 1))).astype(np.int64)
+        size = np.ceil(cells.max(axis=(0, 1))).astype(np.int64) - low + 1
         if np.abs(low).max() > 1 << 30 or int(size[0]) * int(size[1]) > MAX_OUTLINE_CELLS:
             self.skipped += 1
             return
         mask = np.zeros((int(size[1]), int(size[0])), np.uint8)
-        points = np.rint((polygon - low) * _UNITS).astype(np.int32)
-        cv2.fillConvexPoly(mask, points, 1, cv2.LINE_8, _SHIFT)
+        for points in np.rint((cells - low) * _UNITS).astype(np.int32):
+            cv2.fillConvexPoly(mask, points, 1, cv2.LINE_8, _SHIFT)
         first, last = low // TILE, (low + size - 1) // TILE
         for row in range(int(first[1]), int(last[1]) + 1):
             for column in range(int(first[0]), int(last[0]) + 1):
-                self._add_to_tile(mask, low, row, column)
-
-    def _add_to_tile(self, mask: np.ndarray, low: np.ndarray, row: int, column: int) -> None:
-        tile = self.tiles.setdefault((row, column), np.zeros((TILE, TILE), np.int32))
-        x, y = int(low[0]) - column * TILE, int(low[1]) - row * TILE
-        part = mask[max(0, -y) : TILE - y, max(0, -x) : TILE - x]
-        x, y = max(x, 0), max(y, 0)
-        tile[y : y + part.shape[0], x : x + part.shape[1]] += part
+                tile = tiles.setdefault((row, column), np.zeros((TILE, TILE), np.int32))
+                _add_to_tile(tile, mask, low, row, column)
 
     def image(self) -> MapImage | None:
         """The map as one array, or None when nothing is on it or it would be too large."""
         path = np.concatenate(self.path) if self.path else np.zeros((0, 2))
-        if not self.tiles:
+        keys = np.array([*self.tiles, *self.free_tiles])
+        if not len(keys):
             return None
-        keys = np.array(list(self.tiles))
         low = keys.min(axis=0)
         shape = (keys.max(axis=0) - low + 1) * TILE
         if int(shape[0]) * int(shape[1]) > MAX_CELLS:
             return None
-        counts = np.zeros((int(shape[0]), int(shape[1])), np.int32)
-        for (row, column), tile in self.tiles.items():
-            top, left = (row - int(low[0])) * TILE, (column - int(low[1])) * TILE
-            counts[top : top + TILE, left : left + TILE] = tile
+        counts, free = (_joined(tiles, low, shape) for tiles in (self.tiles, self.free_tiles))
         origin = (float(low[1]) * TILE * CELL_M, float(low[0]) * TILE * CELL_M)
-        return _cropped(MapImage(counts, origin, CELL_M, path))
+        return _cropped(MapImage(counts, free, origin, CELL_M, path))
+
+
+def _add_to_tile(
+    tile: np.ndarray, mask: np.ndarray, low: np.ndarray, row: int, column: int
+) -> None:
+    x, y = int(low[0]) - column * TILE, int(low[1]) - row * TILE
+    part = mask[max(0, -y) : TILE - y, max(0, -x) : TILE - x]
+    x, y = max(x, 0), max(y, 0)
+    tile[y : y + part.shape[0], x : x + part.shape[1]] += part
+
+
+def _joined(
+    tiles: dict[tuple[int, int], np.ndarray], low: np.ndarray, shape: np.ndarray
+) -> np.ndarray:
+    """Tiles as one array, whose first tile is ``low``."""
+    counts = np.zeros((int(shape[0]), int(shape[1])), np.int32)
+    for (row, column), tile in tiles.items():
+        top, left = (row - int(low[0])) * TILE, (column - int(low[1])) * TILE
+        counts[top : top + TILE, left : left + TILE] = tile
+    return counts
 
 
 def save_map(path: Path, image: MapImage) -> None:
-    """Writes ``counts`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path`` (F, 2) as npz."""
+    """Writes the map as npz.
+
+    ``counts`` and ``free`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path`` (F, 2), see
+    :class:`jaxdet.render.MapImage`.
+    """
     np.savez_compressed(
         path,
         counts=image.counts,
+        free=image.free,
         origin=np.array(image.origin),
         cell_m=np.array(image.cell_m),
         path=image.path,
@@ -92,9 +122,10 @@ def save_map(path: Path, image: MapImage) -> None:
 
 
 def _cropped(image: MapImage) -> MapImage:
-    rows = np.flatnonzero(image.counts.any(axis=1))
-    columns = np.flatnonzero(image.counts.any(axis=0))
-    counts = image.counts[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    seen = (image.counts > 0) | (image.free > 0)
+    rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    counts, free = (np.ascontiguousarray(a[part]) for a in (image.counts, image.free))
     x, y = image.origin
     origin = (x + float(columns[0]) * CELL_M, y + float(rows[0]) * CELL_M)
-    return MapImage(np.ascontiguousarray(counts), origin, CELL_M, image.path)
+    return MapImage(counts, free, origin, CELL_M, image.path)

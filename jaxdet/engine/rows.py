@@ -1,13 +1,15 @@
 """From the detections of a batch to the rows of the two result tables."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.free_floor import FreeFloor, free_columns, free_floor, no_free_columns
 from jaxdet.errors import FrameStatus
-from jaxdet.metric import extents, rectangles, to_world
-from jaxdet.types import Detections, Features, GroundPlane, Labels, Obstacles
+from jaxdet.metric import distances, extents, rectangles, to_world
+from jaxdet.types import Detections, GroundPlane, Refusal
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -24,27 +26,41 @@ class Rows(NamedTuple):
     """NumPy arrays."""
     corners: np.ndarray
     """``(B, M, 4, 2)`` float64, ground frame [m]."""
+    plane: GroundPlane
+    """The floor of each frame."""
+    free_world: np.ndarray | None
+    """``(n, C - 1, 4, 2)`` float64, the free floor between neighbouring columns of cells of each
+    frame that is not padding, world X and Y [m]; NaN where there is none or no pose."""
 
 
 def to_host(detections: Detections) -> Detections:
     """The detections as NumPy arrays; waits for the device."""
-    return Detections(
-        Features(*map(np.asarray, detections.features)),
-        Labels(*map(np.asarray, detections.labels)),
-        Obstacles(*map(np.asarray, detections.obstacles)),
-        np.asarray(detections.has_depth),
-    )
+    return _to_host(detections)
+
+
+def _to_host(part: Any) -> Any:
+    if part is None:
+        return None
+    if isinstance(part, tuple):
+        return type(part)(*map(_to_host, part))
+    return np.asarray(part)
 
 
 def batch_rows(
-    log: str, batch: "Batch", plane: GroundPlane, detections: Detections, config: Config
+    log: str,
+    batch: "Batch",
+    plane: GroundPlane,
+    sources: Sequence[str],
+    detections: Detections,
+    config: Config,
 ) -> Rows:
     """The rows of a batch, in frame order.
 
     Args:
         log: The log's name.
         batch: What was read; its padding gives no rows.
-        plane: The floor of each frame, ``(B,)``.
+        plane: The floor given to each frame, ``(B,)``; with a scene its own is used.
+        sources: Where that comes from, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
         detections: What was found.
         config: For the outlines.
 
@@ -62,10 +78,17 @@ def batch_rows(
         object,
     )
     good = status == FrameStatus.OK
-    corners = rectangles(found.obstacles, frames.calibration.depth_unit, config.footprint)
+    unit = frames.calibration.depth_unit
+    plane = plane if found.scene is None else found.scene.plane
+    free = None if found.scene is None else free_floor(found.scene, unit)
+    corners = rectangles(found.obstacles, unit, config.footprint)
     frame_columns = _frame_columns(log, batch, plane, found, good)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
-    return Rows(frame_columns, _obstacle_columns(log, batch, found, corners, good), found, corners)
+    frame_columns |= _floor_columns(found, sources[:count], good, config)
+    frame_columns |= free_columns(free, good) if free else no_free_columns(count)
+    obstacle_columns = _obstacle_columns(log, batch, found, corners, good)
+    world = _free_world(free, good, frames.T_world_camera)
+    return Rows(frame_columns, obstacle_columns, found, corners, plane, world)
 
 
 def _frame_columns(
@@ -95,6 +118,29 @@ def _frame_columns(
     }
 
 
+def _floor_columns(
+    found: Detections, sources: Sequence[str], good: np.ndarray, config: Config
+) -> dict[str, Any]:
+    """Where each frame's floor comes from, and why not from its own depth."""
+    scene, own, refused = found.scene, np.zeros_like(good), np.zeros(good.size, int)
+    if scene is not None and config.ground.source != "none":
+        own, refused = good & scene.own_floor[: good.size], scene.refused[: good.size]
+    names = np.array([Refusal(number).name.lower() for number in refused.tolist()], object)
+    return {
+        "floor_source": np.where(own, "frame", np.array(sources, object)),
+        "floor_refused": np.ma.array(names, mask=~good | (refused == Refusal.NONE)),
+    }
+
+
+def _free_world(
+    free: FreeFloor | None, good: np.ndarray, T_world_camera: np.ndarray | None
+) -> np.ndarray | None:
+    if free is None or T_world_camera is None:
+        return None
+    fans = to_world(free.fans()[: good.size], T_world_camera[: good.size])
+    return np.where(good[:, None, None, None], fans, np.nan)
+
+
 def _obstacle_columns(
     log: str, batch: "Batch", found: Detections, corners: np.ndarray, good: np.ndarray
 ) -> dict[str, Any]:
@@ -113,6 +159,7 @@ def _obstacle_columns(
         "corners_ground": corners[row, slot].reshape(-1, 8).astype(np.float32),
         "corners_world": _world_corners(corners, frames.T_world_camera)[row, slot].reshape(-1, 8),
     }
+    columns |= _shape_columns(found, row, slot, frames.calibration.depth_unit)
     for i, axis in enumerate("uv"):
         columns[f"{axis}_min"] = obstacles.uv_min[row, slot, i]
         columns[f"{axis}_max"] = obstacles.uv_max[row, slot, i]
@@ -121,6 +168,26 @@ def _obstacle_columns(
         columns[f"{axis}_max"] = box.maximum[row, slot, i]
         columns[axis] = box.centroid[row, slot, i]
     return columns
+
+
+def _shape_columns(
+    found: Detections, row: np.ndarray, slot: np.ndarray, unit: float
+) -> dict[str, Any]:
+    """Distances, and of obstacles made of surfaces contours and heights above the floor."""
+    columns: dict[str, Any] = {"distance_m": (distances(found) * unit)[row, slot]}
+    if found.scene is None:
+        nothing = np.full(row.size, np.nan)
+        columns |= {"bottom_m": nothing, "top_m": nothing, "contour": [None] * row.size}
+    else:
+        scene = found.scene
+        height = scene.bottom_top[row, slot] * unit
+        height = np.where(scene.plane.valid[row, None], height, np.nan)
+        used = scene.contour_points[row, slot].tolist()
+        points = (scene.contour[row, slot] * unit).astype(np.float32)
+        lines = [line[:count].ravel() for line, count in zip(points, used, strict=True)]
+        columns |= {"bottom_m": height[:, 0], "top_m": height[:, 1], "contour": lines}
+    floats = ("distance_m", "bottom_m", "top_m")
+    return columns | {name: columns[name].astype(np.float32) for name in floats}
 
 
 def _world_corners(corners: np.ndarray, T_world_camera: np.ndarray | None) -> np.ndarray:

@@ -7,9 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.eval import EvalConfig, Tally, evaluate, score, truth_of
-from jaxdet.sim import load_depths, load_obstacle_ids, load_truth
-from jaxdet.types import Detections
+from jaxdet.eval import (
+    EvalConfig,
+    Tally,
+    claimed_floor,
+    evaluate,
+    floor_positions,
+    measured_floor,
+    score,
+    total,
+    truth_of,
+)
+from jaxdet.reference import align
+from jaxdet.sim import load_depths, load_drivable, load_obstacle_ids, load_truth
+from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -46,10 +57,28 @@ class Scorer:
         numbers = [self.number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
         which = np.where(known, numbers, 0)
-        images = load_obstacle_ids(self.log, which), load_depths(self.log, which)
+        images = [load(self.log, which) for load in (load_obstacle_ids, load_depths, load_drivable)]
         truth = truth_of(self.truth, which, *images)
         unit, valid = frames.calibration.depth_unit, frames.valid & known
-        return evaluate(found, truth, unit, self.config, valid)
+        right = evaluate(found, truth, unit, self.config, valid)
+        return total([right, *self._claimed(frames, found, which, images, valid)])
+
+    def _claimed(
+        self,
+        frames: Frames,
+        found: Detections,
+        which: np.ndarray,
+        images: Sequence[np.ndarray],
+        valid: np.ndarray,
+    ) -> list[Tally]:
+        """The drivable floor inside of outlines."""
+        _, depth_m, drivable = images
+        calibration, unit = frames.calibration, frames.calibration.depth_unit
+        poses = self.truth.T_world_camera[which]
+        floor_m = floor_positions(depth_m, drivable, calibration.color, poses)
+        z_m = align(np.asarray(frames.depth), calibration).z * unit
+        floor_m = measured_floor(floor_m, depth_m, z_m, self.config)
+        return claimed_floor(found, floor_m, unit, self.config, valid)
 
 
 def scores(tallies: Sequence[Tally]) -> dict[str, Any] | None:

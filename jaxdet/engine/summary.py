@@ -16,6 +16,9 @@ from jaxdet.errors import FrameStatus
 
 PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
 
+MANY_REFUSED = 0.1
+"""More of the frames without a floor of their own are worth a warning."""
+
 
 @dataclass
 class LogSummary:
@@ -36,7 +39,11 @@ class LogSummary:
     frames_per_s: float | None = None
     """Without the first batch; None when there is too little after it to say."""
     ground: tuple[Any, ...] = ()
-    """The planes used and their sources, see ``jaxdet.engine.planes.GroundRecord``."""
+    """The planes used and their sources, see ``jaxdet.engine.ground.GroundRecord``."""
+    floor_sources: Counter[str] = field(default_factory=Counter)
+    """Of the frames that are ok, see ``floor_source`` of ``frames.parquet``."""
+    floor_refused: Counter[str] = field(default_factory=Counter)
+    """Likewise, where a frame's own depth does not decide its floor."""
     calibration: Any = None
     description: Any = None
     """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
@@ -57,6 +64,25 @@ class LogSummary:
         self.features += int(rows["num_features"].sum())
         self.obstacles += int(rows["num_obstacles"].sum())
         self.overflow_frames += int(rows["overflow"].sum())
+        good = rows["status"] == str(FrameStatus.OK)
+        self.floor_sources.update(rows["floor_source"][good].tolist())
+        self.floor_refused.update(rows["floor_refused"][good].compressed().tolist())
+
+    @property
+    def floor_warning(self) -> str | None:
+        """A line where many frames don't show their floor themselves."""
+        refused, good = self.floor_refused.total(), self.status[FrameStatus.OK]
+        if refused <= MANY_REFUSED * good:
+            return None
+        reasons = ", ".join(f"{n} {name}" for name, n in self.floor_refused.most_common())
+        nothing = self.floor_sources["none"]
+        others = [f"{n} have that of {name}" for name, n in self.floor_sources.items() if n]
+        others = [text for text in others if not text.endswith((" frame", " none"))]
+        others += [f"in {nothing} nothing is dropped as floor"] if nothing else []
+        return (
+            f"{refused} of {good} frames don't show their floor themselves ({reasons}), "
+            f"{', '.join(others)}: give the camera's true --ground.camera-height-m and tilt"
+        )
 
     @property
     def num_bad(self) -> int:

@@ -21,6 +21,7 @@ from jaxdet.eval.boxes import (
     score_boxes,
     tally_boxes,
 )
+from jaxdet.eval.claimed import claimed_floor, floor_positions, measured_floor
 from jaxdet.eval.frame import evaluate, evaluate_frames
 from jaxdet.eval.group import group_objects
 from jaxdet.eval.indices import davies_bouldin, silhouette
@@ -45,10 +46,12 @@ __all__ = [
     "Tally",
     "assign",
     "box_iou",
+    "claimed_floor",
     "davies_bouldin",
     "difference_intervals",
     "evaluate",
     "evaluate_frames",
+    "floor_positions",
     "fowlkes_mallows",
     "group_objects",
     "intervals",
@@ -57,6 +60,7 @@ __all__ = [
     "labels_of_image",
     "match",
     "match_boxes",
+    "measured_floor",
     "near_surface",
     "on_known_ground",
     "pair_counts",

@@ -53,6 +53,11 @@ class Score(NamedTuple):
     """Share of the floor's pixels that the ground stage keeps."""
     obstacle_kept: float
     """Share of the pixels on obstacles, above the step, that it keeps."""
+    free_claimed: float
+    """Of the pixels of drivable floor that are near and measured as floor, the share inside of any
+    outline, see :func:`jaxdet.eval.claimed_floor`; what hangs takes none."""
+    free_claimed_worst: float
+    """The same in the worst frame."""
     position_error_m: float
     """Median of the distance's absolute errors [m]."""
     position_error_p90_m: float
@@ -75,7 +80,9 @@ def score(tallies: Iterable[Tally]) -> Score:
     """The figures of all tallies together."""
     tally = total(tallies)
     shares = {k: float(v) for k, v in rates(np.array(tally.counts, np.float64)).items()}
-    return Score(**shares, **errors(case_table(tally.cases)), tally=tally)
+    worst = max(tally.claims, default=float("nan"))
+    figures = shares | errors(case_table(tally.cases)) | {"free_claimed_worst": worst}
+    return Score(**figures, tally=tally)
 
 
 def rates(counts: np.ndarray) -> dict[str, np.ndarray]:
@@ -107,6 +114,7 @@ def rates(counts: np.ndarray) -> dict[str, np.ndarray]:
         "safe_coverage": _ratio(c["near_safe"], c["near_asked"]),
         "floor_kept": _ratio(c["floor_pixels_kept"], c["floor_pixels"]),
         "obstacle_kept": _ratio(c["obstacle_pixels_kept"], c["obstacle_pixels"]),
+        "free_claimed": _ratio(c["drivable_claimed"], c["drivable_pixels"]),
     }
 
 

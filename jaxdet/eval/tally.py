@@ -77,7 +77,13 @@ class Tally(NamedTuple):
     floor_pixels_kept: int = 0
     obstacle_pixels: int = 0
     obstacle_pixels_kept: int = 0
+    drivable_pixels: int = 0
+    """Pixels of floor to drive on, near and measured as floor."""
+    drivable_claimed: int = 0
+    """Of those, the ones inside of an outline."""
     cases: tuple[Case, ...] = ()
+    claims: tuple[float, ...] = ()
+    """The shares of such pixels inside of an outline, of each frame that has enough of them."""
 
     @property
     def position_errors(self) -> tuple[float, ...]:
@@ -86,7 +92,7 @@ class Tally(NamedTuple):
 
     @property
     def counts(self) -> tuple[float, ...]:
-        """All fields but the cases."""
+        """All fields but the cases and the claims."""
         return tuple(getattr(self, name) for name in COUNTS)
 
     def to_dict(self) -> dict[str, float]:
@@ -94,7 +100,7 @@ class Tally(NamedTuple):
         return dict(zip(COUNTS, self.counts, strict=True))
 
 
-COUNTS = Tally._fields[:-1]
+COUNTS = Tally._fields[:-2]
 """The names of the counts, in order."""
 
 
@@ -104,7 +110,8 @@ def total(tallies: Iterable[Tally]) -> Tally:
     if not every:
         return Tally()
     sums = [sum(numbers) for numbers in zip(*(one.counts for one in every), strict=True)]
-    return Tally(*sums, cases=tuple(case for one in every for case in one.cases))
+    cases = tuple(case for one in every for case in one.cases)
+    return Tally(*sums, cases=cases, claims=tuple(share for one in every for share in one.claims))
 
 
 def keep_shares(

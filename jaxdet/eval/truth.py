@@ -42,6 +42,10 @@ class EvalConfig:
     coverage_margin_m: float = 0.02
     """How far outside its rectangle a footprint point may lie [m]: the accuracy that the paper
     states."""
+    floor_range_m: float = 4.0
+    """Drivable floor farther from the camera's foot doesn't count [m]."""
+    hanging_m: float = 0.5
+    """An obstacle whose lowest cell is higher above the floor takes none of it [m]."""
     indices: bool = False
     """Whether the silhouette and the Davies-Bouldin index are computed too; they take longer."""
 

@@ -25,6 +25,7 @@ ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
 
 _NAMES = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
+_DICTIONARIES = ["log", "status", "floor_source", "floor_refused"]
 _GENERATED = ("pictures/*.png", "map_*.npz", "map_*.png")
 
 
@@ -32,7 +33,12 @@ def _schema(columns: Mapping[str, pa.DataType], nullable: tuple[str, ...]) -> pa
     return pa.schema([pa.field(n, t, nullable=n in nullable) for n, t in columns.items()])
 
 
-_CORNERS = pa.list_(pa.field("item", pa.float32(), nullable=False), 8)
+def _item(kind: pa.DataType) -> pa.Field:
+    return pa.field("item", kind, nullable=False)
+
+
+_CORNERS = pa.list_(_item(pa.float32()), 8)
+_LIST = pa.list_(_item(pa.float32()))
 _METRES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "x", "y", "z")
 
 FRAMES_SCHEMA = _schema(
@@ -49,8 +55,16 @@ FRAMES_SCHEMA = _schema(
         "camera_height_m": pa.float32(),
         "camera_pitch_rad": pa.float32(),
         "camera_roll_rad": pa.float32(),
+        "floor_source": pa.string(),
+        "floor_refused": pa.string(),
+        **dict.fromkeys(("free_bearing_rad", "free_from_m", "free_to_m"), _LIST),
+        "free_end": pa.list_(_item(pa.int8())),
+        "drop_m": pa.float32(),
     },
-    ("depth_stamp_ns", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
+    (
+        *("depth_stamp_ns", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
+        *("floor_refused", "free_bearing_rad", "free_from_m", "free_to_m", "free_end", "drop_m"),
+    ),
 )
 """``frames.parquet``: one row for each colour frame of each log, none lost."""
 
@@ -66,8 +80,10 @@ OBSTACLES_SCHEMA = _schema(
         "vertices": pa.int8(),
         "corners_ground": _CORNERS,
         "corners_world": _CORNERS,
+        **dict.fromkeys(("distance_m", "bottom_m", "top_m"), pa.float32()),
+        "contour": _LIST,
     },
-    ("corners_world",),
+    ("corners_world", "bottom_m", "top_m", "contour"),
 )
 """``obstacles.parquet``: one row for each obstacle."""
 
@@ -77,7 +93,8 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
 
     Args:
         columns: One array for each field: ``(R,)``, or ``(R, 8)`` for the corners. Nullable
-            fields take a NumPy masked array, or floats with NaN, for null.
+            fields take a NumPy masked array, or floats with NaN, for null; fields of lists of any
+            length take R arrays, or None for null.
         schema: :data:`FRAMES_SCHEMA` or :data:`OBSTACLES_SCHEMA`.
 
     Returns:
@@ -88,6 +105,8 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
 
 def _array(values: Any, field: pa.Field) -> pa.Array:
     mask = None
+    if pa.types.is_list(field.type):
+        return pa.array(list(values), field.type)
     if field.nullable:
         mask = np.ma.getmaskarray(values)
         if np.issubdtype(np.ma.getdata(values).dtype, np.floating):
@@ -113,7 +132,7 @@ class _Table:
             compression="zstd",
             compression_level=3,
             write_page_checksum=True,
-            use_dictionary=["log", "status"],  # pyright: ignore[reportArgumentType]
+            use_dictionary=_DICTIONARIES,  # pyright: ignore[reportArgumentType]
         )
 
     def add(self, table: pa.Table) -> None:

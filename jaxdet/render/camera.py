@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 import jaxdet.render.canvas as canvas
+from jaxdet.metric import distances
 from jaxdet.types import Detections
 
 Box = tuple[float, float, float, float]
@@ -50,6 +51,8 @@ def camera_view(
         canvas.polygon(image, corners, (0, 0, 0), width=4)
         canvas.polygon(image, corners, canvas.color_of(label))
     nearest = found.obstacles.c[row, :, 1] * depth_unit
+    if found.scene is not None:
+        nearest = distances(found)[row] * depth_unit
     texts = [f"{label}   {nearest[label]:.2f} m" for label in range(len(boxes))]
     for chip in _chips(boxes, texts, image.shape[1], image.shape[0]):
         _draw_chip(image, chip)

@@ -16,6 +16,8 @@ TEXT: Color = (226, 231, 238)
 FAINT: Color = (138, 148, 162)
 DROPPED: Color = (128, 132, 138)
 LOOSE: Color = (240, 240, 240)
+FREE: Color = (178, 196, 186)
+DROP: Color = (255, 60, 220)
 
 PALETTE: tuple[Color, ...] = (
     (255, 92, 92),

@@ -26,7 +26,8 @@ def draw_frame(
     """A picture of what was found in one frame.
 
     Left the colour image with the features (grey where dropped), the kept points coloured by
-    obstacle, the boxes and the distance of the nearest point; right the top view.
+    obstacle, the boxes and the distance of the nearest point; right the top view, with a scene also
+    the contours, the free floor and where it drops.
 
     Args:
         frames: The batch, with its planes.
@@ -77,6 +78,8 @@ def _draw_legend(image: np.ndarray, found: Detections, row: int) -> None:
         (canvas.LOOSE, f"{int((valid & kept & ~labelled).sum())} kept, in no obstacle"),
         (canvas.color_of(0), f"{int(labelled.sum())} in {obstacles}"),
     ]
+    if found.scene is not None:
+        entries += [(canvas.FREE, "free floor"), (canvas.DROP, "drop")]
     x, y = float(GAP + 8), image.shape[0] - 11.0
     for color, text in entries:
         canvas.dots(image, np.array([[x, y - 5]]), color, 4.0)

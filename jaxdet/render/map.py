@@ -1,4 +1,4 @@
-"""The picture of a whole log: outline counts, the robot's path, a scale bar."""
+"""The picture of a whole log: outline counts, free floor, the robot's path, a scale bar."""
 
 from typing import NamedTuple
 
@@ -19,6 +19,8 @@ class MapImage(NamedTuple):
 
     counts: np.ndarray
     """``(rows, columns)`` int32, outlines that cover each cell."""
+    free: np.ndarray
+    """``(rows, columns)`` int32, frames that saw it free; not known where both are 0."""
     origin: tuple[float, float]
     """World X and Y of the outer corner of cell (0, 0) [m]."""
     cell_m: float
@@ -79,9 +81,11 @@ def _paint_counts(panel: np.ndarray, image: MapImage, low: np.ndarray, scale: fl
     row = np.floor((y - image.origin[1]) / image.cell_m).astype(np.int64)
     rows, columns = image.counts.shape
     inside = ((row >= 0) & (row < rows))[:, None] & ((column >= 0) & (column < columns))
-    counts = image.counts[np.clip(row, 0, rows - 1)[:, None], np.clip(column, 0, columns - 1)]
+    cell = np.clip(row, 0, rows - 1)[:, None], np.clip(column, 0, columns - 1)
+    counts = image.counts[cell]
+    panel[inside & (image.free[cell] > 0)] = canvas.FREE
     shown = inside & (counts > 0)
-    panel[shown] = _heat(counts, int(image.counts.max()))[shown]
+    panel[shown] = _heat(counts, max(int(image.counts.max()), 1))[shown]
 
 
 def _heat(counts: np.ndarray, most: int) -> np.ndarray:
@@ -137,7 +141,12 @@ def _draw_legend(framed: np.ndarray, image: MapImage, right: int, y: int) -> Non
     framed[y - 10 : y + 2, right - 110 : right] = _heat(ramp[None], most)
     canvas.write(framed, "1", (right - 116, y + 2), canvas.FAINT, align="right")
     x = right - 150.0
-    for color, text in ((END, "end"), (START, "start")):
+    entries = [
+        (END, "end"),
+        (START, "start"),
+        *([(canvas.FREE, "seen free")] * bool(image.free.any())),
+    ]
+    for color, text in entries:
         x -= canvas.text_size(text, 15)[0]
         canvas.write(framed, text, (x, y + 2), canvas.FAINT)
         canvas.dots(framed, np.array([[x - 10, y - 4]]), color, 4.0)

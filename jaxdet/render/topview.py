@@ -1,4 +1,4 @@
-"""The top view of one frame: points and outlines in the ground frame, in metres."""
+"""The top view of one frame: points, outlines and free floor in the ground frame, in metres."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxdet.render.canvas as canvas
 from jaxdet.plane import GROUND_BITS, ground_axes
-from jaxdet.types import Calibration, Detections, Features, GroundPlane
+from jaxdet.types import Calibration, Detections, Features, FreeEnd, GroundPlane, Scene
 
 _MARGIN = 34
 
@@ -59,10 +59,17 @@ def top_view(
         [[0, 0], [-left * max_depth_m, max_depth_m], [right * max_depth_m, max_depth_m]]
     )
     canvas.polygon(image, view.pixels(wedge), (44, 54, 68), fill=0.75, width=0)
+    unit = calibration.depth_unit
+    if found.scene is not None:
+        _draw_free(image, view, found.scene, row, unit)
     _draw_grid(image, view)
     canvas.line(image, view.pixels(wedge[[1, 0, 2]]), (84, 100, 122))
-    _draw_points(image, view, found, row, plane, calibration.depth_unit)
-    _draw_outlines(image, view, found, corners, row, calibration.depth_unit)
+    _draw_points(image, view, found, row, plane, unit)
+    _draw_outlines(image, view, found, corners, row)
+    if found.scene is None:
+        _draw_marks(image, view, found, row, unit)
+    else:
+        _draw_contours(image, view, found.scene, int(found.labels.num_obstacles[row]), row, unit)
     body = view.pixels(np.zeros(2)) + np.array([[-9.0, 14], [9, 14], [5, 0], [-5, 0]])
     canvas.polygon(image, body, canvas.TEXT, fill=1.0, width=1)
     return image
@@ -102,14 +109,17 @@ def _draw_points(
 
 
 def _draw_outlines(
-    image: np.ndarray, view: View, found: Detections, corners: np.ndarray, row: int, unit: float
+    image: np.ndarray, view: View, found: Detections, corners: np.ndarray, row: int
 ) -> None:
-    obstacles = found.obstacles
-    order = list(reversed(range(int(found.labels.num_obstacles[row]))))
-    for label in order:
+    for label in reversed(range(int(found.labels.num_obstacles[row]))):
         outline = view.pixels(corners[row, label])
         canvas.polygon(image, outline, canvas.color_of(label), fill=0.30)
-    for label in order:
+
+
+def _draw_marks(image: np.ndarray, view: View, found: Detections, row: int, unit: float) -> None:
+    """The points A, B and C."""
+    obstacles = found.obstacles
+    for label in reversed(range(int(found.labels.num_obstacles[row]))):
         marks = np.stack(
             [obstacles.a[row, label], obstacles.b[row, label], obstacles.c[row, label]]
         )
@@ -120,3 +130,26 @@ def _draw_outlines(
         for name, at, (align, shift) in zip("ABC", spots.tolist(), aligned, strict=True):
             place = (at[0] + shift[0], at[1] + shift[1])
             canvas.write(image, name, place, canvas.color_of(label), 13, bold=True, align=align)
+
+
+def _draw_contours(
+    image: np.ndarray, view: View, scene: Scene, count: int, row: int, unit: float
+) -> None:
+    """The visible edge of each obstacle, and the drops, on top."""
+    for label in reversed(range(count)):
+        points = scene.contour[row, label, : scene.contour_points[row, label]]
+        canvas.line(image, view.pixels(points * unit), (10, 12, 16), 4)
+        canvas.line(image, view.pixels(points * unit), canvas.color_of(label), 2)
+    drops = scene.free[row, scene.free_end[row] == FreeEnd.DROP, 1]
+    canvas.dots(image, view.pixels(drops * unit), canvas.DROP, 2.0)
+
+
+def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
+    """The free floor between neighbouring columns that both show some."""
+    lines = view.pixels(scene.free[row] * unit)
+    seen = (scene.free[row, :, 0] != scene.free[row, :, 1]).any(axis=-1)
+    layer = image.copy()
+    for c in np.flatnonzero(seen[:-1] & seen[1:]).tolist():
+        quad = np.concatenate([lines[c], lines[c + 1, ::-1]])
+        canvas.polygon(layer, quad, canvas.FREE, fill=1.0, width=0)
+    image[:] = np.rint(0.7 * image + 0.3 * layer).astype(np.uint8)

@@ -1,0 +1,122 @@
+"""Drivable floor inside of outlines: by hand, and its places against the simulator's."""
+
+import math
+
+import numpy as np
+import pytest
+
+from jaxdet.eval import (
+    EvalConfig,
+    Tally,
+    claimed_floor,
+    floor_positions,
+    measured_floor,
+    score,
+    total,
+)
+from jaxdet.pipeline import detect
+from jaxdet.plane import flat_plane, unknown_plane
+from jaxdet.presets import preset
+from jaxdet.sim import floor_truth, sample_frames
+from jaxdet.sim.config import calibration_of
+from jaxdet.types import Detections, Frames, Scene
+from tests.scenes import frames, small, smooth_depth
+
+CONFIG = EvalConfig(footprint=preset("surfaces").footprint, min_visible_pixels=3)
+
+
+def found() -> Detections:
+    """Two frames; the first has a square from (0, 1) to (1, 2) and one a metre to the right."""
+    calibration = small()
+    color = np.zeros((2, 60, 80, 3), np.uint8)
+    plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))
+    given: Frames = frames(calibration, color, smooth_depth(2, calibration.color), plane=plane)
+    empty = detect(given, preset("surfaces"), backend="reference")
+    obstacles, scene = empty.obstacles, empty.scene
+    assert scene is not None
+    margin = round(CONFIG.footprint.margin_m * 1000)
+    direction, span = 0 * obstacles.direction, 0 * obstacles.span
+    direction[..., 0] = 1
+    for slot, left in enumerate((0, 1000)):
+        edges = left, left + 1000, 1000, 2000
+        span[0, slot] = np.array(edges) + np.array([margin, -margin, margin, -margin])
+    labels = empty.labels._replace(num_obstacles=np.array([2, 0], np.int32))
+    obstacles = obstacles._replace(direction=direction, span=span)
+    return empty._replace(labels=labels, obstacles=obstacles)
+
+
+def with_scene(detections: Detections, **parts: object) -> Detections:
+    scene = detections.scene
+    assert isinstance(scene, Scene)
+    return detections._replace(scene=scene._replace(**parts))
+
+
+FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
+"""Two pixels in the first square, one in the second, one behind."""
+
+
+def test_by_hand() -> None:
+    detections = found()
+    heights = np.zeros_like(detections.scene.bottom_top)
+    low = with_scene(detections, bottom_top=heights)
+    one, other = claimed_floor(low, FLOOR, 0.001, CONFIG)
+    assert one == Tally(drivable_pixels=4, drivable_claimed=3, claims=(0.75,))
+    assert other == Tally(drivable_pixels=4, drivable_claimed=0, claims=(0.0,))
+    figures = score([one, other])
+    assert (figures.free_claimed, figures.free_claimed_worst) == (0.375, 0.75)
+    assert total([one, other]).claims == (0.75, 0.0)
+    assert len(claimed_floor(low, FLOOR, 0.001, CONFIG, np.array([False, True]))) == 1
+    heights[0, 0] = 501, 900
+    hanging = claimed_floor(with_scene(low, bottom_top=heights), FLOOR, 0.001, CONFIG)
+    assert hanging[0].drivable_claimed == 1
+    unknown = with_scene(low, bottom_top=heights, plane=unknown_plane(2))
+    assert claimed_floor(unknown, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
+    points = low._replace(scene=None)
+    assert claimed_floor(points, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
+
+
+def test_a_frame_with_little_floor_has_no_share_of_its_own() -> None:
+    floor = FLOOR.copy()
+    floor[0, 0, 1:3] = np.nan
+    tallies = claimed_floor(found()._replace(scene=None), floor, 0.001, CONFIG)
+    assert (tallies[0].drivable_pixels, tallies[0].drivable_claimed) == (2, 1)
+    assert score(tallies).free_claimed_worst == 0.0
+    assert math.isnan(score(tallies[:1]).free_claimed_worst)
+    assert math.isnan(score([Tally()]).free_claimed)
+
+
+def test_what_was_measured_as_floor() -> None:
+    positions = np.array([[[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [3.0, 3.0], [np.nan, 1.0]]])
+    true = np.array([[1.0, 1.0, 1.0, 3.0, 1.0]], np.float16)
+    got = measured_floor(positions, true, np.array([[1.05, 0.0, 0.9, 3.0, 1.0]]), EvalConfig())
+    assert np.isfinite(got).all(axis=-1).tolist() == [[True, False, False, False, False]]
+
+
+def test_places_are_those_of_the_simulator() -> None:
+    (frame,) = sample_frames("corridor", 0, 1, width=160, height=120)
+    truth = floor_truth(frame)
+    camera = calibration_of(frame.config).color
+    got = floor_positions(
+        frame.truth.depth[None], truth.drivable[None], camera, frame.T_world_color[None]
+    )
+    want = np.where(truth.drivable[..., None], truth.points_m, np.nan)
+    assert truth.drivable.sum() > 1000
+    np.testing.assert_allclose(got[0], want, atol=2e-3)
+    assert math.isnan(got[0, 0, 0, 0]) or truth.drivable[0, 0]
+
+
+def test_a_run_counts_it(tmp_path) -> None:
+    from jaxdet.engine import RunOptions, run
+    from jaxdet.io import LogOptions, find_logs
+    from jaxdet.sim import SimConfig, write_log
+
+    path = tmp_path / "sim.mcap"
+    write_log(path, SimConfig(frames=2, width=320, height=240))
+    options = RunOptions(tmp_path / "out", "reference", 2, pictures=0, truth=path)
+    summary = run(find_logs([str(path)]), preset("surfaces"), LogOptions(), options)
+    figures = summary.logs[0].score
+    assert figures is not None and figures["drivable_pixels"] > 10000
+    assert 0 < figures["free_claimed"] <= figures["free_claimed_worst"] < 0.2
+    assert figures["free_claimed"] == pytest.approx(
+        figures["drivable_claimed"] / figures["drivable_pixels"]
+    )

@@ -1,0 +1,121 @@
+"""The prior of each frame's floor: what the sample decides, and the words for it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxdet.config import Config, GroundConfig, SurfaceConfig
+from jaxdet.engine import Planes, decide_planes, prior
+from jaxdet.engine.sampled_floor import sampled_floor
+from jaxdet.plane import flat_plane, unknown_plane
+from jaxdet.reference import FloorFit
+
+MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
+
+
+class Sampled:
+    """A log of frames 100 ms apart whose floors are stated."""
+
+    name, base_frame = "log", "base_link"
+
+    def __init__(self, heights: list[float], own: list[bool], tf: bool) -> None:
+        self.heights, self.own = np.array(heights), np.array(own)
+        self.T_base_camera = MOUNT if tf else None
+        self.stamps_ns = np.arange(len(heights)) * 100_000_000
+        self.depth_stamp_ns = self.stamps_ns
+        self.priors: list[Any] = []
+
+    def read(self, indices: list[int]) -> SimpleNamespace:
+        n = len(indices)
+        frames = _Frames(np.array(indices), np.ones(n, bool), None)
+        return SimpleNamespace(frames=frames)
+
+    def find(self, frames: Any, config: Config) -> FloorFit:
+        self.priors.append(frames.plane)
+        own = self.own[frames.number]
+        height = np.where(own, self.heights[frames.number], frames.plane.height)
+        plane = flat_plane(height, 0 * height + 0.1, 0 * height, own | frames.plane.valid)
+        return FloorFit(plane, own, 0.5 * own, np.where(own, 0, 1))
+
+
+class _Frames(SimpleNamespace):
+    def __init__(self, number: np.ndarray, valid: np.ndarray, plane: Any) -> None:
+        super().__init__(number=number, valid=valid, plane=plane)
+
+    def _replace(self, plane: Any) -> "_Frames":
+        return _Frames(self.number, self.valid, plane)
+
+
+@pytest.fixture
+def decide(monkeypatch: pytest.MonkeyPatch) -> Any:
+    def decided(
+        heights: list[float], own: list[bool] | None = None, tf: bool = False, **ground: Any
+    ) -> Planes:
+        log = Sampled(heights, [True] * len(heights) if own is None else own, tf)
+        monkeypatch.setattr(prior, "find_floors", log.find)
+        config = Config(ground=GroundConfig(**ground), surface=SurfaceConfig(cell_rad=0.01))
+        return decide_planes(log, config, "reference")
+
+    return decided
+
+
+def words(planes: Planes, frames: int = 4) -> list[str]:
+    return planes.sources(np.arange(frames) * 100_000_000)
+
+
+def test_the_log_replaces_what_tf_says(decide: Any) -> None:
+    planes = decide([0.30, 0.31, 0.36, 0.9], [True, True, True, False], tf=True)
+    assert words(planes) == ["log"] * 4
+    assert planes.of(np.zeros(2, np.int64)).height.tolist() == [0.31, 0.31]
+    assert "3 of 4 sampled frames" in planes.records[0].message
+    assert "tf: 0.400 m up" in planes.records[0].message
+    flags = decide([0.3] * 4, camera_height_m=0.5)
+    assert words(flags) == ["log"] * 4 and flags.records[0].height_m == 0.3
+
+
+def test_few_frames_do_not(decide: Any) -> None:
+    planes = decide([0.3] * 4, [True, True, False, False], tf=True)
+    assert words(planes) == ["tf"] * 4
+    assert planes.of(np.zeros(1, np.int64)).height[0] == pytest.approx(0.4)
+    assert words(decide([0.3, 0.3], tf=True)) == ["log"] * 4  # all of a shorter log
+    assert words(decide([0.3, 0.3], [True, False], camera_height_m=0.5)) == ["flags"] * 4
+    assert words(decide([], tf=True)) == ["tf"] * 4
+
+
+def test_where_nothing_is_known_the_camera_must_keep_its_place(decide: Any) -> None:
+    assert words(decide([0.3, 0.31, 0.32, 0.3])) == ["log"] * 4
+    moved = decide([0.3, 0.3, 0.6, 0.6])
+    assert words(moved) == ["none"] * 4
+    assert not moved.of(np.zeros(1, np.int64)).valid[0]
+    assert "searched alone" in moved.records[0].message
+    assert words(decide([0.3] * 4, [True, True, False, False])) == ["none"] * 4
+    assert words(decide([0.3] * 4, source="none")) == ["none"] * 4
+    assert words(decide([0.3] * 4, source="estimate", tf=True)) == ["log"] * 4
+
+
+def test_windows_are_looked_at_for_themselves(decide: Any) -> None:
+    heights, own = [0.3] * 4 + [0.5] * 4, [True] * 7 + [False]
+    planes = decide(heights, own, window_s=0.2)
+    assert words(planes, 9) == ["window"] * 6 + ["none"] * 3
+    assert planes.of(np.array([0, 500_000_000])).height.tolist() == [0.3, 0.5]
+    planes = decide(heights, own, tf=True, window_s=0.2)
+    assert words(planes, 9) == ["window"] * 6 + ["tf"] * 3
+
+
+def test_the_sample_is_fixed(decide: Any) -> None:
+    planes = decide([0.3] * 50, sample_frames=5)
+    assert planes.records[0].frames_used == 5
+
+
+def test_one_outlier_in_ten_does_not_part_a_log() -> None:
+    height = np.array([0.3] * 9 + [0.8])
+    plane = flat_plane(height, 0 * height, 0 * height)
+    every = np.ones(10, bool)
+    found = sampled_floor(plane, every)
+    assert found.agrees and found.plane.height[0] == 0.3
+    turned = plane._replace(roll=np.array([0.0] * 7 + [0.1, 0.1, 0.0]))
+    assert not sampled_floor(turned, every).agrees
+    assert not sampled_floor(unknown_plane(4), np.zeros(4, bool)).plane.valid[0]
+    assert not sampled_floor(unknown_plane(0), np.zeros(0, bool)).plane.valid[0]

@@ -1,0 +1,141 @@
+"""From detections to rows: what a reader finds in each column."""
+
+import hashlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxdet.engine.free_floor import FreeFloor
+from jaxdet.engine.rows import batch_rows
+from jaxdet.errors import FrameStatus
+from jaxdet.io import Batch
+from jaxdet.io.results import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
+from jaxdet.pipeline import detect
+from jaxdet.plane import unknown_plane
+from jaxdet.presets import preset
+from tests.scenes import frames, level, small
+
+SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
+FREE = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
+POINT_COLUMNS = {
+    "frames": (
+        *("log", "frame", "stamp_ns", "depth_stamp_ns", "status", "num_features", "num_kept"),
+        *("num_obstacles", "overflow", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
+    ),
+    "obstacles": (
+        *("log", "frame", "stamp_ns", "obstacle", "num_points", "u_min", "u_max", "v_min", "v_max"),
+        *("x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "x", "y", "z", "vertices"),
+        *("corners_ground", "corners_world"),
+    ),
+}
+"""The columns that are of points alone."""
+
+
+def boxes() -> Batch:
+    """Three frames of chequered boxes before a wall, the second without depth."""
+    calibration = small(160, 120)
+    v, u = np.mgrid[0:120, 0:160]
+    depth = np.full((3, 120, 160), 3000, np.uint16) + (5 * u).astype(np.uint16)
+    for b, (left, z) in enumerate(((20, 900), (60, 1400), (100, 2000))):
+        depth[b, 40:90, left : left + 40] = z + (u[40:90, left : left + 40] - left)
+    depth[1] = 0
+    grey = np.where((u // 5 + v // 7) % 2 == 0, 40 + u, 250 - u).astype(np.uint8)
+    color = np.repeat(np.stack([grey, grey[::-1], grey[:, ::-1]])[..., None], 3, axis=3)
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T[:, 0, 3] = 0.5, 1.0, np.nan
+    given = frames(calibration, color, depth, T_world_camera=T, plane=level(3, 0.4))
+    return Batch(given, (FrameStatus.OK,) * 3, ("",) * 3)
+
+
+def columns(name: str, **options: Any) -> dict[str, dict]:
+    batch, config = boxes(), preset(name)
+    found = detect(batch.frames, config, backend="reference")
+    rows = batch_rows("log", batch, batch.frames.plane, ["flags"] * 3, found, config)
+    return {"frames": rows.frames, "obstacles": rows.obstacles}
+
+
+def digest(rows: dict[str, dict]) -> str:
+    """Of the values of the columns of points."""
+    sums = hashlib.sha256()
+    for part, schema in SCHEMAS.items():
+        table = to_table(rows[part], schema)
+        for name in POINT_COLUMNS[part]:
+            sums.update(f"{name} {table[name].to_pylist()}\n".encode())
+    return sums.hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("name", "want"), [("wheeled", "a5ae32811ad98062"), ("paper", "d54dfdeeff1b1499")]
+)
+def test_columns_of_points_keep_their_values(name: str, want: str) -> None:
+    assert digest(columns(name)) == want
+
+
+def test_points_have_no_contour_and_no_free_floor() -> None:
+    rows = columns("wheeled")
+    frame, obstacle = (to_table(rows[k], s) for k, s in SCHEMAS.items())
+    assert frame["floor_source"].to_pylist() == ["flags"] * 3
+    for name in ("floor_refused", *FREE, "drop_m"):
+        assert frame[name].to_pylist() == [None] * 3
+    for name in ("bottom_m", "top_m", "contour"):
+        assert obstacle[name].null_count == obstacle.num_rows > 0
+    outline = np.array(obstacle["corners_ground"].to_pylist()).reshape(-1, 4, 2)
+    near = np.linalg.norm(outline[:, :2], axis=-1).min(axis=1)
+    np.testing.assert_allclose(obstacle["distance_m"].to_numpy(), near, atol=0.1)
+
+
+def test_surfaces_have_contours_heights_and_free_floor() -> None:
+    rows = columns("surfaces")
+    frame, obstacle = (to_table(rows[k], s).to_pylist() for k, s in SCHEMAS.items())
+    assert [row["status"] for row in frame] == ["ok", "no_depth", "ok"]
+    assert frame[0]["floor_source"] == "flags" and frame[0]["floor_refused"] is not None
+    assert frame[1]["floor_refused"] is None
+    assert all(frame[1][name] is None for name in FREE)
+    assert obstacle
+    for row in obstacle:
+        points = np.array(row["contour"]).reshape(-1, 2)
+        assert row["distance_m"] == pytest.approx(np.linalg.norm(points, axis=1).min(), rel=1e-6)
+        assert (np.diff(points[:, 0]) > 0).all() and row["bottom_m"] < row["top_m"]
+    assert len({len(frame[0][name]) for name in FREE}) == 1
+    ahead = np.abs(np.array(frame[0]["free_bearing_rad"])) < 0.9
+    assert ahead.all() and (np.diff(frame[0]["free_bearing_rad"]) > 0).all()
+
+
+def test_without_a_floor_there_are_no_heights() -> None:
+    batch, config = boxes(), preset("surfaces")
+    config = replace(config, ground=replace(config.ground, source="none"))
+    given = batch.frames._replace(plane=unknown_plane(3))
+    found = detect(given, config, backend="reference")
+    rows = batch_rows("log", batch, unknown_plane(3), ["none"] * 3, found, config)
+    frame, obstacle = (
+        to_table(a, s) for a, s in zip((rows.frames, rows.obstacles), SCHEMAS.values(), strict=True)
+    )
+    assert frame["floor_source"].to_pylist() == ["none"] * 3
+    assert frame["floor_refused"].null_count == 3 == frame["camera_height_m"].null_count
+    assert obstacle["bottom_m"].null_count == obstacle.num_rows > 0
+    assert obstacle["distance_m"].null_count == 0
+
+
+def free(to: list[float], end: list[int], start: float = 0.5) -> FreeFloor:
+    """One frame, columns half a right angle apart in all, left to right."""
+    n = len(to)
+    bearing = np.linspace(-np.pi / 4, np.pi / 4, n)[None]
+    seen = np.array([to]) > 0
+    return FreeFloor(seen, bearing, np.full((1, n), start), np.array([to]), np.array([end]))
+
+
+def test_a_drop_is_what_three_neighbouring_columns_show() -> None:
+    assert np.isnan(free([1.0, 1.0, 2.0, 1.0], [2, 2, 1, 2]).drop_m[0])
+    assert free([0.7, 1.0, 1.2, 1.1, 3.0], [2, 2, 2, 2, 0]).drop_m[0] == 1.2
+    assert np.isnan(free([1.0, 1.0], [2, 2]).drop_m[0])
+
+
+def test_fans_lie_between_columns_that_both_show_floor() -> None:
+    fans = free([2.0, 1.0, 3.0, 0.0, 2.0], [1, 1, 0, 0, 3]).fans()[0]
+    assert np.isfinite(fans).all(axis=(1, 2)).tolist() == [True, True, False, False]
+    np.testing.assert_allclose(np.linalg.norm(fans[0], axis=-1), [0.5, 1.0, 1.0, 0.5])
+    np.testing.assert_allclose(fans[0, 1], [-(0.5**0.5), 0.5**0.5])
+    assert np.isnan(free([0.5, 0.5], [1, 1]).fans()).all()
