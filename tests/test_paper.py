@@ -12,6 +12,7 @@ pytest.importorskip("matplotlib")
 
 from benchmarks.paper import (
     main,
+    mounts,
     paper_figures,
     plan,
     realdata,
@@ -32,7 +33,7 @@ from tests.test_baselines_detector import ROWS, save_model
 
 TINY = Counts(
     scenes=1, test_seeds=2, tuning_seeds=1, approach=1, cylinder_seeds=1, floor_seeds=1,
-    log_frames=3, timed=2, rounds=1, width=192, worst=2,
+    hard_seeds=1, mount_seeds=1, case_seeds=1, log_frames=3, timed=2, rounds=1, width=192, worst=2,
 )  # fmt: skip
 SMALLER = {
     "SCENES": plan.SCENES[1:3],
@@ -43,6 +44,9 @@ SMALLER = {
     "PITCHES_DEG": (10.0,),
     "ROLLS_DEG": (0.0,),
     "SLOPES_DEG": (0.0, 4.0),
+    "ERRORS": (0.0,),
+    "WRONG_DEG": (-2.0, -1.0),
+    "MOUNTS": mounts.MOUNTS[:2],
     "RIVALS": ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image"),
 }
 
