@@ -21,6 +21,7 @@ import tyro
 import warp as wp
 
 from benchmarks.paper import (
+    cases,
     coverage,
     failures,
     fig2_edges,
@@ -63,6 +64,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "coverage": coverage.run,
     "hard": hard.run,
     "mounts": mounts.run,
+    "cases": cases.run,
     "failures": failures.run,
     "realframes": realframes.run,
     "goals": goals.run,
