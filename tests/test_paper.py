@@ -11,7 +11,9 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from benchmarks.paper import (
+    case_list,
     main,
+    mounts,
     paper_figures,
     plan,
     realdata,
@@ -32,8 +34,18 @@ from tests.test_baselines_detector import ROWS, save_model
 
 TINY = Counts(
     scenes=1, test_seeds=2, tuning_seeds=1, approach=1, cylinder_seeds=1, floor_seeds=1,
-    log_frames=3, timed=2, rounds=1, width=192, worst=2,
+    hard_seeds=1, mount_seeds=1, case_seeds=1, log_frames=3, timed=2, rounds=1, width=192, worst=2,
 )  # fmt: skip
+CHOSEN = (
+    "pole.6cm.1m",
+    "gap.10cm.2m",
+    "slab.40cm",
+    "drop.40cm.1m",
+    "no_drop.any",
+    "glass.0.4",
+    "corridor.2m.clean",
+    "holes.low_things.pixels",
+)
 SMALLER = {
     "SCENES": plan.SCENES[1:3],
     "SCENE_TITLES": plan.SCENE_TITLES[1:3],
@@ -43,6 +55,10 @@ SMALLER = {
     "PITCHES_DEG": (10.0,),
     "ROLLS_DEG": (0.0,),
     "SLOPES_DEG": (0.0, 4.0),
+    "ERRORS": (0.0,),
+    "WRONG_DEG": (-2.0, -1.0),
+    "CASES": {key: case_list.CASES[key] for key in CHOSEN},
+    "MOUNTS": mounts.MOUNTS[:2],
     "RIVALS": ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image"),
 }
 

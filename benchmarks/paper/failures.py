@@ -10,7 +10,7 @@ from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot, Spec
-from benchmarks.paper.systems import OURS, System, eval_config, found_in
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by
 from benchmarks.paper.table4_distance import specs_of
 from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate_frames
 from jaxdet.eval.frame import objects_of
@@ -87,7 +87,7 @@ def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
     missed = [case.number for case in tally.cases if not case.found]
     if not missed:
         return []
-    _, found = found_in([shot], system.config)[0]
+    found = found_by(system, Prepared([shot]))[0]
     counted = eval_config(system.config)
     unit = shot.calibration.depth_unit
     return [
@@ -166,7 +166,7 @@ def _near(section: Section, lab: Lab, system: System) -> None:
     pictures, count = [], 0
     for distance, light in cells:
         for shot in lab.load(specs_of(lab, distance, light)):
-            _, found = found_in([shot], system.config)[0]
+            found = found_by(system, Prepared([shot]))[0]
             counted = eval_config(system.config)
             tally = evaluate_frames(found, shot.truth, config=counted)[0]
             if tally.found == tally.visible:

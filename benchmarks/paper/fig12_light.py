@@ -8,10 +8,10 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.shots import frames_of
-from benchmarks.paper.systems import PRESET, UNEVEN
+from benchmarks.paper.systems import PRESET, SURFACES, UNEVEN
 from benchmarks.paper.timing import process_ms
 
-ROWS = ("ours", UNEVEN, PRESET, "hierarchical_ward", "rsc", "dbscan", "range_image")
+ROWS = ("ours", SURFACES, UNEVEN, PRESET, "hierarchical_ward", "rsc", "dbscan", "range_image")
 FIGURES = {"accuracy": "ACC", "fmi": "FMI", "f1": "F1"}
 
 

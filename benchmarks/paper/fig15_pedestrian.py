@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import eval_config, found_in
+from benchmarks.paper.systems import Prepared, eval_config, found_by, held
 from jaxdet.engine.occupancy import OccupancyMap
 from jaxdet.eval import evaluate_frames, total
 from jaxdet.metric import rectangles, to_world
@@ -25,11 +25,11 @@ def run(lab: Lab) -> Section:
     seed = lab.seeds[0]
     spec = lab.spec("pedestrian", seed, lab.counts.log_frames, log=True, rate_hz=RATE_HZ)
     shots = lab.load([spec])
-    results = found_in(shots, lab.config)
+    results = found_by(held(lab.config)[0], Prepared(shots))
     corners: list[np.ndarray] = []
     occupancy = OccupancyMap()
     tallies = []
-    for shot, (_, found) in zip(shots, results, strict=True):
+    for shot, found in zip(shots, results, strict=True):
         outline = rectangles(found.obstacles, shot.calibration.depth_unit, lab.config.footprint)
         count = int(found.labels.num_obstacles[0])
         world = to_world(outline, shot.T_world_camera[None])[0, :count]
@@ -41,7 +41,7 @@ def run(lab: Lab) -> Section:
     _figures(section, shots, tallies)
     pictures = []
     for index in np.linspace(0, len(shots) - 1, 4).round().astype(int).tolist():
-        frame, (_, found) = frames_of([shots[index]]), results[index]
+        frame, found = frames_of([shots[index]]), results[index]
         title = f"pedestrian, frame {index}, {index / RATE_HZ:.1f} s"
         pictures.append(scaled(frame_picture(frame, found, lab.config, title), 640))
     caption = "Fig. 15 (a): the walking person from the rolling robot, four moments."

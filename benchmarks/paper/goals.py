@@ -2,21 +2,27 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import NamedTuple
 
 from benchmarks.paper.floor import PIXELS
+from benchmarks.paper.hard import ERRORS, FAMILIES
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.plan import DISTANCES_M
+from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.rivals import against, beating
 from benchmarks.paper.section import Figure, Section, percent
-from benchmarks.paper.systems import OURS, UNEVEN
+from benchmarks.paper.systems import OURS, SURFACES, UNEVEN
 from jaxdet.eval import Interval
 
+ROLLED = ("roll-2", "roll+2")
+DEEP = tuple(product((10, 15, 20, 40), (1.0, 1.5, 2.0)))
+"""Steps down: depth [cm] and distance [m], of :mod:`benchmarks.paper.case_list`."""
 BRIGHT = ("strong", "normal", "weaker")
 FLOORS = {
     "tf": "the mount's plane",
     "uneven": "preset uneven",
     "estimate": "preset uneven, no mount known",
+    "surfaces": "preset surfaces",
 }
 """Where the floor is from, as :data:`benchmarks.paper.floor.SOURCES`."""
 MOST = 20
@@ -99,6 +105,44 @@ def goals_of(figures: Figures) -> list[Goal]:
             goals.append(
                 _floor(figures, source, slope, "obstacle", f"obstacle kept >= 97 %, {tail}")
             )
+    return goals + _surface_goals(figures)
+
+
+def _surface_goals(figures: Figures) -> list[Goal]:
+    """The goals of the preset surfaces, on the old scenes and under hard conditions."""
+    hard, cases = f"hard.{SURFACES}", f"cases.{SURFACES}"
+    old = [f"fig12.{SURFACES}.{light}.accuracy" for light in LIGHTS]
+    families = [f"{hard}.{name}.{error:g}.accuracy" for name in FAMILIES for error in ERRORS]
+    off = [f"mounts.{SURFACES}.{name}.accuracy" for name in ("pitch-2", "pitch+2", *ROLLED)]
+    steps = [f"{cases}.drop.{deep}cm.{far:g}m.reported" for deep, far in DEEP]
+    persons = [f"{cases}.wall.person.10cm.{far:g}m.found" for far in (2.5, 3.5)]
+    least = (
+        ("acc.old", "ACC >= 95 % in every light", old, 0.95),
+        (
+            "coverage",
+            "footprint coverage >= 98.5 % within 3 m, all lights",
+            [f"coverage.{SURFACES}.all.coverage"],
+            0.985,
+        ),
+        ("acc.hard", "ACC >= 90 % in every harder family, both cameras", families, 0.90),
+        ("acc.mount", "ACC >= 93 % with a pitch or roll told 2° wrong", off, 0.93),
+        ("drops", "steps of 10 cm and more down within 2 m reported", steps, 1.0),
+        ("low", "box of 15x15x10 cm at 3 m found", [f"{cases}.low.15x15x10.3m.found"], 1.0),
+        ("gap", "boxes 10 cm apart at 2 m told apart", [f"{cases}.gap.10cm.2m.found"], 1.0),
+        ("wall", "person 10 cm before a wall apart from it", persons, 1.0),
+    )
+    most = (
+        ("claimed", "free floor claimed <= 1 % over all harder scenes", "claimed", 0.01),
+        ("claimed.worst", "free floor claimed <= 5 % in the worst frame", "claimed_worst", 0.05),
+    )
+    tail = ", preset surfaces"
+    goals = [_least(f"surfaces.{k}", text + tail, figures, keys, b) for k, text, keys, b in least]
+    for key, text, name, bound in most:
+        found = _known(figures, [f"{hard}.all.{name}"])
+        value = found[0].value if found else math.nan
+        reached = value <= bound if found else None
+        shown = percent(value, digits=2) if found else ""
+        goals.append(Goal(f"surfaces.{key}", text + tail, shown, reached))
     return goals
 
 
@@ -116,7 +160,7 @@ def _least(key: str, text: str, figures: Figures, keys: Sequence[str], bound: fl
         return Goal(key, text)
     worst = min(found, key=lambda figure: figure.value)
     shown = percent(worst.value, Interval(worst.low, worst.high))
-    where = worst.key.split(".", 3)[-1]
+    where = worst.key.split(".", 2)[-1].removesuffix(".accuracy")
     shown += f" at {where}" if len(keys) > 1 else ""
     return Goal(key, text, shown, worst.value >= bound)
 

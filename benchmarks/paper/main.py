@@ -21,6 +21,7 @@ import tyro
 import warp as wp
 
 from benchmarks.paper import (
+    cases,
     coverage,
     failures,
     fig2_edges,
@@ -30,6 +31,8 @@ from benchmarks.paper import (
     fig15_pedestrian,
     floor,
     goals,
+    hard,
+    mounts,
     realdata,
     realframes,
     table1_indices,
@@ -59,6 +62,9 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
     "fig2": fig2_edges.run,
     "floor": floor.run,
     "coverage": coverage.run,
+    "hard": hard.run,
+    "mounts": mounts.run,
+    "cases": cases.run,
     "failures": failures.run,
     "realframes": realframes.run,
     "goals": goals.run,
@@ -80,7 +86,7 @@ class Options:
     """The paper's experiments on simulated scenes, beside its figures."""
 
     quick: bool = False
-    """Under 15 minutes on two cores; this is the default."""
+    """About 20 minutes on two cores; this is the default."""
     full: bool = False
     """Larger counts, for narrower intervals."""
     rehearsal: bool = False

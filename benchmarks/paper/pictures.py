@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from benchmarks.baselines import prepare
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import System, found_by
+from benchmarks.paper.systems import Prepared, System, found_by
 from jaxdet.config import Config
 from jaxdet.metric import rectangles
 from jaxdet.render import canvas, draw_frame
@@ -64,17 +63,15 @@ def frame_picture(frames: Frames, found: Detections, config: Config, title: str)
 
 def shot_picture(shot: Shot, system: System) -> np.ndarray:
     """What a system finds in a frame."""
-    frame = prepare(frames_of([shot]), system.config)[0]
-    found = found_by(system, frame)
+    found = found_by(system, Prepared([shot]))[0]
     return frame_picture(frames_of([shot]), found, system.config, shot.title)
 
 
 def side_by_side(shot: Shot, systems: Sequence[System], titles: Sequence[str]) -> bytes:
     """The camera's view by several systems, as a PNG file."""
-    views = []
+    views, prepared = [], Prepared([shot])
     for system, title in zip(systems, titles, strict=True):
-        frame = prepare(frames_of([shot]), system.config)[0]
-        found = found_by(system, frame)
+        found = found_by(system, prepared)[0]
         view = camera_view(shot.color, found, 0, shot.calibration.depth_unit, 1.0)
         views.append(titled(view, title, 420))
     return encode(grid(views, len(views)))

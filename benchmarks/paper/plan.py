@@ -38,6 +38,13 @@ class Counts:
     """Test seeds used, one scene each in each cell of Fig. 14."""
     floor_seeds: int = 2
     """Test seeds used, one scene each for each tilt, roll and slope."""
+    hard_seeds: int = 20
+    """Test seeds used, one scene each of each harder family, with a clean and a real depth
+    camera."""
+    mount_seeds: int = 5
+    """Test seeds whose scenes in normal light are looked at with each wrong mount."""
+    case_seeds: int = 4
+    """Test seeds used, one scene each of each case."""
     log_frames: int = 48
     """Frames of the log with the pedestrian."""
     timed: int = 8
@@ -57,6 +64,8 @@ FULL = Counts(
     approach=5,
     cylinder_seeds=20,
     floor_seeds=10,
+    mount_seeds=20,
+    case_seeds=10,
     log_frames=120,
     timed=48,
     rounds=9,

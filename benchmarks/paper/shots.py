@@ -112,7 +112,7 @@ def draw(task: tuple[Path, tuple[Spec, ...]]) -> None:
     """Draws specs into their files; a worker's task."""
     folder, specs = task
     for spec in specs:
-        shots = [_shot(spec, frame) for frame in _frames(spec)]
+        shots = [shot_of(spec, frame) for frame in _frames(spec)]
         part = folder / f"{spec.name}.part"
         part.write_bytes(zstandard.compress(pickle.dumps(shots, protocol=5), 1))
         part.rename(folder / f"{spec.name}.zst")
@@ -129,7 +129,8 @@ def _frames(spec: Spec) -> Iterable[SimFrame]:
     return sample_frames(spec.family, spec.seed, spec.frames, light=light, **changes)
 
 
-def _shot(spec: Spec, frame: SimFrame) -> Shot:
+def shot_of(spec: Spec, frame: SimFrame) -> Shot:
+    """A simulated frame with its truth."""
     truth, config = frame_truth(frame), frame.config
     assert frame.depth is not None
     return Shot(

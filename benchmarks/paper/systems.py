@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
 from benchmarks.baselines.detector import OnnxDetector, detector_baseline
 from benchmarks.paper.shots import Shot, frames_of, load_shots
+from jaxdet import detect
 from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, group_objects
 from jaxdet.presets import preset
@@ -16,6 +17,7 @@ from jaxdet.types import Detections
 OURS = "ours"
 PRESET = "preset_paper"
 UNEVEN = "preset_uneven"
+SURFACES = "preset_surfaces"
 RIVALS = tuple(
     name for name, b in BASELINES.items() if name not in (OURS, "paper") and not b.missing
 )
@@ -50,6 +52,11 @@ class System(NamedTuple):
         """How it is run."""
         return _detector(self.model, self.title) if self.model else BASELINES[self.method]
 
+    @property
+    def has_surfaces(self) -> bool:
+        """Whether it makes obstacles of surfaces, from the frames themselves."""
+        return self.config.surface.cell_rad > 0
+
 
 @lru_cache(maxsize=4)
 def _detector(model: Path, title: str) -> Baseline:
@@ -64,7 +71,7 @@ def systems(config: Config, tuned: dict[str, dict[str, Any]]) -> list[System]:
         tuned: Parameters by the baseline's name.
     """
     ours = [
-        System(OURS, "Ours (default)", OURS, config),
+        *held(config),
         System(UNEVEN, "Ours (preset uneven)", OURS, preset("uneven")),
         System(PRESET, "Ours (preset paper)", OURS, preset("paper")),
         System("paper", BASELINES["paper"].title, "paper", config),
@@ -74,6 +81,14 @@ def systems(config: Config, tuned: dict[str, dict[str, Any]]) -> list[System]:
         for name in RIVALS
     ]
     return ours + rivals
+
+
+def held(config: Config) -> tuple[System, System]:
+    """The two that are held against hard conditions: clusters of points, and surfaces."""
+    return (
+        System(OURS, "Ours (default)", OURS, config),
+        System(SURFACES, "Ours (preset surfaces)", OURS, preset("surfaces")),
+    )
 
 
 def eval_config(config: Config, *, indices: bool = False) -> EvalConfig:
@@ -88,10 +103,36 @@ def eval_config(config: Config, *, indices: bool = False) -> EvalConfig:
     )
 
 
-def found_by(system: System, frame: Frame) -> Detections:
-    """One frame's obstacles."""
+class Prepared:
+    """Frames after the stages before clustering, once for each configuration.
+
+    Args:
+        shots: Of one camera.
+    """
+
+    def __init__(self, shots: Sequence[Shot]) -> None:
+        self.shots = shots
+        self._frames: dict[Config, list[Frame]] = {}
+
+    def frames(self, config: Config) -> list[Frame]:
+        """One for each shot."""
+        if config not in self._frames:
+            self._frames[config] = prepare(frames_of(self.shots), config)
+        return self._frames[config]
+
+
+def found_by(system: System, prepared: Prepared) -> list[Detections]:
+    """The obstacles of each frame, batches of one; the floor is the camera's mount's.
+
+    Where obstacles are made of surfaces, that floor is what is known before the frame corrects it.
+    """
+    config = system.config
+    if system.has_surfaces:
+        each = [frames_of([shot]) for shot in prepared.shots]
+        return [detect(frames, config, backend="reference") for frames in each]
     on = "grid" if system.model else "features"
-    return detect_with(system.baseline, frame, system.config, dict(system.params), on)
+    frames = prepared.frames(config)
+    return [detect_with(system.baseline, f, config, dict(system.params), on) for f in frames]
 
 
 def joined(truth: FrameTruth) -> FrameTruth:
@@ -109,16 +150,14 @@ def judge(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Tally]]:
     shots = load_shots(path)
     truths = [(shot.truth, joined(shot.truth)) for shot in shots]
     indexed = INDEXED if shots[0].spec.light == INDEXED_LIGHT else ()
-    prepared: dict[Config, list[Frame]] = {}
+    prepared = Prepared(shots)
     out: dict[str, list[Tally]] = {}
     for system in chosen:
         config = system.config
-        if config not in prepared:
-            prepared[config] = prepare(frames_of(shots), config)
         mine, together = [], []
         counted, plainly = eval_config(config, indices=system.name in indexed), eval_config(config)
-        for frame, (plain, whole) in zip(prepared[config], truths, strict=True):
-            found, unit = found_by(system, frame), frame.calibration.depth_unit
+        unit = shots[0].calibration.depth_unit
+        for found, (plain, whole) in zip(found_by(system, prepared), truths, strict=True):
             mine += evaluate_frames(found, plain, unit, counted)
             together += evaluate_frames(found, whole, unit, plainly)
         out[system.name], out[JOINED + system.name] = mine, together
@@ -151,10 +190,3 @@ def _tuning_frames(paths: tuple[Path, ...], config: Config) -> tuple[list[Frame]
     shots = [shot for path in paths for shot in load_shots(path)]
     frames = [frame for shot in shots for frame in prepare(frames_of([shot]), config)]
     return frames, [shot.truth for shot in shots]
-
-
-def found_in(shots: Sequence[Shot], config: Config) -> list[tuple[Frame, Detections]]:
-    """Ours on some frames, with the frames as prepared."""
-    frames = prepare(frames_of(shots), config)
-    system = System(OURS, "", OURS, config)
-    return [(frame, found_by(system, frame)) for frame in frames]

@@ -4,14 +4,13 @@ import time
 
 import numpy as np
 
-from benchmarks.baselines import prepare
 from benchmarks.paper import paper_figures
 from benchmarks.paper.lab import Lab, units
 from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
-from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import OURS, PRESET, System, found_by
+from benchmarks.paper.shots import Shot
+from benchmarks.paper.systems import OURS, PRESET, Prepared, System, found_by
 
 FIGURES = ("accuracy", "precision", "recall", "f1")
 
@@ -75,6 +74,6 @@ def _seconds(system: System, shots: list[Shot]) -> float:
     times: list[float] = []
     for shot in shots:
         start = time.perf_counter()
-        found_by(system, prepare(frames_of([shot]), system.config)[0])
+        found_by(system, Prepared([shot]))
         times.append(time.perf_counter() - start)
     return float(np.median(times))

@@ -5,9 +5,10 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Spec
-from benchmarks.paper.systems import OURS, PRESET
+from benchmarks.paper.systems import OURS, PRESET, SURFACES
 from jaxdet.eval import Tally, total
 
+SHOWN = (OURS, SURFACES, PRESET)
 Cells = dict[tuple[str, float, str], Tally]
 """By system, distance and light."""
 
@@ -19,8 +20,8 @@ def specs_of(lab: Lab, distance_m: float, light: str) -> list[Spec]:
 
 
 def cells_of(lab: Lab) -> Cells:
-    """The counts of every cell, by ours and by the preset ``paper``."""
-    chosen = [system for system in lab.systems if system.name in (OURS, PRESET)]
+    """The counts of every cell, by ours and by the presets ``surfaces`` and ``paper``."""
+    chosen = [system for system in lab.systems if system.name in SHOWN]
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [spec for key in keys for spec in specs_of(lab, *key)]
     lab.log(f"{sum(spec.frames for spec in specs)} frames of approached obstacles")
@@ -47,7 +48,7 @@ def run(lab: Lab) -> Section:
         "%. The preset paper sees no further than 3 m, so what stands beyond is not asked of it."
     )
     titles = {system.name: system.title for system in lab.systems}
-    for name in (OURS, PRESET):
+    for name in SHOWN:
         rows: list[list[str]] = []
         for light in LIGHTS:
             row = [light]
@@ -65,8 +66,8 @@ def run(lab: Lab) -> Section:
 
 
 def _plot(section: Section, cells: Cells, titles: dict[str, str]) -> None:
-    figure, axes = plots.canvas(2, 11, 4)
-    for ax, name in zip(axes, (OURS, PRESET), strict=True):
+    figure, axes = plots.canvas(len(SHOWN), 15, 4)
+    for ax, name in zip(axes, SHOWN, strict=True):
         series: dict[str, plots.Series] = {}
         for light in LIGHTS:
             mine = [cells[name, d, light] for d in DISTANCES_M]

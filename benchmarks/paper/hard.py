@@ -1,0 +1,177 @@
+"""Ours on the harder families: walls in range, low things, drops, ramps, a real depth camera."""
+
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.paper.free import REACH_M, Claim, claim_of
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.measure import measured
+from benchmarks.paper.pictures import encode, grid, shot_picture, titled
+from benchmarks.paper.section import Direction, Section, percent
+from benchmarks.paper.shots import Spec, load_shots
+from benchmarks.paper.systems import SURFACES, Prepared, System, eval_config, found_by, held
+from jaxdet.eval import Tally, evaluate_frames
+from jaxdet.sim import HARD_FAMILIES
+
+FAMILIES = (*HARD_FAMILIES, "mixed")
+ERRORS = (0.0, 1.0)
+"""How much of a real depth camera's errors: none, a D435's."""
+CAMERAS = {0.0: "clean", 1.0: "as a D435"}
+LEAST_FLOOR = 0.02
+"""A frame in which less of the picture shows floor to drive on is not the worst by its share."""
+FIGURES: dict[str, Direction] = dict.fromkeys(
+    ("accuracy", "recall", "precision", "coverage"), "higher"
+)
+
+
+class Judged(NamedTuple):
+    """One frame by one system."""
+
+    tally: Tally
+    claim: Claim
+    pixels: int
+    """Of the picture."""
+
+    @property
+    def mistakes(self) -> float:
+        """Missed obstacles and false detections."""
+        return self.tally.visible - self.tally.found + self.tally.false
+
+    @property
+    def claimed(self) -> float:
+        """Share of the floor claimed; 0 where too little of it is seen."""
+        return self.claim.share if self.claim.drivable >= LEAST_FLOOR * self.pixels / 4 else 0.0
+
+
+Cells = dict[tuple[str, str, float], list[Judged]]
+"""By system, family and depth error, in the seeds' order."""
+
+
+def judge_hard(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Judged]]:
+    """A worker's task: some systems on all frames of a file."""
+    path, chosen = task
+    shots = load_shots(path)
+    prepared = Prepared(shots)
+    out: dict[str, list[Judged]] = {}
+    for system in chosen:
+        counted = eval_config(system.config)
+        out[system.name] = [
+            Judged(
+                evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0],
+                claim_of(shot, found, system.config),
+                shot.depth.size,
+            )
+            for shot, found in zip(shots, found_by(system, prepared), strict=True)
+        ]
+    return out
+
+
+def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
+    """The scenes of a family."""
+    changes = {"depth_error": error} if error else {}
+    return [
+        lab.spec(family, seed, 1, "normal", **changes)
+        for seed in lab.seeds[: lab.counts.hard_seeds]
+    ]
+
+
+def cells_of(lab: Lab) -> Cells:
+    """All systems on all families."""
+    keys = list(product(FAMILIES, ERRORS))
+    specs = {key: specs_of(lab, *key) for key in keys}
+    every = [spec for key in keys for spec in specs[key]]
+    lab.log(f"{len(every)} frames of harder scenes")
+    lab.store.ensure(every)
+    chosen = held(lab.config)
+    parts = iter(lab.run(judge_hard, [(lab.store.path(spec), chosen) for spec in every]))
+    cells: Cells = {}
+    for key in keys:
+        mine = [next(parts) for _ in specs[key]]
+        for system in chosen:
+            cells[system.name, *key] = [one for part in mine for one in part[system.name]]
+    return cells
+
+
+def run(lab: Lab) -> Section:
+    """The harder families with a clean depth camera and with a real one's errors."""
+    section = Section("hard", "Harder scenes (ours)")
+    seeds = lab.seeds[: lab.counts.hard_seeds]
+    section.say(
+        f"Families of the simulator with walls in range, things of 6 to 20 cm, steps down, ramps, "
+        f"tables, plain and mirroring floors; {len(seeds)} scenes each, normal light, the mount "
+        "as the log says. Each with a clean depth camera and with the holes, bent margins, bow, "
+        "noise and reflections of a D435 on real floors. ACC, recall, precision and coverage as "
+        "above. Free floor claimed: of the pixels that truly show floor to drive on within "
+        f"{REACH_M:g} m, the share inside the rectangle of any detection, walls' too; worst frame: "
+        f"of those in which {percent(LEAST_FLOOR, digits=0)} of the picture are such floor."
+    )
+    cells = cells_of(lab)
+    for error in ERRORS:
+        rows = []
+        for family, system in product((*FAMILIES, "all"), held(lab.config)):
+            chosen = FAMILIES if family == "all" else (family,)
+            judged = [one for name in chosen for one in cells[system.name, name, error]]
+            key = f"{system.name}.{family}.{error:g}"
+            rows.append([family, system.title, *_row(section, key, judged)])
+        header = ["Family", "System", "ACC", "Recall", "Precision", "Coverage", "Floor claimed"]
+        header += ["worst frame", "Missed / false"]
+        section.table(header, rows, f"Depth camera {CAMERAS[error]}")
+    for system in held(lab.config):
+        judged = [one for key, cell in cells.items() if key[0] == system.name for one in cell]
+        _add_claimed(section, f"{system.name}.all", judged)
+    _pictures(section, lab, cells)
+    return section
+
+
+def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
+    """Adds the figures of some frames; returns them as texts."""
+    one = measured([frame.tally for frame in judged])
+    cells = []
+    for name, direction in FIGURES.items():
+        section.add(f"{key}.{name}", one.value(name), "", direction, one.intervals[name])
+        ends = one.intervals[name] if name == "accuracy" else None
+        cells.append(percent(one.value(name), ends))
+    share, worst = _add_claimed(section, key, judged)
+    tally = one.score.tally
+    mistakes = f"{tally.visible - tally.found:.0f} / {tally.false:.0f}"
+    return [*cells, percent(share, digits=2), percent(worst), mistakes]
+
+
+def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[float, float]:
+    """Adds the share of the floor claimed over some frames and in the worst of them."""
+    drivable = sum(frame.claim.drivable for frame in judged)
+    claimed = sum(frame.claim.claimed for frame in judged)
+    share = claimed / drivable if drivable else float("nan")
+    worst = max((frame.claimed for frame in judged), default=float("nan"))
+    section.add(f"{key}.claimed", share, "", "lower")
+    section.add(f"{key}.claimed_worst", worst, "", "lower")
+    return share, worst
+
+
+def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
+    """The worst frames by the preset surfaces: most mistakes, and most floor claimed."""
+    system = next(one for one in held(lab.config) if one.name == SURFACES)
+    keys = [key for key in cells if key[0] == system.name]
+    every = [(key, index, one) for key in keys for index, one in enumerate(cells[key])]
+    orders = {
+        "mistakes": lambda item: (item[2].mistakes, item[2].claimed),
+        "claimed": lambda item: (item[2].claimed, item[2].mistakes),
+    }
+    for name, order in orders.items():
+        worst = sorted(every, key=order, reverse=True)[: lab.counts.worst]
+        views: list[np.ndarray] = []
+        for (_, family, error), index, one in worst:
+            if not any(order(((), 0, one))):
+                continue
+            shot = lab.load([specs_of(lab, family, error)[index]])[0]
+            tally = one.tally
+            text = f"{shot.title}: {tally.visible - tally.found:.0f} of {tally.visible:.0f} missed"
+            text += f", {tally.false:.0f} false, floor claimed {percent(one.claim.share)}"
+            views.append(titled(shot_picture(shot, system), text, 640))
+        if views:
+            most = "missed and false" if name == "mistakes" else "floor claimed"
+            caption = f"Preset surfaces: the frames with the most {most}."
+            section.picture(name, encode(grid(views, 2)), caption)

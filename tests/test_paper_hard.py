@@ -1,0 +1,134 @@
+"""The report's parts on hard conditions: floor claimed, wrong mounts, steps down, single cases."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+import jaxdet
+from benchmarks.paper.case_list import CASES
+from benchmarks.paper.cases import drop_of
+from benchmarks.paper.free import REACH_M, STEP_PX, claim_of
+from benchmarks.paper.mounts import MOUNTS
+from benchmarks.paper.shots import Spec, frames_of, shot_of
+from jaxdet.presets import preset
+from jaxdet.sim import SimConfig, floor_truth, make_scene
+from jaxdet.sim.draft import Draft
+from jaxdet.sim.frames import simulate_frame
+from jaxdet.sim.scene import Box, Ground, Scene
+from jaxdet.types import FreeEnd
+
+CONFIG = preset("surfaces")
+
+
+def shot_and_frame(scene, **changes):
+    config = SimConfig(width=320, height=240, **changes)
+    frame = simulate_frame(config, scene, 0)
+    return shot_of(Spec("case", 0, 1), frame), frame
+
+
+@pytest.fixture(scope="module")
+def box():
+    """A box of 30 cm ahead, and what is found of it."""
+    shot, frame = shot_and_frame(Scene(boxes=(Box((1.65, 0.0), (0.3, 0.3, 0.3)),)))
+    return shot, frame, jaxdet.detect(frames_of([shot]), CONFIG, backend="reference")
+
+
+def with_outline(found, left, right, near, far):
+    """The first obstacle's outline as told [mm], the only one."""
+    obstacles = found.obstacles
+    direction, span = obstacles.direction.copy(), obstacles.span.copy()
+    direction[0, 0], span[0, 0] = (1, 0), (left, right, near, far)
+    labels = found.labels._replace(num_obstacles=np.array([1], np.int32))
+    return found._replace(
+        obstacles=obstacles._replace(direction=direction, span=span), labels=labels
+    )
+
+
+def test_the_floor_that_outlines_claim(box):
+    shot, frame, found = box
+    truth = floor_truth(frame)
+    points = truth.points_m[::STEP_PX, ::STEP_PX][truth.drivable[::STEP_PX, ::STEP_PX]]
+    near = points[np.hypot(*points.T) <= REACH_M]
+    assert len(near) > 3000
+
+    nothing = found._replace(labels=found.labels._replace(num_obstacles=np.zeros(1, np.int32)))
+    drivable, claimed = claim_of(shot, nothing, CONFIG)
+    assert claimed == 0
+    # The shot's depth is a float16: a pixel at the end of reach may fall to either side.
+    assert drivable == pytest.approx(len(near), rel=0.002)
+    everything = with_outline(found, -9000, 9000, -9000, 9000)
+    assert claim_of(shot, everything, CONFIG) == (drivable, drivable)
+
+    margin = CONFIG.footprint.margin_m
+    right, forward = near.T
+    want = (right >= -margin) & (right <= 0.5 + margin)
+    want &= (forward >= 1.0 - margin) & (forward <= 1.5 + margin)
+    claim = claim_of(shot, with_outline(found, 0, 500, 1000, 1500), CONFIG)
+    assert claim.claimed == pytest.approx(want.sum(), rel=0.02)
+    assert claim.share == claim.claimed / drivable
+
+
+def test_a_box_claims_no_floor_but_its_margin(box):
+    shot, _, found = box
+    assert 0 < claim_of(shot, found, CONFIG).share < 0.02
+
+
+def test_a_told_mount_is_wrong_by_what_is_said(box):
+    shot = box[0]
+    height, pitch, roll = shot.mount
+    told = {mount.name: mount.told(shot) for mount in MOUNTS}
+    assert told["pitch+0"].mount == shot.mount
+    assert told["pitch-2"].mount == pytest.approx((height, pitch - np.radians(2), roll))
+    assert told["height+3"].mount == pytest.approx((height + 0.03, pitch, roll))
+    assert told["roll-2"].mount == pytest.approx((height, pitch, roll - np.radians(2)))
+    rocked = told["rocks"].mount
+    assert rocked[0] == height and rocked[1] != pitch and rocked[2] != roll
+    again = next(mount for mount in MOUNTS if mount.name == "rocks").told(shot)
+    assert again.mount == told["rocks"].mount
+
+
+def test_a_step_down_is_reported_with_its_distance():
+    shot, _ = shot_and_frame(Scene(ground=Ground(drop_m=0.4, drop_start_m=1.5)))
+    found = jaxdet.detect(frames_of([shot]), CONFIG, backend="reference")
+    assert drop_of(found, 0.001) == pytest.approx(1.5, abs=0.1)
+
+
+def test_a_step_needs_neighbouring_columns(box):
+    found = box[2]
+    assert np.isnan(drop_of(found, 0.001))
+    end, free = np.zeros_like(found.scene.free_end), np.zeros_like(found.scene.free)
+    end[0, [3, 4, 9, 10]] = FreeEnd.DROP
+    free[0, :, 1, 1] = np.arange(len(free[0])) * 100
+    scene = found.scene._replace(free_end=end, free=free)
+    assert np.isnan(drop_of(found._replace(scene=scene), 0.001))
+    end[0, 11] = FreeEnd.DROP
+    assert drop_of(found._replace(scene=scene), 0.001) == pytest.approx(1.0)
+    assert drop_of(found._replace(scene=None), 0.001) is None
+
+
+@pytest.mark.parametrize("key", CASES)
+def test_a_case_is_drawn_by_its_seed(key):
+    build = CASES[key].build
+    scenes = [build(Draft(seed, "case")) for seed in (1, 2)]
+    assert scenes[0] != scenes[1] and scenes[0] == build(Draft(1, "case"))
+
+
+def test_gaps_and_walls_are_as_far_as_told():
+    left, right = sorted(b.center[1] for b in scene_of("gap.10cm.2m").boxes)
+    assert right - left == pytest.approx(0.3 + 0.1)
+    scene = scene_of("wall.box_40_cm.5cm.2.5m")
+    (box_,), (wall,) = scene.boxes, scene.walls
+    assert wall.start[0] - 0.05 - (box_.center[0] + 0.2) == pytest.approx(0.05)
+    person = scene_of("wall.person.10cm.3.5m")
+    _, frame = shot_and_frame(person)
+    solid = frame.truth.obstacle_id == 1
+    assert solid.any() and frame.truth.points[solid][:, 0].max() < 3.4
+
+
+def scene_of(key):
+    return CASES[key].build(Draft(5, "case"))
+
+
+def test_a_holed_family_s_scenes_are_that_family_s():
+    assert scene_of("holes.mixed.pixels").name == make_scene("mixed", 0).name
