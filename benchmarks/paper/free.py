@@ -2,26 +2,19 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from benchmarks.paper.shots import Shot
-from jaxdet.camera import pixel_rays
+from benchmarks.paper.systems import eval_config
+from jaxdet import reference
 from jaxdet.config import Config
-from jaxdet.eval.polygon import inside
-from jaxdet.metric import rectangles, world_angle
+from jaxdet.eval import claimed_floor, floor_positions, measured_floor
 from jaxdet.types import Detections
-
-REACH_M = 4.0
-"""Floor farther from the camera's foot than this does not count [m]."""
-STEP_PX = 2
-"""Every second pixel of every second row counts."""
 
 
 class Claim(NamedTuple):
     """Pixels of one frame."""
 
     drivable: int
-    """That show floor to drive on, within reach."""
+    """That show floor to drive on, measured and within range."""
     claimed: int
     """Of those, inside the rectangle of some obstacle."""
 
@@ -37,31 +30,17 @@ def claim_of(shot: Shot, found: Detections, config: Config) -> Claim:
     Args:
         shot: The frame.
         found: ``B = 1``.
-        config: For the outlines' margin.
+        config: For the range and the outlines' margin.
 
     Returns:
-        Pixels counted; drivable is what :func:`jaxdet.sim.floor_truth` says.
+        The pixels that :func:`jaxdet.eval.claimed_floor` counts.
     """
-    points = _drivable_floor(shot)
-    count = int(found.labels.num_obstacles[0])
-    unit = shot.calibration.depth_unit
-    claimed = np.zeros(len(points), bool)
-    for outline in rectangles(found.obstacles, unit, config.footprint)[0, :count]:
-        claimed |= inside(outline, points)
-    return Claim(len(points), int(claimed.sum()))
-
-
-def _drivable_floor(shot: Shot) -> np.ndarray:
-    """Its true places in the camera's ground frame, ``(n, 2)`` float64 right, forward [m]."""
-    assert shot.truth.drivable is not None and shot.truth.depth_m is not None
-    part = np.zeros(shot.color.shape[:2], bool)
-    part[::STEP_PX, ::STEP_PX] = True
-    v, u = np.nonzero(part & shot.truth.drivable[0])
-    z = shot.truth.depth_m[0, v, u].astype(np.float64)
-    ray_x, ray_y = pixel_rays(shot.calibration.color)
-    camera = np.stack([ray_x[v, u] * z, ray_y[v, u] * z, z], axis=-1)
-    T = shot.T_world_camera
-    dx, dy = (camera @ T[:2, :3].T).T
-    sin, cos = world_angle(T)
-    ground = np.stack([dx * cos - dy * sin, dx * sin + dy * cos], axis=-1)
-    return ground[np.hypot(*ground.T) <= REACH_M]
+    truth, calibration, counted = shot.truth, shot.calibration, eval_config(config)
+    assert truth.drivable is not None and truth.depth_m is not None
+    z_m = reference.align(shot.depth[None], calibration).z * calibration.depth_unit
+    place = floor_positions(
+        truth.depth_m, truth.drivable, calibration.color, shot.T_world_camera[None]
+    )
+    floor = measured_floor(place, truth.depth_m, z_m, counted)
+    tally = claimed_floor(found, floor, calibration.depth_unit, counted)[0]
+    return Claim(int(tally.drivable_pixels), int(tally.drivable_claimed))

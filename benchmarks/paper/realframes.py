@@ -31,6 +31,7 @@ from jaxdet.types import Detections, Frames
 
 TITLES: tuple[tuple[str, Config], ...] = (
     ("wheeled", PRESETS["wheeled"]),
+    ("surfaces", PRESETS["surfaces"]),
     ("uneven", PRESETS["uneven"]),
     ("paper", PRESETS["paper"]),
 )
@@ -120,7 +121,8 @@ def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     labels = labels_of(task.recording, task.folder, int(frames.number[0]), z_m, calibration)
     if labels is None:
         return None, BoxTally()
-    plane = floor_of(frames, task.config, backend="reference")
+    scene = found.detections.scene
+    plane = scene.plane if scene else floor_of(frames, task.config, backend="reference")
     kept = np.asarray(stages.ground(aligned, plane, calibration, task.config).mask[0])
     boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
     return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
