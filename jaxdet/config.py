@@ -219,12 +219,12 @@ class ObstacleConfig:
     contact_m: float = 0.10
     """Pieces too small to be an obstacle join the surface they touch, over at most such a step
     [m]."""
-    narrow_m: float = 0.25
+    narrow_m: float = 0.22
     """Surfaces narrower than this (legs, poles, arms) are joined by gaps on the floor, as the
     paper joins points [m]. 0: off."""
     compact_m: float = 1.2
     """... with surfaces at most so wide and deep [m]."""
-    lateral_gap_m: float = 0.20
+    lateral_gap_m: float = 0.15
     """Largest gap sideways, d_x [m]."""
     forward_gap_m: float = 0.20
     """Largest gap in depth on the floor, d_z [m]."""

@@ -8,14 +8,17 @@ from jaxdet.plane import quadratic_table
 from jaxdet.reference._align import project_corners
 from jaxdet.types import Calibration, Cells, Intrinsics
 
+LEAST = 4
+"""One of so many pixels of a cell must be measured."""
+
 
 def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> Cells:
     """Reduces depth images to a regular grid of cells in the colour camera's frame (Eq. 1-4).
 
     A cell is a square of s x s depth pixels, ``s = round(f_x cell_rad)``. Its depth is the mean
     of the measured depths within the surface step of their lower median, rounded, and 0 where
-    fewer than half of the pixels are measured: the mean of 16 pixels has a quarter of their noise,
-    and a cell on a contour is either the thing or the background, never something between.
+    fewer than a quarter of the pixels are measured: the mean of 16 pixels has a quarter of their
+    noise, and a cell on a contour is either the thing or the background, never something between.
 
     The cell's centre is moved into the colour camera with the rotated ray of its middle in fixed
     point, ``P = (R K_d^-1 p) d + t`` (Eq. 1-3); its box in the colour image is spanned by the
@@ -58,7 +61,9 @@ def _block_depth(image: np.ndarray, side: int, near: np.ndarray) -> np.ndarray:
     count = measured.sum(axis=-1)
     ordered = np.sort(np.where(measured, values, 65536), axis=-1)
     middle = np.maximum((count - 1) // 2, 0)[..., None]
-    median = np.where(2 * count >= side * side, np.take_along_axis(ordered, middle, -1)[..., 0], 0)
+    median = np.where(
+        LEAST * count >= side * side, np.take_along_axis(ordered, middle, -1)[..., 0], 0
+    )
     used = measured & (np.abs(values - median[..., None]) <= near[median][..., None])
     number = np.maximum(used.sum(axis=-1), 1)
     mean = (2 * np.where(used, values, 0).sum(axis=-1) + number) // (2 * number)

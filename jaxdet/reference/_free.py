@@ -39,9 +39,10 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     farther and no obstacle of the column is nearer. It is ended by
 
     - a drop, where ``RUN`` measured cells one after the other lie lower than the last floor cell by
-      a drop at once, and flat. Stereo cameras bow far floor down, but slowly; a reflection in a
-      glossy floor lies below it too, but stands upright as the thing that it mirrors, and is
-      narrow: of a column and its ``BESIDE`` neighbours on both sides more than half must drop;
+      a drop at once, and flat, and no floor goes on at its level. Stereo cameras bow far floor down,
+      but slowly; reflections in a glossy floor lie below it too, but floor goes on beyond them or
+      they stand upright, and they are narrow: of a column and its ``BESIDE`` neighbours on both
+      sides more than half must drop;
     - an obstacle, where the column's nearest one is at most ``longest_gap`` farther;
     - the end of the range, at most ``longest_gap`` farther;
     - else by what is not known.
@@ -90,11 +91,12 @@ def _followed(view: FloorView, column: int, floor: np.ndarray, gap: int) -> tupl
     """The last row of the floor that begins at ``floor[0]``, and whether it drops there."""
     last = int(floor[0])
     for row in floor[1:].tolist():
-        if _drops(view, column, last):
-            return last, True
         if view.forward[row, column] - view.forward[last, column] > gap:
-            return last, False
-        last = row
+            break
+        if view.height[last, column] - view.height[row, column] <= view.drop[row, column]:
+            last = row
+        elif _drops(view, column, last):
+            break
     return last, _drops(view, column, last)
 
 

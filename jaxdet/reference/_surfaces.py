@@ -6,6 +6,8 @@ from jaxdet.config import SurfaceConfig
 from jaxdet.plane import quadratic_table
 from jaxdet.reference._components import components
 
+MARGIN = 8
+"""This part of the columns at each side is the image's margin."""
 FRACTION_BITS = 4
 """Fraction bits of smoothed depths."""
 
@@ -86,8 +88,10 @@ def without_bent_floor(
     """Surfaces without floor that the sensor bends up.
 
     Stereo cameras bend flat floor at the margins of the image and far away. A surface at most
-    ``bent_m`` high is floor where it has no side: where, of its cells with a measured cell below
-    them in the image, fewer than a fourth rise from that one by more than they go forward.
+    ``bent_m`` high is floor where it has no front: where, of the lowest cells in its columns, fewer
+    than two thirds rise steeply from the measured cell below them, by a third of what they go
+    forward; in the outer ``MARGIN`` of the columns, by all of it. A surface that has no measured
+    cell below it and does not reach the lower edge of the image has no front either.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
@@ -109,12 +113,17 @@ def without_bent_floor(
     count = int(label.max(initial=-1)) + 1
     on = label >= 0
     rises, goes = (np.abs(a - _shifted(a, -1, 0)) for a in (height, forward))
-    beside = on & _shifted(measured.astype(np.int64), -1, 0).astype(bool)
-    pairs = np.bincount(label[beside], minlength=count)
-    steep = np.bincount(label[beside & (rises > goes)], minlength=count)
+    lowest = on & (_shifted(label + 1, -1, 0) - 1 != label)
+    lowest &= _shifted(measured.astype(np.int64), -1, 0) > 0
+    pairs = np.bincount(label[lowest], minlength=count)
+    column, margin = np.arange(label.shape[1]), label.shape[1] // MARGIN
+    part = np.where((column < margin) | (column >= len(column) - margin), 1, 3)
+    steep = np.bincount(label[lowest & (part * rises > goes)], minlength=count)
     top = np.full(count, -1)
     np.maximum.at(top, label[on], height[on])
-    bent = (top <= round(config.bent_m / depth_unit)) & (4 * steep < pairs)
+    at_edge = np.bincount(label[-1][on[-1]], minlength=count) > 0
+    flat = np.where(pairs > 0, 3 * steep < 2 * pairs, ~at_edge)
+    bent = flat & (top <= round(config.bent_m / depth_unit))
     return renumbered(np.where(on & ~np.append(bent, False)[label], label, -1))
 
 
