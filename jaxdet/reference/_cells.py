@@ -8,7 +8,7 @@ from jaxdet.plane import quadratic_table
 from jaxdet.reference._align import project_corners
 from jaxdet.types import Calibration, Cells, Intrinsics
 
-LEAST = 4
+LEAST = 2
 """One of so many pixels of a cell must be measured."""
 
 
@@ -17,7 +17,7 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
 
     A cell is a square of s x s depth pixels, ``s = round(f_x cell_rad)``. Its depth is the mean
     of the measured depths within the surface step of their lower median, rounded, and 0 where
-    fewer than a quarter of the pixels are measured: the mean of 16 pixels has a quarter of their
+    fewer than half of the pixels are measured: the mean of 16 pixels has a quarter of their
     noise, and a cell on a contour is either the thing or the background, never something between.
 
     The cell's centre is moved into the colour camera with the rotated ray of its middle in fixed

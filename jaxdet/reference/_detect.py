@@ -87,11 +87,11 @@ def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config)
     step = linear_table(ground_config.step_height_m, ground_config.step_height_per_m, unit)[view.z]
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
     keep = in_range & (view.height > step)
-    label, measured = surfaces(view.z, keep, unit, settings), view.z > 0
-    straight = without_bent_floor(label, measured, view.forward, view.height, unit, settings)
+    label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
+    straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
     label = obstacles(straight, keep, view, farthest, unit, config.obstacle)
-    return Found(label, keep, view, measured & (view.height <= step))
+    return Found(label, keep, view, low)
 
 
 def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:

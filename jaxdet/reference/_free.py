@@ -39,10 +39,10 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     farther and no obstacle of the column is nearer. It is ended by
 
     - a drop, where ``RUN`` measured cells one after the other lie lower than the last floor cell by
-      a drop at once, and flat, and no floor goes on at its level. Stereo cameras bow far floor down,
-      but slowly; reflections in a glossy floor lie below it too, but floor goes on beyond them or
-      they stand upright, and they are narrow: of a column and its ``BESIDE`` neighbours on both
-      sides more than half must drop;
+      a drop at once, and flat, and no floor goes on at its level. Stereo cameras bow far floor
+      down, but slowly; reflections in a glossy floor lie below it too, but floor goes on beyond
+      them or they stand upright, and they are narrow: of a column and its ``BESIDE`` neighbours on
+      both sides more than half must drop;
     - an obstacle, where the column's nearest one is at most ``longest_gap`` farther;
     - the end of the range, at most ``longest_gap`` farther;
     - else by what is not known.

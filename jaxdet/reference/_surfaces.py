@@ -79,7 +79,7 @@ def creases(
 
 def without_bent_floor(
     label: np.ndarray,
-    measured: np.ndarray,
+    low: np.ndarray,
     forward: np.ndarray,
     height: np.ndarray,
     depth_unit: float,
@@ -88,14 +88,14 @@ def without_bent_floor(
     """Surfaces without floor that the sensor bends up.
 
     Stereo cameras bend flat floor at the margins of the image and far away. A surface at most
-    ``bent_m`` high is floor where it has no front: where, of the lowest cells in its columns, fewer
-    than two thirds rise steeply from the measured cell below them, by a third of what they go
-    forward; in the outer ``MARGIN`` of the columns, by all of it. A surface that has no measured
-    cell below it and does not reach the lower edge of the image has no front either.
+    ``bent_m`` high is floor where it has no front: where, of the lowest cells in its columns that
+    have a floor cell below them in the image, fewer than two thirds rise from it by a third of what
+    they go forward (in the outer ``MARGIN`` of the columns, by all of it). A surface in the margin
+    without such cells, which does not reach the lower edge of the image, has no front either.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
-        measured: ``(R, C)`` bool.
+        low: ``(R, C)`` bool, measured and no higher than the step.
         forward: ``(R, C)`` int64, on the floor [depth units].
         height: ``(R, C)`` int64, above the floor [depth units].
         depth_unit: Metres in one depth unit.
@@ -105,24 +105,24 @@ def without_bent_floor(
         ``(R, C)`` int64, numbered anew.
 
     Example:
-        >>> label, yes = np.array([[0, 1], [-1, -1]]), np.ones((2, 2), bool)
-        >>> forward, height = np.array([[900, 800], [800, 800]]), np.array([[60, 60], [20, 0]])
-        >>> without_bent_floor(label, yes, forward, height, 0.001, SurfaceConfig()).tolist()
+        >>> label, low = np.array([[0, 1], [-1, -1]]), np.array([[0, 0], [1, 1]], bool)
+        >>> forward, height = np.array([[900, 800], [800, 800]]), np.array([[60, 60], [45, 0]])
+        >>> without_bent_floor(label, low, forward, height, 0.001, SurfaceConfig()).tolist()
         [[-1, 0], [-1, -1]]
     """
     count = int(label.max(initial=-1)) + 1
     on = label >= 0
-    rises, goes = (np.abs(a - _shifted(a, -1, 0)) for a in (height, forward))
-    lowest = on & (_shifted(label + 1, -1, 0) - 1 != label)
-    lowest &= _shifted(measured.astype(np.int64), -1, 0) > 0
-    pairs = np.bincount(label[lowest], minlength=count)
+    rises, goes = (a - _shifted(a, -1, 0) for a in (height, forward))
+    lowest = on & (_shifted(low.astype(np.int64), -1, 0) > 0)
     column, margin = np.arange(label.shape[1]), label.shape[1] // MARGIN
-    part = np.where((column < margin) | (column >= len(column) - margin), 1, 3)
-    steep = np.bincount(label[lowest & (part * rises > goes)], minlength=count)
+    outer = np.broadcast_to((column < margin) | (column >= len(column) - margin), label.shape)
+    steep = np.bincount(label[lowest & (np.where(outer, 1, 3) * rises > goes)], minlength=count)
+    pairs = np.bincount(label[lowest], minlength=count)
+    inner = np.bincount(label[on & ~outer], minlength=count) > 0
+    at_edge = np.bincount(label[-1][on[-1]], minlength=count) > 0
+    flat = np.where(pairs > 0, 3 * steep < 2 * pairs, ~inner & ~at_edge)
     top = np.full(count, -1)
     np.maximum.at(top, label[on], height[on])
-    at_edge = np.bincount(label[-1][on[-1]], minlength=count) > 0
-    flat = np.where(pairs > 0, 3 * steep < 2 * pairs, ~at_edge)
     bent = flat & (top <= round(config.bent_m / depth_unit))
     return renumbered(np.where(on & ~np.append(bent, False)[label], label, -1))
 
