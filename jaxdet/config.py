@@ -328,7 +328,7 @@ class FootprintConfig:
     fitted: bool = False
     """The rectangle of an obstacle made of surfaces: the one that fits its visible contour best;
     off: the paper's, along AB."""
-    long_m: float = 1.5
+    long_m: float = 3.0
     """Fitted rectangles longer than this pass over a twentieth of their cells at each long side:
     walls are smeared over the floor before them [m]."""
 

@@ -5,10 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import ObstacleConfig
+from jaxdet.plane import SLOPE_BITS
 from jaxdet.reference._components import components
 from jaxdet.reference._outlines import contours, straight_parts
 from jaxdet.reference._surfaces import renumbered
 
+PERCENT = 100
 TRIM = 20
 """Such a part of a surface's cells is passed over at each side when it is measured."""
 
@@ -163,8 +165,8 @@ def continued(
         flat = [a if across else a.T for a in (label, keep, view.z, aside)]
         found = _lines(*flat, hidden=across, unit=unit, config=config)
         for (one, two), (good, bad) in sorted(found.items()):
-            enough = good >= config.hidden_share * min(lines[one], lines[two])
-            if good and good >= bad and enough:
+            least = round(PERCENT * config.hidden_share) * min(lines[one], lines[two])
+            if good and good >= bad and PERCENT * good >= least:
                 pairs.append((one, two))
     return np.array(pairs, np.int64).reshape(-1, 2).T
 
@@ -180,7 +182,7 @@ def _lines(
     config: ObstacleConfig,
 ) -> dict[tuple[int, int], list[int]]:
     """For each pair of surfaces, how many rows speak for and how many against their being one."""
-    gap = round(config.depth_gap_m / unit)
+    gap, slope = round(config.depth_gap_m / unit), round(config.depth_slope * (1 << SLOPE_BITS))
     reach, hole = (round(a / unit) for a in (config.hidden_m, config.hole_m))
     votes: dict[tuple[int, int], list[int]] = {}
     following = np.concatenate([label[:, 1:], np.full((len(label), 1), -1)], axis=1)
@@ -194,7 +196,7 @@ def _lines(
                 through |= z[row, column] > 0 and not keep[row, column]
                 continue
             away = abs(int(aside[row, column]) - int(aside[row, start]))
-            slack = gap + int(config.depth_slope * away)
+            slack = gap + (slope * away >> SLOPE_BITS)
             behind = int(z[row, column]) - int(z[row, start])
             if behind < -gap:
                 nearer = True
