@@ -127,7 +127,7 @@ class FloorConfig:
     max_cells: int = 4800
     """Most cells used: a regular part of those given."""
     max_depth_m: float = 6.0
-    """Farthest depth used [m]."""
+    """Farthest depth used [m]; 0: no floor is looked for."""
     noise_per_m: float = 0.004
     """Error of depth over its square [1/m]; 0.004 is a D435's."""
     max_turn_deg: float = 4.0
@@ -150,7 +150,7 @@ class FloorConfig:
 
     def __post_init__(self) -> None:
         _require(self.max_cells >= 100, "floor.max-cells", "at least 100")
-        _require_within(self.max_depth_m, 0.1, 65.535, "floor.max-depth-m")
+        _require_within(self.max_depth_m, 0, 65.535, "floor.max-depth-m")
         _require_within(self.noise_per_m, 0, 1, "floor.noise-per-m")
         _require_within(self.max_turn_deg, 0, 10, "floor.max-turn-deg")
         _require_within(self.max_shift_m, 0, 1, "floor.max-shift-m")

@@ -23,7 +23,7 @@ Array = Any
 """A NumPy or a JAX array."""
 
 
-MAX_CONTOUR = 256
+MAX_CONTOUR = 512
 """Most points of an obstacle's contour: columns of cells."""
 
 MAX_LATERAL = (1 << 18) - 1

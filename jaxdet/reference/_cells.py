@@ -42,7 +42,7 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
         np.where(d > 0, ((ray * d + (1 << (RAY_BITS - 1))) >> RAY_BITS) + start, 0)
         for ray, start in zip(rays, offset, strict=True)
     )
-    seen = (d > 0) & (z > 0)
+    seen, z = (d > 0) & (z > 0), np.minimum(z, 65535)
     x, y, z = (np.where(seen, a, 0).astype(np.int32) for a in (x, y, z))
     return Cells(x, y, z, *_boxes(d, seen, side, calibration))
 
@@ -83,12 +83,14 @@ def _boxes(
     splat, color = splat_parameters(calibration), calibration.color
     x, y = corner_rays(calibration.depth)
     low, high = np.zeros((*d.shape, 2), np.int32), np.zeros((*d.shape, 2), np.int32)
+    inside = seen.copy()
     for shift, corner in ((0, low), (side, high)):
         ray = x[top + shift, left + shift], y[top + shift, left + shift]
         ray_x, ray_y = (np.broadcast_to(a, d.shape)[seen] for a in ray)
-        u, v, _, _ = project_corners(ray_x, ray_y, d[seen].astype(np.uint16), splat)
+        u, v, _, fits = project_corners(ray_x, ray_y, d[seen].astype(np.uint16), splat)
         corner[seen] = np.stack([u, v], axis=-1)
+        inside[seen] &= fits
     low, high = np.minimum(low, high), np.maximum(low, high)
     last = np.array([color.width - 1, color.height - 1])
-    inside = seen & ((high >= 0) & (low <= last)).all(axis=-1)
+    inside &= ((high >= 0) & (low <= last)).all(axis=-1)
     return np.clip(low, 0, last), np.clip(high, 0, last), inside

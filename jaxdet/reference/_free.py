@@ -82,7 +82,7 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
         elif close:
             end[column] = FreeEnd.RANGE
     drops = (end == FreeEnd.DROP).astype(np.int64)
-    beside = np.convolve(drops, np.ones(2 * BESIDE + 1, np.int64), "same")
+    beside = np.convolve(drops, np.ones(2 * BESIDE + 1, np.int64))[BESIDE : BESIDE + columns]
     end[(drops > 0) & (beside <= BESIDE)] = FreeEnd.UNKNOWN
     return line, end
 

@@ -198,7 +198,7 @@ def _lines(
             away = abs(int(aside[row, column]) - int(aside[row, start]))
             slack = gap + (slope * away >> SLOPE_BITS)
             behind = int(z[row, column]) - int(z[row, start])
-            if behind < -gap:
+            if behind < -slack:
                 nearer = True
             elif behind > slack:
                 through = True

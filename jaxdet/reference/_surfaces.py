@@ -119,7 +119,7 @@ def without_bent_floor(
     steep = np.bincount(label[lowest & (np.where(outer, 1, 3) * rises > goes)], minlength=count)
     pairs = np.bincount(label[lowest], minlength=count)
     inner = np.bincount(label[on & ~outer], minlength=count) > 0
-    at_edge = np.bincount(label[-1][on[-1]], minlength=count) > 0
+    at_edge = np.bincount(label[-1:][on[-1:]], minlength=count) > 0
     flat = np.where(pairs > 0, 3 * steep < 2 * pairs, ~inner & ~at_edge)
     top = np.full(count, -1)
     np.maximum.at(top, label[on], height[on])
