@@ -141,6 +141,7 @@ def test_a_narrow_drop_is_a_reflection() -> None:
         ((1500, -40), (1700, -80), (1900, -130)),  # slowly: a far floor that is bowed
         ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored thing
         ((1500, -300), "1600", (1700, -300)),  # something stands there
+        ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor goes on beyond
     ],
 )
 def test_what_is_no_drop(beyond: tuple) -> None:

@@ -11,7 +11,16 @@ from jaxdet.config import ObstacleConfig
 from jaxdet.reference._obstacles import View, extents, obstacles
 
 UNIT, CELL, FAR = 0.001, 0.01, 6000
-CONFIG = ObstacleConfig(min_cells=4)
+CONFIG = ObstacleConfig(
+    depth_gap_m=0.12,
+    depth_slope=0.25,
+    narrow_m=0.25,
+    lateral_gap_m=0.20,
+    forward_gap_m=0.20,
+    overlap_gap_m=0.35,
+    min_size_m=0.05,
+    min_cells=4,
+)
 ROWS, COLUMNS = 24, 120
 
 
