@@ -1,0 +1,255 @@
+"""cells: depth in square blocks, each with one robust depth and its place and box."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxdet.config import SurfaceConfig
+from jaxdet.errors import CalibrationError
+from jaxdet.reference import align, cells
+from jaxdet.reference._cells import cell_side
+from jaxdet.types import Calibration, Extrinsics, Intrinsics
+from tests.scenes import (
+    D435,
+    D435_COLOR,
+    D435_DEPTH,
+    D435_MOTION,
+    IDENTITY,
+    LENSES,
+    assert_equal,
+    noise_depth,
+    rotation,
+    small,
+    smooth_depth,
+    with_lens,
+)
+
+TWO = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.0)
+"""Cells of 2 x 2 pixels of CAMERA, depths within 10 mm of each other."""
+CAMERA = Intrinsics(5, 4, 100.0, 100.0, 1.5, 1.5)
+THREE = SurfaceConfig(cell_rad=0.0078)
+
+
+def one_cell(block: object, config: SurfaceConfig = TWO) -> int:
+    """The depth of one cell of these pixels."""
+    depth = np.array(block, np.uint16)[None]
+    camera = Intrinsics(depth.shape[2], depth.shape[1], 100.0, 100.0, 0.5, 0.5)
+    return int(cells(depth, Calibration(camera), config).z[0, 0, 0])
+
+
+# by hand
+
+
+def test_grid_of_whole_cells() -> None:
+    depth = np.array(
+        [[100, 101, 700, 700, 9], [102, 105, 700, 700, 9], [500, 0, 0, 0, 9], [0, 504, 0, 400, 9]],
+        np.uint16,
+    )
+    grid = cells(depth[None], Calibration(CAMERA), TWO)
+    assert grid.z.tolist() == [[[102, 700], [502, 0]]]
+    assert grid.x.tolist() == [[[-1, 7], [-5, 0]]]  # (0.5 - 1.5) / 100 z, (2.5 - 1.5) / 100 z
+    assert grid.y.tolist() == [[[-1, -7], [5, 0]]]
+    assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [2, 2]]]]
+    assert grid.uv_max.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [3, 3]]]]
+    assert grid.in_view.tolist() == [[[True, True], [True, False]]]
+    assert {a.dtype.name for a in (grid.x, grid.y, grid.z, grid.uv_min, grid.uv_max)} == {"int32"}
+
+
+@pytest.mark.parametrize(
+    ("block", "depth"),
+    [
+        ([[900, 905], [2000, 2010]], 903),  # the lower median is the thing's; 902.5 goes up
+        ([[900, 2005], [2000, 2010]], 2005),  # mostly background
+        ([[900, 910], [911, 890]], 900),  # lower median 900: 911 is 11 mm away
+        ([[0, 900], [0, 2000]], 900),  # half of the pixels are enough
+        ([[0, 900], [0, 0]], 0),  # fewer are not
+        ([[0, 0], [0, 0]], 0),
+        ([[1, 1], [1, 2]], 1),
+        ([[65535, 65535], [65535, 65534]], 65535),
+    ],
+)
+def test_robust_depth(block: list[list[int]], depth: int) -> None:
+    assert one_cell(block) == depth
+
+
+def test_step_grows_with_the_square_of_depth() -> None:
+    config = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.01)
+    assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # 20 mm at 1.02 m, 31 used
+    assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # 106 mm at 3.1 m
+    assert one_cell([[2990, 3100], [3100, 3100]], config) == 3100
+
+
+def test_depth_unit() -> None:
+    """The step is metric, the depths are not."""
+    camera = Intrinsics(2, 2, 100.0, 100.0, 0.5, 0.5)
+    depth = np.array([[[9000, 9050], [9100, 9140]]], np.uint16)
+    fine, coarse = Calibration(camera, depth_unit=0.0001), Calibration(camera)
+    assert cells(depth, fine, TWO).z[0, 0, 0] == 9073  # of all four
+    assert cells(depth, coarse, TWO).z[0, 0, 0] == 9050
+
+
+def test_centre_is_moved_into_the_colour_camera() -> None:
+    """``P = R K_d^-1 p d + t`` in floating point, to the nearest depth unit."""
+    depth = smooth_depth(1, D435_DEPTH)
+    depth[0, :200] = 2000
+    grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE)
+    flat = np.zeros(grid.z.shape[1:], bool)
+    flat[: 200 // side] = True
+    row, column = np.nonzero(flat)
+    middle = np.stack([column, row, 0 * row]) * side + (side - 1) / 2
+    middle[2] = 1.0
+    points = D435_MOTION.T[:3, :3] @ np.linalg.inv(D435_DEPTH.K) @ middle * 2000
+    points += 1000 * D435_MOTION.T[:3, 3:]
+    found = np.stack([grid.x[0][flat], grid.y[0][flat], grid.z[0][flat]])
+    assert np.abs(found - points).max() <= 1.0
+
+
+@pytest.mark.parametrize("color_scale", [0.5, 1.0, 2.5])
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.74, 0.59)])
+def test_box_holds_where_the_pixels_land(color_scale: float, turn: tuple) -> None:
+    """Held against ``align``, alone in the image cell by cell; a turned cell's by a pixel."""
+    motion = Extrinsics(rotation(*turn), (0.0143, 0.0006, 0.0006))
+    calibration = small(color_scale=color_scale)._replace(color_from_depth=motion)
+    assert calibration.depth
+    config = SurfaceConfig(cell_rad=4 / calibration.depth.fx)
+    rng, slack, held = np.random.default_rng(3), int(any(turn)), 0
+    for _ in range(60):
+        row, column = rng.integers(0, 15), rng.integers(0, 20)
+        depth = np.zeros((1, 60, 80), np.uint16)
+        depth[0, 4 * row : 4 * row + 4, 4 * column : 4 * column + 4] = rng.integers(300, 5000)
+        hit = np.argwhere(align(depth, calibration).depth[0])[:, ::-1]
+        grid = cells(depth, calibration, config)
+        if len(hit):
+            assert grid.in_view[0, row, column]
+            assert (hit.min(axis=0) >= grid.uv_min[0, row, column] - slack).all()
+            assert (hit.max(axis=0) <= grid.uv_max[0, row, column] + slack).all()
+            tall, wide = grid.uv_max[0, row, column] - grid.uv_min[0, row, column]
+            assert max(tall, wide) <= 4 * 1.6 * color_scale + 2
+            held += 1
+    assert held > 15
+
+
+def test_cells_outside_of_the_colour_image() -> None:
+    """Depth sees wider than colour: places are known, but not in view."""
+    grid = cells(np.full((1, 480, 640), 1000, np.uint16), D435, THREE)
+    assert (grid.z > 900).all()
+    assert not grid.in_view[0, 0, 0]
+    assert grid.in_view[0, 80, 110]
+    u = D435_COLOR.fx * grid.x / grid.z + D435_COLOR.cx
+    v = D435_COLOR.fy * grid.y / grid.z + D435_COLOR.cy
+    deep = (u > 6) & (u < 633) & (v > 6) & (v < 473)
+    far = (u < -6) | (u > 646) | (v < -6) | (v > 486)
+    assert grid.in_view[deep].all()
+    assert not grid.in_view[far].any()
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        "pinhole",
+        "inverse",
+        *(
+            pytest.param(
+                lens,
+                marks=pytest.mark.xfail(
+                    reason="cells outside of the lens model are said to be in view, at its middle"
+                ),
+            )
+            for lens in ("plumb_bob", "rational", "equidistant")
+        ),
+    ],
+)
+def test_cells_outside_of_the_lens_are_not_in_view(lens: str) -> None:
+    """As in ``align``: what the colour camera's lens model does not reach is not in its image."""
+    assert lens in LENSES
+    calibration = D435._replace(color=with_lens(D435_COLOR, lens))
+    depth = np.zeros((1, 480, 640), np.uint16)
+    depth[0, :30, :30] = 1000
+    assert not align(depth, calibration).depth.any()
+    assert not cells(depth, calibration, THREE).in_view.any()
+
+
+# laws
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_batch_is_the_stack_of_singles(seed: int) -> None:
+    calibration = small(41, 31)
+    assert calibration.depth
+    depth = noise_depth(3, calibration.depth, seed)
+    whole = cells(depth, calibration, SurfaceConfig(cell_rad=0.05))
+    for b in range(3):
+        single = cells(depth[b : b + 1], calibration, SurfaceConfig(cell_rad=0.05))
+        assert_equal(type(whole)(*(a[b : b + 1] for a in whole)), single)
+
+
+@given(st.lists(st.integers(0, 3000), min_size=9, max_size=9), st.permutations(range(9)))
+def test_the_order_of_a_cells_pixels_is_nothing(values: list[int], order: list[int]) -> None:
+    config = SurfaceConfig(cell_rad=0.03)
+    block = np.array(values)
+    mixed = block[order]
+    assert one_cell(block.reshape(3, 3), config) == one_cell(mixed.reshape(3, 3), config)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_cell_lies_among_its_pixels(seed: int) -> None:
+    camera = Intrinsics(24, 18, 100.0, 100.0, 11.5, 8.5)
+    depth = noise_depth(1, camera, seed)
+    z = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.03)).z
+    blocks = depth.reshape(1, 6, 3, 8, 3).swapaxes(2, 3).reshape(1, 6, 8, 9)
+    measured = np.where(blocks > 0, blocks, 65535)
+    seen = (blocks > 0).sum(axis=-1) >= 5
+    np.testing.assert_array_equal(z > 0, seen)
+    assert (z[seen] >= measured.min(axis=-1)[seen]).all()
+    assert (z[seen] <= blocks.max(axis=-1)[seen]).all()
+
+
+def test_a_mirrored_image_has_mirrored_cells() -> None:
+    camera = Intrinsics(24, 18, 100.0, 100.0, 11.5, 8.5)
+    depth, config = noise_depth(1, camera), SurfaceConfig(cell_rad=0.03)
+    one = cells(depth, Calibration(camera), config)
+    other = cells(depth[:, :, ::-1], Calibration(camera), config)
+    np.testing.assert_array_equal(other.z, one.z[:, :, ::-1])
+    assert np.abs(other.x + one.x[:, :, ::-1]).max() <= 1
+    np.testing.assert_array_equal(other.uv_min[..., 0], 23 - one.uv_max[:, :, ::-1, 0])
+
+
+# edges
+
+
+@pytest.mark.parametrize("calibration", [D435, Calibration(D435_COLOR)])
+def test_no_depth_at_all(calibration: Calibration) -> None:
+    grid = cells(np.zeros((2, 480, 640), np.uint16), calibration, THREE)
+    assert not grid.in_view.any()
+    assert not np.concatenate([grid.x, grid.y, grid.z]).any()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (639, 479), (7, 5), (1, 1)])
+def test_sizes(width: int, height: int) -> None:
+    camera = Intrinsics(width, height, 640.0, 640.0, width / 2, height / 2)
+    side = cell_side(camera, THREE)
+    assert side == 5
+    motion = Extrinsics(IDENTITY, (0.0, 0.0, 0.0))
+    for calibration in (Calibration(camera), Calibration(camera, camera, motion)):
+        grid = cells(np.full((1, height, width), 800, np.uint16), calibration, THREE)
+        assert grid.z.shape == (1, height // 5, width // 5)
+        assert grid.uv_max.shape == (1, height // 5, width // 5, 2)
+        assert (grid.z == 800).all() and grid.in_view.all()
+
+
+def test_a_cell_is_at_least_a_pixel() -> None:
+    camera = Intrinsics(3, 2, 10.0, 10.0, 1.0, 0.5)
+    depth = np.arange(600, 606, dtype=np.uint16).reshape(1, 2, 3)
+    grid = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.001))
+    np.testing.assert_array_equal(grid.z, depth)
+    np.testing.assert_array_equal(grid.uv_min, grid.uv_max)
+
+
+def test_what_cannot_be_calibrated() -> None:
+    depth = np.ones((1, 10, 10), np.uint16)
+    wide = Intrinsics(10, 10, 1.0, 1.0, 5.0, 5.0)
+    with pytest.raises(CalibrationError, match="field of view is too wide"):
+        cells(depth, Calibration(wide), THREE)
+    with pytest.raises(CalibrationError, match="no extrinsics"):
+        cells(depth, Calibration(CAMERA, CAMERA), THREE)

@@ -1,0 +1,254 @@
+"""free_floor: how far the floor is seen and what ends it; and the ground frame it is seen in."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxdet.plane import (
+    UNKNOWN_HEIGHT,
+    down_vector,
+    flat_plane,
+    floor_frame,
+    ramp_rise,
+    unknown_plane,
+)
+from jaxdet.reference._free import BESIDE, FloorView, free_floor
+from jaxdet.types import FreeEnd
+
+FAR, GAP, DROP = 4000, 500, 60
+WIDE = 2 * BESIDE + 1
+
+
+def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
+    """One column from the nearest cell up: (forward, height), ``"4"`` an obstacle's, None a hole.
+
+    Floor is within 30 mm of the plane, low what is not higher.
+    """
+    out: dict[str, list[int]] = {"label": [], "low": [], "floor": [], "forward": [], "height": []}
+    for cell in reversed(cells):
+        thing = isinstance(cell, str)
+        forward, height = (int(cell), 300) if isinstance(cell, str) else cell or (0, 0)
+        out["label"].append(0 if thing else -1)
+        out["low"].append(cell is not None and not thing and height <= 30)
+        out["floor"].append(out["low"][-1] and height >= -30)
+        out["forward"].append(forward)
+        out["height"].append(height)
+    return out
+
+
+def found(*columns: dict[str, list[int]]) -> tuple[np.ndarray, list[FreeEnd]]:
+    """Lines and ends of columns side by side, a millimetre to the right for each column.
+
+    Beside them are columns where nothing is measured.
+    """
+    empty = column(*[None] * len(columns[0]["label"]))
+    return narrow(*columns, *[empty] * WIDE, count=len(columns))
+
+
+def narrow(*columns: dict[str, list[int]], count: int) -> tuple[np.ndarray, list[FreeEnd]]:
+    """Those of the first ``count`` columns, when there are no others."""
+    arrays = {k: np.array([c[k] for c in columns]).T for k in columns[0]}
+    right = np.broadcast_to(np.arange(len(columns)), arrays["label"].shape)
+    drop = np.full(right.shape, DROP)
+    view = FloorView(
+        arrays["label"],
+        arrays["low"].astype(bool),
+        arrays["floor"].astype(bool),
+        right,
+        arrays["forward"],
+        arrays["height"],
+        drop,
+    )
+    line, end = free_floor(view, FAR, GAP)
+    assert line.dtype == end.dtype == np.int32
+    return line[:count], [FreeEnd(int(e)) for e in end[:count]]
+
+
+def floor(*forward: int) -> list[tuple[int, int]]:
+    return [(y, 0) for y in forward]
+
+
+# by hand
+
+
+def test_to_the_end_of_the_range() -> None:
+    line, end = found(column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None))
+    assert end == [FreeEnd.RANGE]
+    assert line.tolist() == [[[0, 500], [0, 3600]]]
+
+
+def test_up_to_an_obstacle() -> None:
+    line, end = found(column(*floor(500, 900, 1300), "1500", "1500", "1500"))
+    assert end == [FreeEnd.OBSTACLE]
+    assert line.tolist() == [[[0, 500], [0, 1500]]]
+
+
+def test_floor_behind_an_obstacle_is_not_free() -> None:
+    line, end = found(column(*floor(500, 900), "1200", *floor(1400, 1800)))
+    assert end == [FreeEnd.OBSTACLE] and line[0, 1].tolist() == [0, 1200]
+
+
+def test_the_nearest_obstacle_ends_it_wherever_it_is_in_the_column() -> None:
+    """What hangs over the floor is nearer than the floor below it in the image."""
+    line, end = found(column(*floor(500, 900, 1300, 1700), "1800", "1000"))
+    assert end == [FreeEnd.OBSTACLE] and line[0].tolist() == [[0, 500], [0, 1000]]
+
+
+def test_where_nothing_is_known() -> None:
+    line, end = found(column(*floor(500, 900, 1300), None, None))
+    assert end == [FreeEnd.UNKNOWN] and line[0].tolist() == [[0, 500], [0, 1300]]
+    line, end = found(column(*floor(500, 900, 1300), None, *floor(1801, 2000)))
+    assert end == [FreeEnd.UNKNOWN] and line[0, 1].tolist() == [0, 1300]
+    line, end = found(column(*floor(500, 900, 1300), None, "1801"))
+    assert end == [FreeEnd.UNKNOWN] and line[0, 1].tolist() == [0, 1300]
+
+
+def test_a_hole_shorter_than_the_gap_is_passed_over() -> None:
+    line, end = found(column(*floor(500, 900, 1300), None, *floor(1800, 2000), None, None))
+    assert end == [FreeEnd.UNKNOWN] and line[0, 1].tolist() == [0, 2000]
+
+
+def test_only_an_obstacle() -> None:
+    line, end = found(column(None, "900", "910"), column(None, None, None))
+    assert end == [FreeEnd.OBSTACLE, FreeEnd.UNKNOWN]
+    assert line.tolist() == [[[0, 900], [0, 900]], [[0, 0], [0, 0]]]
+
+
+STEP_DOWN = column(*floor(500, 900, 1300), (2000, -300), (2200, -300), (2400, -305), None)
+
+
+def test_a_step_down() -> None:
+    line, end = found(*[STEP_DOWN] * WIDE)
+    assert end == [FreeEnd.DROP] * WIDE
+    assert line[3].tolist() == [[3, 500], [3, 1300]]
+
+
+def test_a_narrow_drop_is_a_reflection() -> None:
+    """Of a column and its neighbours more than half must drop."""
+    plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
+    _, end = found(*[plain] * BESIDE, *[STEP_DOWN] * BESIDE, *[plain] * BESIDE)
+    assert FreeEnd.DROP not in end
+    assert end[BESIDE : 2 * BESIDE] == [FreeEnd.UNKNOWN] * BESIDE
+    _, end = found(*[plain] * BESIDE, *[STEP_DOWN] * (BESIDE + 1), *[plain] * BESIDE)
+    assert FreeEnd.DROP in end
+
+
+@pytest.mark.parametrize(
+    "beyond",
+    [
+        ((1500, -300), (1700, -300)),  # too few cells
+        ((1500, -40), (1700, -80), (1900, -130)),  # slowly: a far floor that is bowed
+        ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored thing
+        ((1500, -300), "1600", (1700, -300)),  # something stands there
+        ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor goes on beyond
+    ],
+)
+def test_what_is_no_drop(beyond: tuple) -> None:
+    _, end = found(*[column(*floor(500, 900, 1300), *beyond)] * WIDE)
+    assert FreeEnd.DROP not in end
+
+
+# laws
+
+cells = st.one_of(
+    st.none(),
+    st.integers(400, 5000).map(str),
+    st.tuples(st.integers(400, 5000), st.sampled_from([0, 10, -20, -35, -80, -300, 200])),
+)
+pictures = st.lists(
+    st.lists(cells, min_size=8, max_size=8).map(lambda c: column(*c)), min_size=1, max_size=30
+)
+
+
+@given(pictures)
+def test_lines_begin_at_the_nearest_row_and_end_before_obstacles(columns: list) -> None:
+    line, end = found(*columns)
+    for c, (one, why) in enumerate(zip(columns, end, strict=True)):
+        (_, first), (_, last) = line[c].tolist()
+        blocked = [y for y, n in zip(one["forward"], one["label"], strict=True) if n >= 0]
+        limit = min(blocked, default=FAR)
+        if why == FreeEnd.OBSTACLE:
+            assert last == limit and blocked
+        elif any(line[c, :, 1]):
+            assert max(first, last) < limit
+        if why == FreeEnd.RANGE:
+            assert FAR - last <= GAP and not blocked
+        seen = [y for y, f in zip(one["forward"], one["floor"], strict=True) if f and y < limit]
+        assert first == (seen[-1] if seen else min(blocked, default=0))
+
+
+@given(pictures)
+def test_mirrored(columns: list) -> None:
+    line, end = found(*columns)
+    other, turned = found(*columns[::-1])
+    assert turned == end[::-1]
+    np.testing.assert_array_equal(other[::-1, :, 1], line[:, :, 1])
+
+
+@given(pictures)
+def test_columns_are_alone_but_for_drops(columns: list) -> None:
+    line, end = found(*columns)
+    for c, one in enumerate(columns):
+        alone, (why,) = found(one)
+        np.testing.assert_array_equal(alone[0, :, 1], line[c, :, 1])
+        assert why == end[c] or {why, end[c]} <= {FreeEnd.UNKNOWN, FreeEnd.DROP}
+
+
+def test_nothing() -> None:
+    line, end = found(column(None), column(None))
+    assert not line.any() and end == [FreeEnd.UNKNOWN] * 2
+
+
+@pytest.mark.xfail(reason="fewer columns than a drop and its neighbours raise", raises=Exception)
+@pytest.mark.parametrize("count", [1, 2, 2 * BESIDE])
+def test_narrow_grids(count: int) -> None:
+    line, end = narrow(*[column(*floor(500, 900), "1200")] * count, count=count)
+    assert end == [FreeEnd.OBSTACLE] * count and line.shape == (count, 2, 2)
+
+
+# the ground frame
+
+
+def test_ground_frame_of_a_level_camera() -> None:
+    plane = flat_plane(np.array([0.4, 1.0]), np.zeros(2), np.zeros(2))
+    xyz = np.array([[-100, 20], [400, -50], [1000, 3000]])
+    right, forward, height = floor_frame(plane, 0, xyz, 0.001)
+    assert right.tolist() == [-100, 20] and forward.tolist() == [1000, 3000]
+    assert height.tolist() == [0, 450]
+    assert floor_frame(plane, 1, xyz, 0.001)[2].tolist() == [600, 1050]
+    assert floor_frame(plane, 1, 10 * xyz, 0.0001)[2].tolist() == [6000, 10500]
+
+
+@given(
+    st.floats(-0.6, 1.3),
+    st.floats(-0.5, 0.5),
+    st.lists(st.tuples(*[st.integers(-4000, 4000)] * 3), min_size=1, max_size=5),
+)
+def test_ground_frame_is_a_rotation(pitch: float, roll: float, points: list) -> None:
+    plane = flat_plane(*(np.array([a]) for a in (0.5, pitch, roll)))
+    xyz = np.array(points).T
+    right, forward, height = floor_frame(plane, 0, xyz, 0.001)
+    down = down_vector(plane.pitch, plane.roll)[0]
+    assert np.abs(500 - down @ xyz - height).max() <= 2.0
+    length = np.sqrt(right**2.0 + forward**2.0 + (500 - height) ** 2.0)
+    np.testing.assert_allclose(length, np.sqrt((xyz**2.0).sum(axis=0)), atol=4)
+
+
+def test_ground_frame_without_a_floor() -> None:
+    """Level, and everything is high above."""
+    xyz = np.array([[5], [700], [900]])
+    right, forward, height = floor_frame(unknown_plane(1), 0, xyz, 0.001)
+    assert (right.tolist(), forward.tolist(), height.tolist()) == ([5], [900], [UNKNOWN_HEIGHT])
+
+
+def test_ramps_raise_the_floor() -> None:
+    plane = flat_plane(np.ones(3), np.zeros(3), np.zeros(3))
+    plane = plane._replace(
+        ramp_start=np.array([1.5, 1.5, np.inf]), ramp_slope=np.array([0.125, -0.25, 0])
+    )
+    forward = np.array([-3, 0, 1500, 1508, 2300])
+    assert ramp_rise(plane, 0, forward, 0.001).tolist() == [0, 0, 0, 1, 100]
+    assert ramp_rise(plane, 1, forward, 0.001).tolist() == [0, 0, 0, -2, -200]
+    assert ramp_rise(plane, 2, forward, 0.001).tolist() == [0] * 5
+    assert ramp_rise(plane, 0, 10 * forward, 0.0001).tolist() == [0, 0, 0, 10, 1000]

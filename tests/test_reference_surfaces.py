@@ -1,0 +1,241 @@
+"""surfaces: connected components of cells, cut along creases; and floor that is bent up."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from jaxdet.config import SurfaceConfig
+from jaxdet.reference._components import components
+from jaxdet.reference._surfaces import creases, renumbered, surfaces, without_bent_floor
+
+UNIT = 0.001
+PLAIN = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=100.0, min_cells=1)
+"""A step of 30 mm at any depth, no creases, nothing too small."""
+CREASED = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=0.01, crease_per_m=0.0, min_cells=6)
+
+
+def found(z: list, keep: list | None = None, config: SurfaceConfig = PLAIN) -> list:
+    """Surfaces of the cells with these depths [mm], all of them kept unless said."""
+    depth = np.array(z, np.int32)
+    kept = depth > 0 if keep is None else np.array(keep, bool) & (depth > 0)
+    return surfaces(depth, kept, UNIT, config).tolist()
+
+
+def roof(outward: bool) -> np.ndarray:
+    """Two planes that meet in the middle column, 20 mm a cell, seen from outside or inside."""
+    u = np.abs(np.arange(31) - 15)
+    return np.tile(1500 + 20 * u if outward else 1800 - 20 * u, (12, 1))
+
+
+def same_parts(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two labelings part the cells in the same way."""
+    return bool((renumbered(one) == renumbered(other)).all())
+
+
+masks = arrays(bool, (9, 12))
+depths = arrays(np.int32, (9, 12), elements=st.sampled_from([0, 900, 925, 950, 981, 1200]))
+
+
+# by hand
+
+
+def test_steps_part() -> None:
+    assert found([[900, 930, 960, 991, 990]]) == [[0, 0, 0, 1, 1]]
+    assert found([[900, 2000], [930, 1999], [961, 2031]]) == [[0, 1], [0, 1], [2, 3]]
+
+
+def test_diagonal_neighbours_do_not_touch() -> None:
+    assert found([[900, 2000], [2000, 900]]) == [[0, 1], [2, 3]]
+
+
+def test_what_is_not_kept_or_not_measured_parts() -> None:
+    assert found([[900, 0, 900]]) == [[0, -1, 1]]
+    assert found([[900, 900, 900]], [[1, 0, 1]]) == [[0, -1, 1]]
+
+
+def test_the_step_is_that_of_the_nearer() -> None:
+    """10 mm and 10 mm a square metre: 20 mm at 1 m, 50 mm at 2 m."""
+    config = replace(PLAIN, step_m=0.01, step_per_m=0.01)
+    assert found([[1000, 1020, 1041]], config=config) == [[0, 0, 1]]
+    assert found([[2000, 2050, 2103]], config=config) == [[0, 0, 1]]
+
+
+def test_small_components_are_no_surfaces() -> None:
+    config = replace(PLAIN, min_cells=3)
+    assert found([[900, 900, 0, 900, 900, 900]], config=config) == [[-1, -1, -1, 0, 0, 0]]
+
+
+def test_depth_unit() -> None:
+    z = np.array([[9000, 9300, 9601]], np.int32)
+    assert surfaces(z, z > 0, 0.0001, PLAIN).tolist() == [[0, 0, 1]]
+    assert surfaces(z, z > 0, 0.001, PLAIN).tolist() == [[0, 1, 2]]
+
+
+def test_a_concave_edge_parts_and_a_convex_one_does_not() -> None:
+    inside, outside = roof(outward=False), roof(outward=True)
+    label = surfaces(inside, inside > 0, UNIT, CREASED)
+    assert label.max() == 1 and label.min() == 0
+    assert (label[:, :13] == 0).all() and (label[:, 18:] == 1).all()
+    assert not surfaces(outside, outside > 0, UNIT, CREASED).any()
+    assert not surfaces(inside, inside > 0, UNIT, PLAIN).any()
+
+
+def test_a_thing_against_a_wall() -> None:
+    """A box leans on a wall: its side goes back 25 mm a cell, no step anywhere."""
+    profile = [1000] * 10 + [1025, 1050, 1075, 1100] + [1125] * 10
+    z = np.tile(profile, (12, 1))
+    label = surfaces(z, z > 0, UNIT, CREASED)
+    assert label.max() == 1
+    assert (label[:, :10] == 0).all() and (label[:, 16:] == 1).all()
+
+
+def test_a_jump_is_no_crease() -> None:
+    z = np.tile([1000] * 8 + [1400] * 8, (8, 1))
+    assert not creases(z, np.full(z.shape, 30), z > 0, UNIT, CREASED).any()
+
+
+def test_noise_of_single_cells_is_no_crease() -> None:
+    z = 1500 + np.random.default_rng(0).integers(-8, 9, (30, 40))
+    assert not surfaces(z, z > 0, UNIT, CREASED).any()
+
+
+def test_bent_floor_has_no_side() -> None:
+    """A low wedge that rises by a fourth of what it goes forward is floor; a curb's face is not."""
+    forward = np.tile(np.arange(1500, 900, -100)[:, None], (1, 4))
+    label = np.full((6, 4), -1)
+    label[:3] = 0
+    low = label < 0
+    wedge = np.tile(np.array([105, 80, 55, 30, 5, 0])[:, None], (1, 4))
+    config = SurfaceConfig(bent_m=0.2)
+    assert (without_bent_floor(label, low, forward, wedge, UNIT, config) == -1).all()
+    upright = np.where(label == 0, 1000, forward)
+    kept = without_bent_floor(label, low, upright, wedge, UNIT, config)
+    np.testing.assert_array_equal(kept, label)
+    high = np.where(np.arange(6)[:, None] == 0, 201, wedge)
+    kept = without_bent_floor(label, low, forward, high, UNIT, config)
+    np.testing.assert_array_equal(kept, label)
+    off = without_bent_floor(label, low, forward, wedge, UNIT, SurfaceConfig(bent_m=0.0))
+    np.testing.assert_array_equal(off, label)
+
+
+def test_of_several_surfaces_only_the_bent_goes() -> None:
+    label = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [-1, -1, -1, -1]])
+    height = np.array([[90, 90, 190, 190], [60, 60, 100, 100], [0, 0, 0, 0]])
+    forward = np.array([[1400, 1400, 1000, 1000], [1200, 1200, 1000, 1000], [1000] * 4])
+    left = without_bent_floor(label, label < 0, forward, height, UNIT, SurfaceConfig(bent_m=0.2))
+    assert left.tolist() == [[-1, -1, 0, 0], [-1, -1, 0, 0], [-1, -1, -1, -1]]
+
+
+# somebody else's code
+
+
+@given(masks)
+def test_equal_depths_are_labelled_as_by_scipy(keep: np.ndarray) -> None:
+    z = np.full(keep.shape, 1000, np.int32)
+    want = np.zeros(keep.shape, np.int32)
+    ndimage.label(keep, output=want)
+    np.testing.assert_array_equal(surfaces(z, keep, UNIT, PLAIN), want - 1)
+
+
+@given(depths, masks)
+def test_steps_as_a_graph(z: np.ndarray, keep: np.ndarray) -> None:
+    keep = keep & (z > 0)
+    links = [
+        (a * 12 + b, c * 12 + d)
+        for a in range(9)
+        for b in range(12)
+        for c, d in ((a + 1, b), (a, b + 1))
+        if c < 9 and d < 12 and keep[a, b] and keep[c, d] and abs(z[a, b] - z[c, d]) <= 30
+    ]
+    row, column = np.array(links, int).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(links)), (row, column)), shape=(z.size, z.size))
+    part = connected_components(graph, directed=False)[1].reshape(z.shape)
+    want = renumbered(np.where(keep, part, -1))
+    np.testing.assert_array_equal(surfaces(z, keep, UNIT, PLAIN), want)
+
+
+@given(st.integers(1, 40), st.data())
+def test_components_as_by_scipy(count: int, data: st.DataObject) -> None:
+    node = st.integers(0, count - 1)
+    links = data.draw(st.lists(st.tuples(node, node), max_size=60))
+    first, second = np.array(links, int).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(links)), (first, second)), shape=(count, count))
+    part = connected_components(graph, directed=False)[1]
+    label = components(count, first, second)
+    smallest = [int(np.flatnonzero(part == one)[0]) for one in part]
+    assert label.tolist() == smallest
+
+
+# laws
+
+
+@given(depths, masks, st.integers(1, 3000))
+def test_a_shift_of_all_depths_is_nothing(z: np.ndarray, keep: np.ndarray, shift: int) -> None:
+    keep = keep & (z > 0)
+    moved = np.where(z > 0, z + shift, 0).astype(np.int32)
+    for config in (PLAIN, replace(CREASED, min_cells=2)):
+        np.testing.assert_array_equal(
+            surfaces(moved, keep, UNIT, config), surfaces(z, keep, UNIT, config)
+        )
+
+
+@given(depths, masks)
+def test_mirrored_and_turned(z: np.ndarray, keep: np.ndarray) -> None:
+    keep = keep & (z > 0)
+    label = surfaces(z, keep, UNIT, PLAIN)
+    assert same_parts(surfaces(z[:, ::-1], keep[:, ::-1], UNIT, PLAIN)[:, ::-1], label)
+    assert same_parts(surfaces(z[::-1], keep[::-1], UNIT, PLAIN)[::-1], label)
+    assert same_parts(surfaces(z.T, keep.T, UNIT, PLAIN).T, label)
+    step = np.full(z.shape, 30)
+    crease = creases(z, step, keep, UNIT, CREASED)
+    mirrored = creases(z[:, ::-1], step, keep[:, ::-1], UNIT, CREASED)
+    np.testing.assert_array_equal(mirrored[:, ::-1], crease)
+
+
+@given(depths, masks)
+def test_numbers_have_no_gaps(z: np.ndarray, keep: np.ndarray) -> None:
+    keep = keep & (z > 0)
+    for config in (PLAIN, replace(CREASED, min_cells=3)):
+        label = surfaces(z, keep, UNIT, config)
+        assert (label[~keep] == -1).all()
+        values, first = np.unique(label[label >= 0], return_index=True)
+        assert values.tolist() == list(range(len(values)))
+        assert (np.diff(first) > 0).all()
+
+
+@given(depths)
+def test_all_kept_cells_have_a_surface_when_none_is_too_small(z: np.ndarray) -> None:
+    np.testing.assert_array_equal(surfaces(z, z > 0, UNIT, PLAIN) >= 0, z > 0)
+
+
+@given(arrays(np.int64, (4, 5), elements=st.integers(-3, 6)))
+def test_renumbered_is_idempotent_and_keeps_the_parts(label: np.ndarray) -> None:
+    one = renumbered(label)
+    np.testing.assert_array_equal(renumbered(one), one)
+    np.testing.assert_array_equal(one < 0, label < 0)
+    pairs = {(a, b) for a, b in zip(label[label >= 0], one[label >= 0], strict=True)}
+    assert len(pairs) == len(np.unique(label[label >= 0])) == one.max() + 1
+
+
+# edges
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 3), (0, 5), (5, 0)])
+@pytest.mark.parametrize("config", [PLAIN, SurfaceConfig(min_cells=1), SurfaceConfig()])
+def test_small_grids(shape: tuple, config: SurfaceConfig) -> None:
+    z = np.full(shape, 1000, np.int32)
+    label = surfaces(z, z > 0, UNIT, config)
+    assert label.shape == shape
+    large = z.size >= config.min_cells
+    assert (label == (0 if large else -1)).all()
+    none = surfaces(0 * z, z < 0, UNIT, config)
+    assert (none == -1).all()
+    if z.size:
+        assert (without_bent_floor(none, z > 0, z, 0 * z, UNIT, config) == -1).all()
