@@ -200,7 +200,6 @@ def test_nothing() -> None:
     assert not line.any() and end == [FreeEnd.UNKNOWN] * 2
 
 
-@pytest.mark.xfail(reason="fewer columns than a drop and its neighbours raise", raises=Exception)
 @pytest.mark.parametrize("count", [1, 2, 2 * BESIDE])
 def test_narrow_grids(count: int) -> None:
     line, end = narrow(*[column(*floor(500, 900), "1200")] * count, count=count)
