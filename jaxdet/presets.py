@@ -76,10 +76,10 @@ PRESETS: dict[str, Config] = {
 """Presets: ``wheeled`` (the default robot; what differs from the paper is what the tables of
 benchmarks/paper speak for), ``paper`` (the paper's setting: Canny at 100 and 200, corners only, no
 mask, points dropped after the selection, its rectangle), ``surfaces`` (wheeled robots with a floor
-of every frame, obstacles made of surfaces, contours and free floor; on the reference until it has a
-fast program), ``tabletop`` (the same for a camera over a table, with steps of 8 mm), ``uneven`` (for ramps and floors that are
-not flat: ``jaxdet run`` looks for the floor every 0.1 s, so a lower step does), and depth ranges of
-common cameras, by their data sheets."""
+of every frame, obstacles made of surfaces, contours and free floor; on the reference until it has
+a fast program), ``tabletop`` (the same over a table, with steps of 8 mm), ``uneven`` (for ramps
+and floors that are not flat: ``jaxdet run`` looks for the floor every 0.1 s, so a lower step does),
+and depth ranges of common cameras, by their data sheets."""
 
 
 def preset(name: str) -> Config:
