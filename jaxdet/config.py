@@ -208,7 +208,7 @@ class ObstacleConfig:
     depth_gap_m: float = 0.12
     """Parts of a surface on both sides of a nearer thing or of a hole are one when their depths
     differ by at most this [m]."""
-    depth_slope: float = 0.25
+    depth_slope: float = 0.10
     """Added to it for each metre between the two: surfaces are seen obliquely."""
     hidden_m: float = 1.0
     """Longest stretch that a nearer thing may hide [m]."""
