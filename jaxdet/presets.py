@@ -54,7 +54,6 @@ PRESETS: dict[str, Config] = {
         ),
         obstacle=ObstacleConfig(
             depth_gap_m=0.02,
-            depth_slope=0.1,
             hidden_m=0.4,
             hole_m=0.02,
             hidden_share=0.5,
