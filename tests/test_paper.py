@@ -141,7 +141,8 @@ def test_report_files(sections, tmp_path):
     report.write(tmp_path, "A report", sections, {"Seeds": "1 < 2"})
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<li>Seeds: 1 &lt; 2</li>" in page
-    assert "src='data:image/png;base64," in page and "http" not in page
+    assert "src='data:image/png;base64," in page and "http://" not in page
+    assert "https://" not in page
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "not run: weights not supplied" in text and "simulated" in text
     for line in text.splitlines():
