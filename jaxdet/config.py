@@ -244,7 +244,7 @@ class ObstacleConfig:
     min_size_m: float = 0.05
     """Obstacles are at least so wide or so high [m]."""
     min_cells: int = 10
-    """And have so many cells, but for what is that small at its distance."""
+    """And show so many cells in the colour image."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:

@@ -186,9 +186,8 @@ def surface_gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     Returns:
         ``(65536,)`` int32 [depth units], by z in depth units, read-only.
     """
-    z = np.arange(65536) * depth_unit
-    steps = config.surface_gap_m + config.surface_gap_per_m * z * z
-    gaps = np.minimum(np.rint(steps / depth_unit), 1 << 20).astype(np.int32)
+    steps = quadratic_table(config.surface_gap_m, config.surface_gap_per_m, depth_unit)
+    gaps = np.minimum(steps, 1 << 20).astype(np.int32)
     gaps.setflags(write=False)
     return gaps
 

@@ -2,12 +2,16 @@
 
 import numpy as np
 
-from jaxdet.camera import RAY_BITS, cell_rays, corner_rays, splat_parameters
+from jaxdet.camera import cell_rays, corner_rays, splat_parameters
 from jaxdet.config import SurfaceConfig
 from jaxdet.plane import quadratic_table
 from jaxdet.reference._align import project_corners
+from jaxdet.reference._features import lateral
+from jaxdet.reference._rounding import rounded
 from jaxdet.types import Calibration, Cells, Intrinsics
 
+MARGIN = 8
+"""This part of the columns at each side is the image's margin: stereo depth bends up there."""
 LEAST = 2
 """One of so many pixels of a cell must be measured."""
 
@@ -39,8 +43,7 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
     d = np.stack([_block_depth(image, side, near) for image in depth])
     rays, offset = cell_rays(calibration, side)
     x, y, z = (
-        np.where(d > 0, ((ray * d + (1 << (RAY_BITS - 1))) >> RAY_BITS) + start, 0)
-        for ray, start in zip(rays, offset, strict=True)
+        np.where(d > 0, lateral(ray, d) + start, 0) for ray, start in zip(rays, offset, strict=True)
     )
     seen, z = (d > 0) & (z > 0), np.minimum(z, 65535)
     x, y, z = (np.where(seen, a, 0).astype(np.int32) for a in (x, y, z))
@@ -50,6 +53,12 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
 def cell_side(camera: Intrinsics, config: SurfaceConfig) -> int:
     """The side of a cell [pixel] of a depth camera."""
     return max(1, round(camera.fx * config.cell_rad))
+
+
+def margins(columns: int) -> np.ndarray:
+    """The outer ``MARGIN`` of the columns at each side, ``(columns,)`` bool."""
+    column, width = np.arange(columns), columns // MARGIN
+    return (column < width) | (column >= columns - width)
 
 
 def _block_depth(image: np.ndarray, side: int, near: np.ndarray) -> np.ndarray:
@@ -66,7 +75,7 @@ def _block_depth(image: np.ndarray, side: int, near: np.ndarray) -> np.ndarray:
     )
     used = measured & (np.abs(values - median[..., None]) <= near[median][..., None])
     number = np.maximum(used.sum(axis=-1), 1)
-    mean = (2 * np.where(used, values, 0).sum(axis=-1) + number) // (2 * number)
+    mean = rounded(np.where(used, values, 0).sum(axis=-1), number)
     return np.where(median > 0, mean, 0)
 
 

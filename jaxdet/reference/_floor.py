@@ -6,12 +6,13 @@ import numpy as np
 
 from jaxdet.config import FloorConfig
 from jaxdet.plane import flat_plane
+from jaxdet.reference._cells import margins
 from jaxdet.reference._floor_planes import (
     ANGLES,
     BELOW,
     STEEPEST,
-    Cells,
     Plane,
+    Sample,
     Scale,
     below,
     score,
@@ -34,8 +35,6 @@ FAR_GAIN = 5
 """A plane far from the prior is believed where so many percent more of the cells lie on it."""
 RAMP_M = 3.6
 """Such a plane is a ramp where it crosses the prior so near."""
-MARGIN = 8
-"""This part of the columns at each side doesn't vote for ramps: stereo depth bends up there."""
 STEP_M, TABLE_M = 0.05, 0.10
 """Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
 OBSTACLE = (95, 85)
@@ -135,21 +134,20 @@ def _planes(found: list[_Found], unit: float) -> GroundPlane:
 
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
-) -> tuple[Cells, Cells]:
+) -> tuple[Sample, Sample]:
     """The cells used, and every second of them in rows and columns."""
     step = max(1, int(np.ceil((z.size / config.max_cells) ** 0.5)))
     part = slice(step // 2, None, step)
     x, y, z = (a[part, part].astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
-    margin = z.shape[1] // MARGIN
-    inner = (column >= margin) & (column < z.shape[1] - margin)
+    inner = np.broadcast_to(~margins(z.shape[1]), z.shape)
     used = (z > 0) & (z <= scale.length(config.max_depth_m))
-    cells = Cells(np.stack([x[used], y[used], z[used]], axis=1), inner[used])
+    cells = Sample(np.stack([x[used], y[used], z[used]], axis=1), inner[used])
     return cells, cells.take(((row | column) % 2 == 0)[used])
 
 
 def _find(
-    cells: Cells, few: Cells, prior: Plane | None, config: FloorConfig, scale: Scale
+    cells: Sample, few: Sample, prior: Plane | None, config: FloorConfig, scale: Scale
 ) -> _Found:
     """The best floor of one frame."""
     if len(few.z) < MIN_CELLS:
@@ -179,7 +177,7 @@ def _find(
 
 
 def _refined(
-    plane: Plane, hinge: Hinge | None, cells: Cells, prior: Plane | None, scale: Scale
+    plane: Plane, hinge: Hinge | None, cells: Sample, prior: Plane | None, scale: Scale
 ) -> tuple[Plane, Hinge | None]:
     """A plane refined on all cells, or on those before its ramp, and the ramp on those after."""
     if not hinge:
@@ -222,7 +220,7 @@ def _as_ramp(
 def _judge(
     plane: Plane,
     hinge: Hinge | None,
-    cells: Cells,
+    cells: Sample,
     prior: Plane | None,
     config: FloorConfig,
     scale: Scale,

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.reference._rounding import rounded
+
 ANGLES = 32
 """Steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m."""
 SINE_BITS = 15
@@ -42,7 +44,7 @@ RIDGE = 14
 """Square of 3 cm in levers of 8 mm: floor seen over a few centimetres tells no tilt."""
 
 
-class Cells(NamedTuple):
+class Sample(NamedTuple):
     """Cells with depth, at most some thousands."""
 
     xyz: np.ndarray
@@ -55,9 +57,9 @@ class Cells(NamedTuple):
         """``(K,)`` int64, depth [depth units]."""
         return self.xyz[:, 2]
 
-    def take(self, which: np.ndarray) -> "Cells":
+    def take(self, which: np.ndarray) -> "Sample":
         """Some of them."""
-        return Cells(self.xyz[which], self.inner[which])
+        return Sample(self.xyz[which], self.inner[which])
 
 
 class Plane(NamedTuple):
@@ -112,7 +114,7 @@ class Scale(NamedTuple):
         return slack.of(z, 0) + ((z * z * slack.noise) >> SLACK_BITS)
 
     def refined(
-        self, plane: Plane, cells: Cells, rounds: tuple[int, int, int], prior: Plane | None
+        self, plane: Plane, cells: Sample, rounds: tuple[int, int, int], prior: Plane | None
     ) -> Plane:
         """:func:`refine` in some rounds with a rough tolerance, a fine and a sharp one."""
         rough = self.slack(ROUGH_M, float(np.radians(0.5)))
@@ -164,12 +166,12 @@ def floor_axes(plane: Plane) -> np.ndarray:
     return np.stack([right, down, down_units(plane.pitch + quarter, plane.roll)])
 
 
-def along(directions: np.ndarray, cells: Cells) -> np.ndarray:
+def along(directions: np.ndarray, cells: Sample) -> np.ndarray:
     """Positions along directions ``(..., 3)``, rounded, ``(..., K)`` int64 [depth units]."""
     return (directions @ cells.xyz.T + (1 << (DOWN_BITS - 1))) >> DOWN_BITS
 
 
-def below(plane: Plane, cells: Cells) -> np.ndarray:
+def below(plane: Plane, cells: Sample) -> np.ndarray:
     """How far cells lie below a plane, ``(K,)`` int64 [depth units]."""
     return along(down_units(plane.pitch, plane.roll), cells) - plane.height
 
@@ -181,7 +183,7 @@ def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
 
 
 def refine(
-    plane: Plane, cells: Cells, slack: Slack, rounds: int, prior: Plane | None, lever_bits: int
+    plane: Plane, cells: Sample, slack: Slack, rounds: int, prior: Plane | None, lever_bits: int
 ) -> Plane:
     """Weighted least squares on the cells near a plane, in fixed rounds.
 
@@ -255,8 +257,3 @@ def _turns(
     pitch, side = (rounded(a * RADIAN, det) for a in (se * ts - te * ss, te * ts - se * tt))
     pitch, side = (min(max(a, -LARGEST_TURN), LARGEST_TURN) for a in (pitch, side))
     return pitch, side
-
-
-def rounded(a: int, b: int) -> int:
-    """``a / b`` rounded, for positive b."""
-    return (2 * a + b) // (2 * b)

@@ -11,8 +11,8 @@ from jaxdet.reference._floor_planes import (
     FINE_PER_Z,
     ROUGH_M,
     SINE_BITS,
-    Cells,
     Plane,
+    Sample,
     Scale,
     along,
     cosine,
@@ -91,7 +91,7 @@ class Profile(NamedTuple):
         return (self.on(rise, slack) - BELOW_COST * low).sum(axis=-1)
 
 
-def profile(plane: Plane, cells: Cells, unit: float) -> Profile:
+def profile(plane: Plane, cells: Sample, unit: float) -> Profile:
     """The profile of cells over a plane."""
     run_bits, rise_bits = (max(round(np.log2(m / unit)), 0) for m in (RUN_M, RISE_M))
     runs, half = round(FARTHEST_M / unit) >> run_bits, round(HIGHEST_M / unit) >> rise_bits
@@ -105,7 +105,7 @@ def profile(plane: Plane, cells: Cells, unit: float) -> Profile:
     return Profile(np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0))), middles, rise_bits)
 
 
-def distance(plane: Plane, cells: Cells) -> np.ndarray:
+def distance(plane: Plane, cells: Sample) -> np.ndarray:
     """How far forward of the camera cells are on a plane, ``(K,)`` int64 [depth units]."""
     return along(floor_axes(plane)[2], cells)
 
@@ -117,7 +117,7 @@ def rises(starts: np.ndarray, turns: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 
 def find_hinge(
-    flat: Plane, planes: list[Plane], cells: Cells, scale: Scale
+    flat: Plane, planes: list[Plane], cells: Sample, scale: Scale
 ) -> tuple[Plane, Hinge | None]:
     """The plane and ramp that clearly more cells speak for than for any plane alone.
 

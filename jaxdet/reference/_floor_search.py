@@ -7,8 +7,8 @@ from jaxdet.reference._floor_planes import (
     BELOW,
     BELOW_COST,
     STEEPEST,
-    Cells,
     Plane,
+    Sample,
     Scale,
     along,
     below,
@@ -41,7 +41,7 @@ MIN_SHARE = 3
 
 
 def vote(
-    cells: Cells,
+    cells: Sample,
     down: np.ndarray,
     slack: np.ndarray,
     heights: tuple[int, int, int],
@@ -117,7 +117,7 @@ class _Lattice:
     def __init__(self, pitch: np.ndarray, roll: np.ndarray, heights: tuple[int, int, int]) -> None:
         self.pitch, self.roll, self.heights = np.clip(pitch, -STEEPEST, STEEPEST), roll, heights
 
-    def votes(self, cells: Cells, slack: np.ndarray, ring: np.ndarray, rings: int) -> np.ndarray:
+    def votes(self, cells: Sample, slack: np.ndarray, ring: np.ndarray, rings: int) -> np.ndarray:
         """``(rings, P, R, bins)`` int64."""
         down = down_units(self.pitch[:, None], self.roll[None]).reshape(-1, 3)
         votes = vote(cells, down, slack, self.heights, ring, rings)
@@ -132,7 +132,7 @@ class _Lattice:
         ]
 
 
-def near_planes(cells: Cells, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
+def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
     """Planes near a guess: for each ring the best of the cells up to it, and of all cells three.
 
     The last of them may be steeper than the others.
@@ -168,7 +168,7 @@ def near_planes(cells: Cells, guess: Plane, prior: Plane | None, scale: Scale) -
     return out
 
 
-def any_plane(cells: Cells, scale: Scale) -> Plane:
+def any_plane(cells: Sample, scale: Scale) -> Plane:
     """The best floor of any camera that a robot or a hand holds."""
     once, span = np.zeros(len(cells.z), np.int64), scale.length(STEEP_M)
     low, high = (scale.length(m) for m in HEIGHTS_M)

@@ -4,10 +4,10 @@ import numpy as np
 
 from jaxdet.config import SurfaceConfig
 from jaxdet.plane import quadratic_table
+from jaxdet.reference._cells import margins
 from jaxdet.reference._components import components
+from jaxdet.reference._rounding import rounded
 
-MARGIN = 8
-"""This part of the columns at each side is the image's margin."""
 FRACTION_BITS = 4
 """Fraction bits of smoothed depths."""
 
@@ -90,7 +90,7 @@ def without_bent_floor(
     Stereo cameras bend flat floor at the margins of the image and far away. A surface at most
     ``bent_m`` high is floor where it has no front: where, of the lowest cells in its columns that
     have a floor cell below them in the image, fewer than two thirds rise from it by a third of what
-    they go forward (in the outer ``MARGIN`` of the columns, by all of it). A surface in the margin
+    they go forward (at the image's :func:`margins`, by all of it). A surface in the margin
     without such cells, which does not reach the lower edge of the image, has no front either.
 
     Args:
@@ -114,8 +114,7 @@ def without_bent_floor(
     on = label >= 0
     rises, goes = (a - _shifted(a, -1, 0) for a in (height, forward))
     lowest = on & (_shifted(low.astype(np.int64), -1, 0) > 0)
-    column, margin = np.arange(label.shape[1]), label.shape[1] // MARGIN
-    outer = np.broadcast_to((column < margin) | (column >= len(column) - margin), label.shape)
+    outer = np.broadcast_to(margins(label.shape[1]), label.shape)
     steep = np.bincount(label[lowest & (np.where(outer, 1, 3) * rises > goes)], minlength=count)
     pairs = np.bincount(label[lowest], minlength=count)
     inner = np.bincount(label[on & ~outer], minlength=count) > 0
@@ -135,9 +134,9 @@ def renumbered(label: np.ndarray) -> np.ndarray:
         [0, -1, 1, 0]
     """
     values, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    order = np.where(values < 0, -1, np.argsort(np.argsort(np.where(values < 0, -1, first))))
-    order = np.where(values < 0, -1, order - np.count_nonzero(values < 0))
-    return order[inverse.reshape(label.shape)]
+    none = values < 0
+    rank = np.argsort(np.argsort(np.where(none, -1, first))) - np.count_nonzero(none)
+    return np.where(none, -1, rank)[inverse.reshape(label.shape)]
 
 
 def _shifted(a: np.ndarray, by: int, axis: int) -> np.ndarray:
@@ -162,8 +161,7 @@ def _smoothed(values: np.ndarray, measured: np.ndarray, near: np.ndarray) -> np.
             counts &= np.abs(there - values) <= near
             total += np.where(counts, there, 0)
             count += counts
-    count = np.maximum(count, 1)
-    return np.where(measured, (2 * total + count) // (2 * count), 0)
+    return np.where(measured, rounded(total, np.maximum(count, 1)), 0)
 
 
 def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarray:
