@@ -325,6 +325,9 @@ class FootprintConfig:
     the paper's, which leaves out what stands beyond A, B or C."""
     margin_m: float = 0.03
     """Added to the rectangle on all sides [m]."""
+    margin_per_m2: float = 0.0
+    """Added to it in proportion to the square of the obstacle's smallest z [1/m], as stereo noise
+    grows; 0.006 is one and a half standard deviations of a D435's."""
     fitted: bool = False
     """The rectangle of an obstacle made of surfaces: the one that fits its visible contour best;
     off: the paper's, along AB."""
@@ -339,6 +342,7 @@ class FootprintConfig:
         _require_within(self.near_band_per_m2, 0, FARTHEST_M, "footprint.near-band-per-m2")
         _require(0 < self.extension_m <= FARTHEST_M, "footprint.extension-m", "above 0, to 1000 m")
         _require_within(self.margin_m, 0, FARTHEST_M, "footprint.margin-m")
+        _require_within(self.margin_per_m2, 0, FARTHEST_M, "footprint.margin-per-m2")
         _require_within(self.long_m, 0, FARTHEST_M, "footprint.long-m")
 
 

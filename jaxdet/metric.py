@@ -80,7 +80,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
 
     With ``config.cover`` the rectangle is then widened along and across AB until all points of the
     obstacle are inside ("ensuring absolute safety for the robot", Section 3.5): points beyond AB
-    or to the sides of A and B would be left out otherwise. ``margin_m`` is added on all sides.
+    or to the sides of A and B would be left out otherwise. The margin,
+    ``margin_m + margin_per_m2 z²`` with the obstacle's smallest z, is added on all sides.
 
     With ``config.fitted``, ``direction`` and ``span`` are those of the rectangle itself and only
     the margin is added; AB is the side whose middle is nearest to the camera.
@@ -119,7 +120,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         left, right = np.minimum(left, span[..., 0]), np.maximum(right, span[..., 1])
         front = np.where(has_vertex, np.maximum(front, high), np.minimum(front, low))
         back = np.where(has_vertex, np.minimum(back, low), np.maximum(back, high))
-    margin = config.margin_m / depth_unit
+    margin = _margin(obstacles, depth_unit, config)
     outward = np.where(front <= back, margin, -margin)
     left, right, front, back = left - margin, right + margin, front - outward, back + outward
     corners = [(left, front), (right, front), (right, back), (left, back)]
@@ -136,7 +137,7 @@ def _fitted_rectangles(
     scale = np.where(length > 0, length, 1.0)
     along, span = edge / scale, np.asarray(obstacles.span) / scale
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    margin = config.margin_m / depth_unit
+    margin = _margin(obstacles, depth_unit, config)
     left, right, near, far = np.moveaxis(span, -1, 0)
     left, right, near, far = left - margin, right + margin, near - margin, far + margin
     # The four sides in turn, counted counter-clockwise from the one that faces across.
@@ -146,6 +147,12 @@ def _fitted_rectangles(
     first = np.argmin(_sides(ring), axis=-1)
     order = (first[..., None] + np.arange(4)) % 4
     return np.take_along_axis(ring, order[..., None], axis=-2) * depth_unit
+
+
+def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
+    """What is added on all sides of each rectangle, ``(B, M)`` float64 [depth units]."""
+    z = np.asarray(obstacles.xyz_min)[..., 2] * depth_unit
+    return (config.margin_m + config.margin_per_m2 * z * z) / depth_unit
 
 
 def _sides(ring: np.ndarray) -> np.ndarray:

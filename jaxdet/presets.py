@@ -38,7 +38,8 @@ PRESETS: dict[str, Config] = {
         ),
     ),
     "surfaces": Config(
-        footprint=FootprintConfig(fitted=True), surface=SurfaceConfig(cell_rad=CELL_RAD)
+        footprint=FootprintConfig(fitted=True, margin_m=0.0, margin_per_m2=0.006),
+        surface=SurfaceConfig(cell_rad=CELL_RAD),
     ),
     "tabletop": Config(
         ground=GroundConfig(max_depth_m=2.0, step_height_m=0.008, step_height_per_m=0.004),

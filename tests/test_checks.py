@@ -81,7 +81,7 @@ def test_more_points_than_the_kernels_hold():
         (ClusterConfig, ("max_holes", "occluder_slope")),
         (ClusterConfig, ("surface_height_m", "surface_gap_m", "surface_gap_per_m")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
-        (FootprintConfig, ("extension_m", "margin_m")),
+        (FootprintConfig, ("extension_m", "margin_m", "margin_per_m2")),
         (FeaturesConfig, ("min_distance",)),
     ],
 )

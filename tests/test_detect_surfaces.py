@@ -28,7 +28,8 @@ from tests.scenes import D435, assert_equal, frames
 
 SURFACES = preset("surfaces")
 POSE = Pose(0.5, 15.0, 0.0)
-MARGIN = SURFACES.footprint.margin_m
+MARGIN = SURFACES.footprint.margin_per_m2 * 1.2**2
+"""Of an obstacle whose nearest point is 1.2 m ahead [m]."""
 
 
 def found(given: Frames, config: Config = SURFACES) -> Detections:
@@ -68,12 +69,12 @@ def sizes(detections: Detections, config: Config = SURFACES) -> np.ndarray:
     """Width along AB, depth and top of the obstacles of frame 0, without the margin [m]."""
     n, assumed = count(detections), detections.scene
     assert assumed
-    corners = metric.rectangles(detections.obstacles, 0.001, config.footprint)[0, :n]
+    bare = replace(config.footprint, margin_m=0.0, margin_per_m2=0.0)
+    corners = metric.rectangles(detections.obstacles, 0.001, bare)[0, :n]
     along = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     across = np.linalg.norm(corners[:, 3] - corners[:, 0], axis=1)
     top = assumed.bottom_top[0, :n, 1] * 0.001
-    margin = 2 * config.footprint.margin_m
-    return np.stack([along - margin, across - margin, top], axis=1)
+    return np.stack([along, across, top], axis=1)
 
 
 BOX = ((-0.3, 1.2, 0.0), (0.1, 1.5, 0.3))

@@ -14,6 +14,7 @@ from jaxdet.reference._outlines import (
     contours,
     fitted_direction,
     fitted_span,
+    inner,
     straight_parts,
 )
 from jaxdet.types import MAX_CONTOUR, Obstacles
@@ -51,10 +52,15 @@ def fitted(direction: np.ndarray, span: np.ndarray) -> Obstacles:
     return Obstacles(count, pair, pair, point, point, point, pair, pair, pair, vertex, *outline)
 
 
+def span_of(points: np.ndarray, direction: np.ndarray, long: int = LONG) -> np.ndarray:
+    """The span of cells that are all relied on."""
+    return fitted_span(points, direction, long, np.ones(len(points), bool))
+
+
 def rectangle(points: np.ndarray) -> np.ndarray:
     """The fitted rectangle of a thing of which these points are seen, ``(4, 2)``."""
     direction = fitted_direction(points)
-    span = fitted_span(points, direction, LONG)
+    span = span_of(points, direction)
     return metric.rectangles(fitted(direction, span), 1.0, FITTED)[0, 0]
 
 
@@ -115,6 +121,22 @@ def test_bends_too_small_or_sides_too_short_part_nothing() -> None:
     assert len(straight_parts(np.array(niche), 50, 200, 400)) == 2
 
 
+def test_a_bend_counts_from_beyond_the_bend_on() -> None:
+    """Behind a chord 1 m long, turned by (3, 4): 150 are not more than 150, 151 are."""
+    for deep, parts in ((150, [0]), (151, [0, 10])):
+        t = np.arange(21) * 50
+        line = np.stack([t, deep - np.abs(t - 500) * deep // 500], axis=1)
+        line = line @ np.array([[4, 3], [-3, 4]]) + (0, 10000)
+        assert straight_parts(line, 5 * 150, 400, 10**6) == parts
+
+
+def test_large_coordinates_part_as_small_ones() -> None:
+    """Lengths and products of a whole 16-bit range stay within 64 bits."""
+    room = [(-800, y) for y in range(1000, 3000, 100)] + [(x, 3000) for x in range(-800, 800, 100)]
+    far = np.array(room, np.int32) * 40
+    assert straight_parts(far, 150 * 40, 400 * 40, 400 * 40) == [0, 20]
+
+
 def test_a_jump_is_a_corner_only_when_it_is_deep() -> None:
     """Something seen between the legs of a table."""
     legs = [(x, 2000) for x in range(-500, 0, 50)] + [(x, 2400) for x in range(0, 500, 50)]
@@ -135,9 +157,9 @@ def test_direction_of_lines_and_single_points() -> None:
 
 def test_span_by_hand() -> None:
     points = np.array([[3, 9], [-2, 5], [1, 7]])
-    assert fitted_span(points, np.array([1, 0]), LONG).tolist() == [-2, 3, 5, 9]
-    assert fitted_span(points, np.array([3, 4]), LONG).tolist() == [14, 45, 15, 23]
-    assert fitted_span(points[:1], np.array([512, 0]), 0).tolist() == [1536, 1536, 4608, 4608]
+    assert span_of(points, np.array([1, 0]), LONG).tolist() == [-2, 3, 5, 9]
+    assert span_of(points, np.array([3, 4]), LONG).tolist() == [14, 45, 15, 23]
+    assert span_of(points[:1], np.array([512, 0]), 0).tolist() == [1536, 1536, 4608, 4608]
 
 
 def test_what_is_smeared_before_a_wall_is_passed_over() -> None:
@@ -145,8 +167,35 @@ def test_what_is_smeared_before_a_wall_is_passed_over() -> None:
     x = np.arange(-1500, 1500, 10)
     wall = np.stack([x, np.where(np.arange(300) % 40 == 0, 1500, 2000)], axis=1)
     direction = np.array([1 << DIRECTION_BITS, 0])
-    assert lengths(fitted_span(wall, direction, LONG), direction).tolist() == [2990, 0]
-    assert lengths(fitted_span(wall, direction, 4000), direction).tolist() == [2990, 500]
+    assert lengths(span_of(wall, direction), direction).tolist() == [2990, 0]
+    assert lengths(span_of(wall, direction, 4000), direction).tolist() == [2990, 500]
+
+
+def test_ends_that_bend_in_the_margins_make_a_thing_no_deeper() -> None:
+    """0.9 m wide; its left third, in the margin, bends 0.3 m toward the camera."""
+    x = np.arange(-450, 450, 10)
+    wall = np.stack([x, 2000 + np.minimum(x + 150, 0)], axis=1)
+    direction, relied = np.array([1 << DIRECTION_BITS, 0]), inner(x < -150)
+    assert lengths(fitted_span(wall, direction, LONG, relied), direction).tolist() == [890, 0]
+    assert lengths(span_of(wall, direction), direction).tolist() == [890, 300]
+    assert fitted_direction(wall[relied]).tolist() == direction.tolist()
+
+
+def test_what_shows_in_a_margin_only_is_measured_there() -> None:
+    assert inner(np.array([True, True, False, False])).tolist() == [False, False, True, True]
+    assert inner(np.array([True, True, False])).all() and inner(np.ones(5, bool)).all()
+
+
+def test_the_margin_grows_with_the_square_of_z() -> None:
+    """2 m ahead: 1 cm and four times 5 mm."""
+    one = fitted(np.array([512, 0]), 512 * np.array([-100, 500, 2000, 2300]))
+    one = one._replace(xyz_min=np.array([[[-100, 0, 2000]]], np.int32))
+    config = FootprintConfig(fitted=True, margin_m=0.01, margin_per_m2=0.005)
+    corners = metric.rectangles(one, 0.001, config)[0, 0]
+    np.testing.assert_allclose(corners[:2], [[-0.13, 1.97], [0.53, 1.97]], atol=1e-12)
+    wide = metric.rectangles(one, 0.001, FootprintConfig(cover=True, margin_m=0.03))
+    same = FootprintConfig(cover=True, margin_m=0.01, margin_per_m2=0.005)
+    np.testing.assert_allclose(metric.rectangles(one, 0.001, same), wide, atol=1e-12)
 
 
 def test_fitted_rectangle_by_hand() -> None:
@@ -169,7 +218,7 @@ def test_ab_is_the_side_nearest_to_the_camera() -> None:
 def test_a_single_point_has_the_margin() -> None:
     config, point = FootprintConfig(fitted=True, margin_m=0.02), np.array([[300, 1200]])
     direction = fitted_direction(point)
-    one = fitted(direction, fitted_span(point, direction, LONG))
+    one = fitted(direction, span_of(point, direction))
     corners = metric.rectangles(one, 0.001, config)[0, 0]
     np.testing.assert_allclose(corners.min(axis=0), [0.28, 1.18])
     np.testing.assert_allclose(corners.max(axis=0), [0.32, 1.22])
@@ -184,7 +233,7 @@ def test_a_turned_box(angle: int, wide: int, deep: int) -> None:
     points = turned(corner(wide, deep), angle, (-150, 1800))
     direction = fitted_direction(points)
     assert degrees_of(direction) == pytest.approx(angle, abs=1.0)
-    along, across = lengths(fitted_span(points, direction, LONG), direction)
+    along, across = lengths(span_of(points, direction), direction)
     assert along == pytest.approx(wide, abs=20) and across == pytest.approx(deep, abs=20)
     true = turned(np.array([[0, 0], [wide, 0], [wide, deep], [0, deep]]), angle, (-150, 1800))
     apart = np.linalg.norm(rectangle(points)[:, None] - true, axis=2)
@@ -207,7 +256,7 @@ def test_as_the_rectangle_of_opencv(angle: int, wide: int, deep: int) -> None:
     points = turned(np.array(ring), angle, (100, 1500))
     size = sorted(cv2.minAreaRect(points.astype(np.float32))[1])
     direction = fitted_direction(points)
-    found = sorted(lengths(fitted_span(points, direction, LONG), direction))
+    found = sorted(lengths(span_of(points, direction), direction))
     np.testing.assert_allclose(found, size, atol=4)
 
 
@@ -222,7 +271,7 @@ clouds = arrays(
 def test_the_rectangle_holds_all_points(points: np.ndarray) -> None:
     direction = fitted_direction(points)
     assert direction[0] > 0 and direction[1] >= 0
-    span = fitted_span(points, direction, 1 << 20)
+    span = span_of(points, direction, 1 << 20)
     found = metric.rectangles(fitted(direction, span), 1.0, FITTED)[0, 0]
     center, along, across = found.mean(axis=0), found[1] - found[0], found[3] - found[0]
     for side in (along, across):
@@ -242,8 +291,8 @@ def test_the_direction_does_not_move_with_the_thing(points: np.ndarray, to: tupl
 def test_the_order_of_points_is_nothing(points: np.ndarray) -> None:
     direction = fitted_direction(points)
     assert fitted_direction(points[::-1]).tolist() == direction.tolist()
-    span = fitted_span(points, direction, LONG)
-    assert fitted_span(points[::-1], direction, LONG).tolist() == span.tolist()
+    span = span_of(points, direction)
+    assert span_of(points[::-1], direction).tolist() == span.tolist()
 
 
 @given(arrays(np.int64, (3, 9), elements=st.integers(-1, 3)), st.integers(0, 2**32 - 1))

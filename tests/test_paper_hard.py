@@ -59,7 +59,8 @@ def test_the_floor_that_outlines_claim(box):
     everything = with_outline(found, -9000, 9000, -9000, 9000)
     assert claim_of(shot, everything, CONFIG) == (drivable, drivable)
 
-    margin = CONFIG.footprint.margin_m
+    z = found.obstacles.xyz_min[0, 0, 2] * 0.001
+    margin = CONFIG.footprint.margin_m + CONFIG.footprint.margin_per_m2 * z**2
     right, forward = near.T
     want = (right >= -margin) & (right <= 0.5 + margin)
     want &= (forward >= 1.0 - margin) & (forward <= 1.5 + margin)

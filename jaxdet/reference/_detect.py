@@ -8,16 +8,17 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.plane import depth_range, floor_frame, linear_table, quadratic_table, ramp_rise
 from jaxdet.reference._align import align
-from jaxdet.reference._cells import cells
+from jaxdet.reference._cells import cells, margins
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import find_floor
 from jaxdet.reference._footprint import footprint
 from jaxdet.reference._free import FloorView, free_floor
 from jaxdet.reference._ground import ground
 from jaxdet.reference._obstacles import View, obstacles
-from jaxdet.reference._outlines import contours, fitted_direction, fitted_span
+from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.types import (
+    MAX_CONTOUR,
     Cells,
     Detections,
     Features,
@@ -177,7 +178,7 @@ def _outlines(
     count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
     measured = footprint(every, Labels(shown, count), plane, unit, config, slots=MAX_OBSTACLES)
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
-    long = round(config.footprint.long_m / unit)
+    long, edge = round(config.footprint.long_m / unit), margins(grid.z.shape[2])
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):
@@ -186,10 +187,12 @@ def _outlines(
             measured.uv_min[b, number] = grid.uv_min[b][inside].min(axis=0)
             measured.uv_max[b, number] = grid.uv_max[b][inside].max(axis=0)
             line = lines[b][0][number, : lines[b][1][number]]
-            direction = fitted_direction(line)
+            direction = fitted_direction(line[inner(edge[own.any(axis=0)][:MAX_CONTOUR])])
             place = np.stack([one.view.right[own], one.view.forward[own]], axis=-1)
             measured.direction[b, number] = direction
-            measured.span[b, number] = fitted_span(place, direction, long)
+            measured.span[b, number] = fitted_span(
+                place, direction, long, inner(edge[np.nonzero(own)[1]])
+            )
             heights[b, number] = one.view.height[own].min(), one.view.height[own].max()
     shape, used = (np.stack(part) for part in zip(*lines, strict=True))
     return measured, (shape, used, heights)

@@ -1,5 +1,7 @@
 """Outlines: each obstacle's visible contour on the floor, and the rectangle that fits it."""
 
+from math import isqrt
+
 import numpy as np
 
 from jaxdet.types import MAX_CONTOUR
@@ -58,9 +60,10 @@ def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> 
     room or a corridor do, and one rectangle would claim it. It is split at the point farthest
     behind the chord of its ends, if that is more than ``bend`` behind (where the contour jumps, as
     between the legs of a table, four times that) and at least ``shortest`` from both ends; each
-    part again. Neighbouring parts
-    that together do not bend are merged. Duda and Hart, *Pattern Classification and Scene
-    Analysis* (1973), 338-339; Pavlidis and Horowitz, IEEE Transactions on Computers C-23 (1974).
+    part again. Neighbouring parts that together do not bend are merged. All in integers: squared
+    lengths, and cross products against a chord whose length is rounded down. Duda and Hart,
+    *Pattern Classification and Scene Analysis* (1973), 338-339; Pavlidis and Horowitz, IEEE
+    Transactions on Computers C-23 (1974).
 
     Args:
         contour: ``(n, 2)`` integer, right and forward, from left to right [depth units].
@@ -77,17 +80,17 @@ def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> 
         >>> straight_parts(np.array(left + across), 200, 300, 200)
         [0, 20]
     """
-    points = contour.astype(np.float64)
-    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    points = contour.astype(np.int64)
+    near = _squared(np.diff(points, axis=0)) <= jump * jump
 
     def corner(first: int, last: int) -> int | None:
         """The point to split ``first .. last`` at."""
-        behind = _behind_chord(points[first : last + 1])
-        at = first + int(np.argmax(behind))
-        ends = np.linalg.norm(points[[first, last]] - points[at], axis=1)
-        smooth = step[max(at - 2, 0) : at + 2].max(initial=0.0) <= jump
-        bends = behind.max() > (bend if smooth else FAR_BEHIND * bend)
-        return at if bends and ends.min() >= shortest else None
+        area, chord = _behind_chord(points[first : last + 1])
+        at = first + int(np.argmax(area))
+        smooth = near[max(at - 2, 0) : at + 2].all()
+        bends = area.max() > (bend if smooth else FAR_BEHIND * bend) * chord
+        sides = _squared(points[[first, last]] - points[at])
+        return at if bends and sides.min() >= shortest * shortest else None
 
     def split(first: int, last: int) -> list[int]:
         at = corner(first, last) if last - first >= 4 else None
@@ -98,18 +101,29 @@ def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> 
     parts = [*split(0, len(points) - 1), len(points) - 1]
     merged = parts[:1]
     for place in range(1, len(parts) - 1):
-        if _behind_chord(points[merged[-1] : parts[place + 1] + 1]).max() > bend:
+        area, chord = _behind_chord(points[merged[-1] : parts[place + 1] + 1])
+        if area.max() > bend * chord:
             merged.append(parts[place])
     return merged
 
 
-def _behind_chord(points: np.ndarray) -> np.ndarray:
-    """How far points lie behind the chord of the first and the last, as seen from the camera."""
-    first, last = points[0], points[-1]
-    normal = np.array([first[1] - last[1], last[0] - first[0]])
-    length = max(float(np.linalg.norm(normal)), 1.0)
-    sign = 1.0 if normal @ first >= 0 else -1.0
-    return (points - first) @ normal * (sign / length)
+def _behind_chord(points: np.ndarray) -> tuple[np.ndarray, int]:
+    """How far points lie behind the chord of the first and the last, as seen from the camera.
+
+    Returns:
+        ``(n,)`` int64, twice the areas of the triangles over the chord, positive behind it, and its
+        length, rounded down but at least 1: the distance is their quotient.
+    """
+    first, chord = points[0], points[-1] - points[0]
+    away = points - first
+    area = chord[0] * away[:, 1] - chord[1] * away[:, 0]
+    faces = chord[0] * first[1] - chord[1] * first[0] >= 0
+    return (area if faces else -area), max(isqrt(int(_squared(chord))), 1)
+
+
+def _squared(points: np.ndarray) -> np.ndarray:
+    """The squared length of points ``(..., 2)``."""
+    return (points * points).sum(axis=-1)
 
 
 def fitted_direction(contour: np.ndarray) -> np.ndarray:
@@ -154,28 +168,54 @@ def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return along, table[:, :1] * y - table[:, 1:] * x, table
 
 
-def fitted_span(points: np.ndarray, direction: np.ndarray, long: int) -> np.ndarray:
+def inner(at_margin: np.ndarray) -> np.ndarray:
+    """Which of an obstacle's cells are relied on: those inside of the image's margins.
+
+    Stereo depth bends toward the camera in the margins, see :func:`cells.margins`. Where more than
+    half of the cells are there, all are relied on.
+
+    Args:
+        at_margin: ``(n,)`` bool.
+
+    Returns:
+        ``(n,)`` bool.
+
+    Example:
+        >>> inner(np.array([True, False, False])).tolist()
+        [False, True, True]
+        >>> inner(np.array([True, True, False])).tolist()
+        [True, True, True]
+    """
+    return ~at_margin | (2 * int(at_margin.sum()) > len(at_margin))
+
+
+def fitted_span(
+    points: np.ndarray, direction: np.ndarray, long: int, relied: np.ndarray
+) -> np.ndarray:
     """The extremes of an obstacle's cells along and across a direction.
 
-    A thing's rectangle holds all of its cells. Walls and the like, longer than ``long``, are
-    smeared and bowed over far more floor than they stand on: of their cells, a twentieth is passed
-    over at each of the two long sides.
+    The longer side of a thing's rectangle holds all of its cells, the shorter one those that are
+    relied on: a wall whose ends bend toward the camera in the image's margins is no deeper for
+    that. Walls and the like, longer than ``long``, are smeared and bowed over far more floor than
+    they stand on: of these cells, a twentieth is passed over at each of the two long sides.
 
     Args:
         points: ``(n, 2)`` integer, right and forward [depth units].
         direction: ``(2,)`` integer.
         long: [depth units].
+        relied: ``(n,)`` bool, at least one, see :func:`inner`.
 
     Returns:
         ``(4,)`` int64: least and largest along (dot product), least and largest across (cross
         product with the direction).
     """
     x, y = points.astype(np.int64).T
-    along = np.sort(direction[0] * x + direction[1] * y)
-    across = np.sort(direction[0] * y - direction[1] * x)
-    trim = [0, 0]
-    lengths = [int(a[-1] - a[0]) >> DIRECTION_BITS for a in (along, across)]
+    sides = [direction[0] * x + direction[1] * y, direction[0] * y - direction[1] * x]
+    lengths = [int(a.max() - a.min()) >> DIRECTION_BITS for a in sides]
+    short = int(np.argmin(lengths))
+    ordered = [np.sort(a[relied] if side == short else a) for side, a in enumerate(sides)]
+    over = [0, 0]
     if max(lengths) > long:
-        trim[int(np.argmin(lengths))] = len(points) // LONG_TRIM
-    ends = [(a[over], a[-1 - over]) for a, over in zip((along, across), trim, strict=True)]
+        over[short] = len(ordered[short]) // LONG_TRIM
+    ends = [(a[skip], a[-1 - skip]) for a, skip in zip(ordered, over, strict=True)]
     return np.array([*ends[0], *ends[1]])
