@@ -327,7 +327,7 @@ class FootprintConfig:
     """Added to the rectangle on all sides [m]."""
     margin_per_m2: float = 0.0
     """Added to it in proportion to the square of the obstacle's smallest z [1/m], as stereo noise
-    grows; 0.006 is one and a half standard deviations of a D435's."""
+    grows; 0.007 is nearly two standard deviations of a D435's."""
     fitted: bool = False
     """The rectangle of an obstacle made of surfaces: the one that fits its visible contour best;
     off: the paper's, along AB."""

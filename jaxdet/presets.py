@@ -38,7 +38,7 @@ PRESETS: dict[str, Config] = {
         ),
     ),
     "surfaces": Config(
-        footprint=FootprintConfig(fitted=True, margin_m=0.0, margin_per_m2=0.006),
+        footprint=FootprintConfig(fitted=True, margin_m=0.0, margin_per_m2=0.007),
         surface=SurfaceConfig(cell_rad=CELL_RAD),
     ),
     "tabletop": Config(

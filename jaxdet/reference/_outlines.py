@@ -12,6 +12,8 @@ LONG_TRIM = 20
 """One of so many cells of a long thing is passed over at each of its long sides."""
 FAR_BEHIND = 4
 """Where a contour jumps, a corner lies so many times the bend behind the chord."""
+FAR = 1 << 40
+"""Farther than any edge."""
 DIRECTION_BITS = 9
 """Fraction bits of a direction, short enough for products in 32 bits."""
 
@@ -129,33 +131,40 @@ def _squared(points: np.ndarray) -> np.ndarray:
 def fitted_direction(contour: np.ndarray) -> np.ndarray:
     """The direction of the rectangle that fits a contour best.
 
-    Of 90 directions, the one whose bounding rectangle has the contour nearest to its edges: the
-    smallest sum of the points' distances to the nearest edge. A wall gives its own direction, the
-    corner of a box that of its sides. Of equal ones, the rectangle with the smaller area, then the
-    smaller angle. Zhang et al., *Efficient L-shape fitting for vehicle detection using laser
-    scanners*, IEEE Intelligent Vehicles 2017 (the closeness criterion, with a sum).
+    Of 90 directions, the one whose bounding rectangle has the contour nearest to those of its edges
+    that face the camera, one or two: the smallest sum of the points' distances to the nearer of
+    them. The other edges are out of sight, no contour lies on them. A wall gives its own direction,
+    the corner of a box that of its sides. Of equal ones, the rectangle with the smaller area, then
+    the smaller angle. Zhang et al., *Efficient L-shape fitting for vehicle detection using laser
+    scanners*, IEEE Intelligent Vehicles 2017 (the closeness criterion, with a sum, and with the
+    facing edges for all four).
 
     Args:
-        contour: ``(n, 2)`` integer [depth units].
+        contour: ``(n, 2)`` integer, right and forward of the camera [depth units].
 
     Returns:
         ``(2,)`` int64 with ``DIRECTION_BITS`` fraction bits, the right part positive, the forward
         part not negative; (1, 0) for a single point.
 
     Example:
-        >>> line = np.stack([np.arange(100), 2 * np.arange(100)], axis=-1)
+        >>> line = np.stack([np.arange(100), 500 + 2 * np.arange(100)], axis=-1)
         >>> fitted_direction(line).tolist()
         [232, 456]
     """
     along, across, table = _project(contour.astype(np.int64))
-    low, high = along.min(axis=1, keepdims=True), along.max(axis=1, keepdims=True)
-    near, far = across.min(axis=1, keepdims=True), across.max(axis=1, keepdims=True)
-    edges = np.minimum(
-        np.minimum(along - low, high - along), np.minimum(across - near, far - across)
-    )
+    edges = np.minimum(_to_near_edge(along), _to_near_edge(across))
     cost = edges.sum(axis=1) >> DIRECTION_BITS
-    area = ((high - low)[:, 0] >> DIRECTION_BITS) * ((far - near)[:, 0] >> DIRECTION_BITS)
-    return table[np.lexsort((area, cost))[0]]
+    wide, deep = (np.ptp(a, axis=1) >> DIRECTION_BITS for a in (along, across))
+    return table[np.lexsort((wide * deep, cost))[0]]
+
+
+def _to_near_edge(places: np.ndarray) -> np.ndarray:
+    """How far places ``(D, n)`` on an axis are from that end of theirs which faces the camera at 0.
+
+    ``FAR`` where neither end does.
+    """
+    low, high = places.min(axis=1, keepdims=True), places.max(axis=1, keepdims=True)
+    return np.where(low > 0, places - low, np.where(high < 0, high - places, FAR))
 
 
 def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
