@@ -201,41 +201,27 @@ class SurfaceConfig:
         _require_within(self.beyond, 1, 4, "surface.beyond")
 
 
+AFFINITIES = ("surfaces", "tabletop")
+"""Tables of :mod:`jaxdet.affinity`."""
+
+
 @dataclass(frozen=True)
 class ObstacleConfig:
-    """Obstacles made of surfaces: what goes on behind nearer things, and gaps on the floor."""
+    """Obstacles made of surfaces: gaps on the floor, and what else is seen of two surfaces."""
 
+    affinity: str = "surfaces"
+    """Table that says what of two surfaces speaks for their being one: ``surfaces``, learnt in
+    rooms and streets, or ``tabletop``."""
+    lateral_gap_m: float = 1.5
+    """Surfaces farther apart sideways are not looked at together, d_x [m]."""
+    forward_gap_m: float = 0.8
+    """Nor those farther apart in depth on the floor, d_z [m]."""
     depth_gap_m: float = 0.12
-    """Parts of a surface on both sides of a nearer thing or of a hole are one when their depths
-    differ by at most this [m]."""
-    depth_slope: float = 0.10
-    """Added to it for each metre between the two: surfaces are seen obliquely."""
-    hidden_m: float = 1.0
-    """Longest stretch that a nearer thing may hide [m]."""
-    hole_m: float = 0.6
-    """Longest stretch without any depth [m]."""
-    hidden_share: float = 0.05
-    """So many of the rows (or columns) of the smaller part must go on in the other one."""
+    """Depths of one surface on both sides of a nearer thing or of a hole differ by at most this,
+    and by a tenth of what lies between [m]."""
     contact_m: float = 0.10
     """Pieces too small to be an obstacle join the surface they touch, over at most such a step
     [m]."""
-    narrow_m: float = 0.22
-    """Surfaces narrower than this (legs, poles, arms) are joined by gaps on the floor, as the
-    paper joins points [m]. 0: off."""
-    compact_m: float = 1.2
-    """... with surfaces at most so wide and deep [m]."""
-    lateral_gap_m: float = 0.15
-    """Largest gap sideways, d_x [m]."""
-    forward_gap_m: float = 0.20
-    """Largest gap in depth on the floor, d_z [m]."""
-    overlap_gap_m: float = 0.35
-    """Largest gap in depth between narrow surfaces that touch in the image [m]: a walker's
-    legs."""
-    hanging_m: float = 0.15
-    """Compact surfaces that end so high above the floor, with something to stand on within
-    ``hanging_reach_m``, belong to it [m]: arms, leaves. 0: off."""
-    hanging_reach_m: float = 0.35
-    """Distance on the floor [m]."""
     bend_m: float = 0.15
     """Obstacles whose contour lies so far behind the chord of its ends are split there: walls of a
     room [m]. 0: off."""
@@ -251,8 +237,7 @@ class ObstacleConfig:
             if name.endswith("_m"):
                 value = getattr(self, name)
                 _require_within(value, 0, FARTHEST_M, f"obstacle.{name.replace('_', '-')}")
-        _require_within(self.depth_slope, 0, 4, "obstacle.depth-slope")
-        _require_within(self.hidden_share, 0, 1, "obstacle.hidden-share")
+        _require(self.affinity in AFFINITIES, "obstacle.affinity", " or ".join(AFFINITIES))
         _require_within(self.min_cells, 1, MAX_POINTS, "obstacle.min-cells")
 
 

@@ -7,7 +7,7 @@ and returns equal arrays. Obstacles made of surfaces are found by :func:`detect`
 from jaxdet.reference._align import align
 from jaxdet.reference._cells import cells
 from jaxdet.reference._cluster import cluster
-from jaxdet.reference._detect import detect
+from jaxdet.reference._detect import detect, surface_pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import FloorFit, find_floor
 from jaxdet.reference._footprint import footprint
@@ -23,4 +23,5 @@ __all__ = [
     "find_floor",
     "footprint",
     "ground",
+    "surface_pairs",
 ]

@@ -1,5 +1,6 @@
 """Obstacles made of surfaces: the whole method for a batch of frames, step by step."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,14 +10,16 @@ from jaxdet.config import Config
 from jaxdet.plane import depth_range, floor_frame, linear_table, quadratic_table, ramp_rise
 from jaxdet.reference._align import align
 from jaxdet.reference._cells import cells, margins
+from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import find_floor
 from jaxdet.reference._footprint import footprint
 from jaxdet.reference._free import FloorView, free_floor
 from jaxdet.reference._ground import ground
-from jaxdet.reference._obstacles import View, obstacles
+from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
+from jaxdet.reference._view import View
 from jaxdet.types import (
     MAX_CONTOUR,
     Cells,
@@ -36,10 +39,10 @@ SAMPLE = 2
 
 
 class Found(NamedTuple):
-    """One frame's cells after grouping."""
+    """One frame's cells in surfaces or obstacles."""
 
     label: np.ndarray
-    """``(R, C)`` int64 obstacles, -1 = none."""
+    """``(R, C)`` int64, -1 = none."""
     keep: np.ndarray
     """``(R, C)`` bool, in range and above the floor."""
     view: View
@@ -80,8 +83,34 @@ def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
     )
 
 
+def surface_pairs(
+    frames: Frames, prior: GroundPlane, config: Config
+) -> Iterator[tuple[Cells, np.ndarray, Pairs]]:
+    """What :func:`detect` judges the pairs of surfaces of each frame by, to learn from.
+
+    Returns:
+        For each frame its cells (a batch of one), ``(R, C)`` surfaces and their pairs.
+    """
+    unit = frames.calibration.depth_unit
+    grid = cells(frames.depth, frames.calibration, config.surface)
+    fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
+    for b in range(len(grid.z)):
+        found = _surfaces(grid, b, fit.plane, unit, config)
+        label = whole_surfaces(found.label, found.view, unit, config.obstacle)
+        seen = pairs(label, found.keep, found.view, unit, config.obstacle)
+        yield Cells(*(a[b : b + 1] for a in grid)), label, seen
+
+
 def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
     """Surfaces and obstacles of one frame."""
+    label, keep, view, low = _surfaces(grid, b, plane, unit, config)
+    _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    label = obstacles(label, keep, view, farthest, unit, config.obstacle)
+    return Found(label, keep, view, low)
+
+
+def _surfaces(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
+    """Surfaces of one frame."""
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, plane, unit)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
@@ -91,8 +120,7 @@ def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config)
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
-    label = obstacles(straight, keep, view, farthest, unit, config.obstacle)
-    return Found(label, keep, view, low)
+    return Found(straight, keep, view, low)
 
 
 def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:

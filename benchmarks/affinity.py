@@ -1,0 +1,252 @@
+"""Learns what of two surfaces speaks for their being one thing: the tables of the package.
+
+    python -m benchmarks.affinity surfaces [FOLDER]     from simulated scenes, drawn into FOLDER
+    python -m benchmarks.affinity tabletop              from labelled frames of mOSD
+
+Gradient boosting of the log-loss over pairs of surfaces (scikit-learn); two are one where most of
+their cells show one object. Seeds of the report's tests and mOSD's held-out frames take no part.
+"""
+
+import functools
+import json
+import math
+import multiprocessing
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from sklearn.ensemble import GradientBoostingClassifier
+
+from benchmarks.paper.labelled import BESIDE, RECORDINGS
+from benchmarks.paper.main import start_worker
+from benchmarks.paper.shots import Shot, Spec, Store, frames_of
+from benchmarks.paper.systems import eval_config
+from jaxdet.affinity import FRACTION_BITS, SEEN
+from jaxdet.eval.boxes import FLOOR
+from jaxdet.eval.frame import objects_of
+from jaxdet.io import open_log
+from jaxdet.pipeline import floor_of
+from jaxdet.presets import preset
+from jaxdet.reference import surface_pairs
+from jaxdet.types import Cells, Features, Frames
+
+TABLES = Path(__file__).parents[1] / "jaxdet" / "tables"
+OLD = ("people_and_vehicle", "roadblocks", "bucket", "tree_trunk", "mixed")
+HARD = ("corridor", "wall_in_range", "room", "low_clutter", "tables", "drops", "ramps", "mixed")
+OLD_SEEDS, HARD_SEEDS = range(900, 960), range(900, 950)
+NOISE_PER_M = 0.004
+"""mOSD's frames are learnt from with this noise over z squared as well, as a D435 has it [1/m]."""
+ENOUGH = 100
+"""Cells from which on a surface counts no more."""
+BEYOND = 1 << 30
+"""Threshold that nothing exceeds."""
+
+
+class Learning(NamedTuple):
+    """How a table is learnt; each was chosen by cross-validation over seeds or frames."""
+
+    trees: int
+    depth: int
+    rate: float
+    leaf: int
+    """Least pairs of a leaf."""
+    bias: float
+    """Log-odds added to the evidence: pairs far apart are many, and mean little."""
+
+
+LEARNING = {
+    "surfaces": Learning(60, 4, 0.2, 30, 1.2),
+    "tabletop": Learning(30, 3, 0.2, 20, 0.0),
+}
+
+
+class Examples(NamedTuple):
+    """Pairs of surfaces of frames."""
+
+    seen: np.ndarray
+    """``(P, 21)`` int64."""
+    same: np.ndarray
+    """``(P,)`` bool, one object."""
+    weight: np.ndarray
+    """``(P,)`` float64: the smaller surface's cells, over the pairs of its frame, rooted."""
+
+
+def examples(
+    config_name: str, frames: Frames, objects: Callable[[Cells, int], np.ndarray], walls: np.ndarray
+) -> Examples:
+    """The pairs of each frame of which something is known.
+
+    Args:
+        config_name: The preset.
+        frames: With the floor that is known of them.
+        objects: Of the cells of a frame: ``(R, C)`` int64 objects, 0 = floor, -1 = not known.
+        walls: ``(J + 1,)`` bool. Whether two walls are one is not asked.
+    """
+    parts = []
+    config = preset(config_name)
+    for b, (grid, label, pairs) in enumerate(
+        surface_pairs(frames, floor_of(frames, config), config)
+    ):
+        known, count = objects(grid, b), int(label.max(initial=-1)) + 1
+        on = (label >= 0) & (known >= 0)
+        votes = np.zeros((count, len(walls)), np.int64)
+        np.add.at(votes, (label[on], known[on]), 1)
+        shows = np.where(votes.any(axis=1), votes.argmax(axis=1), -1)
+        size = np.minimum(np.bincount(label[label >= 0], minlength=count), ENOUGH)
+        one, other = shows[pairs.one], shows[pairs.other]
+        asked = (np.minimum(one, other) >= 0) & (np.maximum(one, other) > 0)
+        asked &= ~(walls[one] & walls[other])
+        weight = np.sqrt(np.minimum(size[pairs.one], size[pairs.other]) / max(len(one), 1))
+        parts.append(Examples(pairs.seen[asked], (one == other)[asked], weight[asked]))
+    return joined(parts)
+
+
+def joined(parts: Sequence[Examples]) -> Examples:
+    """Examples one after the other."""
+    return Examples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def simulated(spec: Spec, folder: Path) -> Examples:
+    """Pairs of simulated scenes."""
+    parts = []
+    for shot in Store(folder).load([spec]):
+        walls = np.append(False, np.asarray(shot.truth.is_wall))
+        seen_by = functools.partial(in_truth, shot)
+        parts.append(examples("surfaces", frames_of([shot]), seen_by, walls))
+    return joined(parts)
+
+
+def scenes() -> Iterator[Spec]:
+    """The simulated scenes that are learnt from."""
+    for seed, family in product(OLD_SEEDS, OLD):
+        yield Spec(family, seed, 2)
+    for seed, family, error in product(HARD_SEEDS, HARD, (0.0, 1.0)):
+        yield Spec(family, seed, 2, changes=(("depth_error", error),))
+
+
+def learnt_scenes(folder: Path) -> Examples:
+    """Pairs of all simulated scenes."""
+    specs = list(scenes())
+    context = multiprocessing.get_context("spawn")
+    workers = len(os.sched_getaffinity(0))
+    with ProcessPoolExecutor(workers, context, initializer=start_worker) as pool:
+        Store(folder, pool).ensure(specs)
+        each = functools.partial(simulated, folder=folder)
+        return joined(list(pool.map(each, specs, chunksize=8)))
+
+
+def learnt_frames() -> Examples:
+    """Pairs of the labelled frames of mOSD that are not held out, as they are and with noise."""
+    recording = next(one for one in RECORDINGS if one.name == "mosd")
+    rng, parts = np.random.default_rng(0), []
+    for frames in open_log(str(BESIDE / recording.place)).batches(1):
+        number = int(frames.number[0])
+        if not frames.valid[0] or number % recording.held_out == recording.held_out - 1:
+            continue
+        path = BESIDE / recording.images / f"{number:03d}.png"
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.int64) - FLOOR
+        unit, depth = frames.calibration.depth_unit, frames.depth
+        z = depth * unit
+        noise = rng.normal(size=z.shape) * NOISE_PER_M * z * z / unit
+        noisy = np.where(depth > 0, np.rint(depth + noise), 0).astype(np.uint16)
+        none = np.zeros(int(image.max()) + 1, bool)
+        for variant in (depth, noisy):
+            seen_by = functools.partial(in_image, image)
+            parts.append(examples("tabletop", frames._replace(depth=variant), seen_by, none))
+    return joined(parts)
+
+
+def in_image(image: np.ndarray, grid: Cells, b: int) -> np.ndarray:
+    """What an image of objects shows at the middle of each cell, -1 = not known."""
+    middle = (grid.uv_min[b] + grid.uv_max[b]) // 2
+    return np.where(grid.in_view[b], image[middle[..., 1], middle[..., 0]], -1)
+
+
+def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
+    """The object that each cell of a simulated frame was measured on, -1 = not known."""
+    middle = (grid.uv_min[b] + grid.uv_max[b]) // 2
+    columns = (middle[..., 0], middle[..., 1], grid.x[b], grid.y[b], grid.z[b])
+    u, v, x, y, z = (a.reshape(1, -1) for a in columns)
+    seen, none = grid.in_view[b].reshape(1, -1), np.zeros(1, bool)
+    points = Features(u, v, x, y, z, seen, seen, none)
+    unit = shot.calibration.depth_unit
+    found = objects_of(points, shot.truth, 0, unit, eval_config(preset("surfaces")))
+    return np.where(grid.in_view[b], found.reshape(grid.z[b].shape), -1)
+
+
+def learn(found: Examples, how: Learning) -> dict[str, Any]:
+    """A table of :func:`jaxdet.affinity.affinity`."""
+    model = GradientBoostingClassifier(
+        n_estimators=how.trees,
+        learning_rate=how.rate,
+        max_depth=how.depth,
+        min_samples_leaf=how.leaf,
+        random_state=0,
+    ).fit(found.seen, found.same, found.weight)
+    trees = [complete(one.tree_, how) for one in model.estimators_[:, 0]]
+    feature, threshold, value = ([tree[k] for tree in trees] for k in range(3))
+    prior = np.average(found.same, weights=found.weight)
+    offset = np.log(prior / (1 - prior)) + how.bias
+    return {
+        "seen": SEEN,
+        "offset": round(offset * (1 << FRACTION_BITS)),
+        "feature": feature,
+        "threshold": threshold,
+        "value": value,
+    }
+
+
+def complete(tree: Any, how: Learning) -> tuple[list[int], list[int], list[int]]:
+    """A tree of scikit-learn with all nodes down to its depth: features, thresholds, values."""
+    inner = (1 << how.depth) - 1
+    feature, threshold, value = [0] * inner, [BEYOND] * inner, [0] * (inner + 1)
+
+    def fill(place: int, node: int) -> None:
+        split = tree.children_left[node] >= 0
+        if place >= inner:
+            leaf = how.rate * tree.value[node, 0, 0] * (1 << FRACTION_BITS)
+            value[place - inner] = round(float(leaf))
+            return
+        if split:
+            feature[place] = int(tree.feature[node])
+            threshold[place] = math.floor(tree.threshold[node])
+        left = tree.children_left[node] if split else node
+        right = tree.children_right[node] if split else node
+        fill(2 * place + 1, left)
+        fill(2 * place + 2, right)
+
+    fill(0, 0)
+    return feature, threshold, value
+
+
+def write(name: str, table: dict[str, Any]) -> None:
+    """Writes a table, a line for each tree."""
+    lines = [f'"{key}": {json.dumps(table[key])}' for key in ("seen", "offset")]
+    for key in ("feature", "threshold", "value"):
+        rows = ",\n".join(json.dumps(row) for row in table[key])
+        lines.append(f'"{key}": [\n{rows}\n]')
+    text = "{\n" + ",\n".join(lines) + "\n}\n"
+    (TABLES / f"{name}.json").write_text(text, encoding="utf-8")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Learns the table that is asked for."""
+    if not arguments or arguments[0] not in LEARNING:
+        sys.exit("usage: python -m benchmarks.affinity surfaces [FOLDER] | tabletop")
+    name = arguments[0]
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(arguments[1] if len(arguments) > 1 else made)
+        found = learnt_scenes(folder) if name == "surfaces" else learnt_frames()
+    write(name, learn(found, LEARNING[name]))
+    print(f"{name}: {len(found.same)} pairs, {np.mean(found.same):.0%} of them one object")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,105 @@
+"""Affinity of surfaces: from what is seen of two of them, the evidence that they are one thing."""
+
+import json
+from functools import cache
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+
+SEEN = (
+    "gap",
+    "ahead",
+    "overlap",
+    "step",
+    "through",
+    "hidden_share",
+    "agree",
+    "agree_share",
+    "through_in_columns",
+    "holes_in_columns",
+    "nearest",
+    "cells_less",
+    "cells_more",
+    "width_less",
+    "width_more",
+    "depth_less",
+    "depth_more",
+    "bottom_less",
+    "bottom_more",
+    "top_less",
+    "top_more",
+)
+"""What is seen of two surfaces, ``less`` the one of fewer cells and ``more`` the other. ``gap``:
+smallest distance of their contours on the floor; ``ahead``: the gap in depth on the floor;
+``overlap``: sideways, in percent of the narrower. In the rows where they face each other, ``step``:
+their mean step in depth; ``through``: rows in which one sees through between them; ``hidden_share``
+and ``agree_share``: those in which nearer things lie between, and in which depth goes on behind
+them or across a hole, in percent of the rows of the one with fewer. ``nearest``: distance of the
+nearer one."""
+LENGTHS = frozenset({"gap", "ahead", "step", "nearest"}) | {
+    name for name in SEEN if name.split("_")[0] in ("width", "depth", "bottom", "top")
+}
+"""Of these, what is in depth units; in a table [mm]."""
+FRACTION_BITS = 8
+"""Fraction bits of evidence, which is log-odds."""
+
+
+class Affinity(NamedTuple):
+    """Boosted regression trees, ``T`` of them, each complete and ``D`` deep.
+
+    Friedman, *Greedy function approximation: a gradient boosting machine*, Annals of Statistics
+    29(5), 2001. Node ``k`` has the children ``2 k + 1`` (at most the threshold) and ``2 k + 2``.
+    """
+
+    feature: np.ndarray
+    """``(T, 2**D - 1)`` int64, which of :data:`SEEN` a node looks at."""
+    threshold: np.ndarray
+    """``(T, 2**D - 1)`` int64, what is larger goes to the second child."""
+    value: np.ndarray
+    """``(T, 2**D)`` int64, evidence of the leaves."""
+    offset: int
+    """Evidence to begin with."""
+
+    @property
+    def depth(self) -> int:
+        """``D``."""
+        return self.value.shape[1].bit_length() - 1
+
+
+@cache
+def affinity(name: str, depth_unit: float) -> Affinity:
+    """A table of the package, lengths in depth units.
+
+    Tables are made by ``python -m benchmarks.affinity``.
+
+    Args:
+        name: ``surfaces`` or ``tabletop``.
+        depth_unit: Metres in one depth unit.
+    """
+    text = resources.files("jaxdet").joinpath("tables", f"{name}.json").read_text("utf-8")
+    table = json.loads(text)
+    feature, threshold = (np.array(table[key], np.int64) for key in ("feature", "threshold"))
+    lengths = np.isin(feature, [SEEN.index(one) for one in LENGTHS])
+    scaled = np.rint(threshold / (1000 * depth_unit)).astype(np.int64)
+    value = np.array(table["value"], np.int64)
+    return Affinity(feature, np.where(lengths, scaled, threshold), value, table["offset"])
+
+
+def evidence(seen: np.ndarray, table: Affinity) -> np.ndarray:
+    """The evidence that pairs of surfaces are one thing.
+
+    Args:
+        seen: ``(P, 21)`` integer, in the order of :data:`SEEN`.
+        table: In the same depth units.
+
+    Returns:
+        ``(P,)`` int64, log-odds with ``FRACTION_BITS`` fraction bits: above 0 for, below against.
+    """
+    pair, tree = np.ogrid[: len(seen), : len(table.feature)]
+    node = np.zeros((len(seen), len(table.feature)), np.int64)
+    for _ in range(table.depth):
+        larger = seen[pair, table.feature[tree, node]] > table.threshold[tree, node]
+        node = 2 * node + 1 + larger
+    leaf = node - (table.value.shape[1] - 1)
+    return table.offset + table.value[tree, leaf].sum(axis=1)

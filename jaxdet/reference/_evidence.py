@@ -1,0 +1,192 @@
+"""What is seen of each pair of surfaces: how near they are, what lies between them, their sizes."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.config import ObstacleConfig
+from jaxdet.reference._outlines import contours
+from jaxdet.reference._view import Extents, View, extents
+
+MOST_BETWEEN = 11
+"""Surfaces of a line with more runs of cells between them are not looked at together."""
+SLOPE = 10
+"""Surfaces are seen obliquely: depths may differ by a tenth of what lies between them."""
+CONTACT = 2
+"""Contours so many gaps apart are near, whether or not the surfaces face each other."""
+PERCENT = 100
+NO_STEP = 10_000
+"""Step in depth [mm] of two surfaces that do not face each other in any row."""
+
+
+class Facing(NamedTuple):
+    """How surfaces face each other along lines (rows, or columns), each ``(S, S)`` int64.
+
+    Above the diagonal only. Two surfaces face each other where neither of them and at most
+    ``MOST_BETWEEN`` runs of cells lie between.
+    """
+
+    lines: np.ndarray
+    """Lines where they do."""
+    through: np.ndarray
+    """Of these, those where floor or something farther is seen between them."""
+    hidden: np.ndarray
+    """Of these, those where something nearer and nothing farther lies between them."""
+    holes: np.ndarray
+    """Of these, those where only cells without depth lie between them."""
+    agree: np.ndarray
+    """Of ``hidden`` and ``holes``, those where their depths agree within the gap and the slope."""
+    steps: np.ndarray
+    """Sum of their steps in depth, but for ``through`` [depth units]."""
+
+
+class Pairs(NamedTuple):
+    """The pairs of surfaces of a frame that may be one thing."""
+
+    one: np.ndarray
+    """``(P,)`` int64, a surface."""
+    other: np.ndarray
+    """``(P,)`` int64, one with a higher number."""
+    seen: np.ndarray
+    """``(P, 21)`` int64, in the order of :data:`jaxdet.affinity.SEEN` [depth units, cells, lines,
+    percent]."""
+
+
+def pairs(
+    label: np.ndarray, keep: np.ndarray, view: View, unit: float, config: ObstacleConfig
+) -> Pairs:
+    """The pairs of surfaces that may be one thing, and what is seen of each.
+
+    They are at most ``lateral_gap_m`` and ``forward_gap_m`` apart on the floor (Eq. 6 on both axes
+    at once), and they face each other in some row or column or their contours are near.
+
+    Args:
+        label: ``(R, C)`` surfaces, -1 = none.
+        keep: ``(R, C)`` bool, cells above the floor.
+        view: Where the cells are.
+        unit: Metres in one depth unit.
+        config: The gaps.
+    """
+    known, gap = extents(label, view), round(config.depth_gap_m / unit)
+    floor = (view.z > 0) & ~keep
+    rows = facing(label, floor, view.z, view.x, gap)
+    columns = facing(label.T, floor.T, view.z.T, view.y.T, gap)
+    aside, ahead = _extent_gaps(known)
+    distance = _contour_gaps(label, view, len(known.cells))
+    near = (aside <= round(config.lateral_gap_m / unit)) & (
+        ahead <= round(config.forward_gap_m / unit)
+    )
+    near &= (rows.lines + columns.lines > 0) | (distance <= CONTACT * gap)
+    one, other = at = np.nonzero(np.triu(near, 1))
+
+    fewer = known.cells[one] <= known.cells[other]
+    less, more = np.where(fewer, one, other), np.where(fewer, other, one)
+    both = np.minimum(known.right[one], known.right[other])
+    both = both - np.maximum(known.left[one], known.left[other])
+    narrower = np.maximum(np.minimum(known.width[one], known.width[other]), 1)
+    shorter = np.minimum(known.rows[one], known.rows[other])
+    closed = (rows.lines - rows.through)[at]
+    step = rows.steps[at] // np.maximum(closed, 1)
+    seen = [
+        distance[at],
+        ahead[at],
+        PERCENT * both // narrower,
+        np.where(closed > 0, step, round(NO_STEP / (1000 * unit))),
+        rows.through[at],
+        PERCENT * rows.hidden[at] // shorter,
+        rows.agree[at],
+        PERCENT * rows.agree[at] // shorter,
+        columns.through[at],
+        (columns.hidden + columns.holes)[at],
+        np.minimum(known.near[one], known.near[other]),
+    ]
+    for size in (known.cells, known.width, known.depth, known.bottom, known.top):
+        seen += [size[less], size[more]]
+    return Pairs(one, other, np.stack(seen, axis=1))
+
+
+def facing(
+    label: np.ndarray, floor: np.ndarray, z: np.ndarray, along: np.ndarray, gap: int
+) -> Facing:
+    """How surfaces face each other along the rows of a frame.
+
+    Args:
+        label: ``(R, C)`` surfaces, -1 = none.
+        floor: ``(R, C)`` bool, measured but not above the floor.
+        z: ``(R, C)`` int64 [depth units].
+        along: ``(R, C)`` int64, place along the row [depth units].
+        gap: Depths agree within this [depth units]; by half of it, things are nearer.
+
+    Example:
+        >>> label, z = np.array([[0, 0, 1, 2, 2]]), np.array([[900, 900, 700, 905, 905]])
+        >>> found = facing(label, label < 0, z, z * 0, 40)
+        >>> found.hidden[0, 2], found.agree[0, 2], found.lines[0, 1]
+        (np.int64(1), np.int64(1), np.int64(1))
+    """
+    count = int(label.max(initial=-1)) + 1
+    out = Facing(*(np.zeros((count, count), np.int64) for _ in Facing._fields))
+    start, end = _runs(label)
+    if len(start) < 2:
+        return out
+    row, own = start // label.shape[1], label.ravel()[start]
+    depth, place = z.ravel(), along.ravel()
+    bounds = np.stack([start, end], axis=1).ravel()
+    nearest, farthest = (f.reduceat(depth, bounds)[::2] for f in (np.minimum, np.maximum))
+    nearest, farthest = np.minimum(nearest, depth[end]), np.maximum(farthest, depth[end])
+    floors = np.append(0, np.cumsum(floor))
+    near, far = np.full(len(start), 1 << 40), np.full(len(start), -1)
+    for away in range(1, min(MOST_BETWEEN + 2, len(start))):
+        left, right = slice(0, -away), slice(away, None)
+        between = [slice(k, k - away) for k in range(1, away)]
+        near, far = near[: len(start) - away], far[: len(start) - away]
+        if between:
+            near, far = (
+                np.minimum(near, nearest[between[-1]]),
+                np.maximum(far, farthest[between[-1]]),
+            )
+        faces = (row[left] == row[right]) & (own[left] != own[right])
+        for middle in between:
+            faces &= (own[middle] != own[left]) & (own[middle] != own[right])
+        last, first = end[left], start[right]
+        step, apart = np.abs(depth[first] - depth[last]), np.abs(place[first] - place[last])
+        low, high = np.minimum(depth[first], depth[last]), np.maximum(depth[first], depth[last])
+        through = (floors[first] > floors[last + 1]) | (far > high + gap)
+        hidden = ~through & (near < low - gap // 2)
+        holes = ~through & ~hidden & (first > last + 1)
+        agree = (hidden | holes) & (step <= gap + apart // SLOPE)
+        counted = np.ones_like(step), through, hidden, holes, agree, np.where(through, 0, step)
+        pair = np.sort(np.stack([own[left], own[right]]), axis=0)[:, faces]
+        for total, value in zip(out, counted, strict=True):
+            np.add.at(total, tuple(pair), value[faces])
+    return out
+
+
+def _runs(label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last cell of each run of one surface in a row, as flat indices."""
+    beyond = np.full((len(label), 1), -2)
+    before = np.concatenate([beyond, label[:, :-1]], axis=1)
+    after = np.concatenate([label[:, 1:], beyond], axis=1)
+    return np.flatnonzero((label >= 0) & (label != before)), np.flatnonzero(
+        (label >= 0) & (label != after)
+    )
+
+
+def _contour_gaps(label: np.ndarray, view: View, count: int) -> np.ndarray:
+    """Smallest distance on the floor between the contours of each two surfaces, ``(S, S)``."""
+    if not count:
+        return np.zeros((0, 0), np.int64)
+    lines, used = contours(label, view.right, view.forward, count)
+    points = np.concatenate([line[:n] for line, n in zip(lines, used, strict=True)])
+    apart = points[:, None].astype(np.int64) - points
+    first = np.cumsum(used) - used
+    squared = np.minimum.reduceat((apart * apart).sum(axis=-1), first, axis=0)
+    return np.floor(np.sqrt(np.minimum.reduceat(squared, first, axis=1))).astype(np.int64)
+
+
+def _extent_gaps(known: Extents) -> tuple[np.ndarray, np.ndarray]:
+    """How far surfaces are apart on the floor, sideways and forward, ``(S, S)``; 0: overlap."""
+    aside = np.maximum(known.left, known.left[:, None])
+    aside = aside - np.minimum(known.right, known.right[:, None])
+    ahead = np.maximum(known.near, known.near[:, None])
+    ahead = ahead - np.minimum(known.far, known.far[:, None])
+    return np.maximum(aside, 0), np.maximum(ahead, 0)
