@@ -180,8 +180,10 @@ class SurfaceConfig:
     """Bends deeper than this part surfaces [m]."""
     crease_per_m: float = 0.004
     """Added to it in proportion to z squared [1/m]."""
+    crease_margin: int = 1
+    """Creases are so many cells wider at each side, so that gaps in them join nothing."""
     min_cells: int = 6
-    """Smaller components are no surfaces of their own."""
+    """Smaller components are no surfaces of their own, and smaller creases are noise."""
     bent_m: float = 0.20
     """Surfaces at most so high without a steep side are floor that the sensor bends up, at the
     margins of the image or far away [m]. 0: off."""
@@ -196,6 +198,7 @@ class SurfaceConfig:
         _require_within(self.crease_cells, 1, 16, "surface.crease-cells")
         _require_within(self.crease_m, 0, FARTHEST_M, "surface.crease-m")
         _require_within(self.crease_per_m, 0, FARTHEST_M, "surface.crease-per-m")
+        _require_within(self.crease_margin, 0, 16, "surface.crease-margin")
         _require_within(self.min_cells, 1, MAX_POINTS, "surface.min-cells")
         _require_within(self.bent_m, 0, FARTHEST_M, "surface.bent-m")
         _require_within(self.beyond, 1, 4, "surface.beyond")

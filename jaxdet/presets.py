@@ -50,6 +50,7 @@ PRESETS: dict[str, Config] = {
             step_per_m=0.005,
             crease_m=0.002,
             crease_per_m=0.002,
+            crease_margin=0,
             bent_m=0.02,
             beyond=1.0,
         ),

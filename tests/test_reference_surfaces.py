@@ -13,7 +13,14 @@ from scipy.sparse.csgraph import connected_components
 
 from jaxdet.config import SurfaceConfig
 from jaxdet.reference._components import components
-from jaxdet.reference._surfaces import creases, renumbered, surfaces, without_bent_floor
+from jaxdet.reference._surfaces import (
+    creases,
+    dilated,
+    renumbered,
+    surfaces,
+    without_bent_floor,
+    without_small,
+)
 
 UNIT = 0.001
 PLAIN = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=100.0, min_cells=1)
@@ -96,6 +103,27 @@ def test_a_thing_against_a_wall() -> None:
     assert (label[:, :10] == 0).all() and (label[:, 16:] == 1).all()
 
 
+def test_a_gap_in_a_crease_lets_nothing_through() -> None:
+    """In three rows the box goes on in the wall at 9 mm a cell, without a bend."""
+    z = np.tile([1000] * 10 + [1025, 1050, 1075, 1100] + [1125] * 10, (12, 1))
+    z[5:8, 10:] = 1009 + 9 * np.arange(14)
+    label = surfaces(z, z > 0, UNIT, CREASED)
+    assert label.max() == 1
+    assert (label[:, :10] == 0).all() and (label[:, 16:] == 1).all()
+    assert not surfaces(z, z > 0, UNIT, replace(CREASED, crease_margin=0)).any()
+
+
+def test_small_creases_are_noise() -> None:
+    z = np.full((20, 30), 1000)
+    z[9:11, 14:16] = 1029
+    step, fine = np.full(z.shape, 30), replace(CREASED, crease_m=0.005)
+    few = creases(z, step, z > 0, UNIT, replace(fine, min_cells=4))
+    assert few.sum() == 16 and few[8:12, 13:17].all()
+    thin = creases(z, step, z > 0, UNIT, replace(fine, min_cells=4, crease_margin=0))
+    assert thin.sum() == 4 and thin[9:11, 14:16].all()
+    assert not creases(z, step, z > 0, UNIT, replace(fine, min_cells=5)).any()
+
+
 def test_a_jump_is_no_crease() -> None:
     z = np.tile([1000] * 8 + [1400] * 8, (8, 1))
     assert not creases(z, np.full(z.shape, 30), z > 0, UNIT, CREASED).any()
@@ -159,6 +187,19 @@ def test_steps_as_a_graph(z: np.ndarray, keep: np.ndarray) -> None:
     part = connected_components(graph, directed=False)[1].reshape(z.shape)
     want = renumbered(np.where(keep, part, -1))
     np.testing.assert_array_equal(surfaces(z, keep, UNIT, PLAIN), want)
+
+
+@given(masks, st.integers(1, 8))
+def test_large_components_as_by_scipy(mask: np.ndarray, least: int) -> None:
+    label = np.zeros(mask.shape, np.int32)
+    ndimage.label(mask, np.ones((3, 3)), output=label)
+    want = mask & (np.bincount(label.ravel())[label] >= least)
+    np.testing.assert_array_equal(without_small(mask, least), want)
+
+
+@given(masks)
+def test_dilated_as_by_scipy(mask: np.ndarray) -> None:
+    np.testing.assert_array_equal(dilated(mask), ndimage.binary_dilation(mask, np.ones((3, 3))))
 
 
 @given(st.integers(1, 40), st.data())

@@ -58,7 +58,9 @@ def creases(
 
         z(p) - (z(p - s) + z(p + s)) / 2 > crease_m + crease_per_m z^2
 
-    and both differ from z(p) by less than s steps, for a jump in depth is no crease.
+    and both differ from z(p) by less than s steps, for a jump in depth is no crease. Of these
+    cells, 8-connected components of fewer than ``min_cells`` are noise. The others are dilated by
+    ``crease_margin`` cells: surfaces are 4-connected, so a single missing cell would join them.
 
     Returns:
         ``(R, C)`` bool.
@@ -74,6 +76,9 @@ def creases(
         bend = 2 * smooth - before - after > 2 * limit << FRACTION_BITS
         farthest = np.maximum(np.abs(before - smooth), np.abs(after - smooth))
         found |= bend & measured & (farthest < reach * step << FRACTION_BITS)
+    found = without_small(found & keep, config.min_cells)
+    for _ in range(config.crease_margin):
+        found = dilated(found)
     return found & keep
 
 
@@ -137,6 +142,26 @@ def renumbered(label: np.ndarray) -> np.ndarray:
     none = values < 0
     rank = np.argsort(np.argsort(np.where(none, -1, first))) - np.count_nonzero(none)
     return np.where(none, -1, rank)[inverse.reshape(label.shape)]
+
+
+def without_small(mask: np.ndarray, least: int) -> np.ndarray:
+    """A mask without its 8-connected components of fewer than ``least`` cells."""
+    cell = np.where(mask, np.arange(mask.size).reshape(mask.shape), -1)
+    first, second = [], []
+    for dv, du in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        there = _shifted(_shifted(cell + 1, -dv, 0), -du, 1) - 1
+        both = mask & (there >= 0)
+        first.append(cell[both])
+        second.append(there[both])
+    label = components(mask.size, np.concatenate(first), np.concatenate(second))
+    return mask & (np.bincount(label, minlength=mask.size)[label] >= least).reshape(mask.shape)
+
+
+def dilated(mask: np.ndarray) -> np.ndarray:
+    """A mask dilated by a square of 3 x 3."""
+    for axis in (0, 1):
+        mask = mask | _shifted(mask, 1, axis) | _shifted(mask, -1, axis)
+    return mask
 
 
 def _shifted(a: np.ndarray, by: int, axis: int) -> np.ndarray:
