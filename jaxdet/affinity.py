@@ -41,6 +41,16 @@ LENGTHS = frozenset({"gap", "ahead", "step", "nearest"}) | {
     name for name in SEEN if name.split("_")[0] in ("width", "depth", "bottom", "top")
 }
 """Of these, what is in depth units; in a table [mm]."""
+GROWS = {
+    "gap": -1,
+    "ahead": -1,
+    "step": -1,
+    "through": -1,
+    "through_in_columns": -1,
+    "agree": 1,
+    "agree_share": 1,
+}
+"""Evidence never falls with a larger value (1), or never rises with it (-1)."""
 FRACTION_BITS = 8
 """Fraction bits of evidence, which is log-odds."""
 

@@ -321,12 +321,13 @@ def test_no_floor_is_looked_for() -> None:
 
 
 def test_more_obstacles_than_there_is_room_for() -> None:
-    """17 x 13 squares of 9 cm hang in the air."""
+    """17 x 13 squares hang in the air, each a centimetre behind the last."""
     depth = np.zeros((1, 120, 160))
     for row in range(13):
         for column in range(17):
-            depth[0, 9 * row : 9 * row + 6, 9 * column : 9 * column + 6] = 2.2
-    loose = replace(SURFACES.obstacle, hole_m=0.0, narrow_m=0.0, hanging_m=0.0)
+            z = 1.5 + 0.01 * (17 * row + column)
+            depth[0, 9 * row : 9 * row + 6, 9 * column : 9 * column + 6] = z
+    loose = replace(SURFACES.obstacle, forward_gap_m=0.0)
     detections = found(made(depth, unknown_plane(1)), replace(SURFACES, obstacle=loose))
     assert detections.scene and not detections.scene.own_floor[0]
     assert count(detections) == MAX_OBSTACLES < 13 * 17

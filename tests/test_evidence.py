@@ -1,0 +1,124 @@
+"""pairs: what is seen of two surfaces, against the same written with loops."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxdet.affinity import SEEN
+from jaxdet.config import ObstacleConfig
+from jaxdet.reference._evidence import MOST_BETWEEN, facing, pairs
+from jaxdet.reference._view import View
+
+GAP = 40
+UNIT = 0.001
+CONFIG = ObstacleConfig()
+
+
+def facing_slowly(label: np.ndarray, floor: np.ndarray, z: np.ndarray, along: np.ndarray) -> dict:
+    """Line by line, cell by cell."""
+    found: dict[tuple[int, int], list[int]] = {}
+    for row in range(len(label)):
+        cells = [int(n) for n in label[row]]
+        for end in range(len(cells)):
+            own = cells[end]
+            if own < 0 or (end + 1 < len(cells) and cells[end + 1] == own):
+                continue
+            runs, met = 0, set()
+            for start in range(end + 1, len(cells)):
+                there = cells[start]
+                if there < 0 or (there == cells[start - 1] and start > end + 1):
+                    continue
+                if there == own or runs > MOST_BETWEEN:
+                    break
+                if there not in met:
+                    votes = _one(label[row], floor[row], z[row], along[row], end, start)
+                    total = found.setdefault((min(own, there), max(own, there)), [0] * 6)
+                    for k, vote in enumerate(votes):
+                        total[k] += vote
+                met.add(there)
+                runs += 1
+    return found
+
+
+def _one(
+    label: np.ndarray, floor: np.ndarray, z: np.ndarray, along: np.ndarray, end: int, start: int
+) -> list[int]:
+    between = [int(z[c]) for c in range(end + 1, start) if label[c] >= 0]
+    low, high = sorted((int(z[end]), int(z[start])))
+    through = bool(floor[end + 1 : start].any()) or any(d > high + GAP for d in between)
+    hidden = not through and any(d < low - GAP // 2 for d in between)
+    holes = not through and not hidden and start > end + 1
+    apart = abs(int(along[start]) - int(along[end]))
+    agree = (hidden or holes) and high - low <= GAP + apart // 10
+    return [1, through, hidden, holes, agree, 0 if through else high - low]
+
+
+frames = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+@given(frames, st.integers(1, 5), st.integers(1, 40))
+def test_facing_as_written_with_loops(rng: np.random.Generator, rows: int, columns: int) -> None:
+    label = np.repeat(rng.integers(-1, 6, (rows, columns)), 2, axis=1)
+    depth = np.where(label >= 0, 1000 + rng.integers(0, 4, label.shape) * 45, 0)
+    floor = (label < 0) & (rng.random(label.shape) < 0.1)
+    along = np.cumsum(rng.integers(0, 200, label.shape), axis=1)
+    found = facing(label, floor, depth, along, GAP)
+    expected = facing_slowly(label, floor, depth, along)
+    for one, other in zip(*np.triu_indices(int(label.max()) + 1, 1), strict=True):
+        votes = [int(table[one, other]) for table in found]
+        assert votes == expected.get((int(one), int(other)), [0] * 6)
+
+
+def test_facing_by_hand() -> None:
+    """A pole before a wall; beside it one sees through."""
+    label = np.array([[0, 0, 1, 2, -1, 3], [0, 0, -1, 2, -1, -1]])
+    z = np.array([[900, 900, 700, 905, 1500, 910], [900, 900, 0, 1000, 0, 0]])
+    floor = z == 1500
+    found = facing(label, floor, z, z * 0, GAP)
+    assert found.lines[0, 2] == 2 and found.hidden[0, 2] == 1 and found.holes[0, 2] == 1
+    assert found.agree[0, 2] == 1 and found.steps[0, 2] == 105
+    assert found.through[2, 3] == 1 and found.lines[0, 1] == 1 and found.steps[0, 1] == 200
+
+
+def upright(columns: list[tuple[int, int, int]]) -> tuple[np.ndarray, View]:
+    """Upright things ``(first column, width, z)``, ten rows high, 10 mrad a column."""
+    shape = (12, 120)
+    label, z = np.full(shape, -1), np.zeros(shape, np.int64)
+    for number, (first, width, depth) in enumerate(columns):
+        label[1:11, first : first + width] = number
+        z[1:11, first : first + width] = depth
+    row, column = np.indices(shape)
+    x = (column - 60) * z // 100
+    return label, View(x, row * z // 100, z, x, z, 300 - 20 * row, z > 0)
+
+
+def seen_of(things: list[tuple[int, int, int]], config: ObstacleConfig = CONFIG) -> list[dict]:
+    label, view = upright(things)
+    found = pairs(label, label >= 0, view, UNIT, config)
+    return [dict(zip(SEEN, one.tolist(), strict=True)) for one in found.seen]
+
+
+def test_what_is_seen_by_hand() -> None:
+    """20 columns and 10, 10 columns apart at 1 m and 1.1 m, without depth between."""
+    (seen,) = seen_of([(30, 20, 1000), (60, 10, 1100)])
+    assert seen["gap"] == int(np.hypot(110, 100)) and seen["ahead"] == 100
+    assert seen["step"] == 100 and seen["through"] == 0
+    assert seen["agree"] == 10 and seen["agree_share"] == 100 and seen["hidden_share"] == 0
+    assert seen["cells_less"] == 100 and seen["cells_more"] == 200
+    assert seen["width_less"] == 99 and seen["width_more"] == 170
+    assert seen["bottom_less"] == 100 and seen["top_more"] == 280
+    assert seen["nearest"] == 1000 and seen["overlap"] < 0
+
+
+def test_pairs_out_of_reach() -> None:
+    things = [(5, 20, 1000), (90, 20, 1000)]
+    assert len(seen_of(things)) == 1
+    assert not seen_of(things, replace(CONFIG, lateral_gap_m=0.5))
+    assert not seen_of([(5, 20, 1000), (40, 20, 2000)])
+
+
+def test_nothing() -> None:
+    label, view = upright([])
+    assert pairs(label, label >= 0, view, UNIT, CONFIG).seen.shape == (0, len(SEEN))
