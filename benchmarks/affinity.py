@@ -30,6 +30,7 @@ from benchmarks.paper.main import start_worker
 from benchmarks.paper.shots import Shot, Spec, Store, frames_of
 from benchmarks.paper.systems import eval_config
 from jaxdet.affinity import FRACTION_BITS, GROWS, SEEN
+from jaxdet.errors import InputError
 from jaxdet.eval.boxes import FLOOR
 from jaxdet.eval.frame import objects_of
 from jaxdet.io import open_log
@@ -158,7 +159,10 @@ def learnt_frames() -> Examples:
         if number % recording.held_out == recording.held_out - 1:
             continue
         path = BESIDE / recording.images / f"{number:03d}.png"
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.int64) - FLOOR
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if labels is None:
+            raise InputError("the labels of a frame are missing", path=str(path))
+        image = labels.astype(np.int64) - FLOOR
         unit, depth = frames.calibration.depth_unit, frames.depth
         z = depth * unit
         noise = rng.normal(size=z.shape) * NOISE_PER_M * z * z / unit
@@ -198,9 +202,9 @@ def learn(found: Examples, how: Learning) -> dict[str, Any]:
         min_samples_leaf=how.leaf,
         l2_regularization=1.0,
         monotonic_cst=MONOTONIC,
-        early_stopping=False,
         random_state=0,
-    ).fit(found.seen, found.same, found.weight)
+    )
+    model.set_params(early_stopping=False).fit(found.seen, found.same, found.weight)
     # scikit-learn has no public way to the trees of this model.
     trees = [complete(one.nodes, how.depth) for (one,) in model._predictors]
     feature, threshold, value = ([tree[k] for tree in trees] for k in range(3))

@@ -1,5 +1,8 @@
 """affinity: tables of boosted trees that weigh what is seen of two surfaces."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -78,3 +81,25 @@ def test_complete_trees(name: str) -> None:
 
 def test_nothing() -> None:
     assert len(evidence(np.zeros((0, len(SEEN)), np.int64), affinity("surfaces", UNIT))) == 0
+
+
+def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs are one where the gap is small and they share rows: what is learnt says so."""
+    pytest.importorskip("sklearn")
+    from benchmarks import affinity as learning
+
+    rng = np.random.default_rng(1)
+    seen = rng.integers(0, 1000, (3000, len(SEEN)))
+    same = (seen[:, SEEN.index("gap")] < 300) & (seen[:, SEEN.index("agree")] > 400)
+    found = learning.Examples(seen, same, rng.random(len(seen)) + 0.5)
+    how = learning.Learning(trees=12, depth=3, rate=0.3, leaf=20, bias=0.0)
+    monkeypatch.setattr(learning, "TABLES", tmp_path)
+    learning.write("made", learning.learn(found, how))
+
+    text = json.loads((tmp_path / "made.json").read_text("utf-8"))
+    assert tuple(text["seen"]) == SEEN
+    arrays = (np.array(text[key]) for key in ("feature", "threshold", "value"))
+    table = Affinity(*arrays, text["offset"])
+    fresh = rng.integers(0, 1000, (3000, len(SEEN)))
+    expected = (fresh[:, SEEN.index("gap")] < 300) & (fresh[:, SEEN.index("agree")] > 400)
+    assert ((evidence(fresh, table) > 0) == expected).mean() > 0.98
