@@ -29,7 +29,7 @@ from benchmarks.paper.labelled import BESIDE, RECORDINGS
 from benchmarks.paper.main import start_worker
 from benchmarks.paper.shots import Shot, Spec, Store, frames_of
 from benchmarks.paper.systems import eval_config
-from jaxdet.affinity import FRACTION_BITS, GROWS, SEEN
+from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
 from jaxdet.errors import InputError
 from jaxdet.eval.boxes import FLOOR
 from jaxdet.eval.frame import objects_of
@@ -48,8 +48,6 @@ NOISE_PER_M = 0.004
 """mOSD's frames are learnt from with this noise over z squared as well, as a D435 has it [1/m]."""
 ENOUGH = 100
 """Cells from which on a surface counts no more."""
-BEYOND = 1 << 30
-"""Threshold that nothing exceeds."""
 
 
 MONOTONIC = [GROWS.get(name, 0) for name in SEEN]

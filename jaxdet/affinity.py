@@ -17,7 +17,7 @@ SEEN = (
     "agree",
     "agree_share",
     "through_in_columns",
-    "holes_in_columns",
+    "between_in_columns",
     "nearest",
     "cells_less",
     "cells_more",
@@ -36,7 +36,8 @@ smallest distance of their contours on the floor; ``ahead``: the gap in depth on
 their mean step in depth; ``through``: rows in which one sees through between them; ``hidden_share``
 and ``agree_share``: those in which nearer things lie between, and in which depth goes on behind
 them or across a hole, in percent of the rows of the one with fewer. ``nearest``: distance of the
-nearer one."""
+nearer one. In columns, ``through`` likewise, and ``between`` those in which they face each other
+across something."""
 LENGTHS = frozenset({"gap", "ahead", "step", "nearest"}) | {
     name for name in SEEN if name.split("_")[0] in ("width", "depth", "bottom", "top")
 }
@@ -51,6 +52,8 @@ GROWS = {
     "agree_share": 1,
 }
 """Evidence never falls with a larger value (1), or never rises with it (-1)."""
+BEYOND = 1 << 30
+"""Threshold that nothing exceeds."""
 FRACTION_BITS = 8
 """Fraction bits of evidence, which is log-odds."""
 
@@ -83,15 +86,20 @@ def affinity(name: str, depth_unit: float) -> Affinity:
 
     Tables are made by ``python -m benchmarks.affinity``.
 
+    Tables hold for cells of the size they were learnt with, ``surface.cell_rad`` 0.0078.
+
     Args:
         name: ``surfaces`` or ``tabletop``.
         depth_unit: Metres in one depth unit.
     """
     text = resources.files("jaxdet").joinpath("tables", f"{name}.json").read_text("utf-8")
     table = json.loads(text)
+    if tuple(table["seen"]) != SEEN:
+        raise ValueError(f"the table {name} weighs other things than are seen: learn it anew")
     feature, threshold = (np.array(table[key], np.int64) for key in ("feature", "threshold"))
     lengths = np.isin(feature, [SEEN.index(one) for one in LENGTHS])
     scaled = np.rint(threshold / (1000 * depth_unit)).astype(np.int64)
+    scaled = np.minimum(scaled, BEYOND)
     value = np.array(table["value"], np.int64)
     return Affinity(feature, np.where(lengths, scaled, threshold), value, table["offset"])
 

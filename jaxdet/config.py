@@ -214,7 +214,7 @@ class ObstacleConfig:
 
     affinity: str = "surfaces"
     """Table that says what of two surfaces speaks for their being one: ``surfaces``, learnt in
-    rooms and streets, or ``tabletop``."""
+    rooms and streets, or ``tabletop``. It counts cells of the default size."""
     lateral_gap_m: float = 1.5
     """Surfaces farther apart sideways are not looked at together, d_x [m]."""
     forward_gap_m: float = 0.8
@@ -229,7 +229,8 @@ class ObstacleConfig:
     """Obstacles whose contour lies so far behind the chord of its ends are split there: walls of a
     room [m]. 0: off."""
     side_m: float = 0.4
-    """Their sides are at least so long [m]."""
+    """Their sides are at least so long, and at the corner neighbouring points of the contour at
+    most so far apart [m]."""
     min_size_m: float = 0.05
     """Obstacles are at least so wide or so high [m]."""
     min_cells: int = 10

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.affinity import SEEN
+from jaxdet.affinity import LENGTHS, SEEN
 from jaxdet.config import ObstacleConfig
 from jaxdet.reference._evidence import MOST_BETWEEN, facing, pairs
 from jaxdet.reference._view import View
@@ -77,9 +77,9 @@ def test_facing_by_hand() -> None:
     z = np.array([[900, 900, 700, 905, 1500, 910], [900, 900, 0, 1000, 0, 0]])
     floor = z == 1500
     found = facing(label, floor, z, z * 0, GAP)
-    assert found.lines[0, 2] == 2 and found.hidden[0, 2] == 1 and found.holes[0, 2] == 1
+    assert found.places[0, 2] == 2 and found.hidden[0, 2] == 1 and found.holes[0, 2] == 1
     assert found.agree[0, 2] == 1 and found.steps[0, 2] == 105
-    assert found.through[2, 3] == 1 and found.lines[0, 1] == 1 and found.steps[0, 1] == 200
+    assert found.through[2, 3] == 1 and found.places[0, 1] == 1 and found.steps[0, 1] == 200
 
 
 def upright(columns: list[tuple[int, int, int]]) -> tuple[np.ndarray, View]:
@@ -96,7 +96,7 @@ def upright(columns: list[tuple[int, int, int]]) -> tuple[np.ndarray, View]:
 
 def seen_of(things: list[tuple[int, int, int]], config: ObstacleConfig = CONFIG) -> list[dict]:
     label, view = upright(things)
-    found = pairs(label, label >= 0, view, UNIT, config)
+    found = pairs(label, (view.z > 0) & (label < 0), view, UNIT, config)
     return [dict(zip(SEEN, one.tolist(), strict=True)) for one in found.seen]
 
 
@@ -112,6 +112,32 @@ def test_what_is_seen_by_hand() -> None:
     assert seen["nearest"] == 1000 and seen["overlap"] < 0
 
 
+def test_less_and_more_go_by_size_not_by_number() -> None:
+    """Equal numbers of cells: the narrower one, nearer here, is the lesser."""
+    ((one), (other)) = ([(20, 10, 1000), (60, 10, 1500)], [(60, 10, 1500), (20, 10, 1000)])
+    assert seen_of(one) == seen_of(other)
+    (seen,) = seen_of(one)
+    assert seen["cells_less"] == seen["cells_more"] and seen["width_less"] < seen["width_more"]
+
+
+def test_columns_and_depth_unit() -> None:
+    """A thing over another, nothing measured between, in millimetres and in tenths of them."""
+    label, view = upright([(30, 20, 1000)])
+    label[4:7], view.z[4:7] = -1, 0
+    label[7:] = np.where(label[7:] == 0, 1, label[7:])
+    found = pairs(label, view.z < 0, view, UNIT, CONFIG)
+    seen = dict(zip(SEEN, found.seen[0].tolist(), strict=True))
+    assert seen["between_in_columns"] == 20 and seen["through_in_columns"] == 0
+    fine = View(*(10 * a for a in view[:-1]), view.in_view)
+    tenths = pairs(label, view.z < 0, fine, UNIT / 10, CONFIG).seen[0]
+    scale = np.where([name in LENGTHS for name in SEEN], 10, 1)
+    np.testing.assert_array_equal(tenths, found.seen[0] * scale)
+    floor = np.zeros(label.shape, bool)
+    floor[5, 30:50] = True
+    through = pairs(label, floor, view, UNIT, CONFIG).seen[0]
+    assert through[SEEN.index("through_in_columns")] == 20
+
+
 def test_pairs_out_of_reach() -> None:
     things = [(5, 20, 1000), (90, 20, 1000)]
     assert len(seen_of(things)) == 1
@@ -121,4 +147,4 @@ def test_pairs_out_of_reach() -> None:
 
 def test_nothing() -> None:
     label, view = upright([])
-    assert pairs(label, label >= 0, view, UNIT, CONFIG).seen.shape == (0, len(SEEN))
+    assert pairs(label, (view.z > 0) & (label < 0), view, UNIT, CONFIG).seen.shape == (0, len(SEEN))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from jaxdet.config import ObstacleConfig
 from jaxdet.reference._obstacles import contracted, obstacles
+from jaxdet.reference._surfaces import renumbered
 from jaxdet.reference._view import View, extents
 
 UNIT, CELL, FAR = 0.001, 0.01, 6000
@@ -37,13 +38,17 @@ class Picture:
         return self
 
     @property
+    def free(self) -> np.ndarray:
+        return (self.z > 0) & (self.label < 0)
+
+    @property
     def view(self) -> View:
         x, y = (np.rint(ray * self.z).astype(np.int64) for ray in (self.ray_x, self.ray_y))
         height = np.where(self.z > 0, 400 - y, 0)
         return View(x, y, self.z, x, self.z, height, self.z > 0)
 
     def found(self, config: ObstacleConfig = CONFIG) -> np.ndarray:
-        return obstacles(self.label, self.label >= 0, self.view, FAR, UNIT, config)
+        return obstacles(self.label, self.free, self.view, FAR, UNIT, config)
 
     def numbers(self, config: ObstacleConfig = CONFIG) -> list[int]:
         """The obstacle of each surface, in the order painted; all its cells have the same."""
@@ -181,7 +186,7 @@ def test_too_small_or_too_far_is_none() -> None:
 def test_what_is_not_in_the_colour_image_is_not_shown() -> None:
     picture = Picture().paint(TALL, slice(0, 30), 2000).paint(TALL, slice(60, 90), 2500)
     view = picture.view._replace(in_view=np.indices(picture.z.shape)[1] >= 40)
-    label = obstacles(picture.label, picture.label >= 0, view, FAR, UNIT, CONFIG)
+    label = obstacles(picture.label, picture.free, view, FAR, UNIT, CONFIG)
     np.testing.assert_array_equal(label, np.where(picture.label == 1, 0, -1))
 
 
@@ -241,6 +246,30 @@ def test_numbers_go_by_the_nearest_point_without_gaps(things: list[tuple]) -> No
 
 
 @given(spans)
+def test_mirrored(things: list[tuple]) -> None:
+    """What is to the left might as well be to the right."""
+    picture = drawn(things)
+    config = replace(CONFIG, bend_m=0.0)
+    label = picture.found(config)
+    flipped = obstacles(
+        renumbered(picture.label[:, ::-1]),
+        picture.free[:, ::-1],
+        View(
+            *(
+                np.ascontiguousarray(a[:, ::-1])
+                for a in picture.view._replace(x=-picture.view.x, right=-picture.view.right)
+            )
+        ),
+        FAR,
+        UNIT,
+        config,
+    )[:, ::-1]
+    np.testing.assert_array_equal(flipped >= 0, label >= 0)
+    both = np.stack([label, flipped])[:, label >= 0]
+    assert len(np.unique(both, axis=1).T) == label.max() + 1 == flipped.max() + 1
+
+
+@given(spans)
 def test_nothing_is_lost_but_what_is_too_small(things: list[tuple]) -> None:
     picture = drawn(things)
     loose = replace(CONFIG, min_size_m=0.0, min_cells=1)
@@ -260,9 +289,9 @@ def test_nothing() -> None:
 def test_one_cell() -> None:
     one = np.zeros((1, 1), np.int64)
     view = View(one, one, one + 900, one, one + 900, one + 100, one == 0)
-    assert obstacles(one, one == 0, view, FAR, UNIT, CONFIG).tolist() == [[-1]]
+    assert obstacles(one, one > 0, view, FAR, UNIT, CONFIG).tolist() == [[-1]]
     loose = replace(CONFIG, min_size_m=0.0, min_cells=1)
-    assert obstacles(one, one == 0, view, FAR, UNIT, loose).tolist() == [[0]]
+    assert obstacles(one, one > 0, view, FAR, UNIT, loose).tolist() == [[0]]
 
 
 def test_depth_unit() -> None:
@@ -270,5 +299,5 @@ def test_depth_unit() -> None:
     picture = Picture().paint(TALL, slice(30, 55), 2000).paint(TALL, slice(60, 85), 2100)
     picture.paint(slice(0, 24), slice(55, 60), 1200).paint(LOW, slice(100, 104), 1800)
     fine = View(*(10 * a for a in picture.view[:-1]), picture.view.in_view)
-    label = obstacles(picture.label, picture.label >= 0, fine, 10 * FAR, UNIT / 10, CONFIG)
+    label = obstacles(picture.label, picture.free, fine, 10 * FAR, UNIT / 10, CONFIG)
     np.testing.assert_array_equal(label, picture.found())

@@ -256,6 +256,16 @@ def test_all_kept_cells_have_a_surface_when_none_is_too_small(z: np.ndarray) -> 
     np.testing.assert_array_equal(surfaces(z, z > 0, UNIT, PLAIN) >= 0, z > 0)
 
 
+@pytest.mark.parametrize("margin", range(5))
+def test_no_cell_of_a_crease_is_lost(margin: int) -> None:
+    """A V of two walls; whatever its crease is widened to goes back to them."""
+    column = np.arange(41)
+    z = np.tile(1500 - 30 * np.abs(column - 20), (20, 1))
+    config = replace(SurfaceConfig(), crease_margin=margin, crease_m=0.01, crease_per_m=0.0)
+    label = surfaces(z, z > 0, UNIT, config)
+    assert (label >= 0).all() and label.max() == 1
+
+
 @given(arrays(np.int64, (4, 5), elements=st.integers(-3, 6)))
 def test_renumbered_is_idempotent_and_keeps_the_parts(label: np.ndarray) -> None:
     one = renumbered(label)

@@ -45,6 +45,8 @@ class Found(NamedTuple):
     """``(R, C)`` int64, -1 = none."""
     keep: np.ndarray
     """``(R, C)`` bool, in range and above the floor."""
+    free: np.ndarray
+    """``(R, C)`` bool, measured to be free: floor, or beyond the range."""
     view: View
     low: np.ndarray
     """``(R, C)`` bool, measured and no higher than the step."""
@@ -88,7 +90,7 @@ def surface_pairs(
 ) -> Iterator[tuple[Cells, np.ndarray, Pairs]]:
     """What :func:`detect` judges the pairs of surfaces of each frame by, to learn from.
 
-    Returns:
+    Yields:
         For each frame its cells (a batch of one), ``(R, C)`` surfaces and their pairs.
     """
     unit = frames.calibration.depth_unit
@@ -97,16 +99,16 @@ def surface_pairs(
     for b in range(len(grid.z)):
         found = _surfaces(grid, b, fit.plane, unit, config)
         label = whole_surfaces(found.label, found.view, unit, config.obstacle)
-        seen = pairs(label, found.keep, found.view, unit, config.obstacle)
+        seen = pairs(label, found.free, found.view, unit, config.obstacle)
         yield Cells(*(a[b : b + 1] for a in grid)), label, seen
 
 
 def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
     """Surfaces and obstacles of one frame."""
-    label, keep, view, low = _surfaces(grid, b, plane, unit, config)
+    found = _surfaces(grid, b, plane, unit, config)
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
-    label = obstacles(label, keep, view, farthest, unit, config.obstacle)
-    return Found(label, keep, view, low)
+    label = obstacles(found.label, found.free, found.view, farthest, unit, config.obstacle)
+    return found._replace(label=label)
 
 
 def _surfaces(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
@@ -120,7 +122,7 @@ def _surfaces(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Conf
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
-    return Found(straight, keep, view, low)
+    return Found(straight, keep, (view.z >= nearest) & ~keep, view, low)
 
 
 def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:

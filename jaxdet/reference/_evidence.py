@@ -23,17 +23,18 @@ class Facing(NamedTuple):
     """How surfaces face each other along lines (rows, or columns), each ``(S, S)`` int64.
 
     Above the diagonal only. Two surfaces face each other where neither of them and at most
-    ``MOST_BETWEEN`` runs of cells lie between.
+    ``MOST_BETWEEN`` runs of cells lie between; in a line they may do so more than once.
     """
 
-    lines: np.ndarray
-    """Lines where they do."""
+    places: np.ndarray
+    """Places where they do."""
     through: np.ndarray
     """Of these, those where floor or something farther is seen between them."""
     hidden: np.ndarray
     """Of these, those where something nearer and nothing farther lies between them."""
     holes: np.ndarray
-    """Of these, those where only cells without depth lie between them."""
+    """Of these, the others with something between them: cells without depth, or surfaces of about
+    their depth."""
     agree: np.ndarray
     """Of ``hidden`` and ``holes``, those where their depths agree within the gap and the slope."""
     steps: np.ndarray
@@ -53,7 +54,7 @@ class Pairs(NamedTuple):
 
 
 def pairs(
-    label: np.ndarray, keep: np.ndarray, view: View, unit: float, config: ObstacleConfig
+    label: np.ndarray, free: np.ndarray, view: View, unit: float, config: ObstacleConfig
 ) -> Pairs:
     """The pairs of surfaces that may be one thing, and what is seen of each.
 
@@ -62,35 +63,36 @@ def pairs(
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
-        keep: ``(R, C)`` bool, cells above the floor.
+        free: ``(R, C)`` bool, measured to be free: floor, or beyond the range.
         view: Where the cells are.
         unit: Metres in one depth unit.
         config: The gaps.
     """
     known, gap = extents(label, view), round(config.depth_gap_m / unit)
-    floor = (view.z > 0) & ~keep
-    rows = facing(label, floor, view.z, view.x, gap)
-    columns = facing(label.T, floor.T, view.z.T, view.y.T, gap)
+    rows = facing(label, free, view.z, view.x, gap)
+    columns = facing(label.T, free.T, view.z.T, view.y.T, gap)
     aside, ahead = _extent_gaps(known)
     distance = _contour_gaps(label, view, len(known.cells))
     near = (aside <= round(config.lateral_gap_m / unit)) & (
         ahead <= round(config.forward_gap_m / unit)
     )
-    near &= (rows.lines + columns.lines > 0) | (distance <= CONTACT * gap)
+    near &= (rows.places + columns.places > 0) | (distance <= CONTACT * gap)
     one, other = at = np.nonzero(np.triu(near, 1))
 
-    fewer = known.cells[one] <= known.cells[other]
+    sizes = known.top, known.bottom, known.depth, known.width, known.cells
+    rank = np.argsort(np.lexsort(sizes))
+    fewer = rank[one] < rank[other]
     less, more = np.where(fewer, one, other), np.where(fewer, other, one)
     both = np.minimum(known.right[one], known.right[other])
     both = both - np.maximum(known.left[one], known.left[other])
     narrower = np.maximum(np.minimum(known.width[one], known.width[other]), 1)
     shorter = np.minimum(known.rows[one], known.rows[other])
-    closed = (rows.lines - rows.through)[at]
+    closed = (rows.places - rows.through)[at]
     step = rows.steps[at] // np.maximum(closed, 1)
     seen = [
         distance[at],
         ahead[at],
-        PERCENT * both // narrower,
+        PERCENT * both // narrower,  # rounded down
         np.where(closed > 0, step, round(NO_STEP / (1000 * unit))),
         rows.through[at],
         PERCENT * rows.hidden[at] // shorter,
@@ -106,13 +108,13 @@ def pairs(
 
 
 def facing(
-    label: np.ndarray, floor: np.ndarray, z: np.ndarray, along: np.ndarray, gap: int
+    label: np.ndarray, free: np.ndarray, z: np.ndarray, along: np.ndarray, gap: int
 ) -> Facing:
     """How surfaces face each other along the rows of a frame.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
-        floor: ``(R, C)`` bool, measured but not above the floor.
+        free: ``(R, C)`` bool, measured to be free.
         z: ``(R, C)`` int64 [depth units].
         along: ``(R, C)`` int64, place along the row [depth units].
         gap: Depths agree within this [depth units]; by half of it, things are nearer.
@@ -120,7 +122,7 @@ def facing(
     Example:
         >>> label, z = np.array([[0, 0, 1, 2, 2]]), np.array([[900, 900, 700, 905, 905]])
         >>> found = facing(label, label < 0, z, z * 0, 40)
-        >>> found.hidden[0, 2], found.agree[0, 2], found.lines[0, 1]
+        >>> found.hidden[0, 2], found.agree[0, 2], found.places[0, 1]
         (np.int64(1), np.int64(1), np.int64(1))
     """
     count = int(label.max(initial=-1)) + 1
@@ -133,7 +135,7 @@ def facing(
     bounds = np.stack([start, end], axis=1).ravel()
     nearest, farthest = (f.reduceat(depth, bounds)[::2] for f in (np.minimum, np.maximum))
     nearest, farthest = np.minimum(nearest, depth[end]), np.maximum(farthest, depth[end])
-    floors = np.append(0, np.cumsum(floor))
+    frees = np.append(0, np.cumsum(free))
     near, far = np.full(len(start), 1 << 40), np.full(len(start), -1)
     for away in range(1, min(MOST_BETWEEN + 2, len(start))):
         left, right = slice(0, -away), slice(away, None)
@@ -150,7 +152,7 @@ def facing(
         last, first = end[left], start[right]
         step, apart = np.abs(depth[first] - depth[last]), np.abs(place[first] - place[last])
         low, high = np.minimum(depth[first], depth[last]), np.maximum(depth[first], depth[last])
-        through = (floors[first] > floors[last + 1]) | (far > high + gap)
+        through = (frees[first] > frees[last + 1]) | (far > high + gap)
         hidden = ~through & (near < low - gap // 2)
         holes = ~through & ~hidden & (first > last + 1)
         agree = (hidden | holes) & (step <= gap + apart // SLOPE)
@@ -177,10 +179,12 @@ def _contour_gaps(label: np.ndarray, view: View, count: int) -> np.ndarray:
         return np.zeros((0, 0), np.int64)
     lines, used = contours(label, view.right, view.forward, count)
     points = np.concatenate([line[:n] for line, n in zip(lines, used, strict=True)])
-    apart = points[:, None].astype(np.int64) - points
-    first = np.cumsum(used) - used
-    squared = np.minimum.reduceat((apart * apart).sum(axis=-1), first, axis=0)
-    return np.floor(np.sqrt(np.minimum.reduceat(squared, first, axis=1))).astype(np.int64)
+    first, squared = np.cumsum(used) - used, np.zeros((count, count), np.int64)
+    for number, line in enumerate(np.split(points.astype(np.int64), first[1:])):
+        apart = ((line[:, None] - points) ** 2).sum(axis=-1).min(axis=0)
+        squared[number] = np.minimum.reduceat(apart, first)
+    # The integer square root: float64 is exact to twice these lengths.
+    return np.floor(np.sqrt(squared)).astype(np.int64)
 
 
 def _extent_gaps(known: Extents) -> tuple[np.ndarray, np.ndarray]:

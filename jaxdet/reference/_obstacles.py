@@ -13,7 +13,7 @@ from jaxdet.reference._view import View, extents
 
 def obstacles(
     label: np.ndarray,
-    keep: np.ndarray,
+    free: np.ndarray,
     view: View,
     farthest: int,
     unit: float,
@@ -34,7 +34,7 @@ def obstacles(
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
-        keep: ``(R, C)`` bool, cells above the floor.
+        free: ``(R, C)`` bool, measured to be free: floor, or beyond the range.
         view: Where the cells are.
         farthest: End of the range [depth units].
         unit: Metres in one depth unit.
@@ -45,7 +45,7 @@ def obstacles(
         then of their first cell; -1 = none.
     """
     label = whole_surfaces(label, view, unit, config)
-    found = pairs(label, keep, view, unit, config)
+    found = pairs(label, free, view, unit, config)
     weight = evidence(found.seen, affinity(config.affinity, unit))
     group = contracted(int(label.max(initial=-1)) + 1, found.one, found.other, weight)
     label = renumbered(np.where(label >= 0, np.append(group, -1)[label], -1))

@@ -180,8 +180,9 @@ def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def inner(at_margin: np.ndarray) -> np.ndarray:
     """Which of an obstacle's cells are relied on: those inside of the image's margins.
 
-    Stereo depth bends toward the camera in the margins, see :func:`cells.margins`. Where more than
-    half of the cells are there, all are relied on.
+    Stereo depth bends toward the camera in the margins
+    (:func:`jaxdet.reference._cells.margins`). Where more than half of the cells are there, all are
+    relied on.
 
     Args:
         at_margin: ``(n,)`` bool.

@@ -45,7 +45,8 @@ def surfaces(
     label = _components(z, step, linked)
     size = np.bincount(label.ravel(), minlength=label.size)
     label = np.where(linked & (size[label] >= config.min_cells), label, -1)
-    return renumbered(_given_back(label, z, step, keep, config.crease_cells + 1))
+    rounds = config.crease_cells + config.crease_margin + 1
+    return renumbered(_given_back(label, z, step, keep, rounds))
 
 
 def creases(
