@@ -233,7 +233,7 @@ class ObstacleConfig:
     most so far apart [m]."""
     min_size_m: float = 0.05
     """Obstacles are at least so wide or so high [m]."""
-    min_cells: int = 10
+    min_cells: int = 8
     """And show so many cells in the colour image."""
 
     def __post_init__(self) -> None:
