@@ -150,9 +150,12 @@ def _fitted_rectangles(
 
 
 def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
-    """What is added on all sides of each rectangle, ``(B, M)`` float64 [depth units]."""
-    z = np.asarray(obstacles.xyz_min)[..., 2] * depth_unit
-    return (config.margin_m + config.margin_per_m2 * z * z) / depth_unit
+    """What is added on all sides of rectangles [depth units]: float64, ``(B, M)`` or for all."""
+    margin = np.asarray(config.margin_m)
+    if config.margin_per_m2:
+        z = np.asarray(obstacles.xyz_min)[..., 2] * depth_unit
+        margin = margin + config.margin_per_m2 * z * z
+    return margin / depth_unit
 
 
 def _sides(ring: np.ndarray) -> np.ndarray:
