@@ -1,0 +1,105 @@
+// The threads that work on one frame together: a block on CUDA, a single thread on the CPU.
+//
+// Code for a team is written once. Work is shared out by
+//
+//     for (int i = team.rank; i < n; i += team.size) ...
+//     team.sync();
+//
+// and what threads of a team write to one place goes through the atomic functions below. On the
+// CPU rank is 0, size is 1, and all of this is plain memory. Results must not depend on the order
+// in which threads arrive: sums, minima and maxima of integers do not.
+//
+// Headers of this folder hold structs only: they become local classes of a kernel, so they have
+// no templates and no static members, and include nothing but each other.
+#pragma once
+
+struct Team {
+    int rank, size, index;
+
+    // The team that a kernel's thread `tid` belongs to; `share` is that of the launch.
+    Team(int tid, int share) {
+#if defined(__CUDA_ARCH__)
+        rank = threadIdx.x;
+        size = blockDim.x;
+        index = share + tid / size;
+#else
+        rank = 0;
+        size = 1;
+        index = share + tid;
+#endif
+    }
+
+    // All threads wait for each other, and see what the others wrote.
+    void sync() const {
+#if defined(__CUDA_ARCH__)
+        __syncthreads();
+#endif
+    }
+
+    // Whether any thread says so; all threads must ask.
+    bool any(bool mine) const {
+#if defined(__CUDA_ARCH__)
+        return __syncthreads_or(mine);
+#else
+        return mine;
+#endif
+    }
+
+    // Each returns what was there before.
+    int add(int* place, int value) const {
+#if defined(__CUDA_ARCH__)
+        return atomicAdd(place, value);
+#else
+        const int before = *place;
+        *place += value;
+        return before;
+#endif
+    }
+
+    int least(int* place, int value) const {
+#if defined(__CUDA_ARCH__)
+        return atomicMin(place, value);
+#else
+        const int before = *place;
+        if (value < before) *place = value;
+        return before;
+#endif
+    }
+
+    int most(int* place, int value) const {
+#if defined(__CUDA_ARCH__)
+        return atomicMax(place, value);
+#else
+        const int before = *place;
+        if (value > before) *place = value;
+        return before;
+#endif
+    }
+
+    void least(unsigned long long* place, unsigned long long value) const {
+#if defined(__CUDA_ARCH__)
+        atomicMin(place, value);
+#else
+        if (value < *place) *place = value;
+#endif
+    }
+
+    void add(unsigned long long* place, unsigned long long value) const {
+#if defined(__CUDA_ARCH__)
+        atomicAdd(place, value);
+#else
+        *place += value;
+#endif
+    }
+
+    // Writes `value` where `expected` is; the value that was there.
+    int exchange(int* place, int expected, int value) const {
+#if defined(__CUDA_ARCH__)
+        return atomicCAS(place, expected, value);
+#else
+        const int before = *place;
+        if (before == expected) *place = value;
+        return before;
+#endif
+    }
+};
