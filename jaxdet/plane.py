@@ -15,8 +15,6 @@ from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
-UNKNOWN_HEIGHT = 1 << 20
-"""Of everything, where the floor is not known [depth units]."""
 SLOPE_BITS = 10
 """Fraction bits of the slope in :func:`slope_units`."""
 
@@ -190,40 +188,6 @@ def surface_gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     gaps = np.minimum(steps, 1 << 20).astype(np.int32)
     gaps.setflags(write=False)
     return gaps
-
-
-def floor_frame(
-    plane: GroundPlane, b: int, xyz: np.ndarray, depth_unit: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points in the ground frame of frame ``b``, and their height above its plane.
-
-    Args:
-        plane: The floor; over an unknown one everything is ``UNKNOWN_HEIGHT`` high.
-        b: The frame.
-        xyz: ``(3, ...)`` int64, colour optical frame [depth units].
-        depth_unit: Metres in one depth unit.
-
-    Returns:
-        Right, forward and height, each ``(...)`` int64, rounded to depth units.
-    """
-    one = GroundPlane(*(part[b : b + 1] for part in plane))
-    down = down_vector(one.pitch, one.roll)
-    fixed = np.rint(down * (1 << GROUND_BITS)).astype(np.int64)
-    axes = np.concatenate([ground_axes(one)[0].astype(np.int64), fixed])
-    along = np.tensordot(axes, xyz, axes=1)
-    right, forward, drop = (along + (1 << (GROUND_BITS - 1))) >> GROUND_BITS
-    if not one.valid[0]:
-        return right, forward, np.full_like(drop, UNKNOWN_HEIGHT)
-    return right, forward, round(float(one.height[0]) / depth_unit) - drop
-
-
-def ramp_rise(plane: GroundPlane, b: int, forward: np.ndarray, depth_unit: float) -> np.ndarray:
-    """How much a ramp ahead raises the floor of frame ``b`` at these distances [depth units]."""
-    start, slope = float(plane.ramp_start[b]), float(plane.ramp_slope[b])
-    if not np.isfinite(start) or not slope:
-        return np.zeros_like(forward)
-    run = np.maximum(forward - round(start / depth_unit), 0)
-    return (run * round(slope * (1 << GROUND_BITS))) >> GROUND_BITS
 
 
 @lru_cache(maxsize=16)

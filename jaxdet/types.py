@@ -158,6 +158,11 @@ class Cells(NamedTuple):
     in_view: Array
     """``(B, R, C)`` bool, measured and at least partly in the colour image."""
 
+    @property
+    def middle(self) -> Array:
+        """``(B, R, C, 2)`` int32, column and row in the middle of what a cell covers [pixel]."""
+        return (self.uv_min + self.uv_max) // 2
+
 
 class AlignedDepth(NamedTuple):
     """Depth at each colour pixel (Eq. 1-4)."""

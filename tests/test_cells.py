@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jaxdet.config import SurfaceConfig
 from jaxdet.errors import CalibrationError
 from jaxdet.reference import align, cells
-from jaxdet.reference._cells import cell_side
+from jaxdet.reference._cells import cell_side, cover
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.scenes import (
     D435,
@@ -238,3 +238,25 @@ def test_what_cannot_be_calibrated() -> None:
         cells(depth, Calibration(wide), THREE)
     with pytest.raises(CalibrationError, match="no extrinsics"):
         cells(depth, Calibration(CAMERA, CAMERA), THREE)
+
+
+def test_cover_is_the_nearest_kept_cell_a_pixel_wider() -> None:
+    """Two cells beside each other and one far behind both; the first row is not kept."""
+    camera = Intrinsics(12, 9, 100.0, 100.0, 6.0, 4.5)
+    depth = np.full((1, 9, 12), 3000, np.uint16)
+    depth[:, 3:6, 3:6], depth[:, 3:6, 6:9] = 1000, 900
+    grid = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.03))
+    keep = np.zeros((1, 3, 4), bool)
+    keep[0, 1, 1:3] = True
+    over = cover(grid, keep, camera)[0]
+    assert (over[2:7, 2:5] == 5).all() and (over[2:7, 5:10] == 6).all()
+    over[2:7, 2:10] = -1
+    assert (over == -1).all()
+
+
+def test_cover_of_equally_near_cells_is_the_first() -> None:
+    camera = Intrinsics(6, 3, 100.0, 100.0, 3.0, 1.5)
+    grid = cells(
+        np.full((1, 3, 6), 800, np.uint16), Calibration(camera), SurfaceConfig(cell_rad=0.03)
+    )
+    assert cover(grid, grid.in_view, camera)[0, 1].tolist() == [0, 0, 0, 0, 1, 1]

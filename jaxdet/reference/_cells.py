@@ -50,6 +50,29 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
     return Cells(x, y, z, *_boxes(d, seen, side, calibration))
 
 
+def cover(grid: Cells, keep: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """The nearest kept cell whose box, a pixel wider at each side, covers a colour pixel.
+
+    Args:
+        grid: The cells.
+        keep: ``(B, R, C)`` bool, those that take part, all of them in view.
+        camera: The colour camera.
+
+    Returns:
+        ``(B, H, W)`` int64, its index in the flattened grid, of equally near ones the first; -1
+        where there is none.
+    """
+    out = np.full((len(keep), camera.height, camera.width), -1)
+    for b, image in enumerate(out):
+        cell = np.flatnonzero(keep[b])
+        cell = cell[np.lexsort((cell, grid.z[b].ravel()[cell]))][::-1]
+        left, top = (grid.uv_min[b].reshape(-1, 2)[cell] - 1).T
+        right, bottom = (grid.uv_max[b].reshape(-1, 2)[cell] + 1).T
+        for k, one in enumerate(cell.tolist()):
+            image[max(top[k], 0) : bottom[k] + 1, max(left[k], 0) : right[k] + 1] = one
+    return out
+
+
 def cell_side(camera: Intrinsics, config: SurfaceConfig) -> int:
     """The side of a cell [pixel] of a depth camera."""
     return max(1, round(camera.fx * config.cell_rad))
