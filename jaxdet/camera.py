@@ -162,6 +162,11 @@ def grid_pixels(width: int, height: int, columns: int) -> tuple[np.ndarray, np.n
     return _frozen(u.ravel()), _frozen(v.ravel())
 
 
+def cell_side(camera: Intrinsics, cell_rad: float) -> int:
+    """The side of a cell [pixel] of a depth camera, about ``cell_rad`` wide."""
+    return max(1, round(camera.fx * cell_rad))
+
+
 @lru_cache(maxsize=16)
 def cell_rays(calibration: Calibration, side: int) -> tuple[np.ndarray, np.ndarray]:
     """The ray through the middle of each cell of the depth image, turned into the colour camera.

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxdet.camera import cell_side
 from jaxdet.config import SurfaceConfig
 from jaxdet.errors import CalibrationError
 from jaxdet.reference import align, cells
-from jaxdet.reference._cells import cell_side, cover
+from jaxdet.reference._cells import cover
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.scenes import (
     D435,
@@ -50,7 +51,7 @@ def test_grid_of_whole_cells() -> None:
     assert grid.z.tolist() == [[[102, 700], [502, 0]]]
     assert grid.x.tolist() == [[[-1, 7], [-5, 0]]]  # (0.5 - 1.5) / 100 z, (2.5 - 1.5) / 100 z
     assert grid.y.tolist() == [[[-1, -7], [5, 0]]]
-    assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [2, 2]]]]
+    assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [0, 0]]]]
     assert grid.uv_max.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [3, 3]]]]
     assert grid.in_view.tolist() == [[[True, True], [True, False]]]
     assert {a.dtype.name for a in (grid.x, grid.y, grid.z, grid.uv_min, grid.uv_max)} == {"int32"}
@@ -93,7 +94,7 @@ def test_centre_is_moved_into_the_colour_camera() -> None:
     """``P = R K_d^-1 p d + t`` in floating point, to the nearest depth unit."""
     depth = smooth_depth(1, D435_DEPTH)
     depth[0, :200] = 2000
-    grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE)
+    grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE.cell_rad)
     flat = np.zeros(grid.z.shape[1:], bool)
     flat[: 200 // side] = True
     row, column = np.nonzero(flat)
@@ -213,7 +214,7 @@ def test_no_depth_at_all(calibration: Calibration) -> None:
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (639, 479), (7, 5), (1, 1)])
 def test_sizes(width: int, height: int) -> None:
     camera = Intrinsics(width, height, 640.0, 640.0, width / 2, height / 2)
-    side = cell_side(camera, THREE)
+    side = cell_side(camera, THREE.cell_rad)
     assert side == 5
     motion = Extrinsics(IDENTITY, (0.0, 0.0, 0.0))
     for calibration in (Calibration(camera), Calibration(camera, camera, motion)):

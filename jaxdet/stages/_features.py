@@ -86,14 +86,30 @@ def on_device(
 ) -> Features:
     """The features, from :func:`tables`."""
     with jax.named_scope("features"):
+        return _look_up(*strongest_corners(color, keep, config), z, keep, arrays)
 
-        def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            mask = keep if config.use_mask else jnp.ones_like(keep)
-            return _corners_cuda.strongest_corners(color, mask, config)
 
-        by_lines = partial(_corners_cpu.strongest_corners, config=config)
-        u, v, count = jax.lax.platform_dependent(color, keep, cpu=by_lines, cuda=by_blocks)
-        return _look_up(u, v, count, z, keep, arrays)
+def strongest_corners(
+    color: jax.Array, keep: jax.Array, config: FeaturesConfig
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The strongest corners of the Canny edge images, as the reference selects them.
+
+    Args:
+        color: ``(B, H, W, 3)`` uint8, RGB.
+        keep: ``(B, H, W)`` bool, where corners may be if the configuration uses a mask.
+        config: Canny's bounds and the corner selection, static.
+
+    Returns:
+        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
+        corners qualify ``(B,)`` int32, perhaps more than there are slots.
+    """
+
+    def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        mask = keep if config.use_mask else jnp.ones_like(keep)
+        return _corners_cuda.strongest_corners(color, mask, config)
+
+    by_lines = partial(_corners_cpu.strongest_corners, config=config)
+    return jax.lax.platform_dependent(color, keep, cpu=by_lines, cuda=by_blocks)
 
 
 def _look_up(

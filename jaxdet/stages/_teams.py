@@ -44,11 +44,11 @@ class TeamKernel:
             arguments: The kernel's inputs after ``share`` and ``shares``.
             batch: ``B``.
             shapes: The shape of each output but for the scratch memory.
-            scratch: 32-bit words of scratch memory of a team.
+            scratch: 32-bit words of scratch memory of a team; it begins at 16 bytes.
         """
 
         def run(teams: int, launch: Any) -> Sequence[jax.Array]:
-            dims = {**shapes, "scratch_out": (teams, max(scratch, 1))}
+            dims = {**shapes, "scratch_out": (teams, 4 * max(-(-scratch // 4), 1))}
             return tuple(launch(dims))[:-1]
 
         def by_cores() -> Sequence[jax.Array]:

@@ -102,4 +102,22 @@ struct Team {
         return before;
 #endif
     }
+
+    void set(int* place, int bits) const {
+#if defined(__CUDA_ARCH__)
+        atomicOr(place, bits);
+#else
+        *place |= bits;
+#endif
+    }
+
+    int swap(int* place, int value) const {
+#if defined(__CUDA_ARCH__)
+        return atomicExch(place, value);
+#else
+        const int before = *place;
+        *place = value;
+        return before;
+#endif
+    }
 };
