@@ -15,9 +15,6 @@ from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
-SLOPE_BITS = 10
-"""Fraction bits of the slope in :func:`slope_units`."""
-
 
 def flat_plane(
     height: np.ndarray, pitch: np.ndarray, roll: np.ndarray, valid: np.ndarray | None = None
@@ -160,34 +157,9 @@ def _crossing(height: float, s: np.ndarray, depth_unit: float) -> np.ndarray:
     return np.divide(drop, s, out=np.full_like(s, np.inf), where=s > 0)
 
 
-def slope_units(config: ClusterConfig) -> int:
-    """The slope of surfaces behind nearer things, as an integer."""
-    return round(config.occluder_slope * (1 << SLOPE_BITS))
-
-
-def slice_units(config: ClusterConfig, depth_unit: float) -> int:
-    """The depth of a slice [depth units], at least one; 0: no slices."""
-    return max(1, round(config.slice_m / depth_unit)) if config.slice_m else 0
-
-
 def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
     """d_z [depth units], at most 2^20, which no two depths are apart."""
     return min(round(config.depth_gap_m / depth_unit), 1 << 20)
-
-
-@lru_cache(maxsize=16)
-def surface_gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
-    """The largest step in depth from pixel to pixel of a surface.
-
-    ``d + c z^2`` with the configured constants, rounded to whole depth units, at most 2^20.
-
-    Returns:
-        ``(65536,)`` int32 [depth units], by z in depth units, read-only.
-    """
-    steps = quadratic_table(config.surface_gap_m, config.surface_gap_per_m, depth_unit)
-    gaps = np.minimum(steps, 1 << 20).astype(np.int32)
-    gaps.setflags(write=False)
-    return gaps
 
 
 @lru_cache(maxsize=16)

@@ -4,19 +4,17 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxdet import reference
-from jaxdet.camera import fixed_rays
 from jaxdet.config import FeaturesConfig, SurfaceConfig
 from jaxdet.reference._cells import cover
-from jaxdet.stages import _cover
+from jaxdet.stages import _cover, _features
 from jaxdet.types import Calibration, Features, Keep
 from tests.scenes import assert_equal, blocks, noise_depth, small, smooth_depth
 
-CORNERS = FeaturesConfig(max_corners=200, grid_columns=0)
+CORNERS = FeaturesConfig(max_corners=200)
 CELLS = SurfaceConfig(cell_rad=0.02)
 
 
@@ -46,7 +44,7 @@ def test_corners(size: tuple[int, int], use_mask: bool, is_aligned: bool, device
     cell = np.where(expected.valid, over[frame, expected.v, expected.u], -1)
 
     run = jax.jit(_cover.corners_on_cells, static_argnames="config")
-    rays = _cover.Rays(*(jnp.asarray(a) for a in fixed_rays(color)))
+    rays = _features.rays(color)
     points, found = run(image, grid, keep, rays, config=config)
     assert expected.kept.sum() > 20
     assert_equal(Features(*(np.asarray(a) for a in points)), expected)

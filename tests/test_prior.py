@@ -8,7 +8,7 @@ import pytest
 
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.engine import Planes, decide_planes, prior
-from jaxdet.engine.sampled_floor import sampled_floor
+from jaxdet.sampled_floor import sampled_floor
 from jaxdet.plane import flat_plane, unknown_plane
 from jaxdet.reference import FloorFit
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.ground import GroundRecord, Planes, in_windows, record_of
-from jaxdet.engine.sampled_floor import SampledFloor, sampled_floor
-from jaxdet.pipeline import find_floors
+from jaxdet.pipeline import BackendName, find_floors
 from jaxdet.plane import repeat_plane
+from jaxdet.sampled_floor import SampledFloor, sampled_floor
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def prior_of(
     known: GroundRecord,
     plane: GroundPlane,
     config: Config,
+    backend: BackendName,
     warnings: tuple[str, ...] = (),
 ) -> Planes:
     """The prior of each frame's floor: what a sample shows, else what is known."""
@@ -34,7 +35,7 @@ def prior_of(
         if not frames.valid.any():
             return replace(known, message=_said(known, "no sampled frame could be read")), plane
         frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-        fit = find_floors(frames, config)
+        fit = find_floors(frames, config, backend=backend)
         shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
         found = sampled_floor(shown, fit.own[frames.valid])
         message = _said(known, _sample_text(found))

@@ -1,7 +1,6 @@
 """Obstacles made of surfaces: the whole method for a batch of frames, step by step."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +51,7 @@ class Found(NamedTuple):
     """``(R, C)`` bool, measured and no higher than the step."""
 
 
-def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Finds floor, surfaces, obstacles, their outlines and the free floor of each frame.
 
     Args:
@@ -151,7 +150,7 @@ def _points(
         frames.color,
         Keep(there, depth, there.any(axis=(1, 2))),
         calibration,
-        replace(config.features, grid_columns=0),
+        config.features,
     )
     cell = over[frame[..., 0], corners.v, corners.u]
     of_corners = np.where(corners.kept & (cell >= 0), label[frame[..., 0], cell], -1)

@@ -1,25 +1,16 @@
 """Corners on cells, under ``jax.jit``."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
 from jaxdet.config import FeaturesConfig
-from jaxdet.stages._features import lateral, strongest_corners
+from jaxdet.stages._features import Rays, lateral, strongest_corners
 from jaxdet.stages._teams import TeamKernel
 from jaxdet.types import Cells, Features
 from jaxdet_kernels import cover as kernels
 
 _mask = TeamKernel(kernels.cover_mask, num_outputs=1)
 _corners = TeamKernel(kernels.cover_corners, num_outputs=1)
-
-
-class Rays(NamedTuple):
-    """``(H, W)`` int32, the colour camera's rays, from :func:`jaxdet.camera.fixed_rays`."""
-
-    x: jax.Array
-    y: jax.Array
 
 
 def corners_on_cells(

@@ -1,4 +1,4 @@
-"""All five stages as one compiled program, for CUDA."""
+"""Obstacles made of points: the paper's method as one compiled program, for the CPU and CUDA."""
 
 from functools import partial
 from typing import Any, NamedTuple, cast
@@ -8,17 +8,8 @@ import jax.numpy as jnp
 
 from jaxdet.config import Config
 from jaxdet.plane import ground_axes
-from jaxdet.stages import (
-    _align,
-    _align_points,
-    _cluster,
-    _features,
-    _footprint,
-    _ground,
-    _sparse,
-    _spread,
-)
-from jaxdet.types import AlignedDepth, Calibration, Detections, Features, Frames, GroundPlane
+from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
+from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
 
 
 class _Tables(NamedTuple):
@@ -26,8 +17,7 @@ class _Tables(NamedTuple):
 
     align: tuple[jax.Array, ...]
     ground: tuple[jax.Array, ...]
-    features: _features.Tables
-    gaps: jax.Array
+    rays: _features.Rays
     bands: jax.Array
     axes: jax.Array
 
@@ -35,21 +25,20 @@ class _Tables(NamedTuple):
 SPECS = cast(Any, _Tables)(
     align=_spread.WHOLE,
     ground=(_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE),
-    features=_spread.WHOLE,
-    gaps=_spread.WHOLE,
+    rays=_spread.WHOLE,
     bands=_spread.WHOLE,
     axes=_spread.ROWS,
 )
 """Which tables have a row for each frame."""
 
 
-def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Runs the five stages on the devices without a stop at the host.
+def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+    """Aligns, drops the floor, finds corners, clusters them by gaps and outlines the clusters.
 
     Args:
         frames: ``B`` frames; images on the host, which all devices share, or already on devices.
         plane: The floor of each frame.
-        config: The method's parameters.
+        config: The method; ``cluster.points`` is on.
 
     Returns:
         What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
@@ -61,8 +50,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     tables = _Tables(
         align,
         _ground.tables(plane, calibration, config),
-        _features.tables(calibration.color, config.features.grid_columns),
-        _cluster.surface_gaps(config.cluster, unit),
+        _features.rays(calibration.color),
         _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
@@ -71,16 +59,9 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 
 
 def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], tuple | None]:
-    """The alignment's arrays and its static arguments.
-
-    One static argument for a look-up at the features, four for the dense alignment, none for
-    depth that is aligned already.
-    """
+    """The alignment's arrays and its static arguments; none for depth that is aligned already."""
     if calibration.is_aligned:
         return (), None
-    if _align_points.covers(calibration):
-        *arrays, fills = _align_points.tables(calibration)
-        return tuple(arrays), (fills,)
     *arrays, model, fills, separable = _align.tables(calibration)
     size = calibration.color.height, calibration.color.width
     return tuple(arrays), (model, fills, separable, size)
@@ -95,24 +76,11 @@ def _detect(
     unit: float,
     config: Config,
 ) -> Detections:
-    features, has_depth = _features_of(color, depth, tables, align, config)
-    labels = _cluster.labels(features, tables.gaps, unit, config)
-    obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
-    return Detections(features, labels, obstacles, has_depth)
-
-
-def _features_of(
-    color: jax.Array, depth: jax.Array, tables: _Tables, align: tuple | None, config: Config
-) -> tuple[Features, jax.Array]:
-    """The first three stages: the features, and whether a frame has depth in range."""
-    if align is not None and len(align) == 1:
-        floor, settings = _sparse.Floor(*tables.ground), config.features
-        return _sparse.features(
-            color, depth, tables.align, *align, floor, tables.features, settings
-        )
     aligned = AlignedDepth(depth, depth)
     if align is not None:
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
     keep = _ground.keep(aligned.z, *tables.ground)
-    found = _features.on_device(color, keep.z, keep.mask, tables.features, config.features)
-    return found, keep.has_depth
+    features = _features.on_device(color, keep.z, keep.mask, tables.rays, config.features)
+    labels = _cluster.labels(features, unit, config.cluster)
+    obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
+    return Detections(features, labels, obstacles, keep.has_depth)
