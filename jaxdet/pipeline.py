@@ -74,9 +74,7 @@ def detect(
     return load_backend(backend).detect(frames, plane, _searching(config))
 
 
-def find_floors(
-    frames: Frames, config: Config, *, backend: BackendName = "jax"
-) -> "FloorFit":
+def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax") -> "FloorFit":
     """Finds the floor in each frame's own depth, as :func:`detect` does.
 
     Args:

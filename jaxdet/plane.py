@@ -16,6 +16,7 @@ from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
 
+
 def flat_plane(
     height: np.ndarray, pitch: np.ndarray, roll: np.ndarray, valid: np.ndarray | None = None
 ) -> GroundPlane:

@@ -60,19 +60,6 @@ def device(request: pytest.FixtureRequest) -> Iterator[Any]:
 
 
 @pytest.fixture(params=["of the device", "by arrays"])
-def cluster_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The cluster stage as its device has it, and as the array program of CUDA on the CPU too."""
-    from jaxdet.stages import _cluster, _cluster_cpu
-
-    if request.param == "by arrays":
-        monkeypatch.setattr(_cluster_cpu, "labels_by_frames", _cluster.labels_by_arrays)
-        cast(Any, _cluster.labels).clear_cache()
-    yield
-    if request.param == "by arrays":
-        cast(Any, _cluster.labels).clear_cache()
-
-
-@pytest.fixture(params=["of the device", "by arrays"])
 def footprint_form(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[None]:

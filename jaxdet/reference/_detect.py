@@ -1,4 +1,4 @@
-"""Obstacles made of surfaces: the whole method for a batch of frames, step by step."""
+"""The whole method for a batch of frames, step by step."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -11,11 +11,12 @@ from jaxdet.plane import depth_range, linear_table, quadratic_table
 from jaxdet.reference._cells import cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
-from jaxdet.reference._floor import find_floor
+from jaxdet.reference._floor import FloorFit, find_floor
 from jaxdet.reference._footprint import footprint
 from jaxdet.reference._free import FloorView, free_floor
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
+from jaxdet.reference._points import clusters
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
@@ -56,17 +57,20 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 
     Args:
         frames: ``B`` of them; their ``plane`` is not used.
-        prior: What is known of each frame's floor, from the user, TF or the log; corrected by
+        plane: What is known of each frame's floor, from the user, TF or the log; corrected by
             the frame's own depth where that shows enough floor.
-        config: The method; ``surface.cell_rad`` is above 0.
+        config: The method; with ``cluster.points`` it is the paper's
+            (:func:`jaxdet.reference._points.clusters`).
 
     Returns:
         Features are the corners, then every second cell of every second row; the obstacles are
         measured on all cells.
     """
+    if config.cluster.points:
+        return clusters(frames, plane, config)
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
-    fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
+    fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
     floors = floor_frames(fit.plane, unit)
     found = [_group(grid, b, floor, unit, config) for b, floor in enumerate(floors)]
 
@@ -82,6 +86,13 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         in_range.any(axis=(1, 2)),
         Scene(fit.plane, fit.own, fit.refused, *shapes, *_free(found, unit, config)),
     )
+
+
+def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
+    """The floor of each frame alone, see :func:`jaxdet.reference.find_floor`."""
+    calibration = frames.calibration
+    grid = cells(frames.depth, calibration, config.surface)
+    return find_floor(grid.x, grid.y, grid.z, prior, config.floor, calibration.depth_unit)
 
 
 def surface_pairs(
