@@ -4,16 +4,11 @@ Angles are whole :data:`ANGLES` of a degree, and sines come from one table, so t
 follows is a sum, a product or a shift of integers.
 """
 
-from functools import lru_cache
-
 import numpy as np
 
-from jaxdet.types import GroundPlane
+from jaxdet.floor_units import ANGLES, SINE_BITS, SINES, SLOPE_BITS
+from jaxdet.types import Array, GroundPlane
 
-ANGLES = 32
-"""Steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m."""
-SINE_BITS = 15
-"""Fraction bits of sines; the product of two has 32 bits with its sign."""
 FRAME_BITS = 13
 """Fraction bits of the axes of a floor frame."""
 FLOOR_VALUES = 13
@@ -26,19 +21,6 @@ FARTHEST = 1 << 20
 """Heights and starts of ramps are at most so large [depth units]."""
 STEEPEST_SLOPE = 8
 """Rise over run of a ramp, at most."""
-
-
-@lru_cache(maxsize=1)
-def sines() -> np.ndarray:
-    """Sines of the angles from minus to plus a whole turn, ``SINE_BITS`` fraction bits.
-
-    Returns:
-        ``(720 ANGLES + 1,)`` int64, read-only; that of angle ``a`` is at ``a + 360 ANGLES``.
-    """
-    turn = np.radians(np.arange(-360 * ANGLES, 360 * ANGLES + 1) / ANGLES)
-    table = np.rint(np.sin(turn) * (1 << SINE_BITS)).astype(np.int64)
-    table.setflags(write=False)
-    return table
 
 
 def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
@@ -73,38 +55,46 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
         np.clip(np.rint(a / depth_unit), -FARTHEST, FARTHEST).astype(np.int64) for a in lengths
     )
     slope = np.floor(slope * (1 << FRAME_BITS) + 0.5).astype(np.int64)
-    return np.concatenate(
-        [axes(pitch, roll), np.stack([height, valid, start, slope], axis=1)], axis=1
-    ).astype(np.int32)
+    values = [*axes(pitch, roll, SINES), height, valid, start, slope]
+    return np.stack(np.broadcast_arrays(*values), axis=1).astype(np.int32)
 
 
-def axes(pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """Right, forward and down in the camera, ``(B, 9)`` int64 with ``FRAME_BITS`` fraction bits.
+def axes(pitch: Array, roll: Array, table: Array) -> list[Array]:
+    """Right, forward and down in the camera, nine numbers with ``FRAME_BITS`` fraction bits.
 
     Args:
-        pitch: ``(B,)`` int64 [angle steps].
-        roll: ``(B,)`` int64 [angle steps].
+        pitch: ``(B,)`` integer [angle steps], NumPy or JAX.
+        roll: Likewise.
+        table: :data:`jaxdet.floor_units.SINES`, likewise.
+
+    Returns:
+        Each ``(B,)``, or 0.
     """
     turn, quarter = 180 * ANGLES, 90 * ANGLES
-    roll = (roll + turn) % (2 * turn) - turn
-    pitch = (pitch + turn) % (2 * turn) - turn
-    table, zero = sines(), np.zeros(len(pitch), np.int64)
     sin_p, cos_p, sin_r, cos_r = (
-        table[a + b + 2 * turn] for a in (pitch, roll) for b in (0, quarter)
+        table[(a + turn) % (2 * turn) + turn + b] for a in (pitch, roll) for b in (0, quarter)
     )
-    one, bits = 1 << SINE_BITS, 2 * SINE_BITS - FRAME_BITS
-    parts = [
-        (cos_r, one),
-        (-sin_r, one),
-        (zero, one),
-        (-sin_r, sin_p),
-        (-cos_r, sin_p),
-        (cos_p, one),
-        (sin_r, cos_p),
-        (cos_r, cos_p),
-        (sin_p, one),
-    ]
-    return np.stack([(a * b + (1 << (bits - 1))) >> bits for a, b in parts], axis=1)
+
+    def product(a: Array, b: Array | int = 1 << SINE_BITS) -> Array:
+        bits = 2 * SINE_BITS - FRAME_BITS
+        return (a * b + (1 << (bits - 1))) >> bits
+
+    right = [product(cos_r), product(-sin_r), 0]
+    forward = [product(-sin_r, sin_p), product(-cos_r, sin_p), product(cos_p)]
+    return [*right, *forward, product(sin_r, cos_p), product(cos_r, cos_p), product(sin_p)]
+
+
+def ramp_slopes(turn: Array, table: Array) -> Array:
+    """The rise over run of ramps with ``FRAME_BITS`` fraction bits.
+
+    Args:
+        turn: ``(B,)`` integer, pitch against the plane [angle steps].
+        table: :data:`jaxdet.floor_units.SINES`.
+    """
+    sin, cos = (table[turn + n * ANGLES] for n in (360, 450))
+    return (((sin << SLOPE_BITS) // cos) + (1 << (SLOPE_BITS - FRAME_BITS - 1))) >> (
+        SLOPE_BITS - FRAME_BITS
+    )
 
 
 def on_floor(frame: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.types import Detections, Obstacles
+from jaxdet.floor_units import FloorFit, floor_fit
+from jaxdet.types import Detections, Obstacles, Scene
 
 
 class Extents(NamedTuple):
@@ -43,6 +44,16 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
             for a in (obstacles.xyz_min, obstacles.xyz_max, centroid)
         )
     )
+
+
+def floors(scene: Scene, depth_unit: float) -> FloorFit:
+    """The floor of each frame in metres and radians, its own or the one given.
+
+    Args:
+        scene: NumPy or JAX arrays.
+        depth_unit: Metres in one depth unit.
+    """
+    return floor_fit(np.asarray(scene.floor), scene.prior, depth_unit)
 
 
 def distances(detections: Detections) -> np.ndarray:

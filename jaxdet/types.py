@@ -185,10 +185,9 @@ class Keep(NamedTuple):
 
 
 class Features(NamedTuple):
-    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then the grid's if any.
+    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then a sample of the cells.
 
-    Empty slots are zero, but a grid pixel that is not kept still tells its place and depth: what
-    is seen there may part two obstacles.
+    Empty slots of corners are zero. Of a cell that is not kept place and depth are told too.
     """
 
     u: Array
@@ -285,12 +284,11 @@ class Refusal(IntEnum):
 class Scene(NamedTuple):
     """What is seen beside the obstacles themselves, where they are made of surfaces."""
 
-    plane: GroundPlane
-    """The floor of each frame."""
-    own_floor: np.ndarray
-    """``(B,)`` bool, found in the frame's own depth; else it is the one given."""
-    refused: np.ndarray
-    """``(B,)`` int32, why not, see :class:`Refusal`."""
+    floor: Array
+    """``(B, 8)`` int32, the floor in each frame's own depth; with the next one it gives the planes
+    (:func:`jaxdet.floor_units.floor_fit`)."""
+    prior: GroundPlane
+    """What was known of each frame's floor, on the host."""
     contour: Array
     """``(B, M, MAX_CONTOUR, 2)`` int32, the visible edge of each obstacle, right and forward in the
     ground frame, from left to right [depth units]."""

@@ -10,6 +10,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import Recording, find_recordings, labels_of, log_of
 from benchmarks.paper.pictures import encode, grid, titled
 from benchmarks.paper.section import Direction, Section, number, percent, wilson
+from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
 from jaxdet.engine.rows import to_host
@@ -22,8 +23,8 @@ from jaxdet.eval import (
     tally_boxes,
 )
 from jaxdet.io import Log, open_log
-from jaxdet.metric import extents
-from jaxdet.pipeline import detect, floor_of, load_backend
+from jaxdet.metric import extents, floors
+from jaxdet.pipeline import detect, floor_of
 from jaxdet.presets import PRESETS
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view
@@ -115,15 +116,15 @@ def judge(task: Task) -> Judgement:
 def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     """A frame's labels and counts."""
     frames, calibration = found.frames, found.frames.calibration
-    stages = load_backend("reference")
-    aligned = stages.align(frames.depth, calibration)
+    aligned = reference.align(frames.depth, calibration)
     z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
     labels = labels_of(task.recording, task.folder, int(frames.number[0]), z_m, calibration)
     if labels is None:
         return None, BoxTally()
     scene = found.detections.scene
-    plane = scene.plane if scene else floor_of(frames, task.config, backend="reference")
-    kept = np.asarray(stages.ground(aligned, plane, calibration, task.config).mask[0])
+    known = floor_of(frames, task.config, backend="reference")
+    plane = floors(scene, calibration.depth_unit).plane if scene else known
+    kept = np.asarray(reference.ground(aligned, plane, calibration, task.config).mask[0])
     boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
     return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
 

@@ -84,7 +84,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         labels,
         outlines,
         in_range.any(axis=(1, 2)),
-        Scene(fit.plane, fit.own, fit.refused, *shapes, *_free(found, unit, config)),
+        Scene(fit.found, plane, *shapes, *_free(found, unit, config)),
     )
 
 
