@@ -27,7 +27,7 @@ from jaxdet.types import Calibration, Detections, Frames, FreeEnd, GroundPlane, 
 from tests.floor_cells import CAMERA, Pose, cast
 from tests.scenes import D435, assert_equal, frames
 
-SURFACES = preset("surfaces")
+SURFACES = Config()
 POSE = Pose(0.5, 15.0, 0.0)
 MARGIN = SURFACES.footprint.margin_per_m2 * 1.2**2
 """Of an obstacle whose nearest point is 1.2 m ahead [m]."""

@@ -36,7 +36,7 @@ def sim_log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def run(log: Path, output: Path, config: Config | None = None, **options: Any) -> LogSummary:
-    config = config or preset("surfaces")
+    config = config or Config()
     given = RunOptions(output, "reference", **{"pictures": 0, **options})
     return engine.run(find_logs([str(log)]), config, LogOptions(), given).logs[0]
 
@@ -86,7 +86,7 @@ def test_the_map_knows_what_is_free(tmp_path: Path) -> None:
 
 def test_each_frame_is_as_alone(sim_log: Path) -> None:
     """What is found with the prior of the log is what ``detect`` finds with it."""
-    config = preset("surfaces")
+    config = Config()
     with open_log(find_logs([str(sim_log)])[0]) as log:
         planes = engine.decide_planes(log, config, "reference")
         frames = log.read(range(FRAMES)).frames
@@ -106,7 +106,7 @@ def test_a_wrong_mount_is_corrected(tmp_path: Path) -> None:
 
 
 def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path) -> None:
-    log, config = simulated(tmp_path), preset("surfaces")
+    log, config = simulated(tmp_path), Config()
     flags = replace(config.ground, camera_height_m=0.7, camera_pitch_rad=0.5)
     about = run(log, tmp_path / "out", replace(config, ground=flags))
     frames, _ = tables(tmp_path / "out")
@@ -120,7 +120,7 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path
 
 
 def test_source_none_drops_nothing_as_floor(tmp_path: Path) -> None:
-    log, config = simulated(tmp_path), preset("surfaces")
+    log, config = simulated(tmp_path), Config()
     nothing = replace(config, ground=replace(config.ground, source="none"))
     about = run(log, tmp_path / "out", nothing)
     frames, obstacles = tables(tmp_path / "out")
@@ -150,7 +150,7 @@ def test_the_jitted_backend_is_refused_before_anything_is_made(
     assert len(lines) == 1 and lines[0].startswith("jaxdet: error: ")
     assert not out.exists()
     with pytest.raises(ConfigError, match="--backend reference"):
-        engine.run(find_logs([str(log)]), preset("surfaces"), LogOptions(), RunOptions(out))
+        engine.run(find_logs([str(log)]), Config(), LogOptions(), RunOptions(out))
     flags = ["--surface.cell-rad", "0.0", "--quiet", "--pictures", "0", "--floor.no-ramps"]
     assert main([*args, "--backend", "reference", *flags]) == 0
     config = json.loads((out / "config.json").read_text(encoding="utf-8"))

@@ -87,7 +87,7 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
     depth = np.where(floor < 2000, floor, np.where(lower < 6000, lower, 0)) + np.zeros((1, 160))
     depth[30:80, 90:140] = 1200
     frames = frames._replace(depth=depth[None].astype(np.uint16))
-    config = preset("surfaces")
+    config = Config()
     found = to_host(detect(frames, config, backend="reference"))
     assert found.scene is not None and floors(found.scene, 0.001).own[0]
     corners = rectangles(found.obstacles, 0.001, config.footprint)

@@ -105,7 +105,7 @@ def test_surfaces_have_contours_heights_and_free_floor() -> None:
 
 
 def test_without_a_floor_there_are_no_heights() -> None:
-    batch, config = boxes(), preset("surfaces")
+    batch, config = boxes(), Config()
     config = replace(config, ground=replace(config.ground, source="none"))
     given = batch.frames._replace(plane=unknown_plane(3))
     found = detect(given, config, backend="reference")
