@@ -74,9 +74,6 @@ struct Creases {
         const int* __restrict__ limits, const int* __restrict__ z, int* __restrict__ out, int lane,
         int n
     ) {
-#if defined(__clang__)
-#pragma clang loop vectorize(disable)
-#endif
         for (int c = lane; c < n; c += Rows::LANES) {
             const int limit = limits[z[c]];
             out[c] = limit < MOST_LIMIT ? limit : MOST_LIMIT;
@@ -116,14 +113,13 @@ struct Creases {
 
     // The runs of found cells in row r, each a set of its own.
     void start_runs(int r) const {
-        const unsigned char* row = found + grid.row(r);
-        const int n = grid.columns;
+        const Marks marks = {found + grid.row(r), grid.columns};
         int count = 0;
-        for (int c = 0; c < n;) {
-            while (c < n && !row[c]) ++c;
+        for (int c = marks.next(0, 1); c < marks.n; c = marks.next(c, 1)) {
             const int begin = c;
-            while (c < n && row[c]) ++c;
-            if (begin < c) runs.start(r, count++, begin, c);
+            while (c < marks.n && marks.row[c]) ++c;
+            runs.put(r, count, begin, c);
+            runs.start(r, count++);
         }
         runs.counts[r] = count;
     }

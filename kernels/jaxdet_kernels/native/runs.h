@@ -33,6 +33,30 @@ struct LinkedSets {
     }
 };
 
+// Bytes of a row, any of whose 8 bits can be set; 7 more after the row may be read.
+struct Marks {
+    const unsigned char* row;
+    int n;
+
+    // The first cell from c on that has this bit, n if none has. Eight are looked at at once.
+    int next(int c, int bit) const {
+        const unsigned long long each = 0x0101010101010101ull * (unsigned)bit;
+        for (; c < n; c += 8) {
+            unsigned long long eight = 0;
+            for (int i = 0; i < 8; ++i) eight |= (unsigned long long)row[c + i] << (8 * i);
+            eight &= each;
+            if (!eight) continue;
+#if defined(__CUDA_ARCH__)
+            c += (__ffsll((long long)eight) - 1) / 8;
+#else
+            c += __builtin_ctzll(eight) / 8;
+#endif
+            return c < n ? c : n;
+        }
+        return n;
+    }
+};
+
 // The runs of each row, from left to right, and the sets that they are linked to. A thread makes
 // and links the runs of a row; methods with a row as argument may be called for all rows at once.
 struct Runs {
@@ -56,11 +80,11 @@ struct Runs {
         runs[r * columns + i] = begin | end << 16;
     }
 
-    // As a set of its own.
-    void start(int r, int i, int begin, int end) const {
-        put(r, i, begin, end);
-        sets.start(cell(r, begin));
-        sizes[cell(r, begin)] = 0;
+    // Makes it a set of its own.
+    void start(int r, int i) const {
+        const int first = cell(r, begin(r, i));
+        sets.start(first);
+        sizes[first] = 0;
     }
 
     // Adds the cells of a row's runs to the size of their sets; sizes may be read after a sync.

@@ -16,8 +16,9 @@ struct Surfaces {
     };
     // Where each setting is.
     enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, SETTINGS };
-    // How cells are linked: is one, with the one to the left, with the one above.
-    enum { ON = 1, LEFT = 2, UP = 4 };
+    // Of a cell: it has a label or can be linked, a run begins or ends before it, it is linked with
+    // the one above.
+    enum { ON = 1, EDGE = 2, UP = 4 };
 
     int rows, columns;
     // (R, C): the frame's cells, z = 0: none.
@@ -78,15 +79,13 @@ struct Surfaces {
 
     // What is known of each surface, by its root.
     struct Known {
-        // Its first cell; its top, then its number; 2 for each of its lowest cells, less 3 for each
-        // steep one.
+        // Its first cell; its top, then its number; 2 for each of its lowest cells that have floor
+        // below them, less 3 for each steep one.
         int* first;
         int* top;
         int* level;
-        // Whether it has lowest cells; whether it has a cell inside of the margins or reaches the
-        // image's lower edge.
-        unsigned char* paired;
-        unsigned char* inner;
+        // Whether it has such cells, one inside of the margins or one at the image's lower edge.
+        unsigned char* certain;
     };
 
     // Where the cells of a row are on the floor. With 13 fraction bits, coordinates are taken apart
@@ -110,9 +109,6 @@ struct Surfaces {
         const int* __restrict__ steps, const int* __restrict__ rises, const int* __restrict__ z,
         int* __restrict__ step, int* __restrict__ rise, int lane, int n
     ) {
-#if defined(__clang__)
-#pragma clang loop vectorize(disable)
-#endif
         for (int c = lane; c < n; c += Rows::LANES) {
             const int near = steps[z[c]];
             step[c] = near < Creases::MOST_STEP ? near : Creases::MOST_STEP;
@@ -175,21 +171,20 @@ struct Surfaces {
             const auto links = [&](int there, int other) {
                 return on & (Creases::apart(own, there) <= (near < other ? near : other));
             };
-            out[c] = on * ON + links(here[c - 1], step[c - 1]) * LEFT +
-                     links(above[c], step_above[c]) * UP;
+            const bool edge = (on | (here[c - 1] >= 0)) & !links(here[c - 1], step[c - 1]);
+            out[c] = on * ON + edge * EDGE + links(above[c], step_above[c]) * UP;
         }
     }
 
-    // The runs of linked cells in row r.
-    void start_runs(const Runs& runs, const unsigned char* links, int r) const {
-        int count = 0, begin = -1;
-        for (int c = 0; c < columns; ++c) {
-            const int here = links[c];
-            if (here & LEFT) continue;
-            if (begin >= 0) runs.start(r, count++, begin, c);
-            begin = here & ON ? c : -1;
+    // The runs of row r: from each edge to the next, where cells are ON.
+    void put_runs(const Runs& runs, const unsigned char* row, int r) const {
+        const Marks marks = {row, columns};
+        int count = 0;
+        for (int c = marks.next(0, EDGE); c < columns;) {
+            const int begin = c;
+            c = marks.next(c + 1, EDGE);
+            if (row[begin] & ON) runs.put(r, count++, begin, c);
         }
-        if (begin >= 0) runs.start(r, count++, begin, columns);
         runs.counts[r] = count;
     }
 
@@ -214,8 +209,10 @@ struct Surfaces {
             );
         }
         team.sync();
-        for (int r = team.rank; r < rows; r += team.size)
-            start_runs(runs, in.wide + in.grid.row(r), r);
+        for (int r = team.rank; r < rows; r += team.size) {
+            put_runs(runs, in.wide + in.grid.row(r), r);
+            for (int i = 0; i < runs.count(r); ++i) runs.start(r, i);
+        }
         team.sync();
         for (int r = team.rank + 1; r < rows; r += team.size)
             runs.link_marked(team, r, in.wide + in.grid.row(r), UP);
@@ -301,15 +298,11 @@ struct Surfaces {
         return taken;
     }
 
-    // The runs of cells with one label in row r.
-    void start_labels(const Runs& runs, const int* label, int r) const {
-        int count = 0;
-        for (int c = 0; c < columns;) {
-            const int own = label[c], begin = c;
-            while (c < columns && label[c] == own) ++c;
-            if (own >= 0) runs.put(r, count++, begin, c);
-        }
-        runs.counts[r] = count;
+    static void edges_of_row(
+        const int* __restrict__ label, unsigned char* __restrict__ out, int lane, int n
+    ) {
+        for (int c = lane; c < n; c += Rows::LANES)
+            out[c] = (label[c] >= 0) * ON + ((label[c] != label[c - 1]) | (c == 0)) * EDGE;
     }
 
     // Adds up what is known of the surfaces from the run begin .. end of row r.
@@ -330,35 +323,38 @@ struct Surfaces {
             }
         if (lane == 0) team.least(known.first + label, k + begin);
         team.most(known.top + label, top);
-        if (pairs) {
-            team.add(known.level + label, 2 * pairs - 3 * steep);
-            known.paired[label] = 1;
-        }
-        if (r + 1 == rows || (begin < columns - margin && end > margin)) known.inner[label] = 1;
+        if (pairs) team.add(known.level + label, 2 * pairs - 3 * steep);
+        if (pairs || r + 1 == rows || (begin < columns - margin && end > margin))
+            known.certain[label] = 1;
     }
 
     // Whether a surface is floor that the sensor bends up.
     bool is_bent(const Known& known, int label) const {
-        const bool flat = known.paired[label] ? known.level[label] > 0 : !known.inner[label];
+        const bool flat = known.level[label] > 0 || !known.certain[label];
         return flat && known.top[label] <= settings[BENT];
     }
 
     // Numbers the surfaces in the order of their first cells, but for bent floor.
     void number(const Team& team, const Parts& in, const Runs& runs) const {
         const Rows rows_of(team);
-        const Known known = {in.sizes, in.other, in.step, in.found, in.wide};
+        const Known known = {in.sizes, in.other, in.step, in.wide};
         const int* const label = in.depth;
         const auto label_of = [&](int r, int i) {
             return label[in.grid.row(r) + runs.begin(r, i)];
         };
+        for (int r = rows_of.first; r < rows; r += rows_of.step) {
+            const int at = in.grid.row(r);
+            edges_of_row(label + at, in.found + at, rows_of.lane, columns);
+        }
+        team.sync();
         for (int r = team.rank; r < rows; r += team.size) {
-            start_labels(runs, label + in.grid.row(r), r);
+            put_runs(runs, in.found + in.grid.row(r), r);
             for (int i = 0; i < runs.count(r); ++i) {
                 const int own = label_of(r, i);
                 known.first[own] = UNSEEN;
                 known.top[own] = -1;
                 known.level[own] = 0;
-                known.paired[own] = known.inner[own] = 0;
+                known.certain[own] = 0;
             }
         }
         team.sync();
