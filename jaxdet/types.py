@@ -26,6 +26,9 @@ Array = Any
 MAX_CONTOUR = 512
 """Most points of an obstacle's contour: columns of cells."""
 
+MAX_SURFACES = 512
+"""Most surfaces of a frame; the cells of others belong to none."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 

@@ -21,6 +21,7 @@ from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
     MAX_CONTOUR,
+    MAX_SURFACES,
     Cells,
     Detections,
     Features,
@@ -132,6 +133,7 @@ def _surfaces(grid: Cells, b: int, floor: np.ndarray, unit: float, config: Confi
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
+    straight = np.where(straight < MAX_SURFACES, straight, -1)
     return Found(straight, keep, (view.z >= nearest) & ~keep, view, low)
 
 

@@ -4,29 +4,42 @@
 #include "team.h"
 
 struct FloorFrame {
-    enum { BITS = 13, VALUES = 13, UNKNOWN = 1 << 20 };
-    // Three axes of three parts with BITS fraction bits: right, forward, down.
-    const int* axes;
+    enum { BITS = 13, VALUES = 13, UNKNOWN = 1 << 20, LOW = (1 << BITS) - 1 };
+    // Three axes of three parts with BITS fraction bits, at most 1: right, forward, down.
+    int axes[9];
     int height, valid, ramp_start, ramp_slope;
 
     explicit FloorFrame(const int* floor)
-        : axes(floor), height(floor[9]), valid(floor[10]), ramp_start(floor[11]),
-          ramp_slope(floor[12]) {}
+        : height(floor[9]), valid(floor[10]), ramp_start(floor[11]), ramp_slope(floor[12]) {
+        for (int i = 0; i < 9; ++i) axes[i] = floor[i];
+    }
 
+    // The rounded sum of products. Coordinates are taken apart, so that 32 bits are enough for any.
     int along(int axis, int x, int y, int z) const {
-        const int* a = axes + 3 * axis;
-        const long long sum = (long long)a[0] * x + (long long)a[1] * y + (long long)a[2] * z;
-        return (int)((sum + (1 << (BITS - 1))) >> BITS);
+        const int a = axes[3 * axis], b = axes[3 * axis + 1], c = axes[3 * axis + 2];
+        const int fine = a * (x & LOW) + b * (y & LOW) + c * (z & LOW);
+        const int coarse = a * (x >> BITS) + b * (y >> BITS) + c * (z >> BITS);
+        return coarse + ((fine + (1 << (BITS - 1))) >> BITS);
     }
 
     int right(int x, int y, int z) const { return along(0, x, y, z); }
     int forward(int x, int y, int z) const { return along(1, x, y, z); }
 
+    // Above the plane, without a ramp on it.
+    int level(int x, int y, int z) const {
+        return valid ? height - along(2, x, y, z) : (int)UNKNOWN;
+    }
+
+    bool has_ramp() const { return valid && ramp_slope; }
+
+    // How much the ramp raises the floor at a point that is `ahead` forward.
+    int rise(int ahead) const {
+        const long long run = (long long)ahead - ramp_start;
+        return run > 0 ? (int)(run * ramp_slope >> BITS) : 0;
+    }
+
     // Above the plane, or above the ramp on it, at a point that is `ahead` forward.
     int above(int x, int y, int z, int ahead) const {
-        if (!valid) return UNKNOWN;
-        const int run = ahead - ramp_start;
-        const long long rise = run > 0 ? (long long)run * ramp_slope >> BITS : 0;
-        return height - along(2, x, y, z) - (int)rise;
+        return level(x, y, z) - (has_ramp() ? rise(ahead) : 0);
     }
 };
