@@ -26,6 +26,12 @@ Array = Any
 MAX_CONTOUR = 512
 """Most points of an obstacle's contour: columns of cells."""
 
+MAX_SURFACES = 512
+"""Most surfaces of a frame."""
+
+MAX_LABELS = 1024
+"""Most parts of obstacles of a frame, once those that bend are split."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 
