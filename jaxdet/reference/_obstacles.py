@@ -9,6 +9,7 @@ from jaxdet.reference._evidence import pairs
 from jaxdet.reference._outlines import contours, straight_parts
 from jaxdet.reference._surfaces import renumbered
 from jaxdet.reference._view import View, extents
+from jaxdet.types import MAX_LABELS
 
 
 def obstacles(
@@ -125,7 +126,10 @@ def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.
 
 
 def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleConfig) -> np.ndarray:
-    """Obstacles that bend around free floor, split between columns of cells."""
+    """Obstacles that bend around free floor, split between columns of cells.
+
+    At most ``MAX_LABELS`` parts are told apart.
+    """
     bend, shortest = (round(a / unit) for a in (config.bend_m, config.side_m))
     if not bend:
         return label
@@ -137,6 +141,8 @@ def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleCo
         column = np.flatnonzero(own.any(axis=0))[: used[number]]
         line = lines[number, : used[number]]
         for start in straight_parts(line, bend, shortest, shortest)[1:]:
+            if free == MAX_LABELS:
+                break
             out[own & (np.arange(label.shape[1]) >= column[start])] = free
             free += 1
     return renumbered(out)

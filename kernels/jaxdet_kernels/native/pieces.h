@@ -1,0 +1,81 @@
+// Surfaces too small to be an obstacle join the one they touch most.
+// Twin of `whole_surfaces` in jaxdet/reference/_obstacles.py.
+#pragma once
+#include "numbering.h"
+
+struct Pieces {
+    enum { THINNEST = 3, REACH = 2 };
+    int count, rows, columns, step;
+    const int *label, *z;
+    const int* small;        // of each surface
+    int *touching, *joined;  // scratch: `count` words for each surface; a word a surface
+    int* group;              // result: the smallest surface of each one's group
+
+    // Ends in a sync.
+    void run(const Team& team) const {
+        for (int a = team.rank; a < count; a += team.size) {
+            group[a] = a;
+            if (!small[a]) continue;
+            for (int b = 0; b < count; ++b) touching[a * count + b] = 0;
+        }
+        team.sync();
+        touch(team);
+        team.sync();
+        for (int a = team.rank; a < count; a += team.size) {
+            int most = 0, partner = a;
+            for (int b = 0; small[a] && b < count; ++b) {
+                if (touching[a * count + b] > most) most = touching[a * count + (partner = b)];
+            }
+            joined[a] = partner;
+        }
+        team.sync();
+        join(team);
+    }
+
+    void meet(const Team& team, int a, int b, int step_in_z) const {
+        if (b < 0 || step_in_z > step || step_in_z < -step) return;
+        if (small[a]) team.add(touching + a * count + b, 1);
+        if (small[b]) team.add(touching + b * count + a, 1);
+    }
+
+    // How many cells of small surfaces touch which surface, in the next cell or the one after it.
+    void touch(const Team& team) const {
+        for (int row = 0; row < rows; ++row) {
+            const int* own = label + row * columns;
+            const int* depth = z + row * columns;
+            for (int c = team.rank; c < columns; c += team.size) {
+                const int l = own[c];
+                if (l < 0) continue;
+                for (int away = 1; away <= REACH; ++away) {
+                    const int down = away * columns;
+                    if (c + away < columns && own[c + away] != l) {
+                        meet(team, l, own[c + away], depth[c + away] - depth[c]);
+                    }
+                    if (row + away < rows && own[c + down] != l) {
+                        meet(team, l, own[c + down], depth[c + down] - depth[c]);
+                    }
+                }
+            }
+        }
+    }
+
+    // Connected components: labels fall to the smallest until none does. Ends in a sync.
+    void join(const Team& team) const {
+        for (bool open = true; team.any(open);) {
+            for (int a = team.rank; a < count; a += team.size) {
+                const int one = group[a], other = group[joined[a]];
+                team.least(group + one, other);
+                team.least(group + other, one);
+                team.least(group + a, other);
+                team.least(group + joined[a], one);
+            }
+            team.sync();
+            open = false;
+            for (int a = team.rank; a < count; a += team.size) {
+                const int there = group[a], next = group[there];
+                if (next < there) team.least(group + a, next);
+                open |= next < there || there != group[joined[a]];
+            }
+        }
+    }
+};
