@@ -26,6 +26,9 @@ Array = Any
 MAX_CONTOUR = 512
 """Most points of an obstacle's contour: columns of cells."""
 
+MAX_OBSTACLES = 128
+"""``M`` where obstacles are made of surfaces; more set the overflow flag."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 

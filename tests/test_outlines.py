@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from jaxdet import metric
 from jaxdet.config import FootprintConfig
+from jaxdet.plane import DIRECTION_BITS
 from jaxdet.reference._outlines import (
-    DIRECTION_BITS,
     contours,
     fitted_direction,
     fitted_span,

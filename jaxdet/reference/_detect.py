@@ -13,7 +13,7 @@ from jaxdet.reference._cells import cells, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import find_floor
-from jaxdet.reference._footprint import footprint
+from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, free_floor
 from jaxdet.reference._ground import ground
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
@@ -22,6 +22,8 @@ from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
     MAX_CONTOUR,
+    MAX_LATERAL,
+    MAX_OBSTACLES,
     Cells,
     Detections,
     Features,
@@ -32,8 +34,6 @@ from jaxdet.types import (
     Scene,
 )
 
-MAX_OBSTACLES = 128
-"""``M``; more set the overflow flag."""
 SAMPLE = 2
 """Of the cells, every second one of every second row is a feature."""
 
@@ -72,7 +72,7 @@ def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
 
     corners = _corners(frames, fit.plane, config)
     points, labels = _with_cells(corners, grid, found, unit, config)
-    outlines, shapes = _outlines(grid, found, fit.plane, unit, config)
+    outlines, shapes = _outlines(grid, found, unit, config)
 
     nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
@@ -192,11 +192,7 @@ def _corner_labels(
 
 
 def _outlines(
-    grid: Cells,
-    found: list[Found],
-    plane: GroundPlane,
-    unit: float,
-    config: Config,
+    grid: Cells, found: list[Found], unit: float, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The obstacles, measured on their cells in the colour image, and outlined on all of them."""
     batch = len(found)
@@ -205,10 +201,15 @@ def _outlines(
     every = Features(flat["x"], flat["y"], **flat, valid=seen, kept=seen, overflow=none)
     label = np.stack([one.label.ravel() for one in found])
     shown = np.where(seen, label, -1)
+    floor = [np.stack([one.view.right, one.view.forward], axis=-1) for one in found]
+    floor = np.clip(np.stack(floor).reshape(batch, -1, 2), -MAX_LATERAL, MAX_LATERAL)
     count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
-    measured = footprint(every, Labels(shown, count), plane, unit, config, slots=MAX_OBSTACLES)
+    settings = config.footprint
+    measured = footprint_on_floor(
+        every, Labels(shown, count), floor, unit, settings, slots=MAX_OBSTACLES
+    )
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
-    long, edge = round(config.footprint.long_m / unit), margins(grid.z.shape[2])
+    long, edge = round(settings.long_m / unit), margins(grid.z.shape[2])
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):
