@@ -15,6 +15,10 @@ from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
+DIRECTIONS = 90
+"""Directions tried for a rectangle, a degree apart."""
+DIRECTION_BITS = 9
+"""Fraction bits of a direction, short enough for products in 32 bits."""
 
 
 def flat_plane(
@@ -203,6 +207,21 @@ def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
     bands = np.minimum(np.rint(bands / depth_unit), MAX_LATERAL).astype(np.int32)
     bands.setflags(write=False)
     return bands
+
+
+@lru_cache(maxsize=1)
+def direction_table() -> np.ndarray:
+    """The directions on the floor that are tried for a rectangle.
+
+    Returns:
+        ``(DIRECTIONS, 2)`` int64, right and forward with ``DIRECTION_BITS`` fraction bits, by
+        angle from 0 on, read-only.
+    """
+    angle = np.radians(np.arange(DIRECTIONS) * 90.0 / DIRECTIONS)
+    table = np.rint(np.stack([np.cos(angle), np.sin(angle)], -1) * (1 << DIRECTION_BITS))
+    table = table.astype(np.int64)
+    table.setflags(write=False)
+    return table
 
 
 def forward_vector(down: np.ndarray) -> np.ndarray:

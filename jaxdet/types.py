@@ -29,6 +29,12 @@ MAX_CONTOUR = 512
 MAX_SURFACES = 512
 """Most surfaces of a frame; the cells of others belong to none."""
 
+MAX_LABELS = 1024
+"""Most parts of obstacles of a frame, once those that bend are split."""
+
+MAX_OBSTACLES = 128
+"""``M`` where obstacles are made of surfaces; more set the overflow flag."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 

@@ -16,14 +16,22 @@ from jaxdet.metric import floors
 from jaxdet.plane import flat_plane, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import align, ground
-from jaxdet.reference._detect import MAX_OBSTACLES
 from jaxdet.sim import DepthSensor, SimConfig, sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.sim.frames import SimFrame, simulate_frame
 from jaxdet.sim.looks import CARTON, POST, RED_CRATE, WOOD
 from jaxdet.sim.scene import Box, Cylinder, Ground, Scene
 from jaxdet.sim.scene import Path as Way
-from jaxdet.types import Calibration, Detections, Frames, FreeEnd, GroundPlane, Intrinsics, Refusal
+from jaxdet.types import (
+    MAX_OBSTACLES,
+    Calibration,
+    Detections,
+    Frames,
+    FreeEnd,
+    GroundPlane,
+    Intrinsics,
+    Refusal,
+)
 from tests.floor_cells import CAMERA, Pose, cast
 from tests.scenes import D435, assert_equal, frames
 

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import pytest
-from jaxdet_kernels import obstacles as kernel
 
 from jaxdet import types
 from jaxdet.affinity import affinity
@@ -25,6 +24,7 @@ from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages import _obstacles
 from jaxdet.types import Frames, GroundPlane
+from jaxdet_kernels import obstacles as kernel
 from tests.scenes import frames
 
 UNIT = 0.001

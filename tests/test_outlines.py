@@ -11,9 +11,9 @@ from hypothesis.extra.numpy import arrays
 
 from jaxdet import metric
 from jaxdet.config import FootprintConfig
+from jaxdet.plane import DIRECTION_BITS
 from jaxdet.presets import PRESETS
 from jaxdet.reference._outlines import (
-    DIRECTION_BITS,
     contours,
     fitted_direction,
     fitted_span,

@@ -11,7 +11,6 @@ from jaxdet.engine.rows import to_host
 from jaxdet.metric import floors, rectangles
 from jaxdet.pipeline import detect
 from jaxdet.plane import flat_plane, unknown_plane
-from jaxdet.presets import preset
 from jaxdet.render import MapImage, canvas, draw_frame, draw_map, write_png
 from jaxdet.render.topview import View, ground_points
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics

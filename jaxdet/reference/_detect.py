@@ -12,7 +12,7 @@ from jaxdet.reference._cells import cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import FloorFit, find_floor
-from jaxdet.reference._footprint import footprint
+from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, free_floor
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
@@ -21,6 +21,8 @@ from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
     MAX_CONTOUR,
+    MAX_LATERAL,
+    MAX_OBSTACLES,
     MAX_SURFACES,
     Cells,
     Detections,
@@ -33,8 +35,6 @@ from jaxdet.types import (
     Scene,
 )
 
-MAX_OBSTACLES = 128
-"""``M``; more set the overflow flag."""
 SAMPLE = 2
 """Of the cells, every second one of every second row is a feature."""
 
@@ -76,7 +76,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     found = [_group(grid, b, floor, unit, config) for b, floor in enumerate(floors)]
 
     points, labels = _points(frames, grid, found, config)
-    outlines, shapes = _outlines(grid, found, fit.plane, unit, config)
+    outlines, shapes = _outlines(grid, found, unit, config)
 
     nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
@@ -184,11 +184,7 @@ def _points(
 
 
 def _outlines(
-    grid: Cells,
-    found: list[Found],
-    plane: GroundPlane,
-    unit: float,
-    config: Config,
+    grid: Cells, found: list[Found], unit: float, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The obstacles, measured on their cells in the colour image, and outlined on all of them."""
     batch = len(found)
@@ -197,10 +193,15 @@ def _outlines(
     every = Features(flat["x"], flat["y"], **flat, valid=seen, kept=seen, overflow=none)
     label = np.stack([one.label.ravel() for one in found])
     shown = np.where(seen, label, -1)
+    floor = [np.stack([one.view.right, one.view.forward], axis=-1) for one in found]
+    floor = np.clip(np.stack(floor).reshape(batch, -1, 2), -MAX_LATERAL, MAX_LATERAL)
     count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
-    measured = footprint(every, Labels(shown, count), plane, unit, config, slots=MAX_OBSTACLES)
+    settings = config.footprint
+    measured = footprint_on_floor(
+        every, Labels(shown, count), floor, unit, settings, slots=MAX_OBSTACLES
+    )
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
-    long, edge = round(config.footprint.long_m / unit), margins(grid.z.shape[2])
+    long, edge = round(settings.long_m / unit), margins(grid.z.shape[2])
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):

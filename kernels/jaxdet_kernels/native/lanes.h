@@ -1,0 +1,43 @@
+// The threads that work on one piece of a frame together, without waiting for the others of their
+// team: a warp on CUDA, a single thread on the CPU.
+//
+//     for (int piece = lanes.index; piece < pieces; piece += lanes.count)
+//         for (int i = lanes.rank; i < n; i += lanes.size) ...
+//
+// All lanes ask for a sum, a minimum or a maximum together, and all get it.
+#pragma once
+#include "team.h"
+
+struct Lanes {
+    int rank, size, index, count;
+
+    explicit Lanes(const Team& team) {
+#if defined(__CUDA_ARCH__)
+        size = 32;
+#else
+        size = 1;
+#endif
+        rank = team.rank % size;
+        index = team.rank / size;
+        count = team.size / size;
+    }
+
+    int sum(int value) const {
+#if defined(__CUDA_ARCH__)
+        for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(0xffffffff, value, away);
+#endif
+        return value;
+    }
+
+    int least(int value) const {
+#if defined(__CUDA_ARCH__)
+        for (int away = 16; away; away >>= 1) {
+            const int other = __shfl_xor_sync(0xffffffff, value, away);
+            value = other < value ? other : value;
+        }
+#endif
+        return value;
+    }
+
+    int most(int value) const { return -least(-value); }
+};
