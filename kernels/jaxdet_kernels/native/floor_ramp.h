@@ -1,0 +1,334 @@
+// A ramp ahead of a plane, by votes on the floor's profile: cells by distance and height.
+// Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
+#pragma once
+#include "floor_planes.h"
+
+struct FloorHinge {
+    // Where it begins, and its pitch against the plane, uphill positive; turn 0: there is none.
+    int start, turn;
+};
+
+struct FloorRamps {
+    enum {
+        LEAST_TURN = 3 * FloorAngles::ANGLES,
+        MOST_TURN = 12 * FloorAngles::ANGLES,
+        TURN_STEP = FloorAngles::ANGLES / 2,
+        TURNS = (MOST_TURN - LEAST_TURN) / TURN_STEP + 1,
+        STARTS = 16,
+        AROUND = 4,
+        FINE = 2 * AROUND + 1,
+        FINE_TURN = FloorAngles::ANGLES / 4,
+        MIN_GAIN = 4,
+        MIN_SHARE = 40,
+        MOST_PLANES = 10,
+        KEY_WORDS = 2,
+        // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
+        // told (2), where the next cell goes.
+        ROW_ARRAYS = 8
+    };
+    FloorAngles angles;
+    const int* settings;
+    // The inner cells.
+    FloorCells cells;
+    // Scratch: KEY_WORDS; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words;
+    // MOST_PLANES words twice.
+    unsigned long long* key;
+    int *rows, *places, *table, *alone, *bound;
+
+    int runs() const { return settings[FloorSetting::RUNS]; }
+    int half() const { return settings[FloorSetting::HALF]; }
+    int* row(int k) const { return rows + k * (runs() + 1); }
+    // Where the cells of each distance begin in `sorted`.
+    int* begin() const { return row(0); }
+    int* flat() const { return row(1); }
+    int* most() const { return row(2); }
+    int* coarse() const { return row(3); }
+    int* fine() const { return row(4); }
+    int* anew() const { return row(5); }
+    int* there() const { return row(6); }
+    int* cursor() const { return row(7); }
+
+    // The middle of a distance.
+    int middle(int k) const {
+        const int bits = settings[FloorSetting::RUN_BITS];
+        return (k << bits) + (1 << bits >> 1);
+    }
+
+    int index(int height) const {
+        const int place = (height >> settings[FloorSetting::RISE_BITS]) + half();
+        return place < 0 ? 0 : place > 2 * half() ? 2 * half() : place;
+    }
+
+    int rise(int start, int slope, int run) const {
+        const int beyond = run > start ? run - start : 0;
+        return (int)(((long long)slope * beyond + (1 << (FloorAngles::SLOPE_BITS - 1))) >>
+                     FloorAngles::SLOPE_BITS);
+    }
+
+    // Tolerances at each distance, and the cells of a plane by distance, with their heights.
+    void sort(const Team& team, FloorPlane plane) const {
+        const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
+        const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        const int noise = settings[FloorSetting::NOISE], per_z = settings[FloorSetting::FINE_PER_Z];
+        const FloorSlack wide(settings[FloorSetting::PROFILE_BASE], per_z, noise, plane.height);
+        const FloorSlack tight(settings[FloorSetting::ROUGH_BASE], per_z, noise, plane.height);
+        for (int k = team.rank; k <= n; k += team.size) {
+            coarse()[k] = wide.at(middle(k));
+            fine()[k] = tight.at(middle(k));
+            begin()[k] = 0;
+        }
+        team.sync();
+        const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
+        int* run = places;
+        int *high = run + cells.count, *sorted = high + cells.count, *at = sorted + cells.count;
+        for (int i = team.rank; i < cells.count; i += team.size) {
+            const int x = cells.x[i], y = cells.y[i], z = cells.z[i];
+            const int ahead = forward.along(x, y, z) >> run_bits;
+            const int up = ((plane.height - down.along(x, y, z)) >> rise_bits) + middle_rise;
+            run[i] = ahead >= 0 && ahead < n && up < 2 * middle_rise ? ahead : -1;
+            high[i] = up > 0 ? up : 0;
+        }
+        for (int i = team.rank; i < cells.count; i += team.size)
+            if (run[i] >= 0) team.add(begin() + run[i], 1);
+        team.sync();
+        if (team.rank == 0) {
+            int sum = 0;
+            for (int k = 0; k <= n; k++) {
+                const int here = begin()[k];
+                begin()[k] = cursor()[k] = sum;
+                sum += here;
+            }
+        }
+        team.sync();
+        for (int i = team.rank; i < cells.count; i += team.size)
+            if (run[i] >= 0) {
+                const int place = team.add(cursor() + run[i], 1);
+                sorted[place] = high[i];
+                at[place] = run[i];
+            }
+        team.sync();
+    }
+
+    const int* sorted() const { return places + 2 * cells.count; }
+
+    // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets:
+    // as many cells as a range of heights as wide as the tolerances holds.
+    void limits(const Team& team, const int* slack) const {
+        const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
+        const int *heights = sorted(), *at = heights + cells.count;
+        for (int k = team.rank; k <= runs(); k += team.size) flat()[k] = most()[k] = 0;
+        team.sync();
+        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
+            const int k = at[i], s = slack[k], from = begin()[k], to = begin()[k + 1];
+            const int h = heights[i], width = (2 * s >> bits) + 1;
+            const int on = (h < index(s)) - (h < index(-s));
+            team.add(flat() + k, on - each * (h < index(-FloorScore::BELOW * s)));
+            int held = 0;
+            for (int j = from; j < to; j++) held += (unsigned)(heights[j] - h) < (unsigned)width;
+            team.most(most() + k, held);
+        }
+        team.sync();
+        // The first become sums of those before, the second of those from there on.
+        if (team.rank == 0) {
+            int sum = 0;
+            for (int k = 0; k <= runs(); k++) {
+                const int here = k < runs() ? flat()[k] : 0;
+                flat()[k] = sum;
+                sum += here;
+            }
+            sum = 0;
+            most()[runs()] = 0;
+            for (int k = runs() - 1; k >= 0; k--) most()[k] = sum += most()[k];
+        }
+        team.sync();
+    }
+
+    // Running counts of the cells of each distance over their heights.
+    void count(const Team& team) const {
+        const int n = runs(), width = 2 * half() + 1;
+        const int* heights = sorted();
+        for (int k = team.rank; k < n; k += team.size) {
+            const int from = begin()[k], to = begin()[k + 1];
+            if (from == to) continue;
+            int* counts = table + k * width;
+            for (int h = 0; h < width; h++) counts[h] = 0;
+            for (int i = from; i < to; i++) counts[heights[i] + 1]++;
+            int sum = 0;
+            for (int h = 0; h < width; h++) counts[h] = sum += counts[h];
+        }
+        team.sync();
+    }
+
+    // Cells under a height over the plane at a distance.
+    int under(int k, int height) const {
+        return begin()[k] == begin()[k + 1] ? 0 : table[k * (2 * half() + 1) + index(height)];
+    }
+
+    // The ramp with most votes of a lattice, as a key; `flat` and `most` are of this tolerance.
+    // A thread's ramps follow each other, so it passes over those that can't have more votes.
+    void best(const Team& team, int start0, int start_step, int starts, int turn0, int turn_step,
+              int turns, int sign, const int* slack) const {
+        const int n = runs(), width = 2 * half() + 1, center = half();
+        const int bits = settings[FloorSetting::RISE_BITS];
+        const int *first = begin(), *level = flat(), *rest = most();
+        int known = -0x7fffffff;
+        for (int m = team.rank; m < starts * turns; m += team.size) {
+            const int i = m / turns, start = start_of(i, start0, start_step);
+            const int slope = angles.slope(turn_of(m - i * turns, turn0, turn_step, turns, sign));
+            int k = first_beyond(start);
+            int votes = level[k];
+            for (; k < n && votes + rest[k] > known; k++) {
+                if (first[k] == first[k + 1]) continue;
+                const int* counts = table + k * width;
+                const int up = rise(start, slope, middle(k)), s = slack[k];
+                const auto under = [&](int height) {
+                    const int place = (height >> bits) + center;
+                    return counts[place < 0 ? 0 : place >= width ? width - 1 : place];
+                };
+                votes += under(up + s) - under(up - s) -
+                         FloorScore::BELOW_COST * under(up - FloorScore::BELOW * s);
+            }
+            if (k < n || votes <= known) continue;
+            known = votes;
+            team.least(key, (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)m);
+        }
+        team.sync();
+    }
+
+    // The first distance whose middle lies beyond a start.
+    int first_beyond(int start) const {
+        const int bits = settings[FloorSetting::RUN_BITS];
+        const int k = start < 0 ? 0 : start >> bits;
+        const int found = k < runs() ? k + (middle(k) <= start) : runs();
+        return found;
+    }
+
+    // Starts and turns of the lattices: step 0 is the first one's.
+    int start_of(int i, int start0, int step) const {
+        return step ? start0 + (i - AROUND) * step : settings[FloorSetting::STARTS + i];
+    }
+    int turn_of(int j, int turn0, int step, int turns, int sign) const {
+        if (!sign) {
+            const int k = j < turns / 2 ? turns / 2 - 1 - j : j - turns / 2;
+            const int turn = LEAST_TURN + k * TURN_STEP;
+            return j < turns / 2 ? -turn : turn;
+        }
+        const int turn = turn0 + (j - AROUND) * step;
+        return sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
+    }
+
+    // The best ramp of a plane whose cells are sorted, and its votes. It may pass over the ramp
+    // where that is not seen.
+    bool hinge(const Team& team, FloorHinge& found, int& votes) const {
+        count(team);
+        limits(team, coarse());
+        if (team.rank == 0) *key = ~0ull;
+        team.sync();
+        best(team, 0, 0, STARTS, 0, 0, 2 * TURNS, 0, coarse());
+        const int rough = (int)(*key & 0xffffffffu);
+        const int start0 = start_of(rough / (2 * TURNS), 0, 0);
+        const int turn0 = turn_of(rough % (2 * TURNS), 0, 0, 2 * TURNS, 0);
+        const int step = settings[FloorSetting::START_STEP], sign = turn0 < 0 ? -1 : 1;
+        const int size = turn0 < 0 ? -turn0 : turn0;
+        limits(team, fine());
+        if (team.rank == 0) *key = ~0ull;
+        team.sync();
+        best(team, start0, step, FINE, size, FINE_TURN, FINE, sign, fine());
+        const int m = (int)(*key & 0xffffffffu);
+        votes = (int)(0x7fffffffu - (unsigned)(*key >> 32));
+        found = {start0 + (m / FINE - AROUND) * step, turn_of(m % FINE, size, FINE_TURN, FINE, sign)};
+        return is_seen(team, found, fine());
+    }
+
+    // Whether the ramp shows itself from near its start on, over some distance.
+    bool is_seen(const Team& team, FloorHinge hinge, const int* slack) const {
+        const int slope = angles.slope(hinge.turn);
+        const bool uphill = hinge.turn > 0;
+        for (int k = team.rank; k < runs(); k += team.size) {
+            const int up = rise(hinge.start, slope, middle(k)), s = slack[k];
+            const bool telling = up > s || -up > s;
+            // Where the tolerances of ramp and plane overlap, a cell is the plane's.
+            int low = up - s, high = up + s;
+            if (uphill && low < s) low = s;
+            if (!uphill && high > -s) high = -s;
+            anew()[k] = telling ? under(k, high) - under(k, low) : 0;
+            there()[k] = telling ? under(k, (up > 0 ? up : 0) + FloorScore::BELOW * s) : -1;
+        }
+        team.sync();
+        int total = 0, all = 0, begins = -1;
+        for (int k = 0; k < runs(); k++) {
+            total += anew()[k];
+            if (there()[k] < 0) continue;
+            all += there()[k];
+            if (begins < 0) begins = k;
+        }
+        if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
+        int first = -1, last = -1, running = 0;
+        for (int k = 0; k < runs(); k++) {
+            running += anew()[k];
+            if (first < 0 && 10LL * running >= total) first = k;
+            if (last < 0 && 10LL * running >= 9LL * total) last = k;
+        }
+        return middle(first) < middle(begins) + settings[FloorSetting::RAMP_NEAR] &&
+               middle(last) - middle(first) > settings[FloorSetting::RAMP_SPREAD];
+    }
+
+    // The plane and ramp that clearly more cells speak for than for any plane alone. Planes are
+    // different ones; the first is taken where there is no ramp.
+    FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorHinge& out) const {
+        int most_alone = -0x7fffffff;
+        for (int n = 0; n < count; n++) {
+            sort(team, planes[n]);
+            limits(team, fine());
+            const int votes = flat()[runs()];
+            int limit = -0x7fffffff;
+            for (int k = 0; k <= runs(); k++) {
+                const int here = flat()[k] + most()[k];
+                limit = here > limit ? here : limit;
+            }
+            most_alone = votes > most_alone ? votes : most_alone;
+            if (team.rank == 0) bound[n] = limit;
+            team.sync();
+        }
+        const long long least = 100LL * most_alone + (long long)MIN_GAIN * cells.count;
+        int best_plane = -1, best_votes = -0x7fffffff;
+        for (int n = 0; n < count; n++) {
+            if (100LL * bound[n] <= least || bound[n] <= best_votes) continue;
+            FloorHinge found = {0, 0};
+            int votes = 0;
+            sort(team, planes[n]);
+            if (hinge(team, found, votes) && votes > best_votes) {
+                best_votes = votes;
+                best_plane = n;
+                out = found;
+            }
+            team.sync();
+        }
+        if (best_plane < 0 || 100LL * best_votes <= least) {
+            out = {0, 0};
+            return planes[0];
+        }
+        return planes[best_plane];
+    }
+
+    // The ramp that a steeper plane is, ahead of a level one.
+    FloorHinge crossing(FloorPlane level, FloorPlane steep) const {
+        const int turn = steep.pitch - level.pitch, size = turn < 0 ? -turn : turn;
+        if (size < LEAST_TURN || size > MOST_TURN) return {0, 0};
+        const long long one = 1 << FloorAngles::SINE_BITS;
+        const long long over = angles.quotient(steep.height * one, angles.cosine(turn)) - level.height;
+        const long long rise = over * (1 << FloorAngles::SLOPE_BITS);
+        const int slope = angles.slope(turn);
+        const long long start =
+            slope > 0 ? angles.quotient(rise, slope) : angles.quotient(-rise, -slope);
+        return {angles.clipped(start, 1 << 30), turn};
+    }
+
+    // The plane of a ramp; `crossing` gives the ramp back.
+    FloorPlane steeper(FloorPlane level, FloorHinge hinge) const {
+        const long long up = (long long)hinge.start * angles.slope(hinge.turn);
+        const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);
+        return {level.pitch + hinge.turn, level.roll,
+                (int)(height * angles.cosine(hinge.turn) >> FloorAngles::SINE_BITS)};
+    }
+};

@@ -1,0 +1,312 @@
+// Where planes are looked for: near a guess, or in all directions that cameras have.
+// Twin of jaxdet/reference/_floor_search.py; the constants are its.
+#pragma once
+#include "floor_planes.h"
+
+// Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring. Each
+// direction is worked on by one thread: it counts the ends of its cells' ranges of heights.
+struct FloorVotes {
+    enum {
+        APART = 12,
+#if defined(__CUDA_ARCH__)
+        CHUNK = 1
+#else
+        CHUNK = 64
+#endif
+    };
+    FloorAngles angles;
+    FloorCells cells;
+    // Tolerance of each cell.
+    const int* slack;
+    // The cells up to each ring come first; a ring of fewer than `fewest` cells is passed over.
+    const int* ring_ends;
+    int rings, fewest;
+    // The lattice in angle steps and depth units.
+    int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
+    // What is left out of the nearer part: pitches and heights at each end.
+    int edge_pitches, edge_bins;
+    // Votes of all cells, bins + 1 words a direction.
+    int* votes;
+    // The best of each ring in the nearer part, of all of the lattice, and of each direction.
+    unsigned long long *best, *whole, *of_direction;
+
+    int directions() const { return pitches * rolls; }
+
+    FloorDirection direction(int d) const {
+        const int pitch = pitch0 + d / rolls * step;
+        return angles.down(angles.clipped(pitch, FloorAngles::STEEPEST), roll0 + d % rolls * step);
+    }
+
+    FloorPlane plane(unsigned long long key) const {
+        const int index = (int)(key & 0xffffffffu), d = index / bins;
+        const int pitch = angles.clipped(pitch0 + d / rolls * step, FloorAngles::STEEPEST);
+        return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
+    }
+
+    // Smaller where there are more votes, or as many for a plane that comes first.
+    unsigned long long key(int votes, int d, int bin) const {
+        return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)(d * bins + bin);
+    }
+
+    // Whether a direction is in the nearer part.
+    bool is_near(int d) const {
+        const int p = d / rolls;
+        return p >= edge_pitches && p < pitches - edge_pitches;
+    }
+
+    unsigned long long least(const int* row, int from, int to, int d) const {
+        int most = row[from], bin = from;
+        for (int b = from + 1; b < to; b++)
+            if (row[b] > most) {
+                most = row[b];
+                bin = b;
+            }
+        return key(most, d, bin);
+    }
+
+    // Adds the ends of the ranges of some cells.
+    void count(const FloorDirection& down, int from, int to, int* row) const {
+        const int low = lowest, shift = bits, last = bins;
+        const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y;
+        const int *__restrict__ zs = cells.z, *__restrict__ slacks = slack;
+        for (int start = from; start < to; start += CHUNK) {
+            const int n = to - start < CHUNK ? to - start : CHUNK;
+            int begin[CHUNK], end[CHUNK], under[CHUNK];
+            for (int k = 0; k < n; k++) {
+                const int i = start + k, s = slacks[i];
+                const int height = down.along(xs[i], ys[i], zs[i]) - low;
+                const int a = -((s - height) >> shift), b = ((height + s) >> shift) + 1;
+                const int c = ((height - FloorScore::BELOW * s - 1) >> shift) + 1;
+                begin[k] = a < 0 ? 0 : a > last ? last : a;
+                end[k] = b < 0 ? 0 : b > last ? last : b;
+                under[k] = c < 0 ? 0 : c > last ? last : c;
+            }
+            for (int k = 0; k < n; k++) {
+                row[begin[k]]++;
+                row[end[k]]--;
+                row[under[k]] += FloorScore::BELOW_COST;
+            }
+        }
+    }
+
+    // All votes. `best` and `whole` are set before the sync.
+    void run(const Team& team) const {
+        for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
+        if (team.rank == 0) *whole = ~0ull;
+        team.sync();
+        for (int d = team.rank; d < directions(); d += team.size) {
+            const FloorDirection down = direction(d);
+            int* row = votes + d * (bins + 1);
+            for (int b = 0; b <= bins; b++) row[b] = 0;
+            const bool near = is_near(d);
+            int done = 0;
+            for (int n = 0; n < rings - 1; n++) {
+                if (!near || ring_ends[n] < fewest) continue;
+                count(down, done, ring_ends[n], row);
+                done = ring_ends[n];
+                int sum = -FloorScore::BELOW_COST * done, most = -0x7fffffff, bin = 0;
+                for (int b = 0; b < bins - edge_bins; b++) {
+                    sum += row[b];
+                    if (b >= edge_bins && sum > most) {
+                        most = sum;
+                        bin = b;
+                    }
+                }
+                team.least(best + n, key(most, d, bin));
+            }
+            count(down, done, cells.count, row);
+            int sum = -FloorScore::BELOW_COST * cells.count;
+            for (int b = 0; b < bins; b++) row[b] = sum += row[b];
+            team.least(whole, least(row, 0, bins, d));
+            of_direction[d] = near ? least(row, edge_bins, bins - edge_bins, d) : ~0ull;
+            if (near) team.least(best + rings - 1, of_direction[d]);
+        }
+        team.sync();
+    }
+
+    // The best plane of all cells in the nearer part that is apart from the one found last.
+    void next(const Team& team) const {
+        const unsigned long long last = best[rings - 1];
+        const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
+        const int p = d / rolls, r = d % rolls;
+        team.sync();
+        if (team.rank == 0) best[rings - 1] = ~0ull;
+        for (int k = team.rank; k < 9; k += team.size) {
+            const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
+            if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
+            int* row = votes + other * (bins + 1);
+            const int from = h - APART > 0 ? h - APART : 0;
+            const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
+            for (int b = from; b < to; b++) row[b] = -0x7fffffff - 1;
+            if (is_near(other)) of_direction[other] = least(row, edge_bins, bins - edge_bins, other);
+        }
+        team.sync();
+        for (int k = team.rank; k < directions(); k += team.size)
+            team.least(best + rings - 1, of_direction[k]);
+        team.sync();
+    }
+};
+
+struct FloorSearch {
+    enum {
+        RINGS = 7,
+        MIN_SHARE = 3,
+        NEAR_DEG = 4,
+        STEEP_DEG = 8,
+        PITCH_LEAST = -15,
+        PITCH_MOST = 72,
+        ROLL_MOST = 30,
+        STEP_DEG = 3,
+        WINNERS = 10,
+        NEAR_PLANES = 9,
+        MOST_DIRECTIONS = 30 * 21,
+        KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
+    };
+    FloorAngles angles;
+    const int* settings;
+    // The cells voted by, by rings, and where each ring ends.
+    FloorCells cells;
+    const int* ring_ends;
+    // Scratch: a word a cell; the weights of all crews; KEY_WORDS; votes.
+    int *slack, *weights;
+    unsigned long long* keys;
+    int* votes;
+
+    // The tolerance of votes for directions so far apart, whatever the height.
+    void coarse(const Team& team, int per_z) const {
+        const int noise = settings[FloorSetting::NOISE];
+        const FloorSlack rough(settings[FloorSetting::ROUGH_BASE], per_z, noise, 0);
+        for (int i = team.rank; i < cells.count; i += team.size) {
+            const long long z = cells.z[i];
+            slack[i] = rough.at(cells.z[i]) + (int)((z * z * noise) >> FloorSlack::BITS);
+        }
+        team.sync();
+    }
+
+    // A lattice of planes around one.
+    FloorVotes around(FloorPlane middle, int turn, int roll) const {
+        const int span = settings[FloorSetting::SPAN], bits = settings[FloorSetting::BIN_BITS];
+        FloorVotes lattice = empty();
+        lattice.pitch0 = middle.pitch - turn * FloorAngles::ANGLES;
+        lattice.roll0 = middle.roll - roll * FloorAngles::ANGLES;
+        lattice.step = FloorAngles::ANGLES;
+        lattice.pitches = 2 * turn + 1;
+        lattice.rolls = 2 * roll + 1;
+        lattice.lowest = middle.height - span;
+        lattice.bins = (2 * span >> bits) + 1;
+        return lattice;
+    }
+
+    FloorVotes empty() const {
+        FloorVotes lattice;
+        lattice.angles = angles;
+        lattice.cells = cells;
+        lattice.slack = slack;
+        lattice.ring_ends = ring_ends;
+        lattice.rings = 1;
+        lattice.fewest = 0;
+        lattice.edge_pitches = lattice.edge_bins = 0;
+        lattice.bits = settings[FloorSetting::BIN_BITS];
+        lattice.votes = votes;
+        lattice.best = keys;
+        lattice.whole = keys + RINGS;
+        lattice.of_direction = keys + RINGS + 1;
+        return lattice;
+    }
+
+    int score(Crew& crew, FloorPlane plane) const {
+        const FloorDirection down = angles.down(plane);
+        const int* set = settings;
+        const FloorSlack slack(set[FloorSetting::FINE_BASE], set[FloorSetting::FINE_PER_Z],
+                               set[FloorSetting::NOISE], plane.height);
+        const FloorScore each{};
+        const int height = plane.height, last = cells.count, step = crew.size();
+        const int *xs = cells.x, *ys = cells.y, *zs = cells.z;
+        int sum = 0;
+        for (int i = crew.rank(); i < last; i += step)
+            sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, slack.at(zs[i]));
+        long long total[1] = {sum};
+        crew.sum(total, 1);
+        return (int)total[0];
+    }
+
+    // Up to NEAR_PLANES planes near a guess, and how many; `prior` may be null.
+    int near_planes(const Team& team, FloorPlane guess, const FloorPlane* prior,
+                    FloorPlane* planes) const {
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
+        lattice.rings = RINGS;
+        lattice.fewest = (MIN_SHARE * cells.count + 99) / 100;
+        lattice.edge_pitches = STEEP_DEG - NEAR_DEG;
+        lattice.edge_bins = settings[FloorSetting::EDGE];
+        lattice.run(team);
+        int count = 0;
+        int ends[NEAR_PLANES];
+        for (int n = 0; n < RINGS; n++) {
+            if (ring_ends[n] < lattice.fewest) continue;
+            ends[count] = ring_ends[n];
+            if (team.rank == 0) planes[count] = lattice.plane(lattice.best[n]);
+            count++;
+        }
+        lattice.next(team);
+        if (team.rank == 0) {
+            planes[count] = lattice.plane(lattice.best[RINGS - 1]);
+            planes[count + 1] = lattice.plane(*lattice.whole);
+        }
+        ends[count] = ends[count + 1] = cells.count;
+        count += 2;
+        team.sync();
+        Crew crew(team);
+        const FloorRefine refine = {angles, settings, prior, weights + crew.index() * cells.count};
+        for (int n = crew.index(); n < count; n += crew.count()) {
+            const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
+            const FloorPlane plane = refine.run(crew, planes[n], some, 2, 2, 1);
+            if (crew.rank() == 0) planes[n] = plane;
+        }
+        team.sync();
+        return count;
+    }
+
+    // The best floor of any camera that a robot or a hand holds; `planes` and `scores` have
+    // WINNERS places each.
+    FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
+        const int lowest = settings[FloorSetting::LOWEST];
+        FloorVotes wide = empty();
+        wide.pitch0 = PITCH_LEAST * FloorAngles::ANGLES;
+        wide.roll0 = -ROLL_MOST * FloorAngles::ANGLES;
+        wide.step = STEP_DEG * FloorAngles::ANGLES;
+        wide.pitches = (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1;
+        wide.rolls = 2 * ROLL_MOST / STEP_DEG + 1;
+        wide.lowest = lowest;
+        wide.bins = ((settings[FloorSetting::HIGHEST] - lowest) >> wide.bits) + 1;
+        coarse(team, settings[FloorSetting::WIDE_PER_Z]);
+        wide.run(team);
+        for (int n = 0; n < WINNERS; n++) {
+            if (n) wide.next(team);
+            if (team.rank == 0) planes[n] = wide.plane(wide.best[0]);
+        }
+        team.sync();
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        for (int n = 0; n < WINNERS; n++) {
+            const FloorVotes close = around(planes[n], 1, 1);
+            close.run(team);
+            if (team.rank == 0) planes[n] = close.plane(close.best[0]);
+            team.sync();
+        }
+        Crew crew(team);
+        const FloorRefine refine = {angles, settings, nullptr, weights + crew.index() * cells.count};
+        for (int n = crew.index(); n < WINNERS; n += crew.count()) {
+            const FloorPlane plane = refine.run(crew, planes[n], cells, 2, 2, 0);
+            const int votes = score(crew, plane);
+            if (crew.rank() == 0) {
+                planes[n] = plane;
+                scores[n] = votes;
+            }
+        }
+        team.sync();
+        int best = 0;
+        for (int n = 1; n < WINNERS; n++)
+            if (scores[n] > scores[best]) best = n;
+        return planes[best];
+    }
+};
