@@ -132,6 +132,8 @@ class FloorFit(NamedTuple):
     """``(B,)`` float64, share of the cells on the frame's own best floor."""
     refused: np.ndarray
     """``(B,)`` int32, a :class:`Refusal`."""
+    found: np.ndarray
+    """``(B, 8)`` int32, what they are made of, see :func:`floor_fit`."""
 
 
 def sine(angle: np.ndarray | int) -> np.ndarray:
@@ -189,4 +191,4 @@ def floor_fit(found: np.ndarray, prior: GroundPlane, unit: float) -> FloorFit:
     own = found[:, 7] == Refusal.NONE
     plane = GroundPlane(*(np.where(own, a, b) for a, b in zip(mine, prior, strict=True)))
     share = found[:, 5].astype(np.float64) / np.maximum(found[:, 6], 1)
-    return FloorFit(plane, own, share, found[:, 7].astype(np.int32))
+    return FloorFit(plane, own, share, found[:, 7].astype(np.int32), found)

@@ -51,6 +51,8 @@ class Found(NamedTuple):
     view: View
     low: np.ndarray
     """``(R, C)`` bool, measured and no higher than the step."""
+    overflow: bool
+    """There are more surfaces than ``MAX_SURFACES``."""
 
 
 def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
@@ -133,8 +135,9 @@ def _surfaces(grid: Cells, b: int, floor: np.ndarray, unit: float, config: Confi
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
+    overflow = bool(straight.max(initial=-1) >= MAX_SURFACES)
     straight = np.where(straight < MAX_SURFACES, straight, -1)
-    return Found(straight, keep, (view.z >= nearest) & ~keep, view, low)
+    return Found(straight, keep, (view.z >= nearest) & ~keep, view, low, overflow)
 
 
 def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
@@ -176,7 +179,7 @@ def _points(
     count = label.max(axis=1, initial=-1) + 1
     points = Features(
         **{k: np.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
-        overflow=corners.overflow | (count > MAX_OBSTACLES),
+        overflow=corners.overflow | (count > MAX_OBSTACLES) | [one.overflow for one in found],
     )
     labels = np.concatenate([of_corners, of_cells], axis=1)
     labels = np.where(labels < MAX_OBSTACLES, labels, -1).astype(np.int32)

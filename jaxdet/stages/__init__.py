@@ -2,8 +2,9 @@
 
 from jaxdet.stages._align import align
 from jaxdet.stages._cluster import cluster
+from jaxdet.stages._detect import detect, find_floors
 from jaxdet.stages._features import features
 from jaxdet.stages._footprint import footprint
 from jaxdet.stages._ground import ground
 
-__all__ = ["align", "cluster", "features", "footprint", "ground"]
+__all__ = ["align", "cluster", "detect", "features", "find_floors", "footprint", "ground"]

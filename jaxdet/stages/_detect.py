@@ -98,7 +98,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     among = _spread.devices_for(frames.color)
     color, depth, prior = _spread.even(frames.color, frames.depth, plane, len(among))
     scale = Scale(unit, config.floor.noise_per_m)
-    given = _Given(*(jnp.asarray(a) for a in (prior_units(prior, scale), floor_frames(prior, unit))))
+    given = _Given(*map(jnp.asarray, (prior_units(prior, scale), floor_frames(prior, unit))))
     found = _spread.run(_detect, color, depth, (tables, given), SPECS, static)
     found = found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
     return found._replace(scene=found.scene._replace(prior=plane))
@@ -173,7 +173,9 @@ def _detect(
     )
     points, labels = _points(color, grid, surfaces, label, count, shared, static)
     outlined = _outlines.outlines(label, count, grid, on_floor, shared.bands, shared.outline)
-    line, end = _free.free_floor(label, surfaces.low, grid.z, on_floor, shared.free, shared.free_settings)
+    line, end = _free.free_floor(
+        label, surfaces.low, grid.z, on_floor, shared.free, shared.free_settings
+    )
     nearest, farthest = shared.depth_range
     in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
     scene = Scene(floor, None, *outlined[1:], line, end)

@@ -40,9 +40,7 @@ class Settings(NamedTuple):
 
 
 class View(NamedTuple):
-    """The cells of frames, each ``(B, R, C)`` int32 [depth units], as
-    :class:`jaxdet.reference._view.View`.
-    """
+    """The cells of frames, each ``(B, R, C)`` int32 [depth units]; as in the reference."""
 
     x: jax.Array
     y: jax.Array
