@@ -1,4 +1,4 @@
-// Creases: where depth goes on but bends toward the camera's far side, so that two things touch.
+// Creases: concave edges, where depth goes on but bends, for two things touch there.
 // Twin of `creases` in jaxdet/reference/_surfaces.py.
 #pragma once
 #include "grid.h"
@@ -130,7 +130,7 @@ struct Creases {
         team.sync();
         for (int r = team.rank + 1; r < grid.rows; r += team.size) runs.link_all(team, r);
         team.sync();
-        for (int r = team.rank; r < grid.rows; r += team.size) runs.measure(team, r);
+        runs.measure(team);
         team.sync();
         for (int r = team.rank; r < grid.rows; r += team.size)
             for (int i = 0; i < runs.count(r); ++i)

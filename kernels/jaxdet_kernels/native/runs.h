@@ -33,7 +33,7 @@ struct LinkedSets {
     }
 };
 
-// Bytes of a row, any of whose 8 bits can be set; 7 more after the row may be read.
+// A row of bytes, whose bits say something of each cell; 7 more after it may be read.
 struct Marks {
     const unsigned char* row;
     int n;
@@ -58,9 +58,9 @@ struct Marks {
 };
 
 // The runs of each row, from left to right, and the sets that they are linked to. A thread makes
-// and links the runs of a row; methods with a row as argument may be called for all rows at once.
+// and links the runs of a row; threads may do so for all rows at once.
 struct Runs {
-    int columns;
+    int rows, columns;
     // (R C): in each row its runs, `begin | end << 16`.
     int* runs;
     // (R): how many there are.
@@ -87,9 +87,12 @@ struct Runs {
         sizes[first] = 0;
     }
 
-    // Adds the cells of a row's runs to the size of their sets; sizes may be read after a sync.
-    void measure(const Team& team, int r) const {
-        for (int i = 0; i < count(r); ++i) team.add(sizes + root(r, i), end(r, i) - begin(r, i));
+    // Adds the cells of all runs to the sizes of their sets, which may be read after a sync.
+    void measure(const Team& team) const {
+        const Rows of(team);
+        for (int r = of.first; r < rows; r += of.step)
+            for (int i = of.lane; i < count(r); i += Rows::LANES)
+                team.add(sizes + root(r, i), end(r, i) - begin(r, i));
     }
 
     // Links the runs of a row with those above it that share a column with them, or one more at

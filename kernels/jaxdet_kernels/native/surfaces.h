@@ -88,8 +88,7 @@ struct Surfaces {
         unsigned char* certain;
     };
 
-    // Where the cells of a row are on the floor. With 13 fraction bits, coordinates are taken apart
-    // into multiples of 2^13 and the rest, so that no sum needs more than 32 bits.
+    // Where the cells of a row are on the floor.
     static void place_row(
         const FloorFrame& frame, const int* __restrict__ x, const int* __restrict__ y,
         const int* __restrict__ z, int* __restrict__ right, int* __restrict__ forward,
@@ -188,8 +187,17 @@ struct Surfaces {
         runs.counts[r] = count;
     }
 
-    static void fill(int* out, int begin, int end, int value, int lane) {
-        for (int c = begin + lane; c < end; c += Rows::LANES) out[c] = value;
+    // Writes -1 before the i-th run of a row, from the run before on, and `value` in it.
+    static void fill_run(const Runs& runs, int* out, int r, int i, int value) {
+        int c = i ? runs.end(r, i - 1) : 0;
+        for (const int begin = runs.begin(r, i); c < begin; ++c) out[c] = -1;
+        for (const int end = runs.end(r, i); c < end; ++c) out[c] = value;
+    }
+
+    // Writes -1 after the last run of a row.
+    void fill_rest(const Runs& runs, int* out, int r) const {
+        const int count = runs.count(r);
+        for (int c = count ? runs.end(r, count - 1) : 0; c < columns; ++c) out[c] = -1;
     }
 
     // Labels of the linked cells: the smallest cell of their component, -1 where that is small.
@@ -217,19 +225,16 @@ struct Surfaces {
         for (int r = team.rank + 1; r < rows; r += team.size)
             runs.link_marked(team, r, in.wide + in.grid.row(r), UP);
         team.sync();
-        for (int r = team.rank; r < rows; r += team.size) runs.measure(team, r);
+        runs.measure(team);
         team.sync();
         const int least = settings[MIN_CELLS];
         for (int r = rows_of.first; r < rows; r += rows_of.step) {
             int* const out = in.depth + in.grid.row(r);
-            int done = 0;
-            for (int i = 0; i < runs.count(r); ++i) {
+            for (int i = rows_of.lane; i < runs.count(r); i += Rows::LANES) {
                 const int root = runs.root(r, i);
-                if (runs.sizes[root] < least) continue;
-                fill(out, done, runs.begin(r, i), -1, rows_of.lane);
-                fill(out, runs.begin(r, i), done = runs.end(r, i), root, rows_of.lane);
+                fill_run(runs, out, r, i, runs.sizes[root] < least ? -1 : root);
             }
-            fill(out, done, columns, -1, rows_of.lane);
+            if (rows_of.lane == 0) fill_rest(runs, out, r);
         }
         team.sync();
     }
@@ -306,14 +311,15 @@ struct Surfaces {
     }
 
     // Adds up what is known of the surfaces from the run begin .. end of row r.
-    void look_at(const Team& team, const Known& known, int label, int r, int begin, int end,
-                 int lane) const {
+    void look_at(
+        const Team& team, const Known& known, int label, int r, int begin, int end
+    ) const {
         const int k = r * columns, margin = columns / MARGIN;
         int top = -1, pairs = 0, steep = 0;
-        for (int c = begin + lane; c < end; c += Rows::LANES)
+        for (int c = begin; c < end; ++c)
             top = height[k + c] > top ? height[k + c] : top;
         if (r + 1 < rows)
-            for (int c = begin + lane; c < end; c += Rows::LANES) {
+            for (int c = begin; c < end; ++c) {
                 const int rises = height[k + c] - height[k + c + columns];
                 const int goes = forward[k + c] - forward[k + c + columns];
                 const bool outer = (c < margin) | (c >= columns - margin);
@@ -321,7 +327,7 @@ struct Surfaces {
                 pairs += lowest;
                 steep += lowest & ((outer ? rises : 3 * rises) > goes);
             }
-        if (lane == 0) team.least(known.first + label, k + begin);
+        team.least(known.first + label, k + begin);
         team.most(known.top + label, top);
         if (pairs) team.add(known.level + label, 2 * pairs - 3 * steep);
         if (pairs || r + 1 == rows || (begin < columns - margin && end > margin))
@@ -359,10 +365,8 @@ struct Surfaces {
         }
         team.sync();
         for (int r = rows_of.first; r < rows; r += rows_of.step)
-            for (int i = 0; i < runs.count(r); ++i)
-                look_at(
-                    team, known, label_of(r, i), r, runs.begin(r, i), runs.end(r, i), rows_of.lane
-                );
+            for (int i = rows_of.lane; i < runs.count(r); i += Rows::LANES)
+                look_at(team, known, label_of(r, i), r, runs.begin(r, i), runs.end(r, i));
         team.sync();
         for (int r = team.rank; r < rows; r += team.size) {
             int firsts = 0;
@@ -387,18 +391,13 @@ struct Surfaces {
         team.sync();
         for (int r = rows_of.first; r < rows; r += rows_of.step) {
             int* const out = label_out + r * columns;
-            int done = 0;
-            for (int i = 0; i < runs.count(r); ++i) {
-                const int begin = runs.begin(r, i), end = runs.end(r, i);
+            for (int i = rows_of.lane; i < runs.count(r); i += Rows::LANES) {
                 const int number = known.top[label_of(r, i)];
-                fill(out, done, begin, -1, rows_of.lane);
-                fill(out, begin, end, number < MOST ? number : -1, rows_of.lane);
-                if (number < 0)
-                    for (int c = begin + rows_of.lane; c < end; c += Rows::LANES)
-                        keep[r * columns + c] = 0;
-                done = end;
+                fill_run(runs, out, r, i, number < MOST ? number : -1);
+                if (number >= 0) continue;
+                for (int c = runs.begin(r, i); c < runs.end(r, i); ++c) keep[r * columns + c] = 0;
             }
-            fill(out, done, columns, -1, rows_of.lane);
+            if (rows_of.lane == 0) fill_rest(runs, out, r);
         }
     }
 
@@ -408,7 +407,7 @@ struct Surfaces {
         start(team, in);
         team.sync();
         // The sets are done with `other` when the next are started.
-        const Runs runs = {columns, in.runs, in.counts, {in.other}, in.sizes};
+        const Runs runs = {rows, columns, in.runs, in.counts, {in.other}, in.sizes};
         const Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
             limits, z, keep, in.step, in.depth, in.other, in.found, in.wide, runs,
