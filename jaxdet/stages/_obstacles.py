@@ -4,13 +4,12 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxdet_kernels import obstacles as kernel
 
-from jaxdet.affinity import BEYOND, Affinity
+from jaxdet.affinity import BEYOND, NO_STEP, Affinity
 from jaxdet.config import ObstacleConfig
-from jaxdet.reference._evidence import NO_STEP
 from jaxdet.stages._teams import TeamKernel
 from jaxdet.types import MAX_CONTOUR
+from jaxdet_kernels import obstacles as kernel
 
 FARTHEST = 1 << 28
 """Longer than any length that is compared [depth units]; products with it fit in 64 bits."""
@@ -40,8 +39,7 @@ class Settings(NamedTuple):
 
 
 class View(NamedTuple):
-    """The cells of frames, each ``(B, R, C)`` int32 [depth units], as
-    :class:`jaxdet.reference._view.View`."""
+    """:class:`jaxdet.reference._view.View` of a batch, each ``(B, R, C)`` int32 [depth units]."""
 
     x: jax.Array
     y: jax.Array
