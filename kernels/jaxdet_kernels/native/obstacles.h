@@ -177,11 +177,17 @@ struct Obstacles {
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
+    // Where a label leads; -1 stays, without a branch.
+    int mapped(int from, const int* to) const {
+        const int none = from >> 31;
+        return to[from & ~none] | none;
+    }
+
     // The label of each cell, and all that rows and columns are looked through for in one word.
     void pack(const Team& team) const {
         for (int row = 0; row < rows; ++row) {
             for (int c = team.rank; c < columns; c += team.size) {
-                const int i = row * columns + c, l = surface[i] < 0 ? -1 : number[surface[i]];
+                const int i = row * columns + c, l = mapped(surface[i], number);
                 label[i] = l;
                 packed[i] = Packed(l, free[i], z[i]).word;
             }
@@ -313,7 +319,7 @@ struct Obstacles {
         team.sync();
         const int cells = rows * columns, *to = named ? spare : group;
         for (int i = team.rank; i < cells; i += team.size) {
-            label[i] = label[i] < 0 ? -1 : to[label[i]];
+            label[i] = mapped(label[i], to);
         }
         team.sync();
     }
