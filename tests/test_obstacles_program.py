@@ -66,7 +66,7 @@ def painted(seed: int, rows: int, columns: int, things: int, spread: int = 900) 
     row, column = np.indices(label.shape)
     for number in range(things):
         top, left = rng.integers(0, rows), rng.integers(0, columns)
-        high, wide = rng.integers(1, rows + 1), rng.integers(1, 1 + columns // 2)
+        high, wide = rng.integers(1, 2 + rows // 3), rng.integers(1, 2 + columns // 4)
         part = (slice(top, top + high), slice(left, left + wide))
         label[part] = number
         slope = rng.integers(-40, 41)
@@ -91,7 +91,9 @@ def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
     height = rng.integers(-(1 << 20), 1 << 20, shape)
     free, in_view = (rng.random(shape) < share for share in (0.3, 0.8))
     view = View(x, y, z, right, forward, height, in_view)
-    return Given(renumbered(rng.integers(-1, surfaces, shape)), free, view)
+    label = rng.integers(-1, surfaces, shape)
+    label.ravel()[rng.permutation(label.size)[:surfaces]] = np.arange(surfaces)
+    return Given(renumbered(label), free, view)
 
 
 # by hand
@@ -112,7 +114,7 @@ def test_nothing_is_measured(columns: int) -> None:
 def test_one_surface() -> None:
     given = painted(0, 24, 40, 1)
     whole = given._replace(label=np.zeros_like(given.label))
-    assert assert_twin([whole]) == [1]
+    assert assert_twin([whole], replace(CONFIG, bend_m=0.0)) == [1]
 
 
 def test_one_cell() -> None:
@@ -123,7 +125,7 @@ def test_one_cell() -> None:
 
 
 def test_a_room_is_split() -> None:
-    """Two side walls and one across, and in the next frame too many corners for all labels."""
+    """Two side walls and one across."""
     room = painted(0, 20, 120, 1)
     depth = np.tile(
         np.minimum(np.minimum(np.arange(120), np.arange(120)[::-1]) * 80 + 900, 3000), 20
@@ -138,7 +140,7 @@ def test_a_room_is_split() -> None:
 
 
 def test_no_more_labels_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """512 surfaces of 4 columns and 64 rows, each of which bends twice."""
+    """512 surfaces of 16 columns and 4 rows, each of which bends twice."""
     column, row = np.arange(512), np.arange(64)
     label = np.tile(column // 16, (64, 1)) + 32 * (row // 4)[:, None]
     bends = np.array([0, 300, 600, 900, 900, 600, 300, 0] * 2)[column % 16]
@@ -146,11 +148,10 @@ def test_no_more_labels_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) 
     side = np.tile(column * 300, (64, 1))
     height = np.tile(100 * row[:, None], (1, 512))
     view = View(side, -height, z, side, z, height, z > 0)
-    config = replace(CONFIG, bend_m=0.02, side_m=0.1, lateral_gap_m=0.0, forward_gap_m=0.0)
-    config = replace(config, min_cells=1)
+    config = replace(CONFIG, bend_m=0.02, lateral_gap_m=0.0, forward_gap_m=0.0, min_cells=1)
     given = Given(renumbered(label), z < 0, view)
     assert given.label.max() == 511
-    counts = assert_twin([given], replace(config, side_m=0.4), farthest=65535)
+    counts = assert_twin([given], config, farthest=65535)
     assert counts == [types.MAX_LABELS]
 
 
@@ -175,7 +176,7 @@ def test_too_large_a_grid() -> None:
 @pytest.mark.parametrize(("rows", "columns", "things"), [(37, 61, 25), (60, 83, 60), (7, 9, 6)])
 def test_painted(rows: int, columns: int, things: int) -> None:
     several = [painted(seed, rows, columns, things) for seed in range(24)]
-    assert len(set(assert_twin(several))) > 2
+    assert len(set(assert_twin(several))) > 1
     assert_twin(several[:1])
     loose = replace(CONFIG, lateral_gap_m=0.2, forward_gap_m=0.1, bend_m=0.05, side_m=0.1)
     assert_twin(several, loose)
@@ -184,8 +185,8 @@ def test_painted(rows: int, columns: int, things: int) -> None:
 
 @pytest.mark.parametrize("surfaces", [2, 30, 512])
 def test_scattered(surfaces: int) -> None:
-    given = [scattered(seed, 41, 67, surfaces) for seed in range(3)]
-    assert max(one.label.max() for one in given) == surfaces - 1
+    given = [scattered(seed, 41, 67, surfaces) for seed in range(1 if surfaces > 100 else 3)]
+    assert {one.label.max() + 1 for one in given} == {surfaces}
     assert_twin(given, farthest=65535)
     wide = replace(CONFIG, lateral_gap_m=500, forward_gap_m=500, depth_gap_m=20, contact_m=0.5)
     assert_twin(given, replace(wide, min_cells=1), farthest=65535)
@@ -216,12 +217,12 @@ def surfaces_of(given: Frames, prior: GroundPlane, config: Config) -> tuple[list
 def test_simulated() -> None:
     given, farthest, config = [], 0, preset("surfaces")
     for family in ("corridor", "room", "tables", "low_clutter", "mixed"):
-        for frame in sample_frames(family, 300, 2, width=424, height=240, depth_error=1.0):
+        for frame in sample_frames(family, 300, 1, width=424, height=240, depth_error=1.0):
             assert frame.depth is not None
             one = frames(calibration_of(frame.config), frame.color[None], frame.depth[None])
             found, farthest = surfaces_of(one, frame.plane, config)
             given += found
-    assert sum(assert_twin(given, config.obstacle, farthest)) > 20
+    assert sum(assert_twin(given, config.obstacle, farthest)) > 10
 
 
 @pytest.mark.parametrize(

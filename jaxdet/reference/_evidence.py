@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.affinity import NO_STEP
 from jaxdet.config import ObstacleConfig
 from jaxdet.reference._outlines import contours
 from jaxdet.reference._view import Extents, View, extents
@@ -15,8 +16,6 @@ SLOPE = 10
 CONTACT = 2
 """Contours so many gaps apart are near, whether or not the surfaces face each other."""
 PERCENT = 100
-NO_STEP = 10_000
-"""Step in depth [mm] of two surfaces that do not face each other in any row."""
 
 
 class Facing(NamedTuple):

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxdet.affinity import BEYOND, Affinity
+from jaxdet.affinity import BEYOND, NO_STEP, Affinity
 from jaxdet.config import ObstacleConfig
-from jaxdet.reference._evidence import NO_STEP
 from jaxdet.stages._teams import TeamKernel
 from jaxdet.types import MAX_CONTOUR
 from jaxdet_kernels import obstacles as kernel
@@ -40,7 +39,7 @@ class Settings(NamedTuple):
 
 
 class View(NamedTuple):
-    """The cells of frames, each ``(B, R, C)`` int32 [depth units]; as in the reference."""
+    """:class:`jaxdet.reference._view.View` of a batch, each ``(B, R, C)`` int32 [depth units]."""
 
     x: jax.Array
     y: jax.Array

@@ -4,7 +4,7 @@ import warp as wp
 
 from jaxdet_kernels.native_source import native
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": "-march=native"})
 
 MAX_SURFACES = 512
 """Most surfaces of a frame."""

@@ -64,16 +64,14 @@ struct Extents {
         for (int line = team.rank; line < lines.count; line += team.size) {
             const int base = line * lines.stride;
             for (int k = 0, end; k < lines.length; k = end) {
-                const int l = label[base + k * lines.step];
+                const int start = base + k * lines.step, l = label[start];
                 end = k + 1;
+                while (end < lines.length && label[base + end * lines.step] == l) ++end;
                 if (l < 0) continue;
-                int i = base + k * lines.step, seen = in_view[i];
-                int x = at_x[i], z = at_z[i], r0 = at_right[i], f0 = at_forward[i];
-                int h0 = at_height[i];
-                int r1 = r0, f1 = f0, h1 = h0;
-                for (; end < lines.length; ++end) {
-                    i = base + end * lines.step;
-                    if (label[i] != l) break;
+                int seen = 0, x = NONE, z = NONE, r0 = NONE, f0 = NONE, h0 = NONE;
+                int r1 = -NONE, f1 = -NONE, h1 = -NONE;
+                for (int n = 0; n < end - k; ++n) {
+                    const int i = start + n * lines.step;
                     const int r = at_right[i], f = at_forward[i], h = at_height[i];
                     x = at_x[i] < x ? at_x[i] : x;
                     z = at_z[i] < z ? at_z[i] : z;
@@ -92,7 +90,7 @@ struct Extents {
 #endif
                 team.add(cells + l, end - k);
                 team.add(shown + l, seen);
-                team.least(first + l, base + k * lines.step);
+                team.least(first + l, start);
                 team.least(row_low + l, row0);
                 team.most(row_high + l, row1);
                 team.least(column_low + l, column0);
@@ -204,15 +202,16 @@ struct Trimmed {
     void fill(const Team& team) const {
         const Lines lines(rows, columns);
         for (int line = team.rank; line < lines.count; line += team.size) {
-            int i = line * lines.stride;
-            const int last = i + lines.length * lines.step;
-            while (i != last) {
-                const int l = label[i];
-                const bool wanted = l >= 0 && bits(l) >= 0;
-                const int from = wanted ? begin(l)[0] : 0, width = wanted ? bits(l) : 0;
-                int* own = histogram(l < 0 ? 0 : l, 0);
-                for (; i != last && label[i] == l; i += lines.step) {
-                    if (wanted) team.add(own + ((value[i] - from) >> width), 1);
+            const int base = line * lines.stride;
+            for (int k = 0, end; k < lines.length; k = end) {
+                const int start = base + k * lines.step, l = label[start];
+                end = k + 1;
+                while (end < lines.length && label[base + end * lines.step] == l) ++end;
+                if (l < 0 || bits(l) < 0) continue;
+                const int from = begin(l)[0], width = bits(l);
+                int* own = histogram(l, 0);
+                for (int n = 0; n < end - k; ++n) {
+                    team.add(own + ((value[start + n * lines.step] - from) >> width), 1);
                 }
             }
         }
@@ -221,17 +220,18 @@ struct Trimmed {
     void fill_ends(const Team& team) const {
         const Lines lines(rows, columns);
         for (int line = team.rank; line < lines.count; line += team.size) {
-            int i = line * lines.stride;
-            const int last = i + lines.length * lines.step;
-            while (i != last) {
-                const int l = label[i];
-                const bool wanted = l >= 0 && bits(l) >= 0;
-                const int m = wanted ? l : 0, from = begin(m)[0], to = begin(m)[1];
-                const int width = bits(m) & 31, range = span(m) & 31;
-                int* own = histogram(m, 0);
-                for (; i != last && label[i] == l; i += lines.step) {
-                    if (!wanted) continue;
-                    const unsigned a = value[i] - from, b = value[i] - to;
+            const int base = line * lines.stride;
+            for (int k = 0, end; k < lines.length; k = end) {
+                const int start = base + k * lines.step, l = label[start];
+                end = k + 1;
+                while (end < lines.length && label[base + end * lines.step] == l) ++end;
+                if (l < 0 || bits(l) < 0) continue;
+                const int from = begin(l)[0], to = begin(l)[1], width = bits(l), range = span(l);
+                int* own = histogram(l, 0);
+                for (int n = 0; n < end - k; ++n) {
+                    const int at = value[start + n * lines.step];
+                    const unsigned a = at - from, b = at - to;
+                    if (a >> range && b >> range) continue;
                     if (a >> range == 0) team.add(own + (a >> width), 1);
                     if (b >> range == 0) team.add(own + BUCKETS + (b >> width), 1);
                 }

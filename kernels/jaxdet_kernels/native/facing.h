@@ -10,7 +10,7 @@ struct Packed {
 
     explicit Packed(int word) : word(word) {}
     Packed(int label, int free, int z)
-        : word((label + 1) << LABEL_SHIFT | (free ? FREE : 0) | z) {}
+        : word((label + 1) << LABEL_SHIFT | (free != 0) << DEPTH_BITS | z) {}
 
     int label() const { return (word >> LABEL_SHIFT) - 1; }
     int free() const { return word >> DEPTH_BITS & 1; }

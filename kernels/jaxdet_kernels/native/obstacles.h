@@ -126,14 +126,23 @@ struct Obstacles {
         trimmed.run(team);
     }
 
-    // The trimmed width, where it decides whether a label is large enough; elsewhere more, if it is
-    // high enough, or less than enough.
-    void measure_width(const Team& team, const Extents& known, int count, const int* of) const {
+    // Sets `over` of this thread's labels to pass cells over where the trimmed width decides
+    // whether a label is large enough; whether it does for any. Elsewhere the whole width will do.
+    bool width_decides(const Team& team, const Extents& known, int count) const {
+        bool some = false;
         for (int l = team.rank; l < count; l += team.size) {
-            const bool decides = known.height(l) < settings[MIN_SIZE] &&
-                                 known.right_high[l] - known.right_low[l] >= settings[MIN_SIZE];
+            const int size = settings[MIN_SIZE];
+            known.left[l] = known.right_low[l];
+            known.right[l] = known.right_high[l];
+            const bool decides = known.height(l) < size && known.width(l) >= size;
             over[l] = decides ? known.cells[l] / Extents::TRIM : 0;
+            some |= over[l] > 0;
         }
+        return some;
+    }
+
+    // The width, once `over` is set.
+    void measure_width(const Team& team, const Extents& known, int count, const int* of) const {
         trim(team, known, count, of, right, known.right_low, known.right_high, known.left,
              known.right);
     }
@@ -151,7 +160,7 @@ struct Obstacles {
     void join_pieces(const Team& team) const {
         const int count = counts[SURFACES];
         measure(team, first, count, surface);
-        measure_width(team, first, count, surface);
+        if (team.any(width_decides(team, first, count))) measure_width(team, first, count, surface);
         bool some = false;
         for (int l = team.rank; l < count; l += team.size) {
             small[l] = !is_large(first, l) || first.rows_of(l) < THINNEST ||
@@ -168,20 +177,33 @@ struct Obstacles {
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
+    // Where a label leads; -1 stays, without a branch.
+    int mapped(int from, const int* to) const {
+        const int none = from >> 31;
+        return to[from & ~none] | none;
+    }
+
     // The label of each cell, and all that rows and columns are looked through for in one word.
     void pack(const Team& team) const {
         for (int row = 0; row < rows; ++row) {
             for (int c = team.rank; c < columns; c += team.size) {
-                const int i = row * columns + c, l = surface[i] < 0 ? -1 : number[surface[i]];
-                const int word = Packed(l, free[i], z[i]).word;
+                const int i = row * columns + c, l = mapped(surface[i], number);
                 label[i] = l;
-                packed[i] = word;
-#if !defined(__CUDA_ARCH__)
-                across[c * rows + row] = word;
-#endif
+                packed[i] = Packed(l, free[i], z[i]).word;
             }
         }
         team.sync();
+#if !defined(__CUDA_ARCH__)
+        enum { TILE = 16 };
+        for (int row = 0; row < rows; row += TILE) {
+            const int high = rows - row < TILE ? rows - row : (int)TILE;
+            for (int c = 0; c < columns; ++c) {
+                const int* from = packed + row * columns + c;
+                int* to = across + c * rows + row;
+                for (int k = 0; k < high; ++k) to[k] = from[k * columns];
+            }
+        }
+#endif
     }
 
     // The evidence between all pairs of surfaces.
@@ -211,7 +233,7 @@ struct Obstacles {
         evidence.run(team);
     }
 
-    // The label of each cell, once what bends around free floor is split; `last` of them.
+    // Splits what bends around free floor; `last` of the parts.
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
         int* names = parts + groups;
@@ -245,6 +267,13 @@ struct Obstacles {
             }
         }
         team.sync();
+        if (counts[PARTS] == groups) return;
+        name(team);
+        measure(team, last, counts[PARTS], label);
+    }
+
+    // From the surface of each cell to the part of an obstacle. Ends in a sync.
+    void name(const Team& team) const {
         for (int row = 0; row < rows; ++row) {
             for (int c = team.rank; c < columns; c += team.size) {
                 int& own = label[row * columns + c];
@@ -254,7 +283,6 @@ struct Obstacles {
             }
         }
         team.sync();
-        if (counts[PARTS] > groups) measure(team, last, counts[PARTS], label);
     }
 
     StraightParts straight_parts(int g) const {
@@ -265,8 +293,14 @@ struct Obstacles {
 
     // Obstacles by distance; what is too small or too far is none.
     void order(const Team& team) const {
-        const int count = counts[PARTS];
-        measure_width(team, last, count, label);
+        const int count = counts[PARTS], wholes = counts[WHOLE];
+        // Where nothing is split and no width matters, cells still have their surface.
+        bool named = count > counts[GROUPS];
+        if (team.any(width_decides(team, last, count)) && !named) {
+            name(team);
+            named = true;
+        }
+        if (named) measure_width(team, last, count, label);
         for (int l = team.rank; l < count; l += team.size) {
             small[l] = !(is_large(last, l) && last.shown[l] >= settings[MIN_CELLS] &&
                          last.nearest[l] <= settings[FARTHEST]);
@@ -281,9 +315,11 @@ struct Obstacles {
             if (!small[l]) team.add(total, 1);
         }
         team.sync();
-        const int cells = rows * columns;
+        for (int l = team.rank; l < wholes; l += team.size) group[l] = spare[number[l]];
+        team.sync();
+        const int cells = rows * columns, *to = named ? spare : group;
         for (int i = team.rank; i < cells; i += team.size) {
-            label[i] = label[i] < 0 ? -1 : spare[label[i]];
+            label[i] = mapped(label[i], to);
         }
         team.sync();
     }

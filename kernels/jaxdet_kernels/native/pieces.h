@@ -4,7 +4,7 @@
 #include "numbering.h"
 
 struct Pieces {
-    enum { THINNEST = 3, REACH = 2 };
+    enum { REACH = 2 };
     int count, rows, columns, step;
     const int *label, *z;
     const int* small;        // of each surface
