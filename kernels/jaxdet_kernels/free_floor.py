@@ -6,12 +6,12 @@ from jaxdet_kernels.native_source import native
 
 wp.set_module_options({"enable_backward": False})
 
-COLUMN_WORDS = 8
+ARRAYS = 3
 
 
 def scratch_words(columns: int) -> int:
     """32-bit words of scratch memory of a team, for so many columns of cells."""
-    return COLUMN_WORDS * columns
+    return ARRAYS * columns
 
 
 @wp.func_native(
@@ -28,7 +28,7 @@ def scratch_words(columns: int) -> int:
     floor.bows = bows.data;
     floor.drops = drops.data;
     int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
-    floor.state = (FreeFloor::Column*)scratch;
+    floor.lay(scratch);
     for (int b = team.index; b < batch; b += shares) {
         const size_t at = (size_t)b * rows * columns, column = (size_t)b * columns;
         floor.label = label.data + at;

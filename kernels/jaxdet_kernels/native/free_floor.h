@@ -15,18 +15,17 @@ struct FreeFloor {
         DEPTHS = 65536
     };
 
-    // What is known of a column while one goes through its cells.
+    // What is known of a column while one goes up its cells.
     struct Column {
-        // The obstacle that is nearest and its row, or the range and -1.
+        // The nearest obstacle's distance and row, or the range and -1.
         int limit, nearest;
         // Rows where the floor begins and where it has come to, -1 = none yet.
         int first, last;
         // Of the last cell of the floor.
         int forward, height;
         // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
-        int ended, drops;
+        int ended, falls;
     };
-    enum { COLUMN_WORDS = 8 };
 
     const Team& team;
     int rows, columns, far, gap;
@@ -34,74 +33,80 @@ struct FreeFloor {
     const bool* low;
     const int *bows, *drops;  // (DEPTHS,), by z
     int *line_out, *end_out;
-    Column* state;  // by column
+    // By column: the nearest obstacle's distance and row, and whether the floor drops.
+    int *limit, *nearest, *falls;
 
     explicit FreeFloor(const Team& team) : team(team) {}
 
+    // Puts the arrays into scratch memory, three by column.
+    void lay(int* scratch) {
+        limit = scratch;
+        nearest = limit + columns;
+        falls = nearest + columns;
+    }
+
     void run() const {
-#if defined(__CUDA_ARCH__)
-        // A thread a column.
+        find_obstacles();
         for (int c = team.rank; c < columns; c += team.size) {
-            Column column = before();
-            for (int row = 0; row < rows; ++row) meet(column, row, c);
+            const bool blocked = nearest[c] >= 0;
+            Column column = {blocked ? limit[c] : far, nearest[c], -1, -1, 0, 0, 0, -1};
             for (int row = rows - 1; row >= 0 && !column.ended; --row) follow(column, row, c);
             put(column, c);
-            state[c] = column;
+            falls[c] = column.falls > 0;
         }
-#else
-        // Row by row, as the cells lie in memory.
-        for (int c = 0; c < columns; ++c) state[c] = before();
-        for (int row = 0; row < rows; ++row)
-            for (int c = 0; c < columns; ++c) meet(state[c], row, c);
-        for (int row = rows - 1; row >= 0; --row)
-            for (int c = 0; c < columns; ++c)
-                if (!state[c].ended) follow(state[c], row, c);
-        for (int c = 0; c < columns; ++c) put(state[c], c);
-#endif
         team.sync();
         for (int c = team.rank; c < columns; c += team.size) {
             int beside = 0;
             for (int other = c - BESIDE; other <= c + BESIDE; ++other)
-                beside += other >= 0 && other < columns && state[other].drops > 0;
-            if (end_out[c] == DROP && beside <= BESIDE) end_out[c] = UNKNOWN;
+                beside += other >= 0 && other < columns ? falls[other] : 0;
+            if (falls[c] && beside <= BESIDE) end_out[c] = UNKNOWN;
         }
         team.sync();
     }
 
-    Column before() const { return {LARGEST, -1, -1, -1, 0, 0, 0, -1}; }
-
-    // Looks for the nearest obstacle, from the top row down.
-    void meet(Column& column, int row, int c) const {
-        const int k = row * columns + c;
-        if (label[k] < 0 || (column.nearest >= 0 && forward[k] >= column.limit)) return;
-        column.limit = forward[k];
-        column.nearest = row;
+    // The nearest obstacle of each column, of equal ones the uppermost; a thread a column, and
+    // row by row.
+    void find_obstacles() const {
+        for (int c = team.rank; c < columns; c += team.size) {
+            limit[c] = LARGEST;
+            nearest[c] = -1;
+        }
+        const int wide = columns;
+        int *__restrict limits = limit, *__restrict rows_of = nearest;
+        for (int row = 0; row < rows; ++row) {
+            const int *own = label + row * wide, *ahead = forward + row * wide;
+            for (int c = team.rank; c < wide; c += team.size) {
+                const bool nearer = (own[c] >= 0) & (ahead[c] < limits[c]);
+                limits[c] = nearer ? ahead[c] : limits[c];
+                rows_of[c] = nearer ? row : rows_of[c];
+            }
+        }
     }
 
     // Goes on with the floor, from the bottom row up.
     void follow(Column& column, int row, int c) const {
         const int k = row * columns + c;
         if (!low[k]) return;
-        const int ahead = forward[k], limit = column.nearest < 0 ? far : column.limit;
-        if (ahead >= limit || z[k] > far || height[k] < -bows[z[k]]) return;
+        const int ahead = forward[k];
+        if (ahead >= column.limit || z[k] > far || height[k] < -bows[z[k]]) return;
         if (column.first < 0) {
             column.first = row;
         } else if (ahead - column.forward > gap) {
             column.ended = 1;
             return;
         } else if (column.height - height[k] > drops[z[k]]) {
-            if (column.drops < 0) column.drops = falls(column, c);
-            column.ended = column.drops;
+            if (column.falls < 0) column.falls = falls_after(column, c);
+            column.ended = column.falls;
             return;
         }
         column.last = row;
         column.forward = ahead;
         column.height = height[k];
-        column.drops = -1;
+        column.falls = -1;
     }
 
     // Whether the next RUN measured cells up a column are a drop lower, and lie flat.
-    int falls(const Column& column, int c) const {
+    int falls_after(const Column& column, int c) const {
         int found = 0, before_height = 0, before_forward = 0;
         for (int row = column.last - 1; row >= 0; --row) {
             const int k = row * columns + c;
@@ -119,14 +124,14 @@ struct FreeFloor {
 
     // Where the free floor of a column begins and ends, but for drops that are too narrow.
     void put(Column& column, int c) const {
-        const int nearest = column.nearest, last = column.last;
-        const bool blocked = nearest >= 0, seen = column.first >= 0;
-        if (seen && column.drops < 0) column.drops = falls(column, c);
-        const int limit = blocked ? column.limit : far;
-        const bool falls_off = column.drops > 0, close = seen && limit - column.forward <= gap;
+        const int obstacle = column.nearest, last = column.last;
+        const bool blocked = obstacle >= 0, seen = column.first >= 0;
+        if (seen && column.falls < 0) column.falls = falls_after(column, c);
+        const bool falls_off = column.falls > 0;
+        const bool close = seen && column.limit - column.forward <= gap;
         const bool up_to = blocked && (!seen || (close && !falls_off));
-        put_place(0, seen ? column.first : nearest, c);
-        put_place(1, up_to ? nearest : last, c);
+        put_place(0, seen ? column.first : obstacle, c);
+        put_place(1, up_to ? obstacle : last, c);
         end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
     }
 

@@ -9,18 +9,17 @@
 #include "team.h"
 
 struct Lanes {
-    int rank, size, index, count;
-
-    explicit Lanes(const Team& team) {
 #if defined(__CUDA_ARCH__)
-        size = 32;
+    enum { size = 32 };
+    int rank, index, count;
+
+    explicit Lanes(const Team& team)
+        : rank(team.rank % size), index(team.rank / size), count(team.size / size) {}
 #else
-        size = 1;
+    enum { rank = 0, size = 1, index = 0, count = 1 };
+
+    explicit Lanes(const Team&) {}
 #endif
-        rank = team.rank % size;
-        index = team.rank / size;
-        count = team.size / size;
-    }
 
     int sum(int value) const {
 #if defined(__CUDA_ARCH__)

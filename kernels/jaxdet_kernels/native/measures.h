@@ -7,7 +7,7 @@
 struct Measures {
     enum { MOST_LATERAL = (1 << 18) - 1, DEPTHS = 65536, TRIM_SHARE = 16 };
     // What is measured of an obstacle at a time.
-    enum { X, Y, Z, U, V, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
+    enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
 
     const ObstacleCells& cells;
     const Lanes& lanes;
@@ -22,7 +22,7 @@ struct Measures {
     Measures(const ObstacleCells& cells, const Lanes& lanes) : cells(cells), lanes(lanes) {}
 
     struct Extremes {
-        int low, high, sum;
+        int low, high;
     };
 
     static int clipped(int value) {
@@ -60,46 +60,67 @@ struct Measures {
 
     void measure(int number, int kind) const {
         const ObstacleCells::Range shown = cells.shown(number);
-        if (kind == HEIGHT) {
+        if (kind == HEIGHT)
             put_height(number, cells.all(number));
-        } else if (shown.size() == 0) {
+        else if (shown.size() == 0)
             return;
-        } else if (kind <= Z) {
-            const Extremes found = extremes(xyz[kind], xyz[kind], 1, 0, shown);
-            if (lanes.rank) return;
-            xyz_min_out[3 * number + kind] = found.low;
-            xyz_max_out[3 * number + kind] = found.high;
-            xyz_sum_out[3 * number + kind] = found.sum;
-            if (kind == X) count_out[number] = shown.size();
-        } else if (kind <= V) {
-            const Extremes found = extremes(uv_min, uv_max, 2, kind - U, shown);
-            if (lanes.rank) return;
-            uv_min_out[2 * number + kind - U] = found.low;
-            uv_max_out[2 * number + kind - U] = found.high;
-        } else {
-            find_corner(number, kind, shown);
+        else if (kind == PLACE)
+            put_place(number, shown);
+        else if (kind == BOX)
+            put_box(number, shown);
+        else
+            put_corner(number, kind, shown);
+    }
+
+    // How many cells there are, and where they are in the camera.
+    void put_place(int number, ObstacleCells::Range range) const {
+        const int most = ObstacleCells::LARGEST;
+        int low[3] = {most, most, most}, high[3] = {-most, -most, -most};
+        unsigned sum[3] = {0, 0, 0};
+        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
+            const int k = cells.cell[i];
+            for (int j = 0; j < 3; ++j) {
+                const int value = xyz[j][k];
+                low[j] = value < low[j] ? value : low[j];
+                high[j] = value > high[j] ? value : high[j];
+                sum[j] += (unsigned)value;
+            }
+        }
+        for (int j = 0; j < 3; ++j) {
+            xyz_min_out[3 * number + j] = lanes.least(low[j]);
+            xyz_max_out[3 * number + j] = lanes.most(high[j]);
+            xyz_sum_out[3 * number + j] = lanes.sum((int)sum[j]);
+        }
+        count_out[number] = range.size();
+    }
+
+    // Where they are in the colour image.
+    void put_box(int number, ObstacleCells::Range range) const {
+        const int most = ObstacleCells::LARGEST;
+        int low[2] = {most, most}, high[2] = {-most, -most};
+        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
+            const int k = 2 * cells.cell[i];
+            for (int j = 0; j < 2; ++j) {
+                low[j] = uv_min[k + j] < low[j] ? uv_min[k + j] : low[j];
+                high[j] = uv_max[k + j] > high[j] ? uv_max[k + j] : high[j];
+            }
+        }
+        for (int j = 0; j < 2; ++j) {
+            uv_min_out[2 * number + j] = lanes.least(low[j]);
+            uv_max_out[2 * number + j] = lanes.most(high[j]);
         }
     }
 
     void put_height(int number, ObstacleCells::Range range) const {
         if (range.size() == 0) return;
-        const Extremes found = extremes(height, height, 1, 0, range);
-        if (lanes.rank) return;
-        bottom_top_out[2 * number] = found.low;
-        bottom_top_out[2 * number + 1] = found.high;
-    }
-
-    // The least of one number of each cell, the largest of another, and the sum of the first.
-    Extremes extremes(const int* lows, const int* highs, int stride, int offset,
-                      ObstacleCells::Range range) const {
-        Extremes found = {ObstacleCells::LARGEST, -ObstacleCells::LARGEST, 0};
+        int low = ObstacleCells::LARGEST, high = -low;
         for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
-            const int k = stride * cells.cell[i] + offset, low = lows[k], high = highs[k];
-            found.low = low < found.low ? low : found.low;
-            found.high = high > found.high ? high : found.high;
-            found.sum += low;
+            const int value = height[cells.cell[i]];
+            low = value < low ? value : low;
+            high = value > high ? value : high;
         }
-        return {lanes.least(found.low), lanes.most(found.high), lanes.sum(found.sum)};
+        bottom_top_out[2 * number] = lanes.least(low);
+        bottom_top_out[2 * number + 1] = lanes.most(high);
     }
 
     // The least and the largest of numbers by place in the order.
@@ -109,11 +130,11 @@ struct Measures {
             low = values[i] < low ? values[i] : low;
             high = values[i] > high ? values[i] : high;
         }
-        return {lanes.least(low), lanes.most(high), 0};
+        return {lanes.least(low), lanes.most(high)};
     }
 
     // A, B or C: on one axis the outermost, on the other the least of those as far out.
-    void find_corner(int number, int kind, ObstacleCells::Range range) const {
+    void put_corner(int number, int kind, ObstacleCells::Range range) const {
         const bool near = kind == NEAR;
         const int* values = near ? cells.forward_of : cells.right_of;
         const int* others = near ? cells.right_of : cells.forward_of;

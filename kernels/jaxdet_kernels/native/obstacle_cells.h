@@ -22,6 +22,8 @@ struct ObstacleCells {
 
     const Team& team;
     int cells, columns, count;  // of the grid; and how many obstacles
+    // Columns of the margin at a side; columns from a thread's cell to its next.
+    int margin, step;
     const int *label, *right, *forward;
     const bool* in_view;
     // By obstacle and part, and one more.
@@ -31,7 +33,8 @@ struct ObstacleCells {
     int *cell, *right_of, *forward_of;
 
     ObstacleCells(const Team& team, int cells, int columns, int count)
-        : team(team), cells(cells), columns(columns), count(count) {}
+        : team(team), cells(cells), columns(columns), count(count), margin(columns / MARGIN),
+          step(team.size % columns) {}
 
     // Puts the arrays into scratch memory with room for `slots` obstacles.
     void lay(int* scratch, int slots) {
@@ -43,20 +46,19 @@ struct ObstacleCells {
     }
 
     bool at_margin(int column) const {
-        const int wide = columns / MARGIN;
-        return column < wide || column >= columns - wide;
+        return column < margin || column >= columns - margin;
     }
 
     int place(int number, int k, int column) const {
-        const bool margin = at_margin(column);
-        const int part = in_view[k] ? (margin ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
-                                    : (margin ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
+        const bool outside = at_margin(column);
+        const int part = in_view[k] ? (outside ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
+                                    : (outside ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
         return PARTS * number + part;
     }
 
     // The column of the cell that a thread looks at after one in `column`.
     int next_column(int column) const {
-        column += team.size % columns;
+        column += step;
         return column < columns ? column : column - columns;
     }
 
@@ -65,9 +67,23 @@ struct ObstacleCells {
         for (int i = team.rank; i < PARTS * count; i += team.size) filled[i] = 0;
     }
 
-    // Counts a cell of an obstacle.
-    void note(int number, int k, int column) const {
-        team.add(filled + place(number, k, column), 1);
+    // Cells of one obstacle and part, one after the other.
+    struct Run {
+        int place, size;
+    };
+
+    // Counts a cell of an obstacle: it goes on with a run, or the run is counted and one begins.
+    void note(Run& run, int number, int k, int column) const {
+        const int own = place(number, k, column);
+        if (own != run.place) {
+            end(run);
+            run = {own, 0};
+        }
+        ++run.size;
+    }
+
+    void end(Run run) const {
+        if (run.size) team.add(filled + run.place, run.size);
     }
 
     // By one thread, after all cells are counted; then all threads wait.
@@ -83,11 +99,21 @@ struct ObstacleCells {
 
     // Puts the cells in order; then all threads wait.
     void sort() const {
+        Run run = {0, filled[0]};  // on the CPU: the part that the last cell went to, and its end
         for (int k = team.rank, c = team.rank % columns; k < cells;
              k += team.size, c = next_column(c)) {
             const int number = label[k];
             if (number < 0 || number >= count) continue;
-            const int i = team.add(filled + place(number, k, c), 1);
+            const int own = place(number, k, c);
+#if defined(__CUDA_ARCH__)
+            const int i = team.add(filled + own, 1);
+#else
+            if (own != run.place) {
+                filled[run.place] = run.size;
+                run = {own, filled[own]};
+            }
+            const int i = run.size++;
+#endif
             cell[i] = k;
             right_of[i] = right[k];
             forward_of[i] = forward[k];

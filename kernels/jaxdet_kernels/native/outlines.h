@@ -44,7 +44,7 @@ struct Outlines {
     // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
     int* lay(int* scratch) {
         nearest = (unsigned long long*)scratch;
-        area = (long long*)(nearest + (size_t)slots * cells.columns);
+        area = (long long*)(nearest + (long long)slots * cells.columns);
         cost = (int*)(area + slots * DIRECTIONS);
         points_of = cost + slots * DIRECTIONS;
         margins = points_of + slots * chunks();
@@ -80,10 +80,11 @@ struct Outlines {
 
     void clear() const {
         const Team& team = cells.team;
+        const int used = cells.count * cells.columns, points = 2 * slots * capacity;
         const unsigned long long none = ~0ull;
-        for (int i = team.rank; i < cells.count * cells.columns; i += team.size) nearest[i] = none;
+        for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
         for (int i = team.rank; i < 2 * cells.count; i += team.size) margins[i] = 0;
-        for (int i = team.rank; i < 2 * slots * capacity; i += team.size) contour_out[i] = 0;
+        for (int i = team.rank; i < points; i += team.size) contour_out[i] = 0;
         for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
         for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
         for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
@@ -92,15 +93,17 @@ struct Outlines {
     // Counts the cells of each obstacle and finds the nearest in each column.
     void look() const {
         const Team& team = cells.team;
+        ObstacleCells::Run run = {0, 0};
         for (int k = team.rank, c = team.rank % cells.columns; k < cells.cells;
              k += team.size, c = cells.next_column(c)) {
             const int number = cells.label[k];
             if (number < 0 || number >= cells.count) continue;
-            cells.note(number, k, c);
+            cells.note(run, number, k, c);
             const long long x = cells.right[k], y = cells.forward[k];
             const unsigned long long distance = (unsigned long long)(x * x + y * y);
             team.least(nearest + number * cells.columns + c, distance << CELL_BITS | (unsigned)k);
         }
+        cells.end(run);
     }
 
     void count_points() const {

@@ -14,7 +14,12 @@
 #pragma once
 
 struct Team {
-    int rank, size, index;
+#if defined(__CUDA_ARCH__)
+    int rank, size;
+#else
+    enum { rank = 0, size = 1 };
+#endif
+    int index;
 
     // The team that a kernel's thread `tid` belongs to; `share` is that of the launch.
     Team(int tid, int share) {
@@ -23,8 +28,6 @@ struct Team {
         size = blockDim.x;
         index = share + tid / size;
 #else
-        rank = 0;
-        size = 1;
         index = share + tid;
 #endif
     }
@@ -80,7 +83,7 @@ struct Team {
 #if defined(__CUDA_ARCH__)
         atomicMin(place, value);
 #else
-        if (value < *place) *place = value;
+        *place = value < *place ? value : *place;
 #endif
     }
 
