@@ -307,7 +307,11 @@ def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
     assert count(detections) == 0 and not detections.has_depth[0]
     assert not detections.features.valid.any() and not detections.features.overflow[0]
     scene = detections.scene
-    assert scene and not floors(scene, UNIT).own[0] and floors(scene, UNIT).refused[0] == Refusal.TOO_LITTLE
+    assert (
+        scene
+        and not floors(scene, UNIT).own[0]
+        and floors(scene, UNIT).refused[0] == Refusal.TOO_LITTLE
+    )
     assert not scene.free.any() and (scene.free_end == FreeEnd.UNKNOWN).all()
     assert not np.concatenate([a.ravel() for a in detections.obstacles]).any()
 

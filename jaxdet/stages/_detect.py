@@ -144,13 +144,9 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
 
 
 @partial(jax.jit, static_argnames="static")
-def _find_floors(
-    depth: jax.Array, tables: _Tables, prior: jax.Array, static: _Static
-) -> jax.Array:
+def _find_floors(depth: jax.Array, tables: _Tables, prior: jax.Array, static: _Static) -> jax.Array:
     grid = _cells.cells(depth, tables.cells, static.cells)
-    return _floor.find_floor(
-        grid.x, grid.y, grid.z, prior, tables.floor, static.floor, static.unit
-    )
+    return _floor.find_floor(grid.x, grid.y, grid.z, prior, tables.floor, static.floor, static.unit)
 
 
 @partial(jax.jit, static_argnames="static")
@@ -168,9 +164,7 @@ def _detect(
     on_floor = surfaces.right, surfaces.forward, surfaces.height
     free = (grid.z >= shared.depth_range[0]) & ~surfaces.keep
     view = _obstacles.View(grid.x, grid.y, grid.z, *on_floor, grid.in_view)
-    label, count = _obstacles.obstacles(
-        surfaces.label, free, view, shared.trees, shared.obstacle
-    )
+    label, count = _obstacles.obstacles(surfaces.label, free, view, shared.trees, shared.obstacle)
     points, labels = _points(color, grid, surfaces, label, count, shared, static)
     outlined = _outlines.outlines(label, count, grid, on_floor, shared.bands, shared.outline)
     line, end = _free.free_floor(
