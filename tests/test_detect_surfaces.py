@@ -36,6 +36,7 @@ from tests.floor_cells import CAMERA, Pose, cast
 from tests.scenes import D435, assert_equal, frames
 
 SURFACES = Config()
+UNIT = 0.001
 POSE = Pose(0.5, 15.0, 0.0)
 MARGIN = SURFACES.footprint.margin_per_m2 * 1.2**2
 """Of an obstacle whose nearest point is 1.2 m ahead [m]."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxdet.config import Config
 from jaxdet.engine.free_floor import FreeFloor
 from jaxdet.engine.rows import batch_rows
 from jaxdet.errors import FrameStatus
