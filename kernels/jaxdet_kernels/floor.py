@@ -12,6 +12,7 @@ _NEAR_DIRECTIONS = 17 * 9
 _FIXED_WORDS = 2048
 """More than all that does not grow with the frame or the lattices."""
 _WARP = 32
+_COPIES = 8
 
 
 def floor_scratch_words(
@@ -32,7 +33,8 @@ def floor_scratch_words(
     weights = max(-(-width // _WARP) * few, cells)
     lattice = max(_NEAR_DIRECTIONS * (near_bins + 1), _DIRECTIONS * (wide_bins + 1))
     table = max(lattice, runs * (rises + 1))
-    words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + table
+    copies = _COPIES * (max(near_bins, wide_bins) + 1)
+    words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + copies + table
     return words + words % 2
 
 
@@ -51,7 +53,7 @@ def floor_scratch_words(
         const Floor floor(team, settings.data, sines.data, prior.data + b * Floor::PRIOR, rows,
                           columns, scratch);
         const size_t first = (size_t)b * cells;
-        floor.run(x.data + first, y.data + first, z.data + first, columns,
+        floor.run(x.data + first, y.data + first, z.data + first, rows, columns,
                   found_out.data + b * Floor::RESULTS);
     }
 """,

@@ -35,7 +35,7 @@ struct Floor {
     // Scratch.
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *alone, *bound, *cells, *parts, *few, *inner, *slack, *weights;
-    int *rows, *places, *table, *lattice;
+    int *rows, *places, *table, *lattice, *copies;
     int most, most_few;
 
     // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum.
@@ -79,6 +79,8 @@ struct Floor {
         at += crews > most ? crews : most;
         rows = at;
         at += FloorRamps::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1);
+        copies = at;
+        at += FloorVotes::COPIES * FloorSearch::most_bins(settings);
         // Votes of a search and the profile of a plane follow each other.
         lattice = table = at;
     }
@@ -93,9 +95,9 @@ struct Floor {
     }
 
     // The cells used, and every second of them in rows and columns, by rings.
-    void take(const int* x, const int* y, const int* z, int columns) const {
+    void take(const int* x, const int* y, const int* z, int rows, int columns) const {
         const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
-        const int c = part(columns, stride), margin = c / MARGIN;
+        const int r = part(rows, stride), c = part(columns, stride), margin = c / MARGIN;
         const int deepest = settings[FloorSetting::MAX_DEPTH];
         const int* rings = settings + FloorSetting::RINGS;
         for (int k = team.rank; k < COUNTS; k += team.size) counts[k] = 0;
@@ -105,19 +107,29 @@ struct Floor {
             for (int n = 0; n < FloorSearch::RINGS - 1; n++) ring += rings[n] < depth;
             return ring;
         };
-        const auto place = [&](int i) {
-            return (half + i / c * stride) * columns + half + i % c * stride;
+        // Calls with row, column and place of all cells of every so many rows and columns of these.
+        const auto each = [&](int every, auto use) {
+            const int across = (c + every - 1) / every, down = (r + every - 1) / every;
+#if defined(__CUDA_ARCH__)
+            for (int i = team.rank; i < down * across; i += team.size) {
+                const int row = i / across * every, column = i % across * every;
+                use(row, column, (half + row * stride) * columns + half + column * stride);
+            }
+#else
+            for (int row = 0; row < down * every; row += every)
+                for (int column = 0; column < across * every; column += every)
+                    use(row, column, (half + row * stride) * columns + half + column * stride);
+#endif
         };
-        for (int i = team.rank; i < most; i += team.size) {
-            const int p = place(i);
+        each(1, [&](int row, int column, int p) {
             const int depth = z[p];
-            if (depth <= 0 || depth > deepest) continue;
+            if (depth <= 0 || depth > deepest) return;
             const int k = team.add(counts + ALL, 1);
             cells[k] = x[p];
             cells[most + k] = y[p];
             cells[2 * most + k] = depth;
-            if (((i / c | i % c) & 1) == 0) team.add(counts + ENDS + ring_of(depth), 1);
-        }
+            if (((row | column) & 1) == 0) team.add(counts + ENDS + ring_of(depth), 1);
+        });
         team.sync();
         if (team.rank == 0) {
             int sum = 0;
@@ -127,28 +139,25 @@ struct Floor {
             }
         }
         team.sync();
-        const int across = (c + 1) / 2;
-        for (int i = team.rank; i < most_few; i += team.size) {
-            const int column = 2 * (i % across);
-            const int p = place(2 * (i / across) * c + column);
+        each(2, [&](int, int column, int p) {
             const int depth = z[p];
-            if (depth <= 0 || depth > deepest) continue;
+            if (depth <= 0 || depth > deepest) return;
             const int k = team.add(counts + NEXT + ring_of(depth), 1);
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
-            if (column < margin || column >= c - margin) continue;
+            if (column < margin || column >= c - margin) return;
             const int n = team.add(counts + INNER, 1);
             inner[n] = x[p];
             inner[most_few + n] = y[p];
             inner[2 * most_few + n] = depth;
-        }
+        });
         team.sync();
     }
 
     // The best floor of a frame: the values of `_Found`, RESULTS integers.
-    void run(const int* x, const int* y, const int* z, int columns, int* out) const {
-        take(x, y, z, columns);
+    void run(const int* x, const int* y, const int* z, int rows, int columns, int* out) const {
+        take(x, y, z, rows, columns);
         const int number = counts[ENDS + FloorSearch::RINGS - 1];
         if (number < MIN_CELLS) {
             const FloorPlane plane = known ? prior : FloorPlane{0, 0, 0};
@@ -174,7 +183,7 @@ struct Floor {
     void find(int number, int* out) const {
         const FloorCells sample = of(few, most_few, 0, number);
         const FloorSearch search = {angles, settings, sample, counts + ENDS,
-                                    slack,  weights,  keys,   lattice};
+                                    slack,  weights,  keys,   lattice, copies};
         FloorPlane* all = (FloorPlane*)planes;
         FloorPlane* different = all + PLANES;
         const FloorPlane* told = known ? &prior : nullptr;

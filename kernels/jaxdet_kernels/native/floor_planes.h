@@ -184,8 +184,8 @@ struct FloorRefine {
         int pitch, side;
         turns(sums, plane, pitch, side);
         const int wide = 180 * FloorAngles::ANGLES;
-        const int roll = plane.roll + (int)angles.rounded((long long)side << FloorAngles::SINE_BITS,
-                                                          angles.cosine(plane.pitch));
+        const long long across = side * (1LL << FloorAngles::SINE_BITS);
+        const int roll = plane.roll + (int)angles.rounded(across, angles.cosine(plane.pitch));
         plane.roll = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
         plane.pitch = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
         const FloorDirection turned = angles.down(plane);

@@ -164,20 +164,21 @@ struct FloorRamps {
         return begin()[k] == begin()[k + 1] ? 0 : table[k * (2 * half() + 1) + index(height)];
     }
 
-    // The ramp with most votes of a lattice, as a key; `flat` and `most` are of this tolerance.
-    // A thread's ramps follow each other, so it passes over those that can't have more votes.
+    // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
+    // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
+    // many votes as the best so far counts, and others are passed over.
     void best(const Team& team, int start0, int start_step, int starts, int turn0, int turn_step,
-              int turns, int sign, const int* slack) const {
-        const int n = runs(), width = 2 * half() + 1, center = half();
+              int turns, int sign, const int* slack, int least) const {
+        const int n = runs(), width = 2 * half() + 1, center = half(), number = starts * turns;
         const int bits = settings[FloorSetting::RISE_BITS];
         const int *first = begin(), *level = flat(), *rest = most();
-        int known = -0x7fffffff;
-        for (int m = team.rank; m < starts * turns; m += team.size) {
+        int known = least;
+        for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
             const int i = m / turns, start = start_of(i, start0, start_step);
+            int k = first_beyond(start), votes = level[k];
+            if (votes + rest[k] < known) continue;
             const int slope = angles.slope(turn_of(m - i * turns, turn0, turn_step, turns, sign));
-            int k = first_beyond(start);
-            int votes = level[k];
-            for (; k < n && votes + rest[k] > known; k++) {
+            for (; k < n && votes + rest[k] >= known; k++) {
                 if (first[k] == first[k + 1]) continue;
                 const int* counts = table + k * width;
                 const int up = rise(start, slope, middle(k)), s = slack[k];
@@ -188,7 +189,7 @@ struct FloorRamps {
                 votes += under(up + s) - under(up - s) -
                          FloorScore::BELOW_COST * under(up - FloorScore::BELOW * s);
             }
-            if (k < n || votes <= known) continue;
+            if (votes < known || k < n) continue;
             known = votes;
             team.least(key, (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)m);
         }
@@ -217,14 +218,14 @@ struct FloorRamps {
         return sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
     }
 
-    // The best ramp of a plane whose cells are sorted, and its votes. It may pass over the ramp
-    // where that is not seen.
-    bool hinge(const Team& team, FloorHinge& found, int& votes) const {
+    // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
+    // than `least` or the ramp is not seen.
+    bool hinge(const Team& team, int least, FloorHinge& found, int& votes) const {
         count(team);
         limits(team, coarse());
         if (team.rank == 0) *key = ~0ull;
         team.sync();
-        best(team, 0, 0, STARTS, 0, 0, 2 * TURNS, 0, coarse());
+        best(team, 0, 0, STARTS, 0, 0, 2 * TURNS, 0, coarse(), -0x7fffffff);
         const int rough = (int)(*key & 0xffffffffu);
         const int start0 = start_of(rough / (2 * TURNS), 0, 0);
         const int turn0 = turn_of(rough % (2 * TURNS), 0, 0, 2 * TURNS, 0);
@@ -233,7 +234,8 @@ struct FloorRamps {
         limits(team, fine());
         if (team.rank == 0) *key = ~0ull;
         team.sync();
-        best(team, start0, step, FINE, size, FINE_TURN, FINE, sign, fine());
+        best(team, start0, step, FINE, size, FINE_TURN, FINE, sign, fine(), least);
+        if (*key == ~0ull) return false;
         const int m = (int)(*key & 0xffffffffu);
         votes = (int)(0x7fffffffu - (unsigned)(*key >> 32));
         found = {start0 + (m / FINE - AROUND) * step, turn_of(m % FINE, size, FINE_TURN, FINE, sign)};
@@ -291,20 +293,21 @@ struct FloorRamps {
             team.sync();
         }
         const long long least = 100LL * most_alone + (long long)MIN_GAIN * cells.count;
+        const int needed = (int)angles.quotient(least, 100) + 1;
         int best_plane = -1, best_votes = -0x7fffffff;
         for (int n = 0; n < count; n++) {
-            if (100LL * bound[n] <= least || bound[n] <= best_votes) continue;
+            if (bound[n] < needed || bound[n] <= best_votes) continue;
             FloorHinge found = {0, 0};
             int votes = 0;
             sort(team, planes[n]);
-            if (hinge(team, found, votes) && votes > best_votes) {
+            if (hinge(team, needed > best_votes ? needed : best_votes + 1, found, votes)) {
                 best_votes = votes;
                 best_plane = n;
                 out = found;
             }
             team.sync();
         }
-        if (best_plane < 0 || 100LL * best_votes <= least) {
+        if (best_plane < 0) {
             out = {0, 0};
             return planes[0];
         }

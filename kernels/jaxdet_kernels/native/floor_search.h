@@ -9,9 +9,12 @@ struct FloorVotes {
     enum {
         APART = 12,
 #if defined(__CUDA_ARCH__)
-        CHUNK = 1
+        CHUNK = 1,
+        COPIES = 1
 #else
-        CHUNK = 64
+        // A core adds to one place only every few cycles: neighbouring cells have other places.
+        CHUNK = 64,
+        COPIES = 8
 #endif
     };
     FloorAngles angles;
@@ -25,8 +28,8 @@ struct FloorVotes {
     int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
     // What is left out of the nearer part: pitches and heights at each end.
     int edge_pitches, edge_bins;
-    // Votes of all cells, bins + 1 words a direction.
-    int* votes;
+    // Votes of all cells, bins + 1 words a direction; and COPIES as many words.
+    int *votes, *copies;
     // The best of each ring in the nearer part, of all of the lattice, and of each direction.
     unsigned long long *best, *whole, *of_direction;
 
@@ -64,8 +67,22 @@ struct FloorVotes {
         return key(most, d, bin);
     }
 
+    // Where the ends of ranges of a direction are counted.
+    int* ends(int* row) const { return COPIES == 1 ? row : copies; }
+
+    // The sums of what was counted.
+    void fold(int* row) const {
+        if (COPIES == 1) return;
+        const int n = bins + 1;
+        for (int b = 0; b < n; b++) {
+            int sum = 0;
+            for (int k = 0; k < COPIES; k++) sum += copies[k * n + b];
+            row[b] = sum;
+        }
+    }
+
     // Adds the ends of the ranges of some cells.
-    void count(const FloorDirection& down, int from, int to, int* row) const {
+    void count(const FloorDirection& down, int from, int to, int* ends) const {
         const int low = lowest, shift = bits, last = bins;
         const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y;
         const int *__restrict__ zs = cells.z, *__restrict__ slacks = slack;
@@ -82,9 +99,11 @@ struct FloorVotes {
                 under[k] = c < 0 ? 0 : c > last ? last : c;
             }
             for (int k = 0; k < n; k++) {
-                row[begin[k]]++;
-                row[end[k]]--;
-                row[under[k]] += FloorScore::BELOW_COST;
+                int* one = ends + (COPIES > 1 ? (k & (COPIES / 2 - 1)) * (last + 1) : 0);
+                int* other = one + COPIES / 2 * (last + 1);
+                one[begin[k]]++;
+                one[end[k]]--;
+                other[under[k]] += FloorScore::BELOW_COST;
             }
         }
     }
@@ -97,12 +116,14 @@ struct FloorVotes {
         for (int d = team.rank; d < directions(); d += team.size) {
             const FloorDirection down = direction(d);
             int* row = votes + d * (bins + 1);
-            for (int b = 0; b <= bins; b++) row[b] = 0;
+            int* counted = ends(row);
+            for (int b = 0; b < COPIES * (bins + 1); b++) counted[b] = 0;
             const bool near = is_near(d);
             int done = 0;
             for (int n = 0; n < rings - 1; n++) {
                 if (!near || ring_ends[n] < fewest) continue;
-                count(down, done, ring_ends[n], row);
+                count(down, done, ring_ends[n], counted);
+                fold(row);
                 done = ring_ends[n];
                 int sum = -FloorScore::BELOW_COST * done, most = -0x7fffffff, bin = 0;
                 for (int b = 0; b < bins - edge_bins; b++) {
@@ -114,7 +135,8 @@ struct FloorVotes {
                 }
                 team.least(best + n, key(most, d, bin));
             }
-            count(down, done, cells.count, row);
+            count(down, done, cells.count, counted);
+            fold(row);
             int sum = -FloorScore::BELOW_COST * cells.count;
             for (int b = 0; b < bins; b++) row[b] = sum += row[b];
             team.least(whole, least(row, 0, bins, d));
@@ -167,10 +189,18 @@ struct FloorSearch {
     // The cells voted by, by rings, and where each ring ends.
     FloorCells cells;
     const int* ring_ends;
-    // Scratch: a word a cell; the weights of all crews; KEY_WORDS; votes.
+    // Scratch: a word a cell; the weights of all crews; KEY_WORDS; votes of all directions and
+    // FloorVotes::COPIES of one.
     int *slack, *weights;
     unsigned long long* keys;
-    int* votes;
+    int *votes, *copies;
+
+    // Bins of the largest lattice, and one more.
+    static int most_bins(const int* settings) {
+        const int span = 2 * settings[FloorSetting::SPAN];
+        const int range = settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST];
+        return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
+    }
 
     // The tolerance of votes for directions so far apart, whatever the height.
     void coarse(const Team& team, int per_z) const {
@@ -208,6 +238,7 @@ struct FloorSearch {
         lattice.edge_pitches = lattice.edge_bins = 0;
         lattice.bits = settings[FloorSetting::BIN_BITS];
         lattice.votes = votes;
+        lattice.copies = copies;
         lattice.best = keys;
         lattice.whole = keys + RINGS;
         lattice.of_direction = keys + RINGS + 1;
