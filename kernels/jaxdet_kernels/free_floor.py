@@ -6,12 +6,12 @@ from jaxdet_kernels.native_source import native
 
 wp.set_module_options({"enable_backward": False})
 
-ARRAYS = 3
+COLUMN_WORDS = 11
 
 
 def scratch_words(columns: int) -> int:
     """32-bit words of scratch memory of a team, for so many columns of cells."""
-    return ARRAYS * columns
+    return COLUMN_WORDS * columns
 
 
 @wp.func_native(

@@ -26,6 +26,7 @@ struct FreeFloor {
         // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
         int ended, falls;
     };
+    enum { COLUMN_WORDS = 8 };
 
     const Team& team;
     int rows, columns, far, gap;
@@ -35,25 +36,35 @@ struct FreeFloor {
     int *line_out, *end_out;
     // By column: the nearest obstacle's distance and row, and whether the floor drops.
     int *limit, *nearest, *falls;
+    Column* state;
 
     explicit FreeFloor(const Team& team) : team(team) {}
 
-    // Puts the arrays into scratch memory, three by column.
+    // Puts the arrays into scratch memory, 3 + COLUMN_WORDS words by column.
     void lay(int* scratch) {
         limit = scratch;
         nearest = limit + columns;
         falls = nearest + columns;
+        state = (Column*)(falls + columns);
     }
 
     void run() const {
         find_obstacles();
+#if defined(__CUDA_ARCH__)
+        // A column a thread.
         for (int c = team.rank; c < columns; c += team.size) {
-            const bool blocked = nearest[c] >= 0;
-            Column column = {blocked ? limit[c] : far, nearest[c], -1, -1, 0, 0, 0, -1};
+            Column column = start(c);
             for (int row = rows - 1; row >= 0 && !column.ended; --row) follow(column, row, c);
             put(column, c);
-            falls[c] = column.falls > 0;
         }
+#else
+        // Row by row, as the cells lie in memory.
+        for (int c = 0; c < columns; ++c) state[c] = start(c);
+        for (int row = rows - 1; row >= 0; --row)
+            for (int c = 0; c < columns; ++c)
+                if (!state[c].ended) follow(state[c], row, c);
+        for (int c = 0; c < columns; ++c) put(state[c], c);
+#endif
         team.sync();
         for (int c = team.rank; c < columns; c += team.size) {
             int beside = 0;
@@ -81,6 +92,10 @@ struct FreeFloor {
                 rows_of[c] = nearer ? row : rows_of[c];
             }
         }
+    }
+
+    Column start(int c) const {
+        return {nearest[c] >= 0 ? limit[c] : far, nearest[c], -1, -1, 0, 0, 0, -1};
     }
 
     // Goes on with the floor, from the bottom row up.
@@ -132,6 +147,7 @@ struct FreeFloor {
         const bool up_to = blocked && (!seen || (close && !falls_off));
         put_place(0, seen ? column.first : obstacle, c);
         put_place(1, up_to ? obstacle : last, c);
+        falls[c] = falls_off;
         end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
     }
 
