@@ -378,7 +378,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
         for batch in log.batches(1):
             given = batch.frames._replace(plane=None)
             number, unit = int(given.number[0]), given.calibration.depth_unit
-            if recording.held_out and number % recording.held_out == recording.held_out - 1:
+            if recording.holds_out(number):
                 continue
             aligned = align(given.depth, given.calibration)
             z_m = aligned.z[0] * unit
