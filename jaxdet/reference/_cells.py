@@ -1,10 +1,12 @@
 """Cells: the depth image in square blocks, each with one robust depth and its place in space."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from jaxdet.camera import cell_rays, corner_rays, splat_parameters
-from jaxdet.config import SurfaceConfig
-from jaxdet.plane import quadratic_table
+from jaxdet.config import Config, GroundConfig, SurfaceConfig
+from jaxdet.plane import linear_table, quadratic_table
 from jaxdet.reference._align import project_corners
 from jaxdet.reference._features import lateral
 from jaxdet.reference._rounding import rounded
@@ -53,6 +55,26 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
 def cell_side(camera: Intrinsics, config: SurfaceConfig) -> int:
     """The side of a cell [pixel] of a depth camera."""
     return max(1, round(camera.fx * config.cell_rad))
+
+
+def step_table(calibration: Calibration, config: Config) -> np.ndarray:
+    """The height up to which a cell is floor: ``step_height_m + step_height_per_m z / s``.
+
+    A stereo camera's depth errs by ``c z^2``, with c in inverse proportion to its focal length, so
+    floor seen from a height h seems to be up to ``c z h`` higher or lower. A cell takes up the same
+    angle in each camera, so s, its side in pixels, is in proportion to the focal length.
+
+    Returns:
+        ``(65536,)`` int64 [depth units], by z in depth units, read-only.
+    """
+    ground = cell_ground(calibration, config)
+    return linear_table(ground.step_height_m, ground.step_height_per_m, calibration.depth_unit)
+
+
+def cell_ground(calibration: Calibration, config: Config) -> GroundConfig:
+    """The ground's settings with ``step_height_per_m / s``, see :func:`step_table`."""
+    side = cell_side(calibration.depth or calibration.color, config.surface)
+    return replace(config.ground, step_height_per_m=config.ground.step_height_per_m / side)
 
 
 def margins(columns: int) -> np.ndarray:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, floor_frame, linear_table, quadratic_table, ramp_rise
+from jaxdet.plane import depth_range, floor_frame, quadratic_table, ramp_rise
 from jaxdet.reference._align import align
-from jaxdet.reference._cells import cells, margins
+from jaxdet.reference._cells import cell_ground, cells, margins, step_table
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import find_floor
@@ -68,7 +68,8 @@ def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
-    found = [_group(grid, b, fit.plane, unit, config) for b in range(len(grid.z))]
+    step = step_table(calibration, config)
+    found = [_group(grid, b, fit.plane, step, unit, config) for b in range(len(grid.z))]
 
     corners = _corners(frames, fit.plane, config)
     points, labels = _with_cells(corners, grid, found, unit, config)
@@ -96,27 +97,32 @@ def surface_pairs(
     unit = frames.calibration.depth_unit
     grid = cells(frames.depth, frames.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
+    step = step_table(frames.calibration, config)
     for b in range(len(grid.z)):
-        found = _surfaces(grid, b, fit.plane, unit, config)
+        found = _surfaces(grid, b, fit.plane, step, unit, config)
         label = whole_surfaces(found.label, found.view, unit, config.obstacle)
         seen = pairs(label, found.free, found.view, unit, config.obstacle)
         yield Cells(*(a[b : b + 1] for a in grid)), label, seen
 
 
-def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
+def _group(
+    grid: Cells, b: int, plane: GroundPlane, step: np.ndarray, unit: float, config: Config
+) -> Found:
     """Surfaces and obstacles of one frame."""
-    found = _surfaces(grid, b, plane, unit, config)
+    found = _surfaces(grid, b, plane, step, unit, config)
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     label = obstacles(found.label, found.free, found.view, farthest, unit, config.obstacle)
     return found._replace(label=label)
 
 
-def _surfaces(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
-    """Surfaces of one frame."""
+def _surfaces(
+    grid: Cells, b: int, plane: GroundPlane, step: np.ndarray, unit: float, config: Config
+) -> Found:
+    """Surfaces of one frame; ``step`` is of :func:`step_table`."""
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, plane, unit)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
-    step = linear_table(ground_config.step_height_m, ground_config.step_height_per_m, unit)[view.z]
+    step = step[view.z]
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
     keep = in_range & (view.height > step)
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
@@ -137,6 +143,7 @@ def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:
 def _corners(frames: Frames, plane: GroundPlane, config: Config) -> Features:
     """The corners of each frame with their depths (Sections 3.1 to 3.3)."""
     calibration = frames.calibration
+    config = replace(config, ground=cell_ground(calibration, config))
     keep = ground(align(frames.depth, calibration), plane, calibration, config)
     return features(frames.color, keep, calibration, replace(config.features, grid_columns=0))
 
