@@ -44,7 +44,8 @@ class GroundConfig:
     """What the wheels can climb [m]: lower points are floor."""
     step_height_per_m: float = 0.003
     """Added to the step height for each metre of depth: how well the floor's tilt is known
-    (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0."""
+    (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0. Surfaces have
+    the floor of each frame, so it is for noise: cells of s x s pixels add an s-th of it."""
     camera_height_m: float | None = None
     """Optical centre above the floor [m]; unset: from the log's TF, else estimated."""
     camera_pitch_rad: float = 0.0

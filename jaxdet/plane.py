@@ -9,9 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxdet.camera import pixel_rays
-from jaxdet.config import ClusterConfig, FootprintConfig, GroundConfig
-from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
+from jaxdet.camera import cell_side, pixel_rays
+from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
+from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
@@ -173,6 +173,21 @@ def linear_table(constant_m: float, per_m: float, depth_unit: float) -> np.ndarr
     table = np.rint(constant_m / depth_unit + per_m * np.arange(65536)).astype(np.int64)
     table.setflags(write=False)
     return table
+
+
+def step_table(calibration: Calibration, config: Config) -> np.ndarray:
+    """The height up to which a cell is floor: ``step_height_m + step_height_per_m z / s``.
+
+    A stereo camera's depth errs by ``c z^2``, with c in inverse proportion to its focal length, so
+    floor seen from a height h seems to be up to ``c z h`` higher or lower. A cell takes up the same
+    angle in each camera, so s, its side in pixels, is in proportion to the focal length.
+
+    Returns:
+        ``(65536,)`` int64 [depth units], by z in depth units, read-only.
+    """
+    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    ground, unit = config.ground, calibration.depth_unit
+    return linear_table(ground.step_height_m, ground.step_height_per_m / side, unit)
 
 
 @lru_cache(maxsize=64)

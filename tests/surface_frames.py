@@ -20,7 +20,7 @@ from jaxdet.sim import HARD_FAMILIES, sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.types import Calibration, Cells, GroundPlane
 
-SURFACES = preset("surfaces")
+SURFACES = Config()
 
 
 class Batch(NamedTuple):

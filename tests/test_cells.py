@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.camera import cell_side
-from jaxdet.config import SurfaceConfig
+from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.errors import CalibrationError
+from jaxdet.plane import linear_table, step_table
+from jaxdet.presets import preset
 from jaxdet.reference import align, cells
 from jaxdet.reference._cells import cover
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
@@ -79,6 +81,31 @@ def test_step_grows_with_the_square_of_depth() -> None:
     assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # 20 mm at 1.02 m, 31 used
     assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # 106 mm at 3.1 m
     assert one_cell([[2990, 3100], [3100, 3100]], config) == 3100
+
+
+@pytest.mark.parametrize(
+    ("focal", "side", "at_4_m"), [(192.25, 1, 62), (384.5, 3, 54), (769.0, 6, 52)]
+)
+def test_the_step_height_grows_less_where_cells_have_more_pixels(
+    focal: float, side: int, at_4_m: int
+) -> None:
+    """5 cm, and 3 mm for each metre over the side: of the depth camera, where there is one."""
+    config = Config(GroundConfig(step_height_m=0.05, step_height_per_m=0.003), surface=THREE)
+    camera = Intrinsics(640, 480, focal, focal, 319.5, 239.5)
+    steps = step_table(Calibration(camera), config)
+    assert cell_side(camera, THREE.cell_rad) == side
+    assert (steps.shape, steps[0], steps[4000]) == ((65536,), 50, at_4_m)
+    apart = Calibration(D435_COLOR, camera, IDENTITY)
+    np.testing.assert_array_equal(step_table(apart, config), steps)
+    tenths = step_table(Calibration(camera, depth_unit=0.0001), config)
+    assert (tenths[0], tenths[40_000]) == (500, round(500 + 120 / side))
+
+
+def test_the_step_height_over_a_table() -> None:
+    """4 mm for each metre at a Kinect's cells of 4 pixels, which its table was learnt with."""
+    kinect = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
+    expected = linear_table(0.008, 0.004, 0.001)
+    np.testing.assert_array_equal(step_table(kinect, preset("tabletop")), expected)
 
 
 def test_depth_unit() -> None:

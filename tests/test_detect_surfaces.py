@@ -125,6 +125,22 @@ def test_free_floor_before_and_beside_a_box() -> None:
     assert len(beyond) > 50 and (beyond > 3400).all() and (beyond <= 4000).all()
 
 
+def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
+    """A box 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
+    fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)
+    coarse = made(cast(POSE, [((-0.5, 2.6, 0.0), (0.5, 3.4, 0.09))])[None], POSE.plane())
+    depth = np.kron(coarse.depth, np.ones((1, 2, 2), np.uint16))
+    black = np.zeros((1, 240, 320, 3), np.uint8)
+    fine = frames(Calibration(fine_camera), black, depth, plane=POSE.plane())
+
+    def kept(given: Frames, per_m: float) -> np.ndarray:
+        config = replace(SURFACES, ground=GroundConfig(step_height_per_m=per_m))
+        return found(given, config).features.kept[0, SURFACES.features.max_corners :]
+
+    np.testing.assert_array_equal(kept(coarse, 0.01), kept(fine, 0.02))
+    assert kept(fine, 0.02).sum() > kept(coarse, 0.02).sum()
+
+
 def test_features_are_corners_and_every_second_cell() -> None:
     detections = found(made(cast(POSE, [BOX])[None], POSE.plane()))
     corners = SURFACES.features.max_corners
@@ -392,7 +408,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
         for batch in log.batches(1):
             given = batch.frames._replace(plane=None)
             number, unit = int(given.number[0]), given.calibration.depth_unit
-            if recording.held_out and number % recording.held_out == recording.held_out - 1:
+            if recording.holds_out(number):
                 continue
             aligned = align(given.depth, given.calibration)
             z_m = aligned.z[0] * unit

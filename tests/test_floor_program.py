@@ -13,7 +13,6 @@ from jaxdet import open_log
 from jaxdet.config import FloorConfig
 from jaxdet.floor_units import Scale, floor_fit, prior_units
 from jaxdet.plane import flat_plane, join_planes, repeat_plane, unknown_plane
-from jaxdet.presets import preset
 from jaxdet.reference import cells
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
@@ -24,7 +23,7 @@ from jaxdet.types import GroundPlane
 from tests.floor_cells import BOXES, CAMERA, CONFIG, POSES, UNIT, cast, measured, positions
 from tests.scenes import assert_equal
 
-SURFACE = preset("surfaces").surface
+SURFACE = Config().surface
 Cells = list[np.ndarray]
 
 

@@ -28,7 +28,7 @@ from jaxdet_kernels import obstacles as kernel
 from tests.scenes import frames
 
 UNIT = 0.001
-CONFIG = preset("surfaces").obstacle
+CONFIG = Config().obstacle
 program = jax.jit(_obstacles.obstacles)
 
 
@@ -215,7 +215,7 @@ def surfaces_of(given: Frames, prior: GroundPlane, config: Config) -> tuple[list
 
 
 def test_simulated() -> None:
-    given, farthest, config = [], 0, preset("surfaces")
+    given, farthest, config = [], 0, Config()
     for family in ("corridor", "room", "tables", "low_clutter", "mixed"):
         for frame in sample_frames(family, 300, 1, width=424, height=240, depth_error=1.0):
             assert frame.depth is not None

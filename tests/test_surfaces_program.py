@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
+from jaxdet.floor_frame import floor_frames
 from jaxdet.io import open_log
-from jaxdet.plane import GROUND_BITS, down_vector, flat_plane, ground_axes, unknown_plane
+from jaxdet.plane import flat_plane, step_table, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import cells
 from jaxdet.reference._detect import _surfaces
@@ -16,9 +17,9 @@ from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages._surfaces import Surfaces, surface_settings, surface_tables, surfaces
-from jaxdet.types import MAX_SURFACES, Cells, GroundPlane
+from jaxdet.types import MAX_SURFACES, Calibration, Cells, GroundPlane, Intrinsics
 
-SURFACES, TABLETOP = preset("surfaces"), preset("tabletop")
+SURFACES, TABLETOP = Config(), preset("tabletop")
 UNIT = 0.001
 program = jax.jit(surfaces)
 
@@ -27,14 +28,9 @@ def with_surface(**changes: float) -> Config:
     return replace(SURFACES, surface=replace(SURFACES.surface, **changes))
 
 
-def floor_values(plane: GroundPlane, unit: float) -> np.ndarray:
-    """The floor of each frame as the kernel takes it, ``(B, 13)`` int32."""
-    down = np.rint(down_vector(plane.pitch, plane.roll) * (1 << GROUND_BITS))
-    axes = np.concatenate([ground_axes(plane), down[:, None]], axis=1).reshape(len(down), 9)
-    start = np.where(np.isfinite(plane.ramp_start), plane.ramp_start, 0.0)
-    rest = np.rint(plane.height / unit), plane.valid, np.rint(start / unit)
-    slope = np.rint(plane.ramp_slope * (1 << GROUND_BITS))
-    return np.column_stack([axes, *rest, slope]).astype(np.int32)
+def camera(unit: float) -> Calibration:
+    """Cells of 3 x 3 pixels."""
+    return Calibration(Intrinsics(640, 480, 384.5, 384.5, 319.5, 239.5), depth_unit=unit)
 
 
 def assert_twin(
@@ -46,12 +42,13 @@ def assert_twin(
     unit: float = UNIT,
 ) -> Surfaces:
     """All that the program says of these cells is what the reference does."""
-    tables, settings = surface_tables(config, unit), surface_settings(config, unit)
-    out = program(x, y, z, floor_values(plane, unit), tables, settings)
+    tables, settings = surface_tables(camera(unit), config), surface_settings(config, unit)
+    floors, step = floor_frames(plane, unit), step_table(camera(unit), config)
+    out = program(x, y, z, floors, tables, settings)
     got = Surfaces(*map(np.asarray, out))
     grid = Cells(x, y, z, *np.zeros((2, *z.shape, 2), np.int32), z > 0)
     for b in range(len(z)):
-        want = _surfaces(grid, b, plane, unit, config)
+        want = _surfaces(grid, b, floors[b], step, unit, config)
         for name in ("right", "forward", "height"):
             np.testing.assert_array_equal(getattr(got, name)[b], getattr(want.view, name))
         for name in ("label", "keep", "low"):
@@ -180,9 +177,11 @@ def test_settings_compile_nothing_anew():
         return surfaces(*arguments)
 
     rng = np.random.default_rng(3)
-    grid, floor = sideways(slanted(rng, (1, 20, 30))), floor_values(unknown_plane(1), UNIT)
+    grid, floor = sideways(slanted(rng, (1, 20, 30))), floor_frames(unknown_plane(1), UNIT)
     labels = [
-        np.asarray(made(*grid, floor, surface_tables(c, UNIT), surface_settings(c, UNIT)).label)
+        np.asarray(
+            made(*grid, floor, surface_tables(camera(UNIT), c), surface_settings(c, UNIT)).label
+        )
         for c in (with_surface(min_cells=1), with_surface(min_cells=100))
     ]
     assert labels[0].max() > labels[1].max()

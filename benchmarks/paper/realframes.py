@@ -183,8 +183,7 @@ def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally
         return {recording.name: judged.tallies}
     parts: dict[str, list[BoxTally]] = {"tuning": [], "held_out": []}
     for frame, tally in zip(judged.numbers, judged.tallies, strict=True):
-        last = frame % recording.held_out == recording.held_out - 1
-        parts["held_out" if last else "tuning"].append(tally)
+        parts["held_out" if recording.holds_out(frame) else "tuning"].append(tally)
     return {f"{recording.name}.{part}": tallies for part, tallies in parts.items()}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.floor_frame import floor_frames, on_floor
-from jaxdet.plane import depth_range, linear_table, quadratic_table
+from jaxdet.plane import depth_range, quadratic_table, step_table
 from jaxdet.reference._cells import cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
@@ -74,8 +74,8 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
-    floors = floor_frames(fit.plane, unit)
-    found = [_group(grid, b, floor, unit, config) for b, floor in enumerate(floors)]
+    floors, step = floor_frames(fit.plane, unit), step_table(calibration, config)
+    found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
 
     points, labels = _points(frames, grid, found, config)
     outlines, shapes = _outlines(grid, found, unit, config)
@@ -109,27 +109,32 @@ def surface_pairs(
     unit = frames.calibration.depth_unit
     grid = cells(frames.depth, frames.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
+    step = step_table(frames.calibration, config)
     for b, floor in enumerate(floor_frames(fit.plane, unit)):
-        found = _surfaces(grid, b, floor, unit, config)
+        found = _surfaces(grid, b, floor, step, unit, config)
         label = whole_surfaces(found.label, found.view, unit, config.obstacle)
         seen = pairs(label, found.free, found.view, unit, config.obstacle)
         yield Cells(*(a[b : b + 1] for a in grid)), label, seen
 
 
-def _group(grid: Cells, b: int, floor: np.ndarray, unit: float, config: Config) -> Found:
+def _group(
+    grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
+) -> Found:
     """Surfaces and obstacles of one frame."""
-    found = _surfaces(grid, b, floor, unit, config)
+    found = _surfaces(grid, b, floor, step, unit, config)
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     label = obstacles(found.label, found.free, found.view, farthest, unit, config.obstacle)
     return found._replace(label=label)
 
 
-def _surfaces(grid: Cells, b: int, floor: np.ndarray, unit: float, config: Config) -> Found:
-    """Surfaces of one frame."""
+def _surfaces(
+    grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
+) -> Found:
+    """Surfaces of one frame; ``step`` is of :func:`jaxdet.plane.step_table`."""
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, floor)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
-    step = linear_table(ground_config.step_height_m, ground_config.step_height_per_m, unit)[view.z]
+    step = step[view.z]
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
     keep = in_range & (view.height > step)
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)

@@ -49,7 +49,7 @@ def obstacles(
     found = pairs(label, free, view, unit, config)
     weight = evidence(found.seen, affinity(config.affinity, unit))
     group = contracted(int(label.max(initial=-1)) + 1, found.one, found.other, weight)
-    label = renumbered(np.where(label >= 0, np.append(group, -1)[label], -1))
+    label = _regrouped(label, group)
     label = _straightened(label, view, unit, config)
     return _ordered(label, view, farthest, unit, config)
 
@@ -108,7 +108,12 @@ def whole_surfaces(
     piece, first = np.unique(both[0, order], return_index=True)
     joins = np.stack([piece, both[1, order][first]])[:, small[piece]]
     group = components(len(small), *joins)
-    return renumbered(np.where(label >= 0, np.append(group, -1)[label], -1))
+    return _regrouped(label, group)
+
+
+def _regrouped(label: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Labels by the group ``(S,)`` of each, numbered anew; -1 stays."""
+    return renumbered(np.append(group, -1)[label])
 
 
 def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.ndarray]:

@@ -127,7 +127,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
         cells,
         _features.rays(calibration.color),
         _floor.floor_settings(rows * columns, config.floor, unit).array(),
-        surface_stage.surface_tables(config, unit),
+        surface_stage.surface_tables(calibration, config),
         surface_stage.surface_settings(config, unit),
         trees,
         obstacle,

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, linear_table, quadratic_table
+from jaxdet.plane import depth_range, quadratic_table, step_table
 from jaxdet.stages._teams import TeamKernel
-from jaxdet.types import Array
+from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
 
 _surfaces = TeamKernel(kernels.surfaces, 7)
@@ -76,13 +76,13 @@ def surface_settings(config: Config, depth_unit: float) -> np.ndarray:
     return np.minimum(settings, 1 << 30).astype(np.int32)
 
 
-def surface_tables(config: Config, depth_unit: float) -> SurfaceTables:
+def surface_tables(calibration: Calibration, config: Config) -> SurfaceTables:
     """The configuration's lengths by z, on the host; at most 2^30, which no length is."""
-    ground, surface = config.ground, config.surface
+    surface, depth_unit = config.surface, calibration.depth_unit
     tables = (
         quadratic_table(surface.step_m, surface.step_per_m, depth_unit),
         quadratic_table(surface.crease_m, surface.crease_per_m, depth_unit),
-        linear_table(ground.step_height_m, ground.step_height_per_m, depth_unit),
+        step_table(calibration, config),
     )
     return SurfaceTables(*(np.minimum(table, 1 << 30).astype(np.int32) for table in tables))
 
