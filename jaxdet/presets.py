@@ -61,9 +61,10 @@ PRESETS: dict[str, Config] = {
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
 """Presets: ``wheeled`` (the default: robots on wheels, steps of 5 cm), ``tabletop`` (over a table,
-steps of 8 mm and 4 mm for each metre at a Kinect's cells of 4 pixels), ``paper`` (the paper's setting: obstacles are clusters of corners, Canny at 100 and
-200, points dropped after the selection, its rectangle), and the default with the depth ranges of
-common cameras, by their data sheets."""
+steps of 8 mm and 4 mm for each metre at a Kinect's cells of 4 pixels), ``paper`` (the paper's
+setting: obstacles are clusters of corners, Canny at 100 and 200, points dropped after the
+selection, its rectangle), and the default with the depth ranges of common cameras, by their data
+sheets."""
 
 
 def preset(name: str) -> Config:

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.paper.labelled import RECORDINGS, Recording
 from jaxdet import open_log
-from jaxdet.config import FloorConfig
+from jaxdet.config import Config, FloorConfig
 from jaxdet.floor_units import Scale, floor_fit, prior_units
 from jaxdet.plane import flat_plane, join_planes, repeat_plane, unknown_plane
 from jaxdet.reference import cells
