@@ -256,7 +256,7 @@ class Obstacles(NamedTuple):
     has_vertex: Array
     """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
     direction: Array
-    """``(B, M, 2)`` int32, AB halved until both parts are below 512; (1, 0) where A is B."""
+    """``(B, M, 2)`` int32, of the rectangle that fits the contour; zero for clusters of points."""
     span: Array
     """``(B, M, 4)`` int32, extremes of all points along ``direction`` (dot product) and across
     (cross product): least and largest along, least and largest across."""
