@@ -36,11 +36,12 @@ def at(point: Point) -> Case:
     """Surfaces on the device."""
     seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
     table = affinity(CONFIG.obstacle.affinity, unit)
-    shared = jax.device_put(settings_of(_farthest(unit), unit, CONFIG.obstacle, table))
-    view = View(*seen.cells[:3], *seen.places, seen.cells.in_view)
+    shared = settings_of(_farthest(unit), unit, CONFIG.obstacle, table)
+    settings, trees = jax.device_put(shared)
     label, free = (seen.of(name, seen.surfaces) for name in ("label", "free"))
-    given = jax.device_put(repeated((label, free, view), point.batch))
-    settings, trees = shared
+    columns = (label, free, *seen.cells[:3], *seen.places, seen.cells.in_view)
+    label, free, *view = jax.device_put(repeated(columns, point.batch))
+    given = label, free, View(*view)
     return Case(
         name=point.name,
         run=lambda: program(*given, trees, settings),
