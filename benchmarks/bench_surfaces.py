@@ -6,6 +6,7 @@ import numpy as np
 from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
+from jaxdet.plane import step_table
 from jaxdet.reference._detect import _surfaces
 from jaxdet.stages._surfaces import surface_settings, surface_tables, surfaces
 
@@ -15,10 +16,11 @@ program = jax.jit(surfaces)
 
 def cases() -> list[Case]:
     """Cells and floors on the device; no other library has this step."""
-    seen, unit = on_cells(SIZES[0]), inputs(SIZES[0]).calibration.depth_unit
+    seen, calibration = on_cells(SIZES[0]), inputs(SIZES[0]).calibration
+    shared = step_table(calibration, CONFIG), calibration.depth_unit, CONFIG
 
     def peer() -> list[np.ndarray]:
-        found = [_surfaces(seen.cells, b, seen.floor[b], unit, CONFIG) for b in range(BATCH)]
+        found = [_surfaces(seen.cells, b, seen.floor[b], *shared) for b in range(BATCH)]
         return [seen.of(name, found) for name in FIELDS]
 
     return [
@@ -34,9 +36,9 @@ def cases() -> list[Case]:
 
 def at(point: Point) -> Case:
     """Cells and floors on the device."""
-    seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
-    tables = jax.device_put(surface_tables(CONFIG, unit))
-    settings = jax.device_put(surface_settings(CONFIG, unit))
+    seen, calibration = on_cells(point.size), inputs(point.size).calibration
+    tables = jax.device_put(surface_tables(calibration, CONFIG))
+    settings = jax.device_put(surface_settings(CONFIG, calibration.depth_unit))
     *xyz, floor = jax.device_put(repeated((*seen.cells[:3], seen.floor), point.batch))
     return Case(
         name=point.name,

@@ -10,7 +10,7 @@ import warp as wp
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.floor_frame import floor_frames
-from jaxdet.plane import flat_plane, repeat_plane
+from jaxdet.plane import flat_plane, repeat_plane, step_table
 from jaxdet.reference import FloorFit
 from jaxdet.reference._detect import Found, _group, _surfaces
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
@@ -141,12 +141,12 @@ def on_cells(size: str) -> OnCells:
         size: A key of ``CALIBRATIONS``.
     """
     given = inputs(size)
-    unit = given.calibration.depth_unit
+    unit, step = given.calibration.depth_unit, step_table(given.calibration, CONFIG)
     grid = reference.cells(given.depth, given.calibration, CONFIG.surface)
     fit = reference.find_floor(grid.x, grid.y, grid.z, given.plane, CONFIG.floor, unit)
     floor = floor_frames(fit.plane, unit)
-    surfaces = [_surfaces(grid, b, floor[b], unit, CONFIG) for b in range(BATCH)]
-    obstacles = [_group(grid, b, floor[b], unit, CONFIG) for b in range(BATCH)]
+    surfaces = [_surfaces(grid, b, floor[b], step, unit, CONFIG) for b in range(BATCH)]
+    obstacles = [_group(grid, b, floor[b], step, unit, CONFIG) for b in range(BATCH)]
     return OnCells(grid, fit, floor, surfaces, obstacles)
 
 
