@@ -1,5 +1,6 @@
 """Ours: how much of the floor is kept, and how much of the obstacles, under tilt and slope."""
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import Shot, frames_of, load_shots
 from benchmarks.paper.systems import eval_config
 from jaxdet import reference
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
 from jaxdet.pipeline import find_floors
@@ -60,9 +62,13 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 
 
 def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """What is kept above the floor, ``(H, W)`` bool, and depths ``(H, W)`` [depth units]."""
+    """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
     frames = frames_of([shot], plane=source == "tf")
     plane = find_floors(frames, config, backend="reference").plane
+    calibration, ground = frames.calibration, config.ground
+    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    step = ground.step_height_per_m / side
+    config = replace(config, ground=replace(ground, step_height_per_m=step))
     aligned = reference.align(frames.depth, frames.calibration)
     keep = reference.ground(aligned, plane, frames.calibration, config)
     return keep.mask[0], keep.z[0]
@@ -102,13 +108,13 @@ def run(lab: Lab) -> Section:
     section.say(
         f"{lab.counts.floor_seeds} simulated scenes (family mixed) for each tilt, roll and ramp "
         "ahead, normal light. Of the pixels in range: the share of true floor that is kept as "
-        "above the floor (wrong), and of true obstacle above the step height (right). A pixel that "
-        "shows the floor beside a thing and has the thing's depth, as a stereo camera gives it, "
-        "is no point of the floor (the rule of the features' votes); the last table counts all "
-        "pixels by what they show. "
-        "Each frame's own depth gives its plane and the ramp ahead; known before is the camera's "
-        "mount (tf), which doesn't tell of the ramp, or nothing (estimate). Where nothing is known "
-        "and a frame shows too little floor, all is kept. The paper has no such figure."
+        "above the floor (wrong; the step is that of cells), and of true obstacle above the step "
+        "height (right). A pixel that shows the floor beside a thing and has the thing's depth, as "
+        "a stereo camera gives it, is no point of the floor (the rule of the features' votes); the "
+        "last table counts all pixels by what they show. Each frame's own depth gives its plane "
+        "and the ramp ahead; known before is the camera's mount (tf), which doesn't tell of the "
+        "ramp, or nothing (estimate). Where nothing is known and a frame shows too little floor, "
+        "all is kept. The paper has no such figure."
     )
     every = tallies_of(lab)
     _totals(section, every)
