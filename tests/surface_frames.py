@@ -9,8 +9,9 @@ import numpy as np
 
 from benchmarks.paper.labelled import RECORDINGS
 from jaxdet.config import Config
+from jaxdet.floor_frame import floor_frames
 from jaxdet.io import open_log
-from jaxdet.plane import unknown_plane
+from jaxdet.plane import step_table, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import cells
 from jaxdet.reference._detect import Found, _group
@@ -53,7 +54,8 @@ def batch_of(depth: np.ndarray, calibration: Calibration, plane: GroundPlane, co
     """The obstacles that the reference finds."""
     unit, grid = calibration.depth_unit, cells(depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
-    found = [_group(grid, b, fit.plane, unit, config) for b in range(len(depth))]
+    floors, step = floor_frames(fit.plane, unit), step_table(calibration, config)
+    found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     return Batch(grid, found, unit)
 
 
@@ -119,7 +121,7 @@ def drawn(
     low = (label < 0) & (rng.random(shape) < 0.8)
     places = (right, forward, height, in_view)
     views = [View(x[b], y[b], z[b], *(a[b] for a in places)) for b in range(batch)]
-    found = [Found(label[b], label[b] >= 0, low[b], views[b], low[b]) for b in range(batch)]
+    found = [Found(label[b], label[b] >= 0, low[b], views[b], low[b], False) for b in range(batch)]
     return Batch(Cells(*xyz, *uv, in_view), found)
 
 

@@ -10,11 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet import detect, engine
-from jaxdet.cli import main
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions, Workers
 from jaxdet.engine.summary import LogSummary
-from jaxdet.errors import ConfigError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.presets import preset
 from jaxdet.sim import SimConfig, write_log
@@ -136,22 +134,3 @@ def test_on_a_table(tmp_path: Path) -> None:
     frames, obstacles = tables(tmp_path / "out")
     assert len(frames) == FRAMES and obstacles
     assert {row["status"] for row in frames} == {"ok"}
-
-
-def test_the_jitted_backend_is_refused_before_anything_is_made(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    log, out = simulated(tmp_path, scene="empty"), tmp_path / "out"
-    args = ["run", str(log), "--output", str(out), "--preset", "surfaces"]
-    assert main([*args, "--backend", "jax"]) == 2
-    said = capfd.readouterr()
-    assert said.out == "" and "use --backend reference" in said.err
-    lines = [line for line in said.err.splitlines() if not line.startswith("Warp")]
-    assert len(lines) == 1 and lines[0].startswith("jaxdet: error: ")
-    assert not out.exists()
-    with pytest.raises(ConfigError, match="--backend reference"):
-        engine.run(find_logs([str(log)]), Config(), LogOptions(), RunOptions(out))
-    flags = ["--surface.cell-rad", "0.0", "--quiet", "--pictures", "0", "--floor.no-ramps"]
-    assert main([*args, "--backend", "reference", *flags]) == 0
-    config = json.loads((out / "config.json").read_text(encoding="utf-8"))
-    assert config["surface"]["cell_rad"] == 0.0 and config["floor"]["ramps"] is False

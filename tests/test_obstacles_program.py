@@ -11,8 +11,9 @@ import pytest
 from jaxdet import types
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, ObstacleConfig
+from jaxdet.floor_frame import floor_frames
 from jaxdet.io import open_log
-from jaxdet.plane import depth_range, unknown_plane
+from jaxdet.plane import depth_range, step_table, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference._cells import cells
 from jaxdet.reference._detect import _surfaces
@@ -209,7 +210,8 @@ def surfaces_of(given: Frames, prior: GroundPlane, config: Config) -> tuple[list
     unit = given.calibration.depth_unit
     grid = cells(given.depth, given.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
-    found = [_surfaces(grid, b, fit.plane, unit, config) for b in range(len(grid.z))]
+    floors, step = floor_frames(fit.plane, unit), step_table(given.calibration, config)
+    found = [_surfaces(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     return [Given(one.label, one.free, one.view) for one in found], farthest
 

@@ -5,6 +5,7 @@ carried from frame to frame, so results do not depend on how a run is split. Eac
 then corrects it.
 """
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from jaxdet.config import Config, GroundConfig
@@ -44,7 +45,13 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
-    return prior_of(log, known, plane, config, backend, warnings)
+    planes = prior_of(log, known, plane, config, backend, warnings)
+    unknown = sum(not one.valid[0] for one in planes.windows.values())
+    if not config.cluster.points or not unknown:
+        return planes
+    where = f" in {unknown} of {len(planes.windows)} time windows" if planes.window_ns else ""
+    problem = f"no floor was found{where}: nothing is dropped as floor there"
+    return replace(planes, warnings=(*warnings, f"{problem}; give --ground.camera-height-m"))
 
 
 def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane, tuple[str, ...]]:
