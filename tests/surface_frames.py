@@ -86,7 +86,7 @@ def recorded(shared_data: Path, name: str, frames: int) -> list[Batch]:
 
 def recorded_config(name: str) -> Config:
     """Of a recording's frames."""
-    return preset("tabletop" if name == "mosd" else "surfaces")
+    return preset("tabletop" if name == "mosd" else "wheeled")
 
 
 def drawn(

@@ -75,13 +75,13 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
 
 
 def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
-    run(sim_log, tmp_path, backend="reference", pictures=0)
+    summary = run(sim_log, tmp_path, backend="reference", pictures=0)
     grid = np.load(tmp_path / "map_sim.npz")
     with open_log(find_logs([str(sim_log)])[0]) as log:
         poses = log.read(range(7)).frames.T_world_camera
     assert poses is not None
     np.testing.assert_array_equal(grid["path"], poses[:, :2, 3])
-    assert grid["counts"].max() <= 7
+    assert 0 < grid["counts"].max() <= summary.obstacles
     assert grid["counts"].dtype == np.int32
 
 

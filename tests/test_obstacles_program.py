@@ -231,8 +231,8 @@ def test_simulated() -> None:
     ("place", "name"),
     [
         ("labelled/mosd.mcap", "tabletop"),
-        ("labelled/wheelchair.mcap", "surfaces"),
-        ("aims_slam/aims_slam_18frames.mcap", "surfaces"),
+        ("labelled/wheelchair.mcap", "wheeled"),
+        ("aims_slam/aims_slam_18frames.mcap", "wheeled"),
     ],
 )
 def test_recorded(shared_data: Path, place: str, name: str) -> None:
