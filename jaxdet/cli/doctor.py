@@ -10,8 +10,8 @@ import tyro
 import jaxdet
 
 DESCRIPTION = """\
-Checks this installation: versions, the devices that JAX and Warp find, and whether the jitted
-stages give the same arrays as the NumPy reference on a small built-in case.
+Checks this installation: versions, the devices that JAX and Warp find, and whether the compiled
+program gives the same arrays as the NumPy reference on a small built-in case.
 """
 
 
