@@ -31,6 +31,7 @@ from benchmarks.paper.plan import SCENES
 from benchmarks.paper.shots import Shot, Spec, Store, frames_of
 from benchmarks.paper.systems import eval_config
 from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
+from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.errors import InputError
 from jaxdet.eval.boxes import FLOOR
@@ -82,18 +83,17 @@ class Examples(NamedTuple):
 
 
 def examples(
-    config_name: str, frames: Frames, objects: Callable[[Cells, int], np.ndarray], walls: np.ndarray
+    config: Config, frames: Frames, objects: Callable[[Cells, int], np.ndarray], walls: np.ndarray
 ) -> Examples:
     """The pairs of each frame of which something is known.
 
     Args:
-        config_name: The preset.
+        config: Whose surfaces.
         frames: With the floor that is known of them.
         objects: Of the cells of a frame: ``(R, C)`` int64 objects, 0 = floor, -1 = not known.
         walls: ``(J + 1,)`` bool. Whether two walls are one is not asked.
     """
     parts = []
-    config = preset(config_name)
     for b, (grid, label, pairs) in enumerate(
         surface_pairs(frames, floor_of(frames, config), config)
     ):
@@ -122,7 +122,7 @@ def simulated(spec: Spec, folder: Path) -> Examples:
     for shot in Store(folder).load([spec]):
         walls = np.append(False, np.asarray(shot.truth.is_wall))
         seen_by = functools.partial(in_truth, shot)
-        parts.append(examples("surfaces", frames_of([shot]), seen_by, walls))
+        parts.append(examples(Config(), frames_of([shot]), seen_by, walls))
     return joined(parts)
 
 
@@ -147,7 +147,7 @@ def learnt_scenes(folder: Path) -> Examples:
 def learnt_frames() -> Examples:
     """Pairs of the labelled frames of mOSD that are not held out, as they are and with noise."""
     recording = next(one for one in RECORDINGS if one.name == "mosd")
-    rng, parts = np.random.default_rng(0), []
+    rng, parts, tabletop = np.random.default_rng(0), [], preset("tabletop")
     with open_log(str(BESIDE / recording.place)) as log:
         batches = [batch.frames for batch in log.batches(1)]
     for frames in batches:
@@ -166,7 +166,7 @@ def learnt_frames() -> Examples:
         none = np.zeros(int(image.max()) + 1, bool)
         for variant in (depth, noisy):
             seen_by = functools.partial(in_image, image)
-            parts.append(examples("tabletop", frames._replace(depth=variant), seen_by, none))
+            parts.append(examples(tabletop, frames._replace(depth=variant), seen_by, none))
     return joined(parts)
 
 
@@ -184,7 +184,7 @@ def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
     seen, none = grid.in_view[b].reshape(1, -1), np.zeros(1, bool)
     points = Features(u, v, x, y, z, seen, seen, none)
     unit = shot.calibration.depth_unit
-    found = objects_of(points, shot.truth, 0, unit, eval_config(preset("surfaces")))
+    found = objects_of(points, shot.truth, 0, unit, eval_config(Config()))
     return np.where(grid.in_view[b], found.reshape(grid.z[b].shape), -1)
 
 

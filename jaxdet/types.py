@@ -235,7 +235,7 @@ class Obstacles(NamedTuple):
     ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
     are the outermost and the nearest points of the paper, or the medians of bands behind those, see
     ``FootprintConfig``. Points are kept features, or of obstacles made of surfaces their cells in
-    the colour image; ``direction`` and ``span`` are of all their cells, and zero for clusters.
+    the colour image; ``direction`` and ``span`` are of all their cells.
     """
 
     num_points: Array
@@ -259,7 +259,8 @@ class Obstacles(NamedTuple):
     has_vertex: Array
     """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
     direction: Array
-    """``(B, M, 2)`` int32, along the fitted rectangle, right and forward, about 512 long."""
+    """``(B, M, 2)`` int32, along the fitted rectangle, right and forward, about 512 long; zero for
+    clusters of points."""
     span: Array
     """``(B, M, 4)`` int32, the rectangle's extent along ``direction`` (dot product) and across
     (cross product): least and largest along, least and largest across."""

@@ -51,9 +51,8 @@ def test_the_stages_refuse_other_sizes():
     given = made()
     keep = Keep(np.ones((2, 60, 96), bool), np.ones((2, 60, 96), np.uint16), np.ones(2, bool))
     small_mask = keep._replace(mask=keep.mask[:, :30])
-    for align in (stages.align, lambda *a: stages.align_points(*a, keep.z[:, 0], keep.z[:, 0])):
-        with pytest.raises(CalibrationError, match="depth images of 96x20"):
-            align(given.depth[:, :20], given.calibration)
+    with pytest.raises(CalibrationError, match="depth images of 96x20"):
+        stages.align(given.depth[:, :20], given.calibration)
     for color, mask in ((given.color[:, :30], keep), (given.color, small_mask)):
         with pytest.raises(CalibrationError, match="images of 96x30"):
             stages.features(color, mask, given.calibration, FeaturesConfig())

@@ -142,7 +142,7 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
     [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 3.0, 9.0)],
 )
 @pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8191), (1, 8192)])
-def test_twin(device, footprint_form, batch, n, settings):
+def test_twin(device, batch, n, settings):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
     config = replace(CONFIG, footprint=settings)
@@ -153,7 +153,7 @@ def test_twin(device, footprint_form, batch, n, settings):
     assert_equal(stages.footprint(*given_), want)
 
 
-def test_twin_without_obstacles(device, footprint_form):
+def test_twin_without_obstacles(device):
     features, labels = hostile_features(0, 2, 30)
     none = Labels(np.full_like(labels.labels, -1), np.zeros(2, np.int32))
     given_ = features, none, level(2), 0.001, CONFIG

@@ -13,7 +13,7 @@ STAGES = ("align", "ground", "features", "cluster", "footprint")
 """Of obstacles made of points; features are corners on cells too."""
 STEPS = ("cells", "floor", "surfaces", "obstacles", "outlines", "free")
 """Of obstacles made of surfaces; both backends join them in their ``_detect.py``."""
-STAGES_WITH_BENCHMARKS = ("align", "features", "cluster", "footprint")
+BENCHMARKS = {*STAGES, *STEPS, "pipeline"} - {"ground"}
 SECTIONS = ("ground", "features", "cluster", "footprint", "floor", "surface", "obstacle")
 """Parts of the configuration; a step's has its name in the singular."""
 EXPORTS = {"detect", "find_floors", *STAGES}
@@ -26,7 +26,7 @@ def named_files() -> list[str]:
     twins = [f"jaxdet/{side}/_{n}.py" for n in STAGES + STEPS for side in ("reference", "stages")]
     tests = [f"tests/test_{name}.py" for name in STAGES]
     tests += [f"tests/test_{name}_program.py" for name in STEPS]
-    return twins + tests + [f"benchmarks/bench_{name}.py" for name in STAGES_WITH_BENCHMARKS]
+    return twins + tests + [f"benchmarks/bench_{name}.py" for name in sorted(BENCHMARKS)]
 
 
 def exported(package: Path) -> set[str]:
@@ -48,8 +48,7 @@ def layout_faults(root: Path) -> list[str]:
         hidden = EXPORTS - exported(root / "jaxdet" / package)
         faults += [f"jaxdet.{package} does not export {name}" for name in sorted(hidden)]
     timed = {path.stem.removeprefix("bench_") for path in root.glob("benchmarks/bench_*.py")}
-    strange = timed - {*STAGES, *STEPS, "pipeline"}
-    return faults + [f"bench_{name}.py is of no stage" for name in sorted(strange)]
+    return faults + [f"bench_{name}.py is of no stage" for name in sorted(timed - BENCHMARKS)]
 
 
 def tree(root: Path) -> list[Path]:

@@ -32,8 +32,6 @@ from jaxdet.types import Detections, Frames
 
 TITLES: tuple[tuple[str, Config], ...] = (
     ("wheeled", PRESETS["wheeled"]),
-    ("surfaces", PRESETS["surfaces"]),
-    ("uneven", PRESETS["uneven"]),
     ("paper", PRESETS["paper"]),
 )
 """What is compared, by title; the first is pictured."""
@@ -146,13 +144,12 @@ def run(lab: Lab) -> Section:
         "A detection is right when its image box and a labelled object's overlap by enough (IoU "
         f"{', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to one; one on "
         "mostly unlabelled ground is neither right nor wrong. A frame is swamped when one box "
-        "covers more than half of its floor. Floor kept: share of the floor's measured pixels "
-        "that the ground stage takes as above the floor; where only boxes are labelled, the floor "
-        "is what has none. Distance: the detection's least forward depth against the "
-        "near surface's. All frames lie more than 0.1 s apart, so uneven has a plane for each; "
-        "wheeled and paper have one for a recording, though only aims_slam is one drive. "
-        "Nothing may be tuned on the held-out frames of mosd; wheelchair_5cm leaves out what is "
-        "lower."
+        "covers more than half of its floor. Floor kept: share of the floor's measured pixels that "
+        "lie above the floor as it was found; where only boxes are labelled, the floor is what has "
+        "none. Distance: the detection's least forward depth against the near surface's. One plane "
+        "for a recording is known to wheeled before each frame corrects it, and is all that paper "
+        "has, though only aims_slam is one drive. Nothing may be tuned on the held-out frames of "
+        "mosd; wheelchair_5cm leaves out what is lower."
     )
     logs = [log_of(recording, folder, lab.store.folder) for recording, folder in places]
     tasks = [

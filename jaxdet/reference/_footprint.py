@@ -60,7 +60,7 @@ def footprint_on_floor(
         slots: ``M``.
 
     Returns:
-        ``(B, M)`` obstacles in the order of their labels.
+        ``(B, M)`` obstacles in the order of their labels; direction and span are zero.
     """
     batch, m = len(labels.labels), slots
     threshold = round(config.vertex_threshold_m / depth_unit)
@@ -83,9 +83,6 @@ def footprint_on_floor(
             out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
             (_, d_a), (_, d_b), (_, d_c) = a_b_c
             out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
-            direction = shortened(a_b_c[1] - a_b_c[0])
-            out.direction[b, label] = direction
-            out.span[b, label] = _span(floor[b, own], direction)
     return out._replace(has_vertex=out.has_vertex.astype(bool))
 
 
@@ -126,24 +123,3 @@ def _outermost(values: np.ndarray, trim: int, band: int) -> int:
     values = np.sort(values)[min(trim, len(values) // TRIM_SHARE) :]
     inside = values[values <= values[0] + band]
     return int(inside[(len(inside) - 1) // 2])
-
-
-def shortened(edge: np.ndarray) -> np.ndarray:
-    """The edge AB ``(2,)`` halved (rounding down) until both parts are below 512.
-
-    It is only a direction then, short enough for products in 32 bits. (1, 0) for no edge.
-
-    Example:
-        >>> shortened(np.array([3000, -5])).tolist()
-        [375, -1]
-    """
-    halvings = max(0, int(np.abs(edge).max()).bit_length() - 9)
-    short = edge >> halvings
-    return short if short.any() else np.array([1, 0], edge.dtype)
-
-
-def _span(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Extremes of the points ``(n, 2)`` along and across a direction, ``(4,)``."""
-    along = points @ direction
-    across = points[:, 1] * direction[0] - points[:, 0] * direction[1]
-    return np.array([along.min(), along.max(), across.min(), across.max()])

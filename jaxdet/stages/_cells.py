@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import SurfaceConfig
+from jaxdet.errors import ConfigError
 from jaxdet.plane import quadratic_table
 from jaxdet.stages import _align
 from jaxdet.stages._teams import TeamKernel
@@ -46,9 +47,15 @@ def tables(calibration: Calibration, config: SurfaceConfig) -> tuple[Tables, Sta
 
     Raises:
         CalibrationError: The calibration can't be used.
+        ConfigError: Cells have more pixels than the kernel takes.
     """
     camera, color = calibration.depth or calibration.color, calibration.color
     side = cell_side(camera, config.cell_rad)
+    if side > kernels.MAX_SIDE:
+        raise ConfigError(
+            f"cells of {side}x{side} pixels, but at most {kernels.MAX_SIDE} a side",
+            remedy="lower --surface.cell-rad, the angle that a cell takes up",
+        )
     near = depth_table(quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit))
     rays, offset = (jnp.asarray(a.astype(np.int32)) for a in cell_rays(calibration, side))
     last = jnp.array([color.width - 1, color.height - 1], jnp.int32)

@@ -1,81 +1,63 @@
 """Cells: depth in square blocks, in space and in the colour image.
 
-Twin of ``jaxdet/reference/_cells.py``. Compiled without fused multiply-add, as the alignment whose
-projection it uses.
+Twin of ``jaxdet/reference/_cells.py``. Compiled without fused multiply-add, as the alignment is.
 """
 
 import warp as wp
 
-from jaxdet_kernels.align import align_project
 from jaxdet_kernels.native_source import native
 
-wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+wp.set_module_options(
+    {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
+)
 
-RAY_BITS, RAY_HALF = wp.constant(wp.int64(20)), wp.constant(wp.int64(1 << 19))
-"""Fraction bits of rays, and half of one."""
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return blockDim.x;
-#else
-    return 1;
-#endif
-""")
-def team_size() -> int:  # pyright: ignore[reportReturnType]
-    """Threads that work on one frame together."""
+MAX_SIDE, MAX_COLUMNS = 128, 4096
+"""Most pixels of a cell's side, and most columns of cells."""
 
 
 @wp.func_native(
     native(
         "cell_depth.h",
+        "projection.h",
+        "cells.h",
         body="""
-    const size_t row = ((size_t)b * depth.shape[1] + top) * depth.shape[2];
-    const CellDepth cell{depth.data + row + left, depth.shape[2], side, near.data};
-    return cell.depth();
+    const Team team(tid, share);
+    const int height = depth.shape[1], width = depth.shape[2];
+    const int rows = z_out.shape[1], columns = z_out.shape[2];
+    for (int b = team.index; b < depth.shape[0]; b += shares) {
+        const size_t i = (size_t)b * rows * columns;
+        CellGrid{depth.data + (size_t)b * height * width, width, rows, columns, side,
+                 near.data, rays.data, offset.data, corner_x.data, corner_y.data,
+                 {parameters.data, model}, last.data, aligned != 0,
+                 x_out.data + i, y_out.data + i, z_out.data + i,
+                 uv_min_out.data + 2 * i, uv_max_out.data + 2 * i, in_view_out.data + i}
+            .run(team);
+    }
 """,
     )
 )
-def cell_depth(
-    depth: wp.array3d[wp.uint16], b: int, top: int, left: int, side: int, near: wp.array[wp.int32]
-) -> int:  # pyright: ignore[reportReturnType]
-    """The depth of the cell at a pixel, 0 = none."""
-
-
-@wp.func
-def cell_moved(ray: wp.int32, d: int, offset: wp.int32):
-    """``ray d + offset``, rounded."""
-    return int((wp.int64(ray) * wp.int64(d) + RAY_HALF) >> RAY_BITS) + offset
-
-
-@wp.func
-def cell_box(
-    d: int,
-    top: int,
-    left: int,
-    side: int,
+def _cells(
+    tid: int,
+    share: int,
+    shares: int,
+    depth: wp.array3d[wp.uint16],
+    near: wp.array[wp.int32],
+    rays: wp.array3d[wp.int32],
+    offset: wp.array[wp.int32],
     corner_x: wp.array2d[wp.float32],
     corner_y: wp.array2d[wp.float32],
     parameters: wp.array[wp.float32],
+    last: wp.array[wp.int32],
+    side: int,
     model: int,
     aligned: int,
-):
-    """What a cell covers in the colour image: left, top, right, bottom; (0, 0, -1, -1): nothing."""
-    if aligned != 0:
-        return wp.vec4i(left, top, left + side - 1, top + side - 1)
-    units = wp.uint16(d)
-    v = top + side
-    u = left + side
-    one = align_project(units, corner_x[top, left], corner_y[top, left], parameters, model)
-    two = align_project(units, corner_x[v, u], corner_y[v, u], parameters, model)
-    if one[2] < 0 or two[2] < 0:
-        return wp.vec4i(0, 0, -1, -1)
-    return wp.vec4i(
-        wp.min(one[0], two[0]),
-        wp.min(one[1], two[1]),
-        wp.max(one[0], two[0]),
-        wp.max(one[1], two[1]),
-    )
+    x_out: wp.array3d[wp.int32],
+    y_out: wp.array3d[wp.int32],
+    z_out: wp.array3d[wp.int32],
+    uv_min_out: wp.array4d[wp.int32],
+    uv_max_out: wp.array4d[wp.int32],
+    in_view_out: wp.array3d[wp.bool],
+): ...
 
 
 @wp.kernel
@@ -125,31 +107,7 @@ def cells(
         in_view_out: ``(B, R, C)``.
         scratch_out: Not used.
     """
-    tid = wp.tid()
-    size = team_size()
-    rows = z_out.shape[1]
-    columns = z_out.shape[2]
-    for b in range(share + tid // size, depth.shape[0], shares):
-        for k in range(tid % size, rows * columns, size):
-            row = k // columns
-            column = k % columns
-            top = row * side
-            left = column * side
-            d = cell_depth(depth, b, top, left, side, near)
-            z = cell_moved(rays[2, row, column], d, offset[2])
-            seen = d > 0 and z > 0
-            box = wp.vec4i(0, 0, -1, -1)
-            if seen:
-                box = cell_box(d, top, left, side, corner_x, corner_y, parameters, model, aligned)
-            inside = box[2] >= 0 and box[3] >= 0 and box[0] <= last[0] and box[1] <= last[1]
-            x = cell_moved(rays[0, row, column], d, offset[0])
-            y = cell_moved(rays[1, row, column], d, offset[1])
-            x_out[b, row, column] = wp.where(seen, x, 0)
-            y_out[b, row, column] = wp.where(seen, y, 0)
-            z_out[b, row, column] = wp.where(seen, wp.min(z, 65535), 0)
-            in_view_out[b, row, column] = inside
-            for axis in range(2):
-                low = wp.clamp(box[axis], 0, last[axis])
-                high = wp.clamp(box[axis + 2], 0, last[axis])
-                uv_min_out[b, row, column, axis] = wp.where(inside, low, 0)
-                uv_max_out[b, row, column, axis] = wp.where(inside, high, 0)
+    _cells(
+        wp.tid(), share, shares, depth, near, rays, offset, corner_x, corner_y, parameters, last,
+        side, model, aligned, x_out, y_out, z_out, uv_min_out, uv_max_out, in_view_out,
+    )  # fmt: skip

@@ -3,19 +3,35 @@
 #pragma once
 
 struct CellDepth {
-    enum { MOST = 64 };  // Values that are sorted; of more, the median is found bit by bit.
     const unsigned short* first;  // The cell's upper left pixel.
     int stride;                   // From row to row [pixel].
-    int side;                     // Of the cell [pixel].
+    int side;                     // Of the cell [pixel], at most 128: sums have 31 bits.
     const int* near;              // By the median: how far from it depths count; never falling.
 
-    int at(int i) const { return first[(i / side) * stride + i % side]; }
+    // What is known of the measured depths of its pixels.
+    struct Pixels {
+        int count, sum, low, high;
+    };
 
-    // The k-th smallest of the measured depths, k from 0.
-    int smallest(int k) const {
-        const int pixels = side * side;
-        if (pixels <= MOST) {
-            int sorted[MOST], length = 0;
+    Pixels pixels() const {
+        Pixels all{0, 0, 65536, 0};
+        for (int v = 0; v < side; ++v)
+            for (int u = 0; u < side; ++u) {
+                const int value = first[v * stride + u], measured = value ? value : 65536;
+                all.count += value != 0;
+                all.sum += value;
+                all.low = measured < all.low ? measured : all.low;
+                all.high = value > all.high ? value : all.high;
+            }
+        return all;
+    }
+
+    // The k-th smallest of the measured depths, k from 0, between `low` and `high`.
+    int smallest(int k, int low, int high) const {
+#if !defined(__CUDA_ARCH__)
+        enum { FEW = 64 };
+        if (side * side <= FEW) {
+            int sorted[FEW], length = 0;
             for (int v = 0; v < side; ++v)
                 for (int u = 0; u < side; ++u) {
                     const int value = first[v * stride + u];
@@ -26,50 +42,54 @@ struct CellDepth {
                 }
             return sorted[k];
         }
-        int known = 0;
-        for (int bit = 15; bit >= 0; --bit) {
-            // Of those that share the known upper bits, how many have a 0 here?
-            int zeros = 0;
-            for (int i = 0; i < pixels; ++i) {
-                const int value = at(i);
-                zeros += value && value >> bit == known >> bit;
-            }
-            if (k >= zeros) {
-                k -= zeros;
-                known |= 1 << bit;
-            }
-        }
-        return known;
-    }
-
-    int depth() const {
-        int count = 0, low = 65536, high = 0;
-        long long sum = 0;
-        for (int v = 0; v < side; ++v)
-            for (int u = 0; u < side; ++u) {
-                const int value = first[v * stride + u];
-                const int measured = value ? value : 65536;
-                count += value != 0;
-                sum += value;
-                low = measured < low ? measured : low;
-                high = value > high ? value : high;
-            }
-        if (2 * count < side * side || !count) return 0;
-        // What is near grows with depth: if the farthest is near the nearest, all are near the
-        // median.
-        if (high - low > near[low]) {
-            const int median = smallest((count - 1) / 2), reach = near[median];
-            count = 0;
-            sum = 0;
+#endif
+        // Bisection.
+        while (low < high) {
+            const int middle = (low + high) >> 1;
+            int at_most = 0;
             for (int v = 0; v < side; ++v)
                 for (int u = 0; u < side; ++u) {
                     const int value = first[v * stride + u];
-                    const int apart = value < median ? median - value : value - median;
-                    const bool counts = value && apart <= reach;
-                    count += counts;
-                    sum += counts ? value : 0;
+                    at_most += value && value <= middle;
                 }
+            if (at_most > k)
+                high = middle;
+            else
+                low = middle + 1;
         }
-        return (int)((2 * sum + count) / (2 * count));
+        return low;
+    }
+
+    // Leaves what is near the median; a count of 0 where too few are measured.
+    void keep_near(Pixels& all) const {
+        if (2 * all.count < side * side || !all.count) {
+            all.count = all.sum = 0;
+            return;
+        }
+        // What is near grows with depth: if the farthest is near the nearest, all are near the
+        // median.
+        if (all.high - all.low <= near[all.low]) return;
+        const int median = smallest((all.count - 1) / 2, all.low, all.high), reach = near[median];
+        all.count = all.sum = 0;
+        for (int v = 0; v < side; ++v)
+            for (int u = 0; u < side; ++u) {
+                const int value = first[v * stride + u];
+                const int apart = value < median ? median - value : value - median;
+                const int counts = -(int)(value && apart <= reach);
+                all.count -= counts;
+                all.sum += value & counts;
+            }
+    }
+
+    // Rounded, halves up; 0 of nothing. Quotients of such integers are exact to 2^-9, so float64
+    // tells those below a whole number from it.
+    static int mean(int sum, int count) {
+        return count ? (int)((2.0 * sum + count) / (2.0 * count)) : 0;
+    }
+
+    int depth() const {
+        Pixels all = pixels();
+        keep_near(all);
+        return mean(all.sum, all.count);
     }
 };
