@@ -1,4 +1,4 @@
-"""The prior of each frame's floor, where obstacles are made of surfaces.
+"""The prior of each frame's floor; of clusters of points it is the floor.
 
 Each frame's own depth corrects it, so it need not be exact; mounts are not always as they are said
 to be, and frames that show little floor have nothing else.
