@@ -1,7 +1,9 @@
-"""Configuration: one frozen dataclass for each stage but align, which has no free parameters.
+"""Configuration: one frozen dataclass for each part of the method.
 
-Every field is a command-line flag (``--cluster.depth-gap-m``) and a TOML key
-(``[cluster] depth_gap_m``). All are hashable, so JAX can take them as static arguments.
+Every field is a command-line flag (``--ground.max-depth-m``) and a TOML key
+(``[ground] max_depth_m``). Obstacles are made of surfaces of depth cells by the parts ``floor``,
+``surface`` and ``obstacle``, or of points by ``cluster``; the others serve both. All are hashable,
+so JAX can take them as static arguments.
 """
 
 import math
@@ -14,10 +16,6 @@ MAX_POINTS = 8192
 
 TRIM_SHARE = 16
 """At most this part of an obstacle's points is passed over at each side, and in front."""
-
-STAGES = ("align", "ground", "features", "cluster", "footprint")
-"""The names of the stages, in order; one name for a stage everywhere."""
-
 
 FARTHEST_M = 1000.0
 """Largest length in a configuration [m]: what 32-bit integers of depth units hold."""
@@ -43,23 +41,24 @@ class GroundConfig:
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
     step_height_per_m: float = 0.003
-    """Added to the step height for each metre of depth: how well the floor's tilt is known
-    (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0. Surfaces have
-    the floor of each frame, so it is for noise: cells of s x s pixels add an s-th of it."""
+    """Added to the step height for each metre of depth, with the floor of each frame for noise:
+    cells of s x s pixels add an s-th of it. Clusters of points have one plane, so there it is how
+    well the floor's tilt is known (0.003 is 0.2 degrees); the paper's is 0."""
     camera_height_m: float | None = None
-    """Optical centre above the floor [m]; unset: from the log's TF, else estimated."""
+    """Optical centre above the floor [m], as far as known; unset: from the log's TF, else from a
+    sample of its frames. Each frame's own depth corrects it."""
     camera_pitch_rad: float = 0.0
     """Downward tilt [rad], used with camera_height_m."""
     camera_roll_rad: float = 0.0
     """Clockwise roll seen from behind the camera [rad], used with camera_height_m."""
     source: str = "auto"
-    """Where the plane comes from: auto (flags, then tf, then estimate), flags, tf, estimate,
-    none."""
+    """What the floor of each frame is looked for around: auto (flags, then tf), flags, tf, or
+    estimate (neither). The median floor of a sample of the log's frames takes its place where
+    enough of them show one. none: no floor is looked for, and nothing is dropped as floor."""
     sample_frames: int = 24
-    """Frames the estimate looks at, evenly spaced over the log or the window."""
+    """Frames of that sample, evenly spaced over the log or the window."""
     window_s: float = 0.0
-    """Length of the fixed time windows with an estimate each [s]: of the plane where it is not
-    known, and of a ramp ahead. 0: one plane for the log, and no ramps."""
+    """Length of the fixed time windows with a sample each [s]. 0: one sample for the log."""
 
     def __post_init__(self) -> None:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
@@ -91,7 +90,7 @@ class FeaturesConfig:
     canny_high: float = 100.0
     """Upper hysteresis bound [grey levels of the L1 gradient]."""
     max_corners: int = 1024
-    """Feature slots N: the strongest corners that are used."""
+    """Slots for corners: the strongest that are used."""
     quality_level: float = 0.01
     """Weakest corner used, as a share of the strongest one's minimum eigenvalue."""
     min_distance: float = 3.0
@@ -116,12 +115,15 @@ class FeaturesConfig:
 
 @dataclass(frozen=True)
 class FloorConfig:
-    """How the floor of each frame is looked for."""
+    """How the floor of each frame, and free floor on it, is looked for.
+
+    The prior is what is known before: from flags, TF, or a sample of the log.
+    """
 
     max_cells: int = 4800
     """Most cells used: a regular part of those given."""
     max_depth_m: float = 6.0
-    """Farthest depth used [m]; 0: no floor is looked for."""
+    """Farthest depth used [m]; 0: no floor is looked for, and the prior is used."""
     noise_per_m: float = 0.004
     """Error of depth over its square [1/m]; 0.004 is a D435's."""
     max_turn_deg: float = 4.0
@@ -206,8 +208,8 @@ class ObstacleConfig:
     """Obstacles made of surfaces: gaps on the floor, and what else is seen of two surfaces."""
 
     affinity: str = "surfaces"
-    """Table that says what of two surfaces speaks for their being one: ``surfaces``, learnt in
-    rooms and streets, or ``tabletop``. It counts cells of the default size."""
+    """Table that says what of two surfaces speaks for their being one: surfaces, learnt in rooms
+    and streets, or tabletop. It counts cells of the default size."""
     lateral_gap_m: float = 1.5
     """Surfaces farther apart sideways are not looked at together, d_x [m]."""
     forward_gap_m: float = 0.8
@@ -240,10 +242,11 @@ class ObstacleConfig:
 
 @dataclass(frozen=True)
 class ClusterConfig:
-    """Clusters of points: gaps in depth, then sideways (Section 3.4, Eq. 6)."""
+    """Clusters of points: gaps in depth, then sideways (Section 3.4, Eq. 6); preset paper."""
 
     points: bool = False
-    """Make obstacles of points as the paper does; off: of surfaces."""
+    """Make obstacles of points, as the paper does; off: of surfaces. The other settings of this part
+    are for points alone."""
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
     lateral_gap_m: float = 0.40
@@ -275,15 +278,13 @@ class FootprintConfig:
     squared [1/m]: of many noisy points the nearest is too near, and stereo noise grows so; 0.012
     is some four standard deviations of a D435's. The paper's is 0."""
     extension_m: float = 0.20
-    """How far the edge AB is extended backward when there is no vertex [m]."""
+    """How far the edge AB is extended backward when there is no vertex [m]; fitted rectangles end
+    with their obstacle's cells."""
     margin_m: float = 0.0
     """Added to the rectangle on all sides [m]."""
     margin_per_m2: float = 0.007
     """Added to it in proportion to the square of the obstacle's smallest z [1/m], as stereo noise
     grows; 0.007 is nearly two standard deviations of a D435's."""
-    fitted: bool = True
-    """Of obstacles made of surfaces, the rectangle that fits the visible contour best; off: the
-    paper's, along AB."""
     long_m: float = 3.0
     """Fitted rectangles longer than this pass over a twentieth of their cells at each long side:
     walls are smeared over the floor before them [m]."""

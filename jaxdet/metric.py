@@ -92,8 +92,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     The margin, ``margin_m + margin_per_m2 z²`` with the obstacle's smallest z, is added on all
     sides.
 
-    With ``config.fitted``, ``direction`` and ``span`` are those of the rectangle itself and only
-    the margin is added; AB is the side whose middle is nearest to the camera.
+    Obstacles made of surfaces have the ``direction`` and the ``span`` of the rectangle itself, to
+    which only the margin is added; AB is the side whose middle is nearest to the camera.
 
     Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
     forward it has no side away from the camera; the normal that points away from the camera's
@@ -108,7 +108,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         ``(B, M, 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
         corner beyond B, the corner beyond A.
     """
-    if config.fitted:
+    if np.any(obstacles.direction):
         return _fitted_rectangles(obstacles, depth_unit, config)
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
     edge = b - a

@@ -50,7 +50,7 @@ PRESETS: dict[str, Config] = {
         ),
         cluster=ClusterConfig(points=True),
         footprint=FootprintConfig(
-            trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, fitted=False, margin_per_m2=0.0
+            trim=0, side_band_per_m=0.0, near_band_per_m2=0.0, margin_per_m2=0.0
         ),
     ),
     "d435": _with(min_depth_m=0.20, max_depth_m=4.0),

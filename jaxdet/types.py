@@ -148,7 +148,8 @@ class Frames(NamedTuple):
     T_world_camera: np.ndarray | None = None
     """``(B, 4, 4)`` float64, colour optical frame to world, NaN where unknown; None without."""
     plane: GroundPlane | None = None
-    """The floor of each frame; None leaves it to the configuration or to an estimate."""
+    """What is known of the floor of each frame, which its own depth corrects (clusters of points
+    take it as it is); None leaves it to the configuration."""
 
 
 class Cells(NamedTuple):
@@ -214,7 +215,8 @@ class Features(NamedTuple):
     kept: Array
     """``(B, N)`` bool, its depth is in range and above the floor."""
     overflow: Array
-    """``(B,)`` bool, more corners qualified than there are slots."""
+    """``(B,)`` bool, more corners qualified than there are slots, or there are more surfaces than
+    ``MAX_SURFACES`` or more obstacles than ``MAX_OBSTACLES``."""
 
 
 class Labels(NamedTuple):
@@ -232,7 +234,8 @@ class Obstacles(NamedTuple):
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
     ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
     are the outermost and the nearest points of the paper, or the medians of bands behind those, see
-    ``FootprintConfig``.
+    ``FootprintConfig``. Points are kept features, or of obstacles made of surfaces their cells in
+    the colour image; ``direction`` and ``span`` are of all their cells.
     """
 
     num_points: Array
@@ -256,9 +259,10 @@ class Obstacles(NamedTuple):
     has_vertex: Array
     """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
     direction: Array
-    """``(B, M, 2)`` int32, of the rectangle that fits the contour; zero for clusters of points."""
+    """``(B, M, 2)`` int32, along the fitted rectangle, right and forward, about 512 long; zero for
+    clusters of points."""
     span: Array
-    """``(B, M, 4)`` int32, extremes of all points along ``direction`` (dot product) and across
+    """``(B, M, 4)`` int32, the rectangle's extent along ``direction`` (dot product) and across
     (cross product): least and largest along, least and largest across."""
 
 

@@ -12,7 +12,7 @@ from jaxdet.config import FootprintConfig
 from jaxdet.plane import down_vector, flat_plane, ground_axes
 from jaxdet.types import Obstacles
 
-CONFIG = FootprintConfig(extension_m=0.2, fitted=False, margin_per_m2=0.0)
+CONFIG = FootprintConfig(extension_m=0.2, margin_per_m2=0.0)
 
 
 def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles:

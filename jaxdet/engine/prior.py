@@ -1,4 +1,4 @@
-"""The prior of each frame's floor, where obstacles are made of surfaces.
+"""The prior of each frame's floor; of clusters of points it is the floor.
 
 Each frame's own depth corrects it, so it need not be exact; mounts are not always as they are said
 to be, and frames that show little floor have nothing else.
@@ -39,8 +39,9 @@ def prior_of(
         shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
         found = sampled_floor(shown, fit.own[frames.valid])
         message = _said(known, _sample_text(found))
-        if not (found.plane.valid[0] if plane.valid[0] else found.agrees):
-            if not plane.valid[0]:
+        alone = not plane.valid[0] and not config.cluster.points
+        if not (found.agrees if alone else found.plane.valid[0]):
+            if alone:
                 message = f"each frame is searched alone; {message}"
             return replace(known, frames_used=found.decided, message=message), plane
         record = replace(

@@ -1,4 +1,4 @@
-"""Cells on the floor: right, forward and height. Twin of ``jaxdet/reference/_floor_frame.py``."""
+"""Cells on the floor: right, forward and height. Twin of ``jaxdet/floor_frame.py``."""
 
 import warp as wp
 

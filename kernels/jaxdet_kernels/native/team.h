@@ -10,8 +10,10 @@
 // in which threads arrive: sums, minima and maxima of integers do not.
 //
 // Headers of this folder hold structs only: they become local classes of a kernel, so they have
-// no templates and no static members, and include nothing but each other.
+// no templates and no static members, and include nothing but each other. The one exception
+// is size_t for compilers that read a header alone: kernels leave all includes out and have Warp's.
 #pragma once
+#include <stddef.h>
 
 struct Team {
 #if defined(__CUDA_ARCH__)
