@@ -245,8 +245,8 @@ class ClusterConfig:
     """Clusters of points: gaps in depth, then sideways (Section 3.4, Eq. 6); preset paper."""
 
     points: bool = False
-    """Make obstacles of points, as the paper does; off: of surfaces. The other settings of this part
-    are for points alone."""
+    """Make obstacles of points, as the paper does; off: of surfaces. The other settings of this
+    part are for points alone."""
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
     lateral_gap_m: float = 0.40

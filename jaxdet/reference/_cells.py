@@ -108,8 +108,8 @@ def _boxes(
     top, left = (a * side for a in np.mgrid[0:rows, 0:columns])
     if calibration.is_aligned:
         first = np.broadcast_to(np.stack([left, top], axis=-1), (batch, rows, columns, 2))
-        box = (np.where(seen[..., None], a, 0) for a in (first, first + side - 1))
-        return *(a.astype(np.int32) for a in box), seen
+        first, last = (np.where(seen[..., None], a, 0) for a in (first, first + side - 1))
+        return first.astype(np.int32), last.astype(np.int32), seen
     assert calibration.depth is not None
     splat, color = splat_parameters(calibration), calibration.color
     x, y = corner_rays(calibration.depth)

@@ -148,7 +148,8 @@ def _surfaces(
 def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
     """Where the cells of frame ``b`` are, in the camera and on the floor."""
     xyz = np.stack([grid.x[b], grid.y[b], grid.z[b]]).astype(np.int64)
-    return View(*xyz, *on_floor(floor, xyz), grid.in_view[b])
+    x, y, z = xyz
+    return View(x, y, z, *on_floor(floor, xyz), grid.in_view[b])
 
 
 def _points(

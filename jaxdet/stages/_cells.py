@@ -81,7 +81,9 @@ def cells(depth: jax.Array, arrays: Tables, static: Static) -> Cells:
     """
     with jax.named_scope("cells"):
         shape = (depth.shape[0], *arrays.rays.shape[1:])
-        shapes = dict.fromkeys(("x_out", "y_out", "z_out", "in_view_out"), shape)
-        shapes |= dict.fromkeys(("uv_min_out", "uv_max_out"), (*shape, 2))
+        shapes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(("x_out", "y_out", "z_out", "in_view_out"), shape),
+            **dict.fromkeys(("uv_min_out", "uv_max_out"), (*shape, 2)),
+        }
         found = _cells(depth, *arrays, *static, batch=shape[0], shapes=shapes, scratch=1)
         return Cells(*found)

@@ -1,7 +1,7 @@
 """The whole method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from jaxdet.stages._points import clusters
 from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
+    Array,
     Calibration,
     Cells,
     Detections,
@@ -40,16 +41,16 @@ class _Tables(NamedTuple):
 
     cells: _cells.Tables
     rays: _features.Rays
-    floor: jax.Array
+    floor: Array
     surfaces: surface_stage.SurfaceTables
-    surface: jax.Array
+    surface: Array
     trees: _obstacles.Trees
-    obstacle: jax.Array
-    bands: jax.Array
-    outline: jax.Array
+    obstacle: Array
+    bands: Array
+    outline: Array
     free: _free.FreeTables
-    free_settings: jax.Array
-    depth_range: jax.Array
+    free_settings: Array
+    depth_range: Array
 
 
 class _Given(NamedTuple):
@@ -172,7 +173,8 @@ def _detect(
     )
     nearest, farthest = shared.depth_range
     in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
-    scene = Scene(floor, None, *outlined[1:], line, end)
+    lost = cast(GroundPlane, None)  # it stays on the host
+    scene = Scene(floor, lost, *outlined[1:], line, end)
     return Detections(points, labels, outlined.obstacles, in_range.any(axis=(1, 2)), scene)
 
 
