@@ -145,7 +145,8 @@ struct FloorRefine {
     }
 
     // A step of weighted least squares; false where too few cells are near.
-    bool round(Crew& crew, FloorPlane& plane, const FloorCells& cells, int base, int per_z) const {
+    __attribute__((noinline)) bool round(Crew& crew, FloorPlane& plane, const FloorCells& cells,
+                                         int base, int per_z) const {
         const FloorDirection down = angles.down(plane);
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
         const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);
@@ -163,13 +164,13 @@ struct FloorRefine {
             const long long gate = 9 * (long long)allowed * allowed, divisor = gate ? gate : 1;
             const int taper = 64 - ratio(256 * (long long)e * e, divisor);
             const int part = ratio(gate ? squares : 0, divisor) + 1;
-            const long long w = near ? (long long)(taper * taper) * part >> 6 : 0;
+            const int w = near ? (int)((long long)(taper * taper) * part >> 6) : 0;
             const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
-            out[i] = (int)w;
-            const long long at = w * t, as = w * s;
+            out[i] = w;
+            const long long at = (long long)w * t, as = (long long)w * s;
             count += near;
             w0 += w;
-            we += w * e;
+            we += (long long)w * e;
             wt += at;
             ws += as;
             tt += at * t;
