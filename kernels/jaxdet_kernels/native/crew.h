@@ -4,7 +4,7 @@
 #include "team.h"
 
 struct Crew {
-    enum { WARP = 32, MOST_SUMS = 10 };
+    enum { WARP = 32, MOST_SUMS = 10, MOST_SHARED = 4 };
     const Team* team;
     // Of a whole team: two rows of the warps' sums, used in turn. Null: the crew is a warp.
     unsigned long long* rows;
@@ -16,7 +16,9 @@ struct Crew {
     // A whole team; `scratch` has words(team) words.
     Crew(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
 
-    static int words(const Team& all) { return 2 * 2 * MOST_SUMS * ((all.size + WARP - 1) / WARP); }
+    static int words(const Team& all) {
+        return 2 * 2 * MOST_SUMS * ((all.size + WARP - 1) / WARP) + MOST_SHARED;
+    }
 
 #if defined(__CUDA_ARCH__)
     int rank() const { return rows ? team->rank : team->rank % WARP; }
@@ -30,6 +32,27 @@ struct Crew {
     int index() const { return 0; }
     int count() const { return 1; }
 #endif
+
+    // Whether this thread is of the first warp, which works for a whole team where all would do the
+    // same, and what it then tells the others: at most MOST_SHARED values. A sum is between any two.
+#if defined(__CUDA_ARCH__)
+    bool leads() const { return rank() < WARP; }
+#else
+    bool leads() const { return true; }
+#endif
+    void tell(int* values, int n) const {
+#if defined(__CUDA_ARCH__)
+        if (!rows) return;
+        volatile int* told = (volatile int*)(rows + 2 * MOST_SUMS * (team->size / WARP));
+        if (team->rank == 0)
+            for (int k = 0; k < n; k++) told[k] = values[k];
+        team->sync();
+        for (int k = 0; k < n; k++) values[k] = told[k];
+#else
+        (void)values;
+        (void)n;
+#endif
+    }
 
     // Each of the values, at most MOST_SUMS, becomes its sum over the crew; all must ask.
     //

@@ -131,11 +131,11 @@ struct Floor {
         each(1, [&](int row, int column, int p) {
             const int depth = z[p];
             if (depth <= 0 || depth > deepest) return;
-            const int k = team.add(counts + ALL, 1);
+            const int k = team.count(counts + ALL);
             cells[k] = x[p];
             cells[most + k] = y[p];
             cells[2 * most + k] = depth;
-            if (((row | column) & 1) == 0) team.add(counts + ENDS + ring_of(depth), 1);
+            if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
         });
         team.sync();
         if (team.rank == 0) {
@@ -149,12 +149,12 @@ struct Floor {
         each(2, [&](int, int column, int p) {
             const int depth = z[p];
             if (depth <= 0 || depth > deepest) return;
-            const int k = team.add(counts + NEXT + ring_of(depth), 1);
+            const int k = team.count(counts + NEXT + ring_of(depth));
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
             if (column < margin || column >= c - margin) return;
-            const int n = team.add(counts + INNER, 1);
+            const int n = team.count(counts + INNER);
             inner[n] = x[p];
             inner[most_few + n] = y[p];
             inner[2 * most_few + n] = depth;
@@ -285,7 +285,7 @@ struct Floor {
         for (int i = team.rank; i < all.count; i += team.size) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
             const bool beyond = forward.along(x, y, z) >= hinge.start;
-            const int n = team.add(counts + (beyond ? BEYOND : BEFORE), 1);
+            const int n = team.count(counts + (beyond ? BEYOND : BEFORE));
             const int k = beyond ? most - 1 - n : n;
             parts[k] = x;
             parts[most + k] = y;
@@ -302,7 +302,7 @@ struct Floor {
     }
 
     // Says whether a floor is to be believed: cells on it, all cells, and a refusal.
-    __attribute__((noinline)) void judge(Crew& crew, FloorPlane plane, FloorHinge hinge, int* found) const {
+    void judge(Crew& crew, FloorPlane plane, FloorHinge hinge, int* found) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
         const FloorSlack fine(settings[FloorSetting::FINE_BASE], settings[FloorSetting::FINE_PER_Z],

@@ -67,7 +67,7 @@ struct FloorRamps {
     }
 
     // Tolerances at each distance, and the cells of a plane by distance, with their heights.
-    __attribute__((noinline)) void sort(const Team& team, FloorPlane plane) const {
+    void sort(const Team& team, FloorPlane plane) const {
         const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
         const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
         const int noise = settings[FloorSetting::NOISE], per_z = settings[FloorSetting::FINE_PER_Z];
@@ -133,8 +133,10 @@ struct FloorRamps {
         const int from = begin()[k], to = begin()[k + 1];
         for (int m = 0; m < number; m++) counts[m] = from;
         if (from == to) return;
+        // Few are clearly below: the last height asked for is often lower than all.
+        const int asked = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
         for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
-            for (int m = 0; m < number; m++) {
+            for (int m = 0; m < asked; m++) {
                 const int next = counts[m] + part;
                 if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
             }
@@ -147,7 +149,7 @@ struct FloorRamps {
 
     // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets:
     // as many cells as a range of heights as wide as the tolerances holds.
-    __attribute__((noinline)) void limits(const Team& team, const int* slack) const {
+    void limits(const Team& team, const int* slack) const {
         const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
         const int *heights = sorted(), *at = places + 3 * cells.count;
 #if defined(__CUDA_ARCH__)
@@ -223,7 +225,7 @@ struct FloorRamps {
     // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
     // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
     // many votes as the best so far counts, and others are passed over.
-    __attribute__((noinline)) void best(const Team& team, int start0, int start_step, int starts,
+    void best(const Team& team, int start0, int start_step, int starts,
                                         int turn0, int turn_step, int turns, int sign,
                                         const int* slack, int least) const {
         const int n = runs(), last = 2 * half(), center = half(), number = starts * turns;

@@ -151,6 +151,7 @@ struct FloorVotes {
             const int i = start + lanes.rank < to ? start + lanes.rank : to - 1;
             const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
             const int n = to - start < Lanes::size ? to - start : Lanes::size;
+#pragma unroll 4
             for (int k = 0; k < n; k++) {
                 const int s = __shfl_sync(0xffffffff, width, k);
                 const int height = down.along(__shfl_sync(0xffffffff, x, k),
@@ -231,7 +232,7 @@ struct FloorVotes {
 #endif
 
     // All votes. `best` and `whole` are set before the sync.
-    __attribute__((noinline)) void run(const Team& team) const {
+    void run(const Team& team) const {
         for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
         if (team.rank == 0) *whole = ~0ull;
         team.sync();
@@ -279,7 +280,7 @@ struct FloorVotes {
     }
 
     // The best plane of all cells in the nearer part that is apart from the one found last.
-    __attribute__((noinline)) void next(const Team& team) const {
+    void next(const Team& team) const {
         const unsigned long long last = best[rings - 1];
         const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
         const int p = d / rolls, r = d % rolls;
@@ -392,7 +393,7 @@ struct FloorSearch {
         return lattice;
     }
 
-    __attribute__((noinline)) int score(Crew& crew, FloorPlane plane) const {
+    int score(Crew& crew, FloorPlane plane) const {
         const FloorDirection down = angles.down(plane);
         const int* set = settings;
         const FloorSlack slack(set[FloorSetting::FINE_BASE], set[FloorSetting::FINE_PER_Z],
