@@ -40,8 +40,7 @@ from jaxdet.floor_units import (
 from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import floor as kernels
 
-_WIDTH = 256
-_floor = TeamKernel(kernels.floor, 1, _WIDTH)
+_floor = TeamKernel(kernels.floor, 1, kernels.WIDTH)
 
 
 class FloorSettings(NamedTuple):
@@ -177,7 +176,7 @@ def find_floor(
         wide_bins=(heights[1] >> sizes.bin_bits) + 1,
         runs=sizes.runs,
         rises=2 * sizes.half,
-        width=_WIDTH,
+        width=kernels.WIDTH,
     )
     [found] = _floor(
         x,

@@ -12,6 +12,10 @@ _NEAR_DIRECTIONS = 17 * 9
 _FIXED_WORDS = 2048
 """More than all that does not grow with the frame or the lattices."""
 _WARP = 32
+WIDTH = 256
+"""Threads of a team on CUDA."""
+_BLOCKS = 4
+"""On a multiprocessor at once: a thread has up to 64 registers."""
 _COPIES = 8
 
 
@@ -31,7 +35,8 @@ def floor_scratch_words(
     """
     cells, few = rows * columns, -(-rows // 2) * -(-columns // 2)
     weights = max(-(-width // _WARP) * few, cells)
-    lattice = max(_NEAR_DIRECTIONS * (near_bins + 1), _DIRECTIONS * (wide_bins + 1))
+    near, wide = (-(-n // _WARP) * _WARP for n in (_NEAR_DIRECTIONS, _DIRECTIONS))
+    lattice = max(near * (near_bins + 1), wide * (wide_bins + 1))
     table = max(lattice, runs * (rises + 1))
     copies = _COPIES * (max(near_bins, wide_bins) + 1)
     words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + copies + table
@@ -41,6 +46,7 @@ def floor_scratch_words(
 @wp.func_native(
     native(
         "crew.h",
+        "lanes.h",
         "floor_planes.h",
         "floor_search.h",
         "floor_ramp.h",
@@ -49,9 +55,14 @@ def floor_scratch_words(
     const Team team(tid, share);
     const int batch = z.shape[0], rows = z.shape[1], columns = z.shape[2], cells = rows * columns;
     int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
+#if defined(__CUDA_ARCH__)
+    __shared__ __align__(16) int fast[Floor::SHARED];
+#else
+    int* const fast = nullptr;
+#endif
     for (int b = team.index; b < batch; b += shares) {
         const Floor floor(team, settings.data, sines.data, prior.data + b * Floor::PRIOR, rows,
-                          columns, scratch);
+                          columns, scratch, fast);
         const size_t first = (size_t)b * cells;
         floor.run(x.data + first, y.data + first, z.data + first, rows, columns,
                   found_out.data + b * Floor::RESULTS);
@@ -74,7 +85,7 @@ def _floor(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(WIDTH, _BLOCKS))
 def floor(
     share: int,
     shares: int,

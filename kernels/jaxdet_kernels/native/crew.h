@@ -4,19 +4,20 @@
 #include "team.h"
 
 struct Crew {
-    enum { WARP = 32, MOST_SUMS = 10, WORDS = 2 * 3 * MOST_SUMS };
+    enum { WARP = 32, MOST_SUMS = 10, MOST_SHARED = 4 };
     const Team* team;
-    // Of a whole team: three rows of sums, used in turn. Null: the crew is a warp.
+    // Of a whole team: two rows of the warps' sums, used in turn. Null: the crew is a warp.
     unsigned long long* rows;
     int turn;
 
     // A warp of a team.
     explicit Crew(const Team& all) : team(&all), rows(nullptr), turn(0) {}
 
-    // A whole team; `scratch` has WORDS words. To be built by all threads.
-    Crew(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {
-        for (int k = all.rank; k < 3 * MOST_SUMS; k += all.size) rows[k] = 0;
-        all.sync();
+    // A whole team; `scratch` has words(team) words.
+    Crew(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
+
+    static int words(const Team& all) {
+        return 2 * 2 * MOST_SUMS * ((all.size + WARP - 1) / WARP) + MOST_SHARED;
     }
 
 #if defined(__CUDA_ARCH__)
@@ -32,23 +33,47 @@ struct Crew {
     int count() const { return 1; }
 #endif
 
+    // Whether this thread is of the first warp, which works for a whole team where all would do the
+    // same, and what it then tells the others: at most MOST_SHARED values. A sum is between any two.
+#if defined(__CUDA_ARCH__)
+    bool leads() const { return rank() < WARP; }
+#else
+    bool leads() const { return true; }
+#endif
+    void tell(int* values, int n) const {
+#if defined(__CUDA_ARCH__)
+        if (!rows) return;
+        volatile int* told = (volatile int*)(rows + 2 * MOST_SUMS * (team->size / WARP));
+        if (team->rank == 0)
+            for (int k = 0; k < n; k++) told[k] = values[k];
+        team->sync();
+        for (int k = 0; k < n; k++) values[k] = told[k];
+#else
+        (void)values;
+        (void)n;
+#endif
+    }
+
     // Each of the values, at most MOST_SUMS, becomes its sum over the crew; all must ask.
     //
-    // A row is filled while the one after it is emptied. The thread that is emptying a row passed
-    // the sync of the sum before, which all readers of that row reached after they had read it.
+    // Who fills a row passed the sync of the sum before, which all readers of that row reached
+    // after they had read it.
     void sum(long long* values, int n) {
 #if defined(__CUDA_ARCH__)
         for (int k = 0; k < n; k++)
             for (int half = WARP / 2; half; half /= 2)
                 values[k] += __shfl_xor_sync(0xffffffffu, values[k], half);
         if (!rows) return;
-        unsigned long long* row = rows + turn * MOST_SUMS;
-        turn = turn == 2 ? 0 : turn + 1;
-        if (team->rank < MOST_SUMS) rows[turn * MOST_SUMS + team->rank] = 0;
-        if (team->rank % WARP == 0)
-            for (int k = 0; k < n; k++) team->add(row + k, (unsigned long long)values[k]);
+        const int warps = team->size / WARP, lane = team->rank % WARP;
+        unsigned long long* row = rows + turn * warps * MOST_SUMS;
+        turn ^= 1;
+        if (lane == 0)
+            for (int k = 0; k < n; k++) row[team->rank / WARP * MOST_SUMS + k] = values[k];
         team->sync();
-        for (int k = 0; k < n; k++) values[k] = (long long)((volatile unsigned long long*)row)[k];
+        long long total = 0;
+        if (lane < n)
+            for (int k = 0; k < warps; k++) total += row[k * MOST_SUMS + lane];
+        for (int k = 0; k < n; k++) values[k] = __shfl_sync(0xffffffffu, total, k);
 #else
         (void)values;
         (void)n;

@@ -25,7 +25,9 @@ struct Floor {
         TABLE = 4,
         // 0 to 3: counts; from 4 on: ends of rings, then where the next cell of each goes.
         ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
-        COUNTS = NEXT + FloorSearch::RINGS
+        COUNTS = NEXT + FloorSearch::RINGS,
+        // Words of shared memory on CUDA: five blocks have room on a multiprocessor of 228 KB.
+        SHARED = 11264
     };
     const Team& team;
     const int* settings;
@@ -36,11 +38,13 @@ struct Floor {
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *alone, *bound, *cells, *parts, *few, *inner, *slack, *weights;
     int *rows, *places, *table, *lattice, *copies;
-    int most, most_few;
+    int most, most_few, room;
 
-    // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum.
+    // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum. On
+    // CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
+    // search needs after the other.
     Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
-          int columns_in, int* scratch)
+          int columns_in, int* scratch, int* fast)
         : team(team), settings(settings), angles{sines}, prior{given[0], given[1], given[2]},
           known(given[3] != 0) {
         const int stride = settings[FloorSetting::STRIDE];
@@ -48,20 +52,27 @@ struct Floor {
         most = r * c;
         most_few = ((r + 1) / 2) * ((c + 1) / 2);
         int* at = scratch;
-        sums = (unsigned long long*)at;
-        at += Crew::WORDS;
-        keys = (unsigned long long*)at;
-        at += FloorSearch::KEY_WORDS;
-        counts = at;
-        at += COUNTS;
-        planes = at;
-        at += 3 * 3 * PLANES;
-        votes = at;
-        at += PLANES;
-        alone = at;
-        at += PLANES;
-        bound = at;
-        at += PLANES;
+        room = fast ? SHARED : 0;
+        const auto always = [&](int words) {
+            int*& from = words <= room ? fast : at;
+            int* const place = from;
+            room -= words <= room ? words : 0;
+            from += words;
+            return place;
+        };
+        sums = (unsigned long long*)always(Crew::words(team));
+        keys = (unsigned long long*)always(FloorSearch::KEY_WORDS);
+        counts = always(COUNTS);
+        planes = always(3 * 3 * PLANES);
+        votes = always(PLANES);
+        alone = always(PLANES);
+        bound = always(PLANES);
+        rows = always(FloorRamps::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
+        const auto now = [&](int words) {
+            int* const place = words <= room ? fast : at;
+            at += words <= room ? 0 : words;
+            return place;
+        };
         cells = at;
         at += 3 * most;
         parts = at;
@@ -72,15 +83,11 @@ struct Floor {
         at += 3 * most_few;
         slack = at;
         at += most_few;
-        places = at;
-        at += 4 * most_few;
-        weights = at;
+        places = now(4 * most_few);
         const int crews = (team.size + Crew::WARP - 1) / Crew::WARP * most_few;
-        at += crews > most ? crews : most;
-        rows = at;
-        at += FloorRamps::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1);
-        copies = at;
-        at += FloorVotes::COPIES * FloorSearch::most_bins(settings);
+        weights = now(crews > most ? crews : most);
+        copies = room ? fast : at;
+        at += room ? 0 : FloorVotes::COPIES * FloorSearch::most_bins(settings);
         // Votes of a search and the profile of a plane follow each other.
         lattice = table = at;
     }
@@ -124,11 +131,11 @@ struct Floor {
         each(1, [&](int row, int column, int p) {
             const int depth = z[p];
             if (depth <= 0 || depth > deepest) return;
-            const int k = team.add(counts + ALL, 1);
+            const int k = team.count(counts + ALL);
             cells[k] = x[p];
             cells[most + k] = y[p];
             cells[2 * most + k] = depth;
-            if (((row | column) & 1) == 0) team.add(counts + ENDS + ring_of(depth), 1);
+            if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
         });
         team.sync();
         if (team.rank == 0) {
@@ -142,12 +149,12 @@ struct Floor {
         each(2, [&](int, int column, int p) {
             const int depth = z[p];
             if (depth <= 0 || depth > deepest) return;
-            const int k = team.add(counts + NEXT + ring_of(depth), 1);
+            const int k = team.count(counts + NEXT + ring_of(depth));
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
             if (column < margin || column >= c - margin) return;
-            const int n = team.add(counts + INNER, 1);
+            const int n = team.count(counts + INNER);
             inner[n] = x[p];
             inner[most_few + n] = y[p];
             inner[2 * most_few + n] = depth;
@@ -183,7 +190,7 @@ struct Floor {
     void find(int number, int* out) const {
         const FloorCells sample = of(few, most_few, 0, number);
         const FloorSearch search = {angles, settings, sample, counts + ENDS,
-                                    slack,  weights,  keys,   lattice, copies};
+                                    slack,  weights,  keys,   lattice, copies, room};
         FloorPlane* all = (FloorPlane*)planes;
         FloorPlane* different = all + PLANES;
         const FloorPlane* told = known ? &prior : nullptr;
@@ -278,7 +285,7 @@ struct Floor {
         for (int i = team.rank; i < all.count; i += team.size) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
             const bool beyond = forward.along(x, y, z) >= hinge.start;
-            const int n = team.add(counts + (beyond ? BEYOND : BEFORE), 1);
+            const int n = team.count(counts + (beyond ? BEYOND : BEFORE));
             const int k = beyond ? most - 1 - n : n;
             parts[k] = x;
             parts[most + k] = y;

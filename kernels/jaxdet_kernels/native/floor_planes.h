@@ -145,7 +145,8 @@ struct FloorRefine {
     }
 
     // A step of weighted least squares; false where too few cells are near.
-    bool round(Crew& crew, FloorPlane& plane, const FloorCells& cells, int base, int per_z) const {
+    bool round(Crew& crew, FloorPlane& plane, const FloorCells& cells,
+                                         int base, int per_z) const {
         const FloorDirection down = angles.down(plane);
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
         const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);
@@ -163,13 +164,13 @@ struct FloorRefine {
             const long long gate = 9 * (long long)allowed * allowed, divisor = gate ? gate : 1;
             const int taper = 64 - ratio(256 * (long long)e * e, divisor);
             const int part = ratio(gate ? squares : 0, divisor) + 1;
-            const long long w = near ? (long long)(taper * taper) * part >> 6 : 0;
+            const int w = near ? (int)((long long)(taper * taper) * part >> 6) : 0;
             const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
-            out[i] = (int)w;
-            const long long at = w * t, as = w * s;
+            out[i] = w;
+            const long long at = (long long)w * t, as = (long long)w * s;
             count += near;
             w0 += w;
-            we += w * e;
+            we += (long long)w * e;
             wt += at;
             ws += as;
             tt += at * t;
@@ -181,13 +182,11 @@ struct FloorRefine {
         long long sums[10] = {count, w0, we, wt, ws, tt, ts, ss, te, se};
         crew.sum(sums, 10);
         if (sums[0] < FEWEST) return false;
-        int pitch, side;
-        turns(sums, plane, pitch, side);
-        const int wide = 180 * FloorAngles::ANGLES;
-        const long long across = side * (1LL << FloorAngles::SINE_BITS);
-        const int roll = plane.roll + (int)angles.rounded(across, angles.cosine(plane.pitch));
-        plane.roll = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
-        plane.pitch = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
+        int turned_to[2] = {0, 0};
+        if (crew.leads()) turn(sums, plane, turned_to);
+        crew.tell(turned_to, 2);
+        plane.pitch = turned_to[0];
+        plane.roll = turned_to[1];
         const FloorDirection turned = angles.down(plane);
         long long total[1] = {0}, high = 0;
         for (int i = first; i < last; i += step)
@@ -196,6 +195,17 @@ struct FloorRefine {
         crew.sum(total, 1);
         plane.height = (int)angles.rounded(total[0], sums[1]);
         return true;
+    }
+
+    // Pitch and roll of a plane after a step.
+    void turn(const long long* sums, FloorPlane plane, int* out) const {
+        int pitch, side;
+        turns(sums, plane, pitch, side);
+        const int wide = 180 * FloorAngles::ANGLES;
+        const long long across = side * (1LL << FloorAngles::SINE_BITS);
+        const int roll = plane.roll + (int)angles.rounded(across, angles.cosine(plane.pitch));
+        out[0] = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
+        out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
     }
 
     // The turns about right and forward by Cramer's rule. What is summed about the means is

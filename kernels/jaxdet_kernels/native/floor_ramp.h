@@ -2,6 +2,7 @@
 // Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
 #pragma once
 #include "floor_planes.h"
+#include "lanes.h"
 
 struct FloorHinge {
     // Where it begins, and its pitch against the plane, uphill positive; turn 0: there is none.
@@ -91,13 +92,10 @@ struct FloorRamps {
         for (int i = team.rank; i < cells.count; i += team.size)
             if (run[i] >= 0) team.add(begin() + run[i], 1);
         team.sync();
-        if (team.rank == 0) {
-            int sum = 0;
-            for (int k = 0; k <= n; k++) {
-                const int here = begin()[k];
-                begin()[k] = cursor()[k] = sum;
-                sum += here;
-            }
+        const Lanes lanes(team);
+        if (lanes.index == 0) {
+            lanes.run_up(begin(), n);
+            for (int k = lanes.rank; k <= n; k += lanes.size) cursor()[k] = begin()[k];
         }
         team.sync();
         for (int i = team.rank; i < cells.count; i += team.size)
@@ -107,15 +105,73 @@ struct FloorRamps {
                 at[place] = run[i];
             }
         team.sync();
+#if defined(__CUDA_ARCH__)
+        // Heights of a distance in order, so that those below any are found by halves.
+        for (int i = team.rank; i < begin()[n]; i += team.size) {
+            const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
+            int place = from;
+            for (int j = from; j < to; j++) place += sorted[j] < h + (j < i);
+            high[place] = h;
+        }
+        team.sync();
+#endif
     }
 
-    const int* sorted() const { return places + 2 * cells.count; }
+    // Heights of the cells by distance, on CUDA in order.
+    const int* sorted() const {
+#if defined(__CUDA_ARCH__)
+        return places + cells.count;
+#else
+        return places + 2 * cells.count;
+#endif
+    }
+
+    // Of heights of the profile, how many cells at a distance are lower than each.
+    void lower(int k, const int* heights, int* counts, int number) const {
+#if defined(__CUDA_ARCH__)
+        const int* in_order = sorted();
+        const int from = begin()[k], to = begin()[k + 1];
+        for (int m = 0; m < number; m++) counts[m] = from;
+        if (from == to) return;
+        // Few are clearly below: the last height asked for is often lower than all.
+        const int asked = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
+        for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
+            for (int m = 0; m < asked; m++) {
+                const int next = counts[m] + part;
+                if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
+            }
+        for (int m = 0; m < number; m++) counts[m] -= from;
+#else
+        const int* row = table + k * (2 * half() + 1);
+        for (int m = 0; m < number; m++) counts[m] = row[heights[m]];
+#endif
+    }
 
     // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets:
     // as many cells as a range of heights as wide as the tolerances holds.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
-        const int *heights = sorted(), *at = heights + cells.count;
+        const int *heights = sorted(), *at = places + 3 * cells.count;
+#if defined(__CUDA_ARCH__)
+        for (int k = team.rank; k <= runs(); k += team.size) {
+            most()[k] = flat()[k] = 0;
+            if (k < runs() && begin()[k] < begin()[k + 1]) {
+                const int s = slack[k];
+                const int ends[3] = {index(s), index(-s), index(-FloorScore::BELOW * s)};
+                int under[3];
+                lower(k, ends, under, 3);
+                flat()[k] = under[0] - under[1] - each * under[2];
+            }
+        }
+        team.sync();
+        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
+            const int k = at[i], end = heights[i] + (2 * slack[k] >> bits) + 1;
+            int under;
+            lower(k, &end, &under, 1);
+            team.most(most() + k, begin()[k] + under - i);
+        }
+        team.sync();
+#else
         for (int k = team.rank; k <= runs(); k += team.size) flat()[k] = most()[k] = 0;
         team.sync();
         for (int i = team.rank; i < begin()[runs()]; i += team.size) {
@@ -128,23 +184,20 @@ struct FloorRamps {
             team.most(most() + k, held);
         }
         team.sync();
+#endif
         // The first become sums of those before, the second of those from there on.
-        if (team.rank == 0) {
-            int sum = 0;
-            for (int k = 0; k <= runs(); k++) {
-                const int here = k < runs() ? flat()[k] : 0;
-                flat()[k] = sum;
-                sum += here;
-            }
-            sum = 0;
-            most()[runs()] = 0;
-            for (int k = runs() - 1; k >= 0; k--) most()[k] = sum += most()[k];
+        const Lanes lanes(team);
+        if (lanes.index == 0) lanes.run_up(flat(), runs());
+        if (lanes.index == 1 % lanes.count) {
+            const int all = lanes.run_up(most(), runs());
+            for (int k = lanes.rank; k <= runs(); k += lanes.size) most()[k] = all - most()[k];
         }
         team.sync();
     }
 
-    // Running counts of the cells of each distance over their heights.
+    // Running counts of the cells of each distance over their heights, where these are in no order.
     void count(const Team& team) const {
+#if !defined(__CUDA_ARCH__)
         const int n = runs(), width = 2 * half() + 1;
         const int* heights = sorted();
         for (int k = team.rank; k < n; k += team.size) {
@@ -157,37 +210,48 @@ struct FloorRamps {
             for (int h = 0; h < width; h++) counts[h] = sum += counts[h];
         }
         team.sync();
+#endif
     }
 
     // Cells under a height over the plane at a distance.
     int under(int k, int height) const {
-        return begin()[k] == begin()[k + 1] ? 0 : table[k * (2 * half() + 1) + index(height)];
+        if (begin()[k] == begin()[k + 1]) return 0;
+        const int end = index(height);
+        int count;
+        lower(k, &end, &count, 1);
+        return count;
     }
 
     // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
     // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
     // many votes as the best so far counts, and others are passed over.
-    void best(const Team& team, int start0, int start_step, int starts, int turn0, int turn_step,
-              int turns, int sign, const int* slack, int least) const {
-        const int n = runs(), width = 2 * half() + 1, center = half(), number = starts * turns;
+    void best(const Team& team, int start0, int start_step, int starts,
+                                        int turn0, int turn_step, int turns, int sign,
+                                        const int* slack, int least) const {
+        const int n = runs(), last = 2 * half(), center = half(), number = starts * turns;
         const int bits = settings[FloorSetting::RISE_BITS];
         const int *first = begin(), *level = flat(), *rest = most();
         int known = least;
         for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
             const int i = m / turns, start = start_of(i, start0, start_step);
             int k = first_beyond(start), votes = level[k];
+#if defined(__CUDA_ARCH__)
+            const int others = votes_of(*(volatile unsigned long long*)key);
+            if (others > known) known = others;
+#endif
             if (votes + rest[k] < known) continue;
             const int slope = angles.slope(turn_of(m - i * turns, turn0, turn_step, turns, sign));
             for (; k < n && votes + rest[k] >= known; k++) {
                 if (first[k] == first[k + 1]) continue;
-                const int* counts = table + k * width;
                 const int up = rise(start, slope, middle(k)), s = slack[k];
-                const auto under = [&](int height) {
-                    const int place = (height >> bits) + center;
-                    return counts[place < 0 ? 0 : place >= width ? width - 1 : place];
+                const auto place = [&](int height) {
+                    const int at = (height >> bits) + center;
+                    return at < 0 ? 0 : at > last ? last : at;
                 };
-                votes += under(up + s) - under(up - s) -
-                         FloorScore::BELOW_COST * under(up - FloorScore::BELOW * s);
+                const int ends[3] = {place(up + s), place(up - s), place(up - FloorScore::BELOW * s)};
+                int under[3];
+                lower(k, ends, under, 3);
+                votes += under[0] - under[1] - FloorScore::BELOW_COST * under[2];
             }
             if (votes < known || k < n) continue;
             known = votes;
@@ -195,6 +259,8 @@ struct FloorRamps {
         }
         team.sync();
     }
+
+    int votes_of(unsigned long long key) const { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
 
     // The first distance whose middle lies beyond a start.
     int first_beyond(int start) const {
@@ -237,7 +303,7 @@ struct FloorRamps {
         best(team, start0, step, FINE, size, FINE_TURN, FINE, sign, fine(), least);
         if (*key == ~0ull) return false;
         const int m = (int)(*key & 0xffffffffu);
-        votes = (int)(0x7fffffffu - (unsigned)(*key >> 32));
+        votes = votes_of(*key);
         found = {start0 + (m / FINE - AROUND) * step, turn_of(m % FINE, size, FINE_TURN, FINE, sign)};
         return is_seen(team, found, fine());
     }
@@ -283,11 +349,13 @@ struct FloorRamps {
             sort(team, planes[n]);
             limits(team, fine());
             const int votes = flat()[runs()];
+            const Lanes lanes(team);
             int limit = -0x7fffffff;
-            for (int k = 0; k <= runs(); k++) {
+            for (int k = lanes.rank; k <= runs(); k += lanes.size) {
                 const int here = flat()[k] + most()[k];
                 limit = here > limit ? here : limit;
             }
+            limit = lanes.most(limit);
             most_alone = votes > most_alone ? votes : most_alone;
             if (team.rank == 0) bound[n] = limit;
             team.sync();

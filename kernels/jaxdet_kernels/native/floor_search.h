@@ -2,9 +2,12 @@
 // Twin of jaxdet/reference/_floor_search.py; the constants are its.
 #pragma once
 #include "floor_planes.h"
+#include "lanes.h"
 
-// Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring. Each
-// direction is worked on by one thread: it counts the ends of its cells' ranges of heights.
+// Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring: the ends of
+// cells' ranges of heights are counted and summed up. On the CPU one direction follows the other.
+// On CUDA each lane of a warp has a direction, the warps share the cells, and as many directions
+// are counted at once as there is shared memory for.
 struct FloorVotes {
     enum {
         APART = 12,
@@ -28,8 +31,10 @@ struct FloorVotes {
     int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
     // What is left out of the nearer part: pitches and heights at each end.
     int edge_pitches, edge_bins;
-    // Votes of all cells, bins + 1 words a direction; and COPIES as many words.
+    // Votes of all cells, bins + 1 words a direction; and COPIES as many words, or on CUDA `room`
+    // words of shared memory.
     int *votes, *copies;
+    int room;
     // The best of each ring in the nearer part, of all of the lattice, and of each direction.
     unsigned long long *best, *whole, *of_direction;
 
@@ -66,6 +71,18 @@ struct FloorVotes {
             }
         return key(most, d, bin);
     }
+
+#if defined(__CUDA_ARCH__)
+    // Directions with those that fill up the last warp.
+    int padded() const { return (directions() + Lanes::size - 1) / Lanes::size * Lanes::size; }
+    bool are_fast() const { return padded() * (bins + 1) <= room; }
+    // Votes of a direction, and how far those of its bins are apart.
+    int* row_of(int d) const { return (are_fast() ? copies : votes) + d; }
+    int bin_step() const { return padded(); }
+#else
+    int* row_of(int d) const { return votes + d * (bins + 1); }
+    int bin_step() const { return 1; }
+#endif
 
     // Where the ends of ranges of a direction are counted.
     int* ends(int* row) const { return COPIES == 1 ? row : copies; }
@@ -108,11 +125,126 @@ struct FloorVotes {
         }
     }
 
+#if defined(__CUDA_ARCH__)
+    // How counts lie in memory: those of direction k and bin b at `table[b * span + k]`, or where
+    // they are packed those of bins 2 n and 2 n + 1 in the halves of `table[n * span + k]`.
+    struct Table {
+        enum { MOST_PACKED = 10000 };  // Cells: all counts of a bin stay below 2^15.
+        int* words;
+        int span;
+        bool is_shared, is_packed;
+
+        int at(int k, int b) const {
+            if (!is_packed) return words[b * span + k];
+            const int word = words[(b >> 1) * span + k], low = (short)word;
+            return b & 1 ? (word - low) >> 16 : low;
+        }
+    };
+
+    // Adds the ends of the ranges of some cells: each lane for direction k of the table.
+    void count(const Lanes& lanes, const FloorDirection& down, int from, int to, const Table& table,
+               int k_of_lane) const {
+        int* const ends = table.words + k_of_lane;
+        const int step = table.span, low = lowest, shift = bits, last = bins;
+        const bool is_packed = table.is_packed, is_shared = table.is_shared;
+        for (int start = from; start < to; start += Lanes::size) {
+            const int i = start + lanes.rank < to ? start + lanes.rank : to - 1;
+            const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
+            const int n = to - start < Lanes::size ? to - start : Lanes::size;
+#pragma unroll 4
+            for (int k = 0; k < n; k++) {
+                const int s = __shfl_sync(0xffffffff, width, k);
+                const int height = down.along(__shfl_sync(0xffffffff, x, k),
+                                              __shfl_sync(0xffffffff, y, k),
+                                              __shfl_sync(0xffffffff, z, k)) - low;
+                const int begin = -((s - height) >> shift), end = ((height + s) >> shift) + 1;
+                const int under = ((height - FloorScore::BELOW * s - 1) >> shift) + 1;
+                const int bin[3] = {min(max(begin, 0), last), min(max(end, 0), last),
+                                    min(max(under, 0), last)};
+                const int worth[3] = {1, -1, FloorScore::BELOW_COST};
+#pragma unroll
+                for (int m = 0; m < 3; m++)
+                    if (is_packed)
+                        lanes.add_shared(ends + (bin[m] >> 1) * step, worth[m] << (bin[m] % 2 * 16));
+                    else if (is_shared)
+                        lanes.add_shared(ends + bin[m] * step, worth[m]);
+                    else
+                        atomicAdd(ends + bin[m] * step, worth[m]);
+            }
+        }
+    }
+
+    // All votes of the directions of a table, from `first` on.
+    void run(const Team& team, int first, const Table& table) const {
+        const Lanes lanes(team);
+        const int span = table.span, groups = span / Lanes::size, step = bin_step();
+        const int size = span * (table.is_packed ? bins / 2 + 1 : bins + 1);
+        for (int k = team.rank; k < size; k += team.size) table.words[k] = 0;
+        team.sync();
+        int done = 0;
+        for (int n = 0; n < rings; n++) {
+            const bool is_last = n == rings - 1;
+            if (!is_last && ring_ends[n] < fewest) continue;
+            const int end = is_last ? cells.count : ring_ends[n], share = end - done;
+            for (int unit = lanes.index; unit < groups * lanes.count; unit += lanes.count) {
+                // Each warp takes another part of the cells for each group, so none waits long.
+                const int group = unit / lanes.count;
+                const int part = (lanes.index + group) % lanes.count;
+                const int k = group * Lanes::size + lanes.rank;
+                count(lanes, direction(first + k), done + share * part / lanes.count,
+                      done + share * (part + 1) / lanes.count, table, k);
+            }
+            team.sync();
+            for (int k = team.rank; k < span; k += team.size) {
+                const int d = first + k;
+                const bool near = is_near(d) && d < directions();
+                unsigned long long nearer = ~0ull, all = ~0ull;
+                if (near || (is_last && d < directions())) {
+                    int* out = row_of(d);
+                    int sum = -FloorScore::BELOW_COST * end, most = -0x7fffffff, bin = 0;
+                    int highest = -0x7fffffff, top = 0;
+                    for (int b = 0; b < bins; b++) {
+                        sum += table.at(k, b);
+                        if (is_last) out[b * step] = sum;
+                        if (sum > most && b >= edge_bins && b < bins - edge_bins) {
+                            most = sum;
+                            bin = b;
+                        }
+                        if (sum > highest) {
+                            highest = sum;
+                            top = b;
+                        }
+                    }
+                    if (near) nearer = key(most, d, bin);
+                    all = key(highest, d, top);
+                    if (is_last) of_direction[d] = nearer;
+                }
+                nearer = lanes.least(nearer);
+                if (lanes.rank == 0) team.least(best + n, nearer);
+                if (!is_last) continue;
+                all = lanes.least(all);
+                if (lanes.rank == 0) team.least(whole, all);
+            }
+            team.sync();
+            done = end;
+        }
+    }
+#endif
+
     // All votes. `best` and `whole` are set before the sync.
     void run(const Team& team) const {
         for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
         if (team.rank == 0) *whole = ~0ull;
         team.sync();
+#if defined(__CUDA_ARCH__)
+        const int all = padded();
+        const bool is_packed = !are_fast() && cells.count <= Table::MOST_PACKED;
+        const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Lanes::size * Lanes::size;
+        const int span = most && most < all ? most : all;
+        for (int first = 0; first < all; first += span)
+            run(team, first, {most ? copies : votes, all - first < span ? all - first : span,
+                              most > 0, is_packed && most});
+#else
         for (int d = team.rank; d < directions(); d += team.size) {
             const FloorDirection down = direction(d);
             int* row = votes + d * (bins + 1);
@@ -143,6 +275,7 @@ struct FloorVotes {
             of_direction[d] = near ? least(row, edge_bins, bins - edge_bins, d) : ~0ull;
             if (near) team.least(best + rings - 1, of_direction[d]);
         }
+#endif
         team.sync();
     }
 
@@ -151,20 +284,33 @@ struct FloorVotes {
         const unsigned long long last = best[rings - 1];
         const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
         const int p = d / rolls, r = d % rolls;
+        const Lanes lanes(team);
         team.sync();
         if (team.rank == 0) best[rings - 1] = ~0ull;
-        for (int k = team.rank; k < 9; k += team.size) {
+        for (int k = lanes.index; k < 9; k += lanes.count) {
             const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
             if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
-            int* row = votes + other * (bins + 1);
-            const int from = h - APART > 0 ? h - APART : 0;
+            int* row = row_of(other);
+            const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
             const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
-            for (int b = from; b < to; b++) row[b] = -0x7fffffff - 1;
-            if (is_near(other)) of_direction[other] = least(row, edge_bins, bins - edge_bins, other);
+            int most = -0x7fffffff - 1, bin = bins;
+            for (int b = lanes.rank; b < bins; b += lanes.size) {
+                if (b >= from && b < to) row[b * step] = -0x7fffffff - 1;
+                const int here = row[b * step];
+                if (b < edge_bins || b >= bins - edge_bins || (here <= most && bin < bins)) continue;
+                most = here;
+                bin = b;
+            }
+            const unsigned long long found =
+                lanes.least(bin < bins ? key(most, other, bin) : ~0ull);
+            if (is_near(other) && lanes.rank == 0) of_direction[other] = found;
         }
         team.sync();
+        unsigned long long left = ~0ull;
         for (int k = team.rank; k < directions(); k += team.size)
-            team.least(best + rings - 1, of_direction[k]);
+            left = of_direction[k] < left ? of_direction[k] : left;
+        left = lanes.least(left);
+        if (lanes.rank == 0) team.least(best + rings - 1, left);
         team.sync();
     }
 };
@@ -190,10 +336,11 @@ struct FloorSearch {
     FloorCells cells;
     const int* ring_ends;
     // Scratch: a word a cell; the weights of all crews; KEY_WORDS; votes of all directions and
-    // FloorVotes::COPIES of one.
+    // FloorVotes::COPIES of one, or on CUDA `room` words of shared memory.
     int *slack, *weights;
     unsigned long long* keys;
     int *votes, *copies;
+    int room;
 
     // Bins of the largest lattice, and one more.
     static int most_bins(const int* settings) {
@@ -239,6 +386,7 @@ struct FloorSearch {
         lattice.bits = settings[FloorSetting::BIN_BITS];
         lattice.votes = votes;
         lattice.copies = copies;
+        lattice.room = room;
         lattice.best = keys;
         lattice.whole = keys + RINGS;
         lattice.of_direction = keys + RINGS + 1;

@@ -61,6 +61,19 @@ struct Team {
 #endif
     }
 
+    // Adds one; lanes of a warp that count at one place add together.
+    int count(int* place) const {
+#if defined(__CUDA_ARCH__)
+        const unsigned same = __match_any_sync(__activemask(), (unsigned long long)place);
+        const int lane = threadIdx.x % 32, first = __ffs(same) - 1;
+        int before = 0;
+        if (lane == first) before = atomicAdd(place, __popc(same));
+        return __shfl_sync(same, before, first) + __popc(same & ((1u << lane) - 1));
+#else
+        return (*place)++;
+#endif
+    }
+
     int least(int* place, int value) const {
 #if defined(__CUDA_ARCH__)
         return atomicMin(place, value);
