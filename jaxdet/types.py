@@ -171,7 +171,7 @@ class Cells(NamedTuple):
     @property
     def middle(self) -> Array:
         """``(B, R, C, 2)`` int32, column and row in the middle of what a cell covers [pixel]."""
-        return (self.uv_min + self.uv_max) // 2
+        return (self.uv_min + self.uv_max) >> 1
 
 
 class AlignedDepth(NamedTuple):
@@ -303,8 +303,8 @@ class Scene(NamedTuple):
     prior: GroundPlane
     """What was known of each frame's floor, on the host."""
     contour: Array
-    """``(B, M, MAX_CONTOUR, 2)`` int32, the visible edge of each obstacle, right and forward in the
-    ground frame, from left to right [depth units]."""
+    """``(B, M, C, 2)`` int32, C columns of cells or 1, the visible edge of each obstacle, right and
+    forward in the ground frame, from left to right [depth units]."""
     contour_points: Array
     """``(B, M)`` int32, how many of them are used."""
     bottom_top: Array

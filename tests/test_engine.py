@@ -164,7 +164,7 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
     assert rows[0]["camera_height_m"] is None
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"
-    assert any("no floor" in w for w in summary.logs[0].warnings)
+    assert any("5 of 5 frames don't show their floor" in w for w in summary.logs[0].warnings)
     assert any("no poses" in w for w in summary.logs[0].warnings)
 
 

@@ -79,7 +79,7 @@ def test_contour_is_the_nearest_cell_of_each_column() -> None:
     assert points[0, :3].tolist() == [[-9, 60], [-4, 70], [4, 70]]
     assert points[1, :2].tolist() == [[3, 40], [31, 40]]
     assert not points[0, 3:].any() and not points[2].any()
-    assert points.shape == (3, MAX_CONTOUR, 2) and points.dtype == np.int32
+    assert points.shape == (3, 4, 2) and points.dtype == np.int32
 
 
 def test_contour_without_room() -> None:

@@ -30,8 +30,8 @@ def contours(
         slots: ``M``, how many obstacles there is room for.
 
     Returns:
-        ``(M, MAX_CONTOUR, 2)`` int32 right and forward, from left to right, and ``(M,)`` int32, how
-        many points of each are used.
+        ``(M, C, 2)`` int32 right and forward from left to right, C from 1 to MAX_CONTOUR, and
+        ``(M,)`` int32, how many points of each are used.
 
     Example:
         >>> label = np.array([[0, 0], [0, -1]])
@@ -40,7 +40,7 @@ def contours(
         >>> points[0, : count[0]].tolist()
         [[-4, 70], [5, 80]]
     """
-    points = np.zeros((slots, MAX_CONTOUR, 2), np.int32)
+    points = np.zeros((slots, min(max(label.shape[1], 1), MAX_CONTOUR), 2), np.int32)
     count = np.zeros(slots, np.int32)
     distance = right * right + forward * forward
     for number in range(min(slots, int(label.max(initial=-1)) + 1)):

@@ -196,10 +196,11 @@ def _points(
     of_corners = jnp.where(corners.kept, of_corners, -1)
 
     part = (slice(None), slice(SAMPLE // 2, None, SAMPLE), slice(SAMPLE // 2, None, SAMPLE))
-    u, v = jnp.moveaxis(grid.middle, -1, 0)
-    columns = {"u": u, "v": v, "x": grid.x, "y": grid.y, "z": grid.z, "valid": keep, "kept": keep}
-    sampled = {k: a[part].reshape(batch, -1) for k, a in columns.items()}
-    of_cells = jnp.where(grid.in_view, label, -1)[part].reshape(batch, -1)
+    few = jax.tree.map(lambda a: a[part], grid)
+    kept, (u, v) = keep[part], jnp.moveaxis(few.middle, -1, 0)
+    columns = {"u": u, "v": v, "x": few.x, "y": few.y, "z": few.z, "valid": kept, "kept": kept}
+    sampled = {k: a.reshape(batch, -1) for k, a in columns.items()}
+    of_cells = jnp.where(few.in_view, label[part], -1).reshape(batch, -1)
     points = Features(
         **{k: jnp.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
         overflow=corners.overflow

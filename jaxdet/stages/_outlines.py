@@ -12,7 +12,7 @@ import numpy as np
 from jaxdet.config import FootprintConfig
 from jaxdet.plane import direction_table
 from jaxdet.stages._teams import TeamKernel
-from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Cells, Obstacles
+from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
 
 _outlines = TeamKernel(kernels.outlines, num_outputs=15)
@@ -24,9 +24,8 @@ SHAPES = {
     **dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction", "bottom_top"), (2,)),
     **dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (3,)),
     "span": (4,),
-    "contour": (MAX_CONTOUR, 2),
 }
-"""Of each output, for one obstacle."""
+"""Of each output but the contour, for one obstacle."""
 
 
 class OutlineSettings(NamedTuple):
@@ -45,7 +44,7 @@ class Outlined(NamedTuple):
 
     obstacles: Obstacles
     contour: jax.Array
-    """``(B, M, MAX_CONTOUR, 2)`` int32, the nearest cell of each column, right and forward on the
+    """``(B, M, C, 2)`` int32, the nearest cell of each column, right and forward on the
     floor, from left to right [depth units]; then zeros."""
     contour_points: jax.Array
     """``(B, M)`` int32, how many of them are used."""
@@ -94,7 +93,10 @@ def outlines(
         _directions(),
         settings,
         batch=batch,
-        shapes={f"{name}_out": (batch, MAX_OBSTACLES, *shape) for name, shape in SHAPES.items()},
+        shapes={
+            f"{name}_out": (batch, MAX_OBSTACLES, *shape)
+            for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
+        },
         scratch=kernels.scratch_words(rows, columns, MAX_OBSTACLES),
     )
     fields = len(Obstacles._fields)

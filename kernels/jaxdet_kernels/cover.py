@@ -46,7 +46,7 @@ def _cover_mask(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def cover_mask(
     share: int,
     shares: int,
@@ -109,7 +109,7 @@ def _cover_corners(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def cover_corners(
     share: int,
     shares: int,

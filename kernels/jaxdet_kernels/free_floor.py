@@ -63,7 +63,7 @@ def _free_floor(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def free_floor(
     share: int,
     shares: int,

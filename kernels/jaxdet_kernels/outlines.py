@@ -193,7 +193,7 @@ def outlines(
         has_vertex_out: ``(B, M)``.
         direction_out: ``(B, M, 2)``.
         span_out: ``(B, M, 4)``.
-        contour_out: ``(B, M, 512, 2)``, right and forward from left to right, then zeros.
+        contour_out: ``(B, M, C, 2)``, right and forward from left to right, then zeros.
         contour_points_out: ``(B, M)``, how many points of it are used.
         bottom_top_out: ``(B, M, 2)``, lowest and highest cell above the floor.
         scratch_out: ``(teams, scratch_words)``.

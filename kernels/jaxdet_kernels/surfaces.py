@@ -68,7 +68,7 @@ def _surfaces(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def surfaces(
     share: int,
     shares: int,
