@@ -1,6 +1,7 @@
 // Surfaces too small to be an obstacle join the one they touch most.
 // Twin of `whole_surfaces` in jaxdet/reference/_obstacles.py.
 #pragma once
+#include "lanes.h"
 #include "numbering.h"
 
 struct Pieces {
@@ -13,20 +14,26 @@ struct Pieces {
 
     // Ends in a sync.
     void run(const Team& team) const {
-        for (int a = team.rank; a < count; a += team.size) {
+        const Lanes lanes(team);
+        for (int a = lanes.index; a < count; a += lanes.count) {
             group[a] = a;
             if (!small[a]) continue;
-            for (int b = 0; b < count; ++b) touching[a * count + b] = 0;
+            for (int b = lanes.rank; b < count; b += lanes.size) touching[a * count + b] = 0;
         }
         team.sync();
         touch(team);
         team.sync();
-        for (int a = team.rank; a < count; a += team.size) {
-            int most = 0, partner = a;
-            for (int b = 0; small[a] && b < count; ++b) {
-                if (touching[a * count + b] > most) most = touching[a * count + (partner = b)];
+        for (int a = lanes.index; a < count; a += lanes.count) {
+            int most = 0;
+            for (int b = lanes.rank; small[a] && b < count; b += lanes.size) {
+                most = touching[a * count + b] > most ? touching[a * count + b] : most;
             }
-            joined[a] = partner;
+            most = lanes.most(most);
+            int partner = most ? count : a;
+            for (int b = lanes.rank; most && b < partner; b += lanes.size) {
+                if (touching[a * count + b] == most) partner = b;
+            }
+            joined[a] = lanes.least(partner);
         }
         team.sync();
         join(team);
@@ -40,6 +47,26 @@ struct Pieces {
 
     // How many cells of small surfaces touch which surface, in the next cell or the one after it.
     void touch(const Team& team) const {
+#if defined(__CUDA_ARCH__)
+        // Down the columns; the labels below are those of the next rows.
+        for (int c = team.rank; c < columns; c += team.size) {
+            int here = label[c], below = rows > 1 ? label[columns + c] : here;
+            const int one = c + 1 < columns ? 1 : 0, two = c + 2 < columns ? 2 : 0;
+            for (int row = 0; row < rows; ++row) {
+                const int i = row * columns + c;
+                const int under = row + 2 < rows ? label[i + 2 * columns] : -1;
+                const int beside = label[i + one], next = label[i + two];
+                if (here >= 0) {
+                    if (beside >= 0 && beside != here) meet(team, here, beside, z[i + one] - z[i]);
+                    if (below >= 0 && below != here) meet(team, here, below, z[i + columns] - z[i]);
+                    if (next >= 0 && next != here) meet(team, here, next, z[i + two] - z[i]);
+                    if (under >= 0 && under != here) meet(team, here, under, z[i + 2 * columns] - z[i]);
+                }
+                here = below;
+                below = under;
+            }
+        }
+#else
         for (int row = 0; row < rows; ++row) {
             const int* own = label + row * columns;
             const int* depth = z + row * columns;
@@ -57,6 +84,7 @@ struct Pieces {
                 }
             }
         }
+#endif
     }
 
     // Connected components: labels fall to the smallest until none does. Ends in a sync.
