@@ -78,7 +78,7 @@ def cell_box(
     )
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def cells(
     share: int,
     shares: int,
@@ -130,9 +130,9 @@ def cells(
     rows = z_out.shape[1]
     columns = z_out.shape[2]
     for b in range(share + tid // size, depth.shape[0], shares):
-        for k in range(tid % size, rows * columns, size):
-            row = k // columns
-            column = k % columns
+        row = (tid % size) // columns
+        column = (tid % size) % columns
+        while row < rows:
             top = row * side
             left = column * side
             d = cell_depth(depth, b, top, left, side, near)
@@ -153,3 +153,8 @@ def cells(
                 high = wp.clamp(box[axis + 2], 0, last[axis])
                 uv_min_out[b, row, column, axis] = wp.where(inside, low, 0)
                 uv_max_out[b, row, column, axis] = wp.where(inside, high, 0)
+            row += size // columns
+            column += size % columns
+            if column >= columns:
+                row += 1
+                column -= columns

@@ -3,7 +3,11 @@
 #pragma once
 
 struct CellDepth {
+#if defined(__CUDA_ARCH__)
+    enum { MOST = 0 };
+#else
     enum { MOST = 64 };  // Values that are sorted; of more, the median is found bit by bit.
+#endif
     const unsigned short* first;  // The cell's upper left pixel.
     int stride;                   // From row to row [pixel].
     int side;                     // Of the cell [pixel].
@@ -15,7 +19,7 @@ struct CellDepth {
     int smallest(int k) const {
         const int pixels = side * side;
         if (pixels <= MOST) {
-            int sorted[MOST], length = 0;
+            int sorted[MOST + 1], length = 0;
             for (int v = 0; v < side; ++v)
                 for (int u = 0; u < side; ++u) {
                     const int value = first[v * stride + u];
@@ -42,7 +46,7 @@ struct CellDepth {
         return known;
     }
 
-    int depth() const {
+    int depth_of_any() const {
         int count = 0, low = 65536, high = 0;
         long long sum = 0;
         for (int v = 0; v < side; ++v)
@@ -70,6 +74,64 @@ struct CellDepth {
                     sum += counts ? value : 0;
                 }
         }
-        return (int)((2 * sum + count) / (2 * count));
+        return mean(sum, count);
+    }
+
+    // Rounded.
+    int mean(long long sum, int count) const {
+        const bool fits = side < 128;
+        return fits ? (int)((2 * (unsigned)sum + count) / (unsigned)(2 * count))
+                    : (int)((2 * sum + count) / (2 * count));
+    }
+
+#if defined(__CUDA_ARCH__)
+    enum { SMALL = 4 };
+
+    // For a side known when this is compiled, at most SMALL: the values stay in registers.
+    __forceinline__ int depth_of_small(int known) const {
+        const int pixels = known * known;
+        int value[SMALL * SMALL];
+        for (int v = 0; v < known; ++v)
+            for (int u = 0; u < known; ++u) value[v * known + u] = first[v * stride + u];
+        int count = 0, sum = 0, low = 65536, high = 0;
+        for (int i = 0; i < pixels; ++i) {
+            count += value[i] != 0;
+            sum += value[i];
+            low = value[i] && value[i] < low ? value[i] : low;
+            high = value[i] > high ? value[i] : high;
+        }
+        if (2 * count < pixels || !count) return 0;
+        if (high - low > near[low]) {
+            // The median: as many are below it as come before it, or fewer, and of its equals one
+            // has its place.
+            const int place = (count - 1) / 2;
+            int median = 0;
+            for (int i = 0; i < pixels; ++i) {
+                int below = 0, up_to = 0;
+                for (int j = 0; j < pixels; ++j) {
+                    below += value[j] && value[j] < value[i];
+                    up_to += value[j] && value[j] <= value[i];
+                }
+                if (below <= place && place < up_to) median = value[i];
+            }
+            const int reach = near[median];
+            count = sum = 0;
+            for (int i = 0; i < pixels; ++i) {
+                const int apart = value[i] < median ? median - value[i] : value[i] - median;
+                const bool counts = value[i] && apart <= reach;
+                count += counts;
+                sum += counts ? value[i] : 0;
+            }
+        }
+        return mean(sum, count);
+    }
+#endif
+
+    int depth() const {
+#if defined(__CUDA_ARCH__)
+        if (side == 3) return depth_of_small(3);
+        if (side == 4) return depth_of_small(4);
+#endif
+        return depth_of_any();
     }
 };
