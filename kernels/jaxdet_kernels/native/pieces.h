@@ -5,7 +5,7 @@
 #include "numbering.h"
 
 struct Pieces {
-    enum { REACH = 2 };
+    enum { REACH = 2, AHEAD = 4 };
     int count, rows, columns, step;
     const int *label, *z;
     const int* small;        // of each surface
@@ -45,25 +45,37 @@ struct Pieces {
         if (small[b]) team.add(touching + b * count + a, 1);
     }
 
+    void differ(const Team& team, int here, int there, const int* depth, int away) const {
+        if (there >= 0 && there != here && (small[here] || small[there])) {
+            meet(team, here, there, depth[away] - depth[0]);
+        }
+    }
+
     // How many cells of small surfaces touch which surface, in the next cell or the one after it.
     void touch(const Team& team) const {
 #if defined(__CUDA_ARCH__)
-        // Down the columns; the labels below are those of the next rows.
+        // Down the columns, AHEAD cells at a time: their loads wait together.
         for (int c = team.rank; c < columns; c += team.size) {
-            int here = label[c], below = rows > 1 ? label[columns + c] : here;
             const int one = c + 1 < columns ? 1 : 0, two = c + 2 < columns ? 2 : 0;
-            for (int row = 0; row < rows; ++row) {
-                const int i = row * columns + c;
-                const int under = row + 2 < rows ? label[i + 2 * columns] : -1;
-                const int beside = label[i + one], next = label[i + two];
-                if (here >= 0) {
-                    if (beside >= 0 && beside != here) meet(team, here, beside, z[i + one] - z[i]);
-                    if (below >= 0 && below != here) meet(team, here, below, z[i + columns] - z[i]);
-                    if (next >= 0 && next != here) meet(team, here, next, z[i + two] - z[i]);
-                    if (under >= 0 && under != here) meet(team, here, under, z[i + 2 * columns] - z[i]);
+            for (int row = 0; row < rows; row += AHEAD) {
+                int below[AHEAD + REACH], beside[AHEAD], next[AHEAD];
+                for (int k = 0; k < AHEAD + REACH; ++k) {
+                    below[k] = row + k < rows ? label[(row + k) * columns + c] : -1;
                 }
-                here = below;
-                below = under;
+                for (int k = 0; k < AHEAD; ++k) {
+                    const int i = (row + k < rows ? row + k : row) * columns + c;
+                    beside[k] = label[i + one];
+                    next[k] = label[i + two];
+                }
+                for (int k = 0; k < AHEAD; ++k) {
+                    const int here = below[k];
+                    if (here < 0) continue;
+                    const int* depth = z + (row + k) * columns + c;
+                    differ(team, here, beside[k], depth, one);
+                    differ(team, here, below[k + 1], depth, columns);
+                    differ(team, here, next[k], depth, two);
+                    differ(team, here, below[k + 2], depth, 2 * columns);
+                }
             }
         }
 #else
