@@ -60,7 +60,7 @@ def _cells(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def cells(
     share: int,
     shares: int,

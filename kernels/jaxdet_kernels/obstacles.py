@@ -33,6 +33,8 @@ def scratch_words(rows: int, columns: int) -> int:
 
 @wp.func_native(
     native(
+        "lanes.h",
+        "shared_words.h",
         "extents.h",
         "contours.h",
         "numbering.h",
@@ -93,7 +95,7 @@ def _obstacles(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def obstacles(
     share: int,
     shares: int,

@@ -126,7 +126,7 @@ def _outlines(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 4))
 def outlines(
     share: int,
     shares: int,

@@ -4,6 +4,7 @@
 #include "contours.h"
 #include "extents.h"
 #include "facing.h"
+#include "shared_words.h"
 
 // Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold)
 // and 2 k + 2.
@@ -11,12 +12,13 @@ struct Trees {
     const int *feature, *threshold, *value;
     int trees, leaves, offset;
 
-    int weigh(const int* seen) const {
-        int sum = offset;
-        for (int tree = 0; tree < trees; ++tree) {
+    // Where tree after tree leads, from `first` on, each by `step` later. What is seen lies `apart`.
+    int weigh(const int* seen, int apart, int first, int step) const {
+        int sum = 0;
+        for (int tree = first; tree < trees; tree += step) {
             const int *which = feature + tree * (leaves - 1), *most = threshold + tree * (leaves - 1);
             int node = 0;
-            while (node < leaves - 1) node = 2 * node + 1 + (seen[which[node]] > most[node]);
+            while (node < leaves - 1) node = 2 * node + 1 + (seen[which[node] * apart] > most[node]);
             sum += value[tree * leaves + node - (leaves - 1)];
         }
         return sum;
@@ -32,6 +34,8 @@ struct Evidence {
     enum { PARTS = 1 };
 #endif
     enum { CONTACT = 2, PERCENT = 100, SEEN = 21, SHORT = (1 << 15) - 1 };
+    // Pairs that a block of BATCH threads or a multiple of it weighs at a time.
+    enum { BATCH = 64, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
     Extents known;
     Contours contours;
@@ -76,11 +80,33 @@ struct Evidence {
             measure(team, list[item / PARTS], item % PARTS);
         }
         team.sync();
-        for (int item = team.rank; item < *listed; item += team.size) {
+#if defined(__CUDA_ARCH__)
+        // What is seen of BATCH pairs at a time; then threads share the trees of a pair.
+        int *seen = SharedWords::begin(), *weights = seen + SEEN * BATCH;
+        const int own = team.rank % BATCH, share = team.rank / BATCH, shares = team.size / BATCH;
+        for (int first = 0; first < *listed; first += BATCH) {
+            const bool some = first + own < *listed;
+            const int pair = some ? list[first + own] : 0, a = pair >> 16, b = pair & 0xffff;
+            if (share == 0) {
+                weights[own] = some && look(a, b, seen + own, BATCH) ? trees.offset : NOT_NEAR;
+            }
+            team.sync();
+            const bool weighs = weights[own] != NOT_NEAR;
+            team.sync();
+            if (weighs) team.add(weights + own, trees.weigh(seen + own, BATCH, share, shares));
+            team.sync();
+            if (share == 0 && some) {
+                between[a * count + b] = between[b * count + a] = weighs ? weights[own] : 0;
+            }
+        }
+#else
+        for (int item = 0; item < *listed; ++item) {
             const int a = list[item] >> 16, b = list[item] & 0xffff;
-            const int weight = of(a, b);
+            int seen[SEEN], weight = 0;
+            if (look(a, b, seen, 1)) weight = trees.offset + trees.weigh(seen, 1, 0, 1);
             between[a * count + b] = between[b * count + a] = weight;
         }
+#endif
         team.sync();
     }
 
@@ -156,12 +182,12 @@ struct Evidence {
         return known.top[a] != known.top[b] ? known.top[a] < known.top[b] : a < b;
     }
 
-    // The evidence for two surfaces, 0 if they are not near.
-    int of(int a, int b) const {
+    // What is seen of two surfaces, each `apart` words from the last; false if they are not near.
+    bool look(int a, int b, int* seen, int apart) const {
         const Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
-        if (own[Facing::DISTANCE] == ~0ull) return 0;
+        if (own[Facing::DISTANCE] == ~0ull) return false;
         const int distance = root(own[Facing::DISTANCE]);
-        if (!facing(own) && distance > CONTACT * gap) return 0;
+        if (!facing(own) && distance > CONTACT * gap) return false;
         const Sum rows = own[Facing::ROWS], columns = own[Facing::COLUMNS];
         const Sum steps = own[Facing::STEPS] >> Facing::STEP_SHIFT;
         const int agree = (int)(own[Facing::STEPS] & ((1 << Facing::STEP_SHIFT) - 1));
@@ -173,7 +199,7 @@ struct Evidence {
         const int overlap = both >= 0 ? PERCENT * both / narrower
                                       : -((-PERCENT * both + narrower - 1) / narrower);
         const int less = fewer(a, b) ? a : b, more = a + b - less;
-        const int seen[SEEN] = {
+        const int all[SEEN] = {
             distance,
             ahead_of(a, b),
             overlap,
@@ -196,6 +222,7 @@ struct Evidence {
             known.top[less],
             known.top[more],
         };
-        return trees.weigh(seen);
+        for (int k = 0; k < SEEN; ++k) seen[k * apart] = all[k];
+        return true;
     }
 };

@@ -32,7 +32,7 @@ struct Facing {
     // and with something nearer, COUNT_BITS each; those that agree, and above STEP_SHIFT the steps;
     // in columns, places, of these as above, and with something nearer or a hole.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
-    enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
+    enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, AHEAD = 8, FAR = 1 << 30 };
     // A run of cells of one label in a line. `before` and `after` are the free cells of the line
     // up to its first cell and up to behind its last.
     struct Run {
@@ -55,6 +55,37 @@ struct Facing {
         }
     }
 
+#if defined(__CUDA_ARCH__)
+    // AHEAD cells at a time: their loads wait together.
+    void walk(const Team& team, const int* cell, const int* place) const {
+        Run ring[RING];
+        int runs = 0, frees = 0, label = -1, first = 0, before = 0;
+        int z_first = 0, z = 0, nearest = 0, farthest = 0;
+        int ahead[AHEAD];
+        for (int k = 0; k <= length; ++k) {
+            if (k % AHEAD == 0) {
+                for (int n = 0; n < AHEAD; ++n) ahead[n] = k + n < length ? cell[(k + n) * step] : 0;
+            }
+            const Packed at(ahead[0]);
+            for (int n = 1; n < AHEAD; ++n) ahead[n - 1] = ahead[n];
+            if (at.label() != label) {
+                if (label >= 0) {
+                    ring[runs % RING] = {label, first, k - 1, before, frees, z_first, z, nearest, farthest,
+                                         false};
+                    meet(team, ring, runs++, place);
+                }
+                label = at.label();
+                first = k;
+                before = frees;
+                z_first = nearest = farthest = at.z();
+            }
+            z = at.z();
+            nearest = z < nearest ? z : nearest;
+            farthest = z > farthest ? z : farthest;
+            frees += at.free();
+        }
+    }
+#else
     void walk(const Team& team, const int* cell, const int* place) const {
         Run ring[RING];
         int runs = 0, frees = 0;
@@ -90,6 +121,7 @@ struct Facing {
             meet(team, ring, runs++, place);
         }
     }
+#endif
 
     // A new run and those before it, of which neither's label may lie between.
     void meet(const Team& team, Run* ring, int index, const int* place) const {

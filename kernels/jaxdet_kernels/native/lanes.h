@@ -80,4 +80,16 @@ struct Lanes {
         }
         return before;
     }
+
+    // How many lanes before this one say so, and how many in all; all lanes must ask.
+    int before(bool mine, int* all) const {
+#if defined(__CUDA_ARCH__)
+        const unsigned those = __ballot_sync(0xffffffff, mine);
+        *all = __popc(those);
+        return __popc(those & ((1u << rank) - 1));
+#else
+        *all = mine;
+        return 0;
+#endif
+    }
 };

@@ -11,6 +11,7 @@ struct ObstacleCells {
     enum {
         // This part of the columns at each side is the image's margin.
         MARGIN = 8,
+        AHEAD = 4,
         LARGEST = 0x7fffffff
     };
 
@@ -22,8 +23,7 @@ struct ObstacleCells {
 
     const Team& team;
     int cells, columns, count;  // of the grid; and how many obstacles
-    // Columns of the margin at a side; columns from a thread's cell to its next.
-    int margin, step;
+    int margin;  // columns of it at a side
     const int *label, *right, *forward;
     const bool* in_view;
     // By obstacle and part, and one more.
@@ -33,8 +33,7 @@ struct ObstacleCells {
     int *cell, *right_of, *forward_of;
 
     ObstacleCells(const Team& team, int cells, int columns, int count)
-        : team(team), cells(cells), columns(columns), count(count), margin(columns / MARGIN),
-          step(team.size % columns) {}
+        : team(team), cells(cells), columns(columns), count(count), margin(columns / MARGIN) {}
 
     // Puts the arrays into scratch memory with room for `slots` obstacles.
     void lay(int* scratch, int slots) {
@@ -49,17 +48,11 @@ struct ObstacleCells {
         return column < margin || column >= columns - margin;
     }
 
-    int place(int number, int k, int column) const {
+    int place(int number, bool shown, int column) const {
         const bool outside = at_margin(column);
-        const int part = in_view[k] ? (outside ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
-                                    : (outside ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
+        const int part = shown ? (outside ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
+                               : (outside ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
         return PARTS * number + part;
-    }
-
-    // The column of the cell that a thread looks at after one in `column`.
-    int next_column(int column) const {
-        column += step;
-        return column < columns ? column : column - columns;
     }
 
     // Before the cells are counted; then all threads wait.
@@ -73,8 +66,7 @@ struct ObstacleCells {
     };
 
     // Counts a cell of an obstacle: it goes on with a run, or the run is counted and one begins.
-    void note(Run& run, int number, int k, int column) const {
-        const int own = place(number, k, column);
+    void note(Run& run, int own) const {
         if (own != run.place) {
             end(run);
             run = {own, 0};
@@ -99,25 +91,55 @@ struct ObstacleCells {
 
     // Puts the cells in order; then all threads wait.
     void sort() const {
-        Run run = {0, filled[0]};  // on the CPU: the part that the last cell went to, and its end
-        for (int k = team.rank, c = team.rank % columns; k < cells;
-             k += team.size, c = next_column(c)) {
+#if defined(__CUDA_ARCH__)
+        // Down the columns, AHEAD cells at a time: their loads wait together.
+        for (int c = team.rank; c < columns; c += team.size) {
+            for (int first = c; first < cells; first += AHEAD * columns) {
+                int own[AHEAD], at[AHEAD], x[AHEAD], y[AHEAD];
+                bool same = true;
+                for (int n = 0; n < AHEAD; ++n) {
+                    const int k = first + n * columns, there = k < cells ? k : first;
+                    const int number = k < cells ? label[there] : -1;
+                    const bool has = number >= 0 && number < count;
+                    own[n] = place(number, in_view[there], c);
+                    own[n] = has ? own[n] : -1;
+                    x[n] = right[there];
+                    y[n] = forward[there];
+                    same &= own[n] == own[0];
+                }
+                if (same) {
+                    if (own[0] < 0) continue;
+                    const int place = team.add(filled + own[0], AHEAD);
+                    for (int n = 0; n < AHEAD; ++n) at[n] = place + n;
+                } else {
+                    for (int n = 0; n < AHEAD; ++n) {
+                        if (own[n] >= 0) at[n] = team.add(filled + own[n], 1);
+                    }
+                }
+                for (int n = 0; n < AHEAD; ++n) {
+                    if (own[n] < 0) continue;
+                    cell[at[n]] = first + n * columns;
+                    right_of[at[n]] = x[n];
+                    forward_of[at[n]] = y[n];
+                }
+            }
+        }
+#else
+        Run run = {0, filled[0]};  // the part that the last cell went to, and its end
+        for (int k = 0, c = 0; k < cells; ++k, c = c + 1 < columns ? c + 1 : 0) {
             const int number = label[k];
             if (number < 0 || number >= count) continue;
-            const int own = place(number, k, c);
-#if defined(__CUDA_ARCH__)
-            const int i = team.add(filled + own, 1);
-#else
+            const int own = place(number, in_view[k], c);
             if (own != run.place) {
                 filled[run.place] = run.size;
                 run = {own, filled[own]};
             }
             const int i = run.size++;
-#endif
             cell[i] = k;
             right_of[i] = right[k];
             forward_of[i] = forward[k];
         }
+#endif
     }
 
     Range all(int number) const { return parts(number, SHOWN_AT_MARGIN, PARTS); }

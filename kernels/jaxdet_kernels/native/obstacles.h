@@ -19,7 +19,7 @@ struct Store {
 
 struct Obstacles {
     typedef unsigned long long Key;
-    enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
+    enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3, AHEAD = 8 };
     // Places of `counts`.
     enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, COUNTS };
     // The order of `settings`, as `Settings` in jaxdet/stages/_obstacles.py has it.
@@ -185,13 +185,31 @@ struct Obstacles {
 
     // The label of each cell, and all that rows and columns are looked through for in one word.
     void pack(const Team& team) const {
-        for (int row = 0; row < rows; ++row) {
-            for (int c = team.rank; c < columns; c += team.size) {
-                const int i = row * columns + c, l = mapped(surface[i], number);
-                label[i] = l;
-                packed[i] = Packed(l, free[i], z[i]).word;
+#if defined(__CUDA_ARCH__)
+        // The loads of some cells wait together.
+        const int cells = rows * columns;
+        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+            int l[AHEAD], word[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size, there = at < cells ? at : i;
+                l[k] = surface[there];
+                word[k] = Packed(-1, free[there], z[there]).word;
+            }
+            for (int k = 0; k < AHEAD; ++k) l[k] = mapped(l[k], number);
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                if (at >= cells) break;
+                label[at] = l[k];
+                packed[at] = word[k] | Packed(l[k], 0, 0).word;
             }
         }
+#else
+        for (int i = 0; i < rows * columns; ++i) {
+            const int l = mapped(surface[i], number);
+            label[i] = l;
+            packed[i] = Packed(l, free[i], z[i]).word;
+        }
+#endif
         team.sync();
 #if !defined(__CUDA_ARCH__)
         enum { TILE = 16 };
@@ -237,13 +255,15 @@ struct Obstacles {
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
         int* names = parts + groups;
+        const Lanes lanes(team);
         for (int g = team.rank; g < groups; g += team.size) parts[g] = 0;
         if (settings[BEND] > 0) {
             const Contours contours = contours_of(groups, last, pairs);
             contours.join(team, of_whole, number);
             contours.list(team);
-            for (int g = team.rank; g < groups; g += team.size) {
-                parts[g] = straight_parts(g).run() - 1;
+            for (int g = lanes.index; g < groups; g += lanes.count) {
+                const int found = straight_parts(lanes, g).run() - 1;
+                if (lanes.rank == 0) parts[g] = found;
             }
         }
         team.sync();
@@ -257,11 +277,11 @@ struct Obstacles {
             counts[PARTS] = next;
         }
         team.sync();
-        for (int g = team.rank; g < groups; g += team.size) {
+        for (int g = lanes.index; g < groups; g += lanes.count) {
             if (!parts[g]) continue;
-            const int* begin = straight_parts(g).parts;
+            const int *begin = straight_parts(lanes, g).parts, end = last.column_high[g];
             int part = 0;
-            for (int c = last.column_low[g]; c <= last.column_high[g]; ++c) {
+            for (int c = last.column_low[g] + lanes.rank; c <= end; c += lanes.size) {
                 while (part < parts[g] && line_column[start[g] + begin[part + 1]] <= c) ++part;
                 part_of[g * columns + c] = part ? names[g] + part - 1 : g;
             }
@@ -285,9 +305,9 @@ struct Obstacles {
         team.sync();
     }
 
-    StraightParts straight_parts(int g) const {
+    StraightParts straight_parts(const Lanes& lanes, int g) const {
         const int begin = start[g];
-        return {line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
+        return {lanes, line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
                 settings[SIDE], settings[SIDE], across + begin + g, packed + begin + g};
     }
 
@@ -318,9 +338,22 @@ struct Obstacles {
         for (int l = team.rank; l < wholes; l += team.size) group[l] = spare[number[l]];
         team.sync();
         const int cells = rows * columns, *to = named ? spare : group;
-        for (int i = team.rank; i < cells; i += team.size) {
-            label[i] = mapped(label[i], to);
+#if defined(__CUDA_ARCH__)
+        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+            int own[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                own[k] = at < cells ? label[at] : -1;
+            }
+            for (int k = 0; k < AHEAD; ++k) own[k] = mapped(own[k], to);
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                if (at < cells) label[at] = own[k];
+            }
         }
+#else
+        for (int i = 0; i < cells; ++i) label[i] = mapped(label[i], to);
+#endif
         team.sync();
     }
 

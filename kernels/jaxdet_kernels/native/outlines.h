@@ -94,16 +94,50 @@ struct Outlines {
     void look() const {
         const Team& team = cells.team;
         ObstacleCells::Run run = {0, 0};
-        for (int k = team.rank, c = team.rank % cells.columns; k < cells.cells;
-             k += team.size, c = cells.next_column(c)) {
+#if defined(__CUDA_ARCH__)
+        // Down the columns, AHEAD cells at a time: their loads wait together.
+        enum { AHEAD = ObstacleCells::AHEAD };
+        for (int c = team.rank; c < cells.columns; c += team.size) {
+            int known = -1;
+            unsigned long long best = ~0ull;
+            for (int first = c; first < cells.cells; first += AHEAD * cells.columns) {
+                int number[AHEAD], x[AHEAD], y[AHEAD];
+                bool shown[AHEAD];
+                for (int n = 0; n < AHEAD; ++n) {
+                    const int k = first + n * cells.columns, there = k < cells.cells ? k : first;
+                    number[n] = k < cells.cells ? cells.label[there] : -1;
+                    x[n] = cells.right[there];
+                    y[n] = cells.forward[there];
+                    shown[n] = cells.in_view[there];
+                }
+                for (int n = 0; n < AHEAD; ++n) {
+                    if (number[n] != known) {
+                        if (known >= 0) team.least(nearest + known * cells.columns + c, best);
+                        known = number[n] < cells.count ? number[n] : -1;
+                        best = ~0ull;
+                    }
+                    if (known < 0) continue;
+                    cells.note(run, cells.place(known, shown[n], c));
+                    const unsigned long long own = key(first + n * cells.columns, x[n], y[n]);
+                    best = own < best ? own : best;
+                }
+            }
+            if (known >= 0) team.least(nearest + known * cells.columns + c, best);
+        }
+#else
+        for (int k = 0, c = 0; k < cells.cells; ++k, c = c + 1 < cells.columns ? c + 1 : 0) {
             const int number = cells.label[k];
             if (number < 0 || number >= cells.count) continue;
-            cells.note(run, number, k, c);
-            const long long x = cells.right[k], y = cells.forward[k];
-            const unsigned long long distance = (unsigned long long)(x * x + y * y);
-            team.least(nearest + number * cells.columns + c, distance << CELL_BITS | (unsigned)k);
+            cells.note(run, cells.place(number, cells.in_view[k], c));
+            team.least(nearest + number * cells.columns + c, key(k, cells.right[k], cells.forward[k]));
         }
+#endif
         cells.end(run);
+    }
+
+    // What the cells of a column are compared by: the squared distance, then the number.
+    unsigned long long key(int k, long long x, long long y) const {
+        return (unsigned long long)(x * x + y * y) << CELL_BITS | (unsigned)k;
     }
 
     void count_points() const {
@@ -220,10 +254,23 @@ struct Outlines {
     }
 
     int best_direction(int number) const {
-        int best = number * DIRECTIONS;
-        for (int i = best + 1; i < (number + 1) * DIRECTIONS; ++i)
-            if (cost[i] < cost[best] || (cost[i] == cost[best] && area[i] < area[best])) best = i;
-        return best - number * DIRECTIONS;
+        const int first = number * DIRECTIONS;
+        int best = first + lanes.rank;
+        for (int i = best + lanes.size; i < first + DIRECTIONS; i += lanes.size)
+            if (fits_better(i, best)) best = i;
+#if defined(__CUDA_ARCH__)
+        for (int away = Lanes::size / 2; away; away /= 2) {
+            const int other = __shfl_xor_sync(0xffffffff, best, away);
+            if (fits_better(other, best)) best = other;
+        }
+#endif
+        return best - first;
+    }
+
+    // Of equal directions the first is better.
+    bool fits_better(int one, int other) const {
+        if (cost[one] != cost[other]) return cost[one] < cost[other];
+        return area[one] != area[other] ? area[one] < area[other] : one < other;
     }
 
     void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {

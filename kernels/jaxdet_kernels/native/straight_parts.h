@@ -1,14 +1,18 @@
 // Where a contour bends around free floor. Twin of `straight_parts` in
-// jaxdet/reference/_outlines.py, by one thread.
+// jaxdet/reference/_outlines.py. Lanes work on one contour together: all of them take every step, and
+// share the search for the largest triangle.
 #pragma once
-#include "team.h"
+#include "lanes.h"
 
 struct StraightParts {
     enum { FAR_BEHIND = 4, FEWEST = 5 };
+    const Lanes& lanes;
     const int *x, *y;  // the contour, from left to right
     int points;
     long long bend, shortest, jump;
-    int *stack, *parts;  // scratch, a word a point; result, one more: the first point of each part
+    // Scratch, a word a point; result, one more: the first point of each part. Each lane reads what
+    // it has written itself, the same as all others.
+    int *stack, *parts;
 
     long long squared(int a, int b) const {
         const long long right = x[b] - x[a], forward = y[b] - y[a];
@@ -33,11 +37,18 @@ struct StraightParts {
         const bool faces = right * y[first] - forward * x[first] >= 0;
         long long largest = 0;
         *tip = first;
-        for (int k = first + 1; k <= last; ++k) {
+        for (int k = first + 1 + lanes.rank; k <= last; k += lanes.size) {
             const long long area = right * (y[k] - y[first]) - forward * (x[k] - x[first]);
             const long long away = faces ? area : -area;
             if (away > largest) largest = away, *tip = k;
         }
+#if defined(__CUDA_ARCH__)
+        for (int away = Lanes::size / 2; away; away /= 2) {
+            const long long other = __shfl_xor_sync(0xffffffff, largest, away);
+            const int at = __shfl_xor_sync(0xffffffff, *tip, away);
+            if (other > largest || (other == largest && at < *tip)) largest = other, *tip = at;
+        }
+#endif
         return largest;
     }
 
