@@ -219,7 +219,7 @@ struct Trimmed {
     }
 
     // Goes to the bucket that holds the cell looked for.
-    void narrow(const Lanes& lanes, int l, int end, const int* found) const {
+    void narrow([[maybe_unused]] const Lanes& lanes, int l, int end, const int* found) const {
         int bucket = 0, left = below(l)[end];
 #if defined(__CUDA_ARCH__)
         enum { EACH = BUCKETS / Lanes::size };
