@@ -15,8 +15,7 @@ import warp as wp
 from benchmarks import gate, report
 from benchmarks.fit import fits_of
 from benchmarks.run import Metric, Missing, copy_rate, metrics_of, sweep_metrics
-from benchmarks.sweep import case_at, points_of
-from jaxdet.config import STAGES
+from benchmarks.sweep import AXES, case_at, points_of
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class Options:
 
     device: tyro.conf.Positional[Literal["cpu", "gpu"]]
     """Where the stages run."""
-    only: tuple[str, ...] = (*STAGES, "pipeline")
+    only: tuple[str, ...] = tuple(AXES)
     """The stages to time, and the whole pipeline."""
     seconds: float = 1.0
     """How long each case is repeated; the points of the sweep half of it."""

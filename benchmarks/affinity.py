@@ -12,7 +12,6 @@ import functools
 import json
 import math
 import multiprocessing
-import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -25,11 +24,15 @@ import cv2
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
+from benchmarks.paper.hard import ERRORS, FAMILIES
 from benchmarks.paper.labelled import BESIDE, RECORDINGS
 from benchmarks.paper.main import start_worker
+from benchmarks.paper.plan import SCENES
 from benchmarks.paper.shots import Shot, Spec, Store, frames_of
 from benchmarks.paper.systems import eval_config
 from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
+from jaxdet.config import Config
+from jaxdet.cores import cores
 from jaxdet.errors import InputError
 from jaxdet.eval.boxes import FLOOR
 from jaxdet.eval.frame import objects_of
@@ -40,16 +43,13 @@ from jaxdet.reference import surface_pairs
 from jaxdet.types import Cells, Features, Frames
 
 TABLES = Path(__file__).parents[1] / "jaxdet" / "tables"
-OLD = ("people_and_vehicle", "roadblocks", "bucket", "tree_trunk", "mixed")
-HARD = ("corridor", "wall_in_range", "room", "low_clutter", "tables", "drops", "ramps", "mixed")
+OLD = (*SCENES, "mixed")
 OLD_SEEDS = (*range(900, 960), *range(2000, 2060))
 HARD_SEEDS = (*range(900, 950), *range(2000, 2025))
 NOISE_PER_M = 0.004
 """mOSD's frames are learnt from with this noise over z squared as well, as a D435 has it [1/m]."""
 ENOUGH = 100
 """Cells from which on a surface counts no more."""
-
-
 MONOTONIC = [GROWS.get(name, 0) for name in SEEN]
 
 
@@ -83,18 +83,17 @@ class Examples(NamedTuple):
 
 
 def examples(
-    config_name: str, frames: Frames, objects: Callable[[Cells, int], np.ndarray], walls: np.ndarray
+    config: Config, frames: Frames, objects: Callable[[Cells, int], np.ndarray], walls: np.ndarray
 ) -> Examples:
     """The pairs of each frame of which something is known.
 
     Args:
-        config_name: The preset.
+        config: Whose surfaces.
         frames: With the floor that is known of them.
         objects: Of the cells of a frame: ``(R, C)`` int64 objects, 0 = floor, -1 = not known.
         walls: ``(J + 1,)`` bool. Whether two walls are one is not asked.
     """
     parts = []
-    config = preset(config_name)
     for b, (grid, label, pairs) in enumerate(
         surface_pairs(frames, floor_of(frames, config), config)
     ):
@@ -123,7 +122,7 @@ def simulated(spec: Spec, folder: Path) -> Examples:
     for shot in Store(folder).load([spec]):
         walls = np.append(False, np.asarray(shot.truth.is_wall))
         seen_by = functools.partial(in_truth, shot)
-        parts.append(examples("surfaces", frames_of([shot]), seen_by, walls))
+        parts.append(examples(Config(), frames_of([shot]), seen_by, walls))
     return joined(parts)
 
 
@@ -131,7 +130,7 @@ def scenes() -> Iterator[Spec]:
     """The simulated scenes that are learnt from."""
     for seed, family in product(OLD_SEEDS, OLD):
         yield Spec(family, seed, 2)
-    for seed, family, error in product(HARD_SEEDS, HARD, (0.0, 1.0)):
+    for seed, family, error in product(HARD_SEEDS, FAMILIES, ERRORS):
         yield Spec(family, seed, 2, changes=(("depth_error", error),))
 
 
@@ -139,8 +138,7 @@ def learnt_scenes(folder: Path) -> Examples:
     """Pairs of all simulated scenes."""
     specs = list(scenes())
     context = multiprocessing.get_context("spawn")
-    workers = len(os.sched_getaffinity(0))
-    with ProcessPoolExecutor(workers, context, initializer=start_worker) as pool:
+    with ProcessPoolExecutor(cores(), context, initializer=start_worker) as pool:
         Store(folder, pool).ensure(specs)
         each = functools.partial(simulated, folder=folder)
         return joined(list(pool.map(each, specs, chunksize=8)))
@@ -149,12 +147,12 @@ def learnt_scenes(folder: Path) -> Examples:
 def learnt_frames() -> Examples:
     """Pairs of the labelled frames of mOSD that are not held out, as they are and with noise."""
     recording = next(one for one in RECORDINGS if one.name == "mosd")
-    rng, parts = np.random.default_rng(0), []
+    rng, parts, tabletop = np.random.default_rng(0), [], preset("tabletop")
     with open_log(str(BESIDE / recording.place)) as log:
         batches = [batch.frames for batch in log.batches(1)]
     for frames in batches:
         number = int(frames.number[0])
-        if number % recording.held_out == recording.held_out - 1:
+        if recording.holds_out(number):
             continue
         path = BESIDE / recording.images / f"{number:03d}.png"
         labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -168,7 +166,7 @@ def learnt_frames() -> Examples:
         none = np.zeros(int(image.max()) + 1, bool)
         for variant in (depth, noisy):
             seen_by = functools.partial(in_image, image)
-            parts.append(examples("tabletop", frames._replace(depth=variant), seen_by, none))
+            parts.append(examples(tabletop, frames._replace(depth=variant), seen_by, none))
     return joined(parts)
 
 
@@ -186,7 +184,7 @@ def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
     seen, none = grid.in_view[b].reshape(1, -1), np.zeros(1, bool)
     points = Features(u, v, x, y, z, seen, seen, none)
     unit = shot.calibration.depth_unit
-    found = objects_of(points, shot.truth, 0, unit, eval_config(preset("surfaces")))
+    found = objects_of(points, shot.truth, 0, unit, eval_config(Config()))
     return np.where(grid.in_view[b], found.reshape(grid.z[b].shape), -1)
 
 

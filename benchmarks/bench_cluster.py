@@ -1,4 +1,4 @@
-"""Stage 4, cluster, against a NumPy loop, scikit-learn, SciPy, RSC (our reading) and Open3D."""
+"""Clusters of points, against a NumPy loop, scikit-learn, SciPy, RSC (our reading) and Open3D."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,13 +10,13 @@ import numpy as np
 from benchmarks.baselines.sortgap import sort_and_gap
 from benchmarks.points import camera, points, settings
 from benchmarks.run import Case, Missing, with_peer
-from benchmarks.scene import CONFIG
 from benchmarks.sweep import Point, kind
 from jaxdet import reference, stages
 from jaxdet.config import Config
 from jaxdet.presets import preset
 from jaxdet.types import Features
 
+PAPER = preset("paper")
 COUNT = 1000
 BATCHES = {"cpu": 64, "gpu": 1024}
 PEER_FRAMES = 4
@@ -33,52 +33,46 @@ PEERS = {
     "rsc": "rsc",
 }
 """Cases ``vs_<name>`` and the baselines they stand for, at their default parameters."""
-PAPER_PEERS = "ward", "rsc"
 OPEN3D_REMEDY = "an environment of its own, see benchmarks/README.md"
 
 
 def cases() -> list[Case | Missing]:
     """1000 kept points a frame, on the device; the peers take a frame at a time.
 
-    Cases ``vs_<peer>`` have the default configuration, ``paper.vs_<peer>`` the paper's rule, which
-    the NumPy loop follows too: there their labels are equal.
+    The rule is the paper's, which the NumPy loop follows too: their labels are equal.
     """
     host = points(BATCHES[kind()], COUNT)
     few = Features(*(a[:PEER_FRAMES] for a in host))
     clouds = [_metres(few, b) for b in range(PEER_FRAMES)]
-    found: list[Case | Missing] = []
-    for start, config in (("", CONFIG), ("paper.", preset("paper"))):
-        ours = _case(host, settings(config, COUNT))
-        numpy = ours._replace(
-            name=f"{start}vs_numpy",
-            peer=partial(sort_and_gap, host, UNIT, preset("paper")),
-            equal=start == "paper.",
+    ours = _case(host, settings(PAPER, COUNT))._replace(equal=True)
+    found: list[Case | Missing] = [
+        ours._replace(
+            name="vs_numpy",
+            peer=partial(sort_and_gap, host, UNIT, PAPER),
             compared=lambda result: result.labels,
-        )
-        first = ours._replace(
-            name=f"{start}vs_reference",
-            peer=partial(_reference, few, settings(config, COUNT)),
-            equal=True,
+        ),
+        ours._replace(
+            name="vs_reference",
+            peer=partial(_reference, few, settings(PAPER, COUNT)),
             peer_frames=PEER_FRAMES,
             compared=lambda result: result.labels[:PEER_FRAMES],
-        )
-        found += [numpy, first]
-        slow = ours._replace(peer_frames=PEER_FRAMES)
-        for name in PEERS if start == "" else PAPER_PEERS:
-            key = f"{start}vs_{name}"
-            make = partial(_with_baseline, slow, key, PEERS[name], clouds)
-            found.append(with_peer(key, "benchmarks.baselines", "install the extra bench", make))
-        if not start:
-            make = partial(_with_open3d, slow, clouds)
-            found.append(with_peer("vs_open3d", "open3d", OPEN3D_REMEDY, make))
+        ),
+    ]
+    slow = ours._replace(peer_frames=PEER_FRAMES, equal=False)
+    for name, baseline in PEERS.items():
+        make = partial(_with_baseline, slow, f"vs_{name}", baseline, clouds)
+        remedy = "install the extra bench"
+        found.append(with_peer(f"vs_{name}", "benchmarks.baselines", remedy, make))
+    make = partial(_with_open3d, slow, clouds)
+    found.append(with_peer("vs_open3d", "open3d", OPEN3D_REMEDY, make))
     return found
 
 
 def at(point: Point) -> Case:
-    """``slots`` kept points a frame, on the device, the default configuration."""
+    """``slots`` kept points a frame, on the device."""
     host = points(point.batch, point.slots)
     read = host.x.nbytes + host.z.nbytes + host.kept.nbytes
-    return _case(host, settings(CONFIG, point.slots))._replace(name=point.name, bytes_read=read)
+    return _case(host, settings(PAPER, point.slots))._replace(name=point.name, bytes_read=read)
 
 
 def _case(host: Features, config: Config) -> Case:
@@ -107,7 +101,7 @@ def _with_baseline(
     method = module.BASELINES[baseline]
     chosen = dict(method.defaults)
     if method.sized:
-        chosen["min_points"] = CONFIG.cluster.min_points
+        chosen["min_points"] = PAPER.cluster.min_points
     flat = [cloud[:, [0, 2]] for cloud in clouds]
     return case._replace(name=name, peer=partial(_each, method.run, flat, **chosen))
 

@@ -1,4 +1,4 @@
-"""Stage 3, features, against OpenCV one frame at a time, and with kornia-rs's Canny."""
+"""Features, against OpenCV one frame at a time, and with kornia-rs's Canny."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,18 +11,24 @@ import jax
 import numpy as np
 
 from benchmarks.run import Case, Missing, with_peer
-from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, repeated
+from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, on_cells, repeated
 from benchmarks.sweep import DEFAULT_BATCH, Point, kind
-from jaxdet import stages
-from jaxdet.types import Features
+from jaxdet import reference, stages
+from jaxdet.plane import depth_range
+from jaxdet.reference._cells import cover
+from jaxdet.stages._cover import corners_on_cells
+from jaxdet.stages._features import rays
+from jaxdet.types import Features, Keep
 
-CORNERS = replace(CONFIG.features, grid_columns=0)
-"""Corners alone, as the peers have no grid."""
+CORNERS = CONFIG.features
 Canny = Callable[[np.ndarray], np.ndarray]
 
 
 def cases() -> list[Case | Missing]:
-    """Colour images from the host; every peer's corners are equal to ours, in order."""
+    """Colour images from the host; every peer's corners are equal to ours, in order.
+
+    The default finds its corners on kept cells: ``on_cells``.
+    """
     found: list[Case | Missing] = []
     for size in ("640x480", "1280x720"):
         given, case = inputs(size), _case(size)
@@ -34,11 +40,11 @@ def cases() -> list[Case | Missing]:
     found.append(
         with_peer("vs_kornia", "kornia_rs.imgproc", remedy, lambda module: _kornia(case, module))
     )
-    return found
+    return [*found, _on_cells()]
 
 
 def at(point: Point) -> Case:
-    """Colour images and keep mask on the device, ``slots`` corner slots, no grid."""
+    """Colour images and keep mask on the device, ``slots`` corner slots."""
     given, config = inputs(point.size), replace(CORNERS, max_corners=point.slots)
     color, keep = jax.device_put(repeated((given.color, given.keep), point.batch))
     return Case(
@@ -98,6 +104,31 @@ def _case(size: str) -> Case:
         equal=True,
         peer_frames=BATCH,
         compared=lambda result: corners_of(jax.tree.map(lambda a: a[:BATCH], result)),
+    )
+
+
+def _on_cells() -> Case:
+    """Corners on the kept cells, beside the reference."""
+    given, seen = inputs("640x480"), on_cells("640x480")
+    camera, config = given.calibration, CONFIG.ground
+    far = depth_range(config.min_depth_m, config.max_depth_m, camera.depth_unit)[1]
+    keep = seen.of("keep", seen.surfaces) & seen.cells.in_view & (seen.cells.z <= far)
+    arguments = jax.device_put((given.color, seen.cells, keep, rays(camera.color)))
+    program = jax.jit(corners_on_cells, static_argnames="config")
+
+    def peer() -> Features:
+        over = cover(seen.cells, keep, camera.color)
+        frame, there = np.arange(BATCH)[:, None, None], over >= 0
+        z = np.where(there, seen.cells.z.reshape(BATCH, -1)[frame, over], 0).astype(np.uint16)
+        return reference.features(given.color, Keep(there, z, there.any((1, 2))), camera, CORNERS)
+
+    return Case(
+        name="on_cells.vs_reference",
+        run=lambda: program(*arguments, config=CORNERS),
+        frames=BATCH,
+        peer=peer,
+        equal=True,
+        compared=lambda result: result[0],
     )
 
 

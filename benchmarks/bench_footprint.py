@@ -1,20 +1,22 @@
-"""Stage 5, footprint, against the reference."""
+"""Outlines of clusters of points, against the reference."""
 
 import jax
 
 from benchmarks.points import camera, plane_of, points, settings
 from benchmarks.run import Case
-from benchmarks.scene import BATCH, CONFIG
+from benchmarks.scene import BATCH
 from benchmarks.sweep import DEFAULT_SLOTS, Point
 from jaxdet import reference, stages
+from jaxdet.presets import preset
 
+PAPER = preset("paper")
 UNIT = camera().depth_unit
 
 
 def cases() -> list[Case]:
     """One batch of labelled features on the device; no other library has this step."""
     host, plane = points(BATCH, DEFAULT_SLOTS), plane_of(BATCH)
-    config = settings(CONFIG, DEFAULT_SLOTS)
+    config = settings(PAPER, DEFAULT_SLOTS)
     labels = reference.cluster(host, UNIT, config)
     return [
         at(Point("", DEFAULT_SLOTS, BATCH))._replace(
@@ -29,7 +31,7 @@ def cases() -> list[Case]:
 def at(point: Point) -> Case:
     """``slots`` labelled points a frame, on the device."""
     features, plane = jax.device_put(points(point.batch, point.slots)), plane_of(point.batch)
-    config = settings(CONFIG, point.slots)
+    config = settings(PAPER, point.slots)
     labels = jax.block_until_ready(stages.cluster(features, UNIT, config))
     read = *features[:5], features.kept, labels.labels
     return Case(

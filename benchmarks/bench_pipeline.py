@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import cache, partial
 from multiprocessing import get_context
 
@@ -111,8 +110,7 @@ def throughput(seconds: float) -> list[Metric]:
     pinned = pin(frames.color, frames.depth)
     uploader = Uploader(frames.color.shape, frames.depth.shape)
     metrics = []
-    corners = replace(CONFIG, features=replace(CONFIG.features, grid_columns=0))
-    settings = {"pipeline": CONFIG, "pipeline.corners": corners, "pipeline.paper": preset("paper")}
+    settings = {"pipeline": CONFIG, "pipeline.paper": preset("paper")}
 
     def step(source: Callable[[], tuple[jax.Array, jax.Array]], config: Config) -> Detections:
         color, depth = source()

@@ -13,7 +13,6 @@ from benchmarks.fit import GROWTH, axis_of, fit
 from benchmarks.gate import read
 from benchmarks.run import Metric
 from benchmarks.sweep import AXES, DEFAULT_BATCH, DEFAULT_SLOTS, SIZES, Point
-from jaxdet.config import STAGES
 
 matplotlib.use("Agg")
 
@@ -122,11 +121,11 @@ def _stages(metrics: list[Metric]) -> Figure | None:
     for axes, (part, label) in zip(panels, parts, strict=True):
         sweep = sweep_of(metrics, part)
         for number, size in enumerate(SIZES):
-            values = [_at_size(sweep.get(stage, {}), size) for stage in (*STAGES, "pipeline")]
+            values = [_at_size(sweep.get(stage, {}), size) for stage in AXES]
             found |= any(values)
             place = np.arange(len(values)) + 0.27 * (number - 1)
             axes.bar(place, values, 0.25, label=size)
-        axes.set_xticks(range(len(STAGES) + 1), (*STAGES, "pipeline"), rotation=30)
+        axes.set_xticks(range(len(AXES)), list(AXES), rotation=30)
         axes.set_ylabel(label)
         axes.set_yscale("log")
     panels[0].legend(fontsize="small")

@@ -24,9 +24,8 @@ def plane_of(batch: int) -> GroundPlane:
 
 
 def settings(config: Config, n: int) -> Config:
-    """A configuration whose ``n`` slots are all corners, as these points have no grid."""
-    features = replace(config.features, max_corners=n, grid_columns=0)
-    return replace(config, features=features)
+    """A configuration of ``n`` corner slots."""
+    return replace(config, features=replace(config.features, max_corners=n))
 
 
 def points(batch: int, n: int, seed: int = 0) -> Features:

@@ -9,7 +9,10 @@ import warp as wp
 
 from jaxdet import reference
 from jaxdet.config import Config
-from jaxdet.plane import flat_plane, repeat_plane
+from jaxdet.floor_frame import floor_frames
+from jaxdet.plane import flat_plane, repeat_plane, step_table
+from jaxdet.reference import FloorFit
+from jaxdet.reference._detect import Found, _group, _surfaces
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
 from jaxdet.sim.render import render
 from jaxdet.sim.scenes import load_scene
@@ -17,13 +20,12 @@ from jaxdet.sim.sensor import DepthSensor, measure_depth
 from jaxdet.types import (
     AlignedDepth,
     Calibration,
+    Cells,
     Extrinsics,
-    Features,
     Frames,
     GroundPlane,
     Intrinsics,
     Keep,
-    Labels,
 )
 
 RENDERER = "cuda" if wp.is_cuda_available() else "cpu"
@@ -56,7 +58,7 @@ CALIBRATIONS = {
 
 
 class Inputs(NamedTuple):
-    """What each stage gets, by the reference."""
+    """What the stages on pixels get, by the reference."""
 
     calibration: Calibration
     color: np.ndarray
@@ -64,8 +66,31 @@ class Inputs(NamedTuple):
     plane: GroundPlane
     aligned: AlignedDepth
     keep: Keep
-    features: Features
-    labels: Labels
+
+
+class OnCells(NamedTuple):
+    """What the stages on cells get, by the reference."""
+
+    cells: Cells
+    fit: FloorFit
+    floor: np.ndarray
+    """``(B, 13)`` int32, see :func:`jaxdet.floor_frame.floor_frames`."""
+    surfaces: list[Found]
+    obstacles: list[Found]
+
+    def of(self, name: str, found: list[Found]) -> np.ndarray:
+        """A field of :class:`Found` or of its view for all frames, ``(B, R, C)``, int32 or bool."""
+        every = [
+            getattr(one, name) if hasattr(one, name) else getattr(one.view, name) for one in found
+        ]
+        stacked = np.stack(every)
+        return stacked if stacked.dtype == bool else stacked.astype(np.int32)
+
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Right, forward and height of the cells on the floor, each ``(B, R, C)`` int32."""
+        right, forward, height = (self.of(k, self.surfaces) for k in ("right", "forward", "height"))
+        return right, forward, height
 
 
 def _pose(x: float, right: float) -> np.ndarray:
@@ -105,9 +130,24 @@ def inputs(size: str) -> Inputs:
     colors, depths = np.stack(color), np.stack(depth)
     aligned = reference.align(depths, calibration)
     keep = reference.ground(aligned, plane, calibration, CONFIG)
-    features = reference.features(colors, keep, calibration, CONFIG.features)
-    labels = reference.cluster(features, calibration.depth_unit, CONFIG)
-    return Inputs(calibration, colors, depths, plane, aligned, keep, features, labels)
+    return Inputs(calibration, colors, depths, plane, aligned, keep)
+
+
+@cache
+def on_cells(size: str) -> OnCells:
+    """The inputs of the stages on cells, for the same frames.
+
+    Args:
+        size: A key of ``CALIBRATIONS``.
+    """
+    given = inputs(size)
+    unit, step = given.calibration.depth_unit, step_table(given.calibration, CONFIG)
+    grid = reference.cells(given.depth, given.calibration, CONFIG.surface)
+    fit = reference.find_floor(grid.x, grid.y, grid.z, given.plane, CONFIG.floor, unit)
+    floor = floor_frames(fit.plane, unit)
+    surfaces = [_surfaces(grid, b, floor[b], step, unit, CONFIG) for b in range(BATCH)]
+    obstacles = [_group(grid, b, floor[b], step, unit, CONFIG) for b in range(BATCH)]
+    return OnCells(grid, fit, floor, surfaces, obstacles)
 
 
 def repeated(tree: Any, batch: int) -> Any:

@@ -20,13 +20,20 @@ ALL_BATCHES = {"cpu": (1, 2, 4, 8, 16, 32, 64), "gpu": (1, 4, 16, 64, 256, 512, 
 DEFAULT_BATCH = {"cpu": 8, "gpu": 256}
 AXES = {
     "align": ("batch", "size"),
-    "ground": ("batch", "size"),
+    "cells": ("batch", "size"),
+    "floor": ("batch", "size"),
+    "surfaces": ("batch", "size"),
     "features": ("batch", "size", "slots"),
+    "obstacles": ("batch", "size"),
+    "outlines": ("batch", "size"),
+    "free": ("batch", "size"),
     "cluster": ("batch", "slots"),
     "footprint": ("batch", "slots"),
     "pipeline": ("batch", "size", "slots"),
 }
-"""What the cost of each can depend on."""
+"""The stages, and what the cost of each can depend on. Only the preset ``paper`` has ``align``,
+``cluster`` and ``footprint``, only the default what is on cells: ``cells``, ``floor``,
+``surfaces``, ``obstacles``, ``outlines`` and ``free``."""
 
 
 class Point(NamedTuple):
@@ -55,7 +62,7 @@ def points_of(stage: str, device: str, full: bool) -> list[Point]:
     """The points at which a stage is timed: along each of its axes through the default.
 
     Args:
-        stage: A stage, or ``pipeline``.
+        stage: A key of :data:`AXES`.
         device: ``cpu`` or ``gpu``.
         full: More batch sizes and feature slots.
     """
@@ -84,7 +91,7 @@ def _pipeline(point: Point) -> Case:
     frames = frames_of(point.size, point.batch)
     color, depth = jax.device_put((frames.color, frames.depth))
     frames = frames._replace(color=color, depth=depth)
-    features = replace(CONFIG.features, max_corners=point.slots, grid_columns=0)
+    features = replace(CONFIG.features, max_corners=point.slots)
     config = replace(CONFIG, features=features)
     return Case(
         name=point.name,

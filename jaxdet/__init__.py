@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from jaxdet.errors import FrameStatus, JaxdetError
     from jaxdet.io import LogOptions, find_logs, open_log
     from jaxdet.metric import extents, rectangles, to_world
-    from jaxdet.pipeline import detect, estimate_plane, estimate_ramp
+    from jaxdet.pipeline import detect, estimate_plane, find_floors
     from jaxdet.plane import flat_plane
     from jaxdet.presets import PRESETS, preset
     from jaxdet.types import (
@@ -35,7 +35,7 @@ _HOMES = {
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.metric": ("extents", "rectangles", "to_world"),
-    "jaxdet.pipeline": ("detect", "estimate_plane", "estimate_ramp"),
+    "jaxdet.pipeline": ("detect", "estimate_plane", "find_floors"),
     "jaxdet.plane": ("flat_plane",),
     "jaxdet.types": (
         "Calibration",
@@ -71,8 +71,8 @@ __all__ = [
     "__version__",
     "detect",
     "estimate_plane",
-    "estimate_ramp",
     "extents",
+    "find_floors",
     "find_logs",
     "flat_plane",
     "open_log",

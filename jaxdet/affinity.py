@@ -52,6 +52,8 @@ GROWS = {
     "agree_share": 1,
 }
 """Evidence never falls with a larger value (1), or never rises with it (-1)."""
+NO_STEP = 10_000
+"""Step in depth [mm] of two surfaces that do not face each other in any row."""
 BEYOND = 1 << 30
 """Threshold that nothing exceeds."""
 FRACTION_BITS = 8

@@ -145,21 +145,9 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
     return _frozen(np.rint(x * one).astype(np.int32)), _frozen(np.rint(y * one).astype(np.int32))
 
 
-@lru_cache(maxsize=16)
-def grid_pixels(width: int, height: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels of a regular grid with square meshes, row by row.
-
-    Args:
-        width: Of the image [pixel].
-        height: Of the image [pixel].
-        columns: About how many columns the grid has; 0: there is no grid.
-
-    Returns:
-        Columns and rows, each ``(G,)`` int32, read-only.
-    """
-    step = max(1, round(width / columns)) if columns else max(width, height) * 2
-    v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].astype(np.int32)
-    return _frozen(u.ravel()), _frozen(v.ravel())
+def cell_side(camera: Intrinsics, cell_rad: float) -> int:
+    """The side of a cell [pixel] of a depth camera, about ``cell_rad`` wide."""
+    return max(1, round(camera.fx * cell_rad))
 
 
 @lru_cache(maxsize=16)

@@ -2,7 +2,7 @@
 
 from jaxdet.config import MAX_POINTS
 from jaxdet.errors import CalibrationError, ConfigError, InputError
-from jaxdet.types import Calibration, Frames, Intrinsics
+from jaxdet.types import MAX_CONTOUR, Calibration, Frames, Intrinsics
 
 
 def check_frames(frames: Frames) -> None:
@@ -46,6 +46,19 @@ def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
         )
 
 
+def check_grid(rows: int, columns: int) -> None:
+    """Refuses more cells than contours and the kernels' memory hold.
+
+    Raises:
+        ConfigError: A side has more than ``MAX_CONTOUR`` cells.
+    """
+    if max(rows, columns) > MAX_CONTOUR:
+        raise ConfigError(
+            f"{columns}x{rows} cells, but at most {MAX_CONTOUR} a side",
+            remedy="raise --surface.cell-rad, the angle that a cell takes up",
+        )
+
+
 def check_points(points: int) -> None:
     """Refuses more points a frame than keys, sums and the kernels' memory hold.
 
@@ -55,5 +68,5 @@ def check_points(points: int) -> None:
     if points > MAX_POINTS:
         raise ConfigError(
             f"{points} points a frame are more than {MAX_POINTS}",
-            remedy="lower --features.max-corners or --features.grid-columns",
+            remedy="lower --features.max-corners",
         )

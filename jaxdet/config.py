@@ -1,7 +1,9 @@
-"""Configuration: one frozen dataclass for each stage but align, which has no free parameters.
+"""Configuration: one frozen dataclass for each part of the method.
 
-Every field is a command-line flag (``--cluster.depth-gap-m``) and a TOML key
-(``[cluster] depth_gap_m``). All are hashable, so JAX can take them as static arguments.
+Every field is a command-line flag (``--ground.max-depth-m``) and a TOML key
+(``[ground] max_depth_m``). Obstacles are made of surfaces of depth cells by the parts ``floor``,
+``surface`` and ``obstacle``, or of points by ``cluster``; the others serve both. All are hashable,
+so JAX can take them as static arguments.
 """
 
 import math
@@ -10,17 +12,10 @@ from dataclasses import dataclass, field
 from jaxdet.errors import ConfigError
 
 MAX_POINTS = 8192
-"""Most points of a frame, corners and grid together: what the 32-bit keys and sums hold."""
-
-REACH = 20
-"""A surface behind a nearer thing is looked for so many pixels of the grid to the left."""
+"""Most points of a frame that are clustered: what the 32-bit keys and sums hold."""
 
 TRIM_SHARE = 16
 """At most this part of an obstacle's points is passed over at each side, and in front."""
-
-STAGES = ("align", "ground", "features", "cluster", "footprint")
-"""The names of the stages, in order; one name for a stage everywhere."""
-
 
 FARTHEST_M = 1000.0
 """Largest length in a configuration [m]: what 32-bit integers of depth units hold."""
@@ -46,22 +41,24 @@ class GroundConfig:
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
     step_height_per_m: float = 0.003
-    """Added to the step height for each metre of depth: how well the floor's tilt is known
-    (0.003 is 0.2 degrees; the robot rocks, floors are not flat). The paper's is 0."""
+    """Added to the step height for each metre of depth, with the floor of each frame for noise:
+    cells of s x s pixels add an s-th of it. Clusters of points have one plane, so there it is how
+    well the floor's tilt is known (0.003 is 0.2 degrees); the paper's is 0."""
     camera_height_m: float | None = None
-    """Optical centre above the floor [m]; unset: from the log's TF, else estimated."""
+    """Optical centre above the floor [m], as far as known; unset: from the log's TF, else from a
+    sample of its frames. Each frame's own depth corrects it."""
     camera_pitch_rad: float = 0.0
     """Downward tilt [rad], used with camera_height_m."""
     camera_roll_rad: float = 0.0
     """Clockwise roll seen from behind the camera [rad], used with camera_height_m."""
     source: str = "auto"
-    """Where the plane comes from: auto (flags, then tf, then estimate), flags, tf, estimate,
-    none."""
+    """What the floor of each frame is looked for around: auto (flags, then tf), flags, tf, or
+    estimate (neither). The median floor of a sample of the log's frames takes its place where
+    enough of them show one. none: no floor is looked for, and nothing is dropped as floor."""
     sample_frames: int = 24
-    """Frames the estimate looks at, evenly spaced over the log or the window."""
+    """Frames of that sample, evenly spaced over the log or the window."""
     window_s: float = 0.0
-    """Length of the fixed time windows with an estimate each [s]: of the plane where it is not
-    known, and of a ramp ahead. 0: one plane for the log, and no ramps."""
+    """Length of the fixed time windows with a sample each [s]. 0: one sample for the log."""
 
     def __post_init__(self) -> None:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
@@ -93,22 +90,18 @@ class FeaturesConfig:
     canny_high: float = 100.0
     """Upper hysteresis bound [grey levels of the L1 gradient]."""
     max_corners: int = 1024
-    """Feature slots N: the strongest corners that are used."""
+    """Slots for corners: the strongest that are used."""
     quality_level: float = 0.01
     """Weakest corner used, as a share of the strongest one's minimum eigenvalue."""
     min_distance: float = 3.0
     """Least distance between two corners [pixel]; below 1: none."""
-    grid_columns: int = 80
-    """Columns of a regular grid whose kept pixels are points too, with square meshes, so that
-    surfaces without corners (plain, dim) are seen by their depth. 0: corners only."""
     use_mask: bool = True
-    """Take corners only where the ground stage keeps the pixel; off: drop points afterwards."""
+    """Take corners only on what is in range and above the floor; off: drop them afterwards."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
         _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")
-        _require(0 <= self.grid_columns <= 320, "features.grid-columns", "from 0 to 320")
 
     @property
     def canny_bounds(self) -> tuple[int, int]:
@@ -122,12 +115,15 @@ class FeaturesConfig:
 
 @dataclass(frozen=True)
 class FloorConfig:
-    """How the floor of each frame is looked for."""
+    """How the floor of each frame, and free floor on it, is looked for.
+
+    The prior is what is known before: from flags, TF, or a sample of the log.
+    """
 
     max_cells: int = 4800
     """Most cells used: a regular part of those given."""
     max_depth_m: float = 6.0
-    """Farthest depth used [m]; 0: no floor is looked for."""
+    """Farthest depth used [m]; 0: no floor is looked for, and the prior is used."""
     noise_per_m: float = 0.004
     """Error of depth over its square [1/m]; 0.004 is a D435's."""
     max_turn_deg: float = 4.0
@@ -163,12 +159,11 @@ class FloorConfig:
 
 @dataclass(frozen=True)
 class SurfaceConfig:
-    """Surfaces in a grid of depth cells; with them, obstacles are made of surfaces."""
+    """Surfaces in a grid of depth cells, in which the floor is looked for as well."""
 
-    cell_rad: float = 0.0
+    cell_rad: float = 0.0078
     """Angle that a square cell of the depth image takes up at its middle [rad]; 0.0078 is 4 pixels
-    of a Kinect's 640 columns, 3 of a D435's. 0: no surfaces, obstacles are clusters of points as in
-    the paper."""
+    of a Kinect's depth image of 640 columns, 3 of a D435's, 7 of a D415's of 1280."""
     step_m: float = 0.03
     """Largest step in depth between neighbouring cells of a surface [m]."""
     step_per_m: float = 0.011
@@ -192,7 +187,7 @@ class SurfaceConfig:
     does not cut a thing into pieces; what begins beyond the range is no obstacle."""
 
     def __post_init__(self) -> None:
-        _require_within(self.cell_rad, 0, 0.1, "surface.cell-rad")
+        _require_within(self.cell_rad, 1e-4, 0.1, "surface.cell-rad")
         _require_within(self.step_m, 0, FARTHEST_M, "surface.step-m")
         _require_within(self.step_per_m, 0, FARTHEST_M, "surface.step-per-m")
         _require_within(self.crease_cells, 1, 16, "surface.crease-cells")
@@ -213,8 +208,8 @@ class ObstacleConfig:
     """Obstacles made of surfaces: gaps on the floor, and what else is seen of two surfaces."""
 
     affinity: str = "surfaces"
-    """Table that says what of two surfaces speaks for their being one: ``surfaces``, learnt in
-    rooms and streets, or ``tabletop``. It counts cells of the default size."""
+    """Table that says what of two surfaces speaks for their being one: surfaces, learnt in rooms
+    and streets, or tabletop. It counts cells of the default size."""
     lateral_gap_m: float = 1.5
     """Surfaces farther apart sideways are not looked at together, d_x [m]."""
     forward_gap_m: float = 0.8
@@ -247,46 +242,22 @@ class ObstacleConfig:
 
 @dataclass(frozen=True)
 class ClusterConfig:
-    """Gaps in depth, then sideways (Section 3.4, Eq. 6), or slice by slice."""
+    """Clusters of points: gaps in depth, then sideways (Section 3.4, Eq. 6); preset paper."""
 
+    points: bool = False
+    """Make obstacles of points, as the paper does; off: of surfaces. The other settings of this
+    part are for points alone."""
     depth_gap_m: float = 0.10
     """d_z [m]: a larger gap between neighbours in depth starts a new set."""
-    lateral_gap_m: float = 0.15
-    """d_x [m]: a larger sideways gap starts a new set. The paper's is the robot's width, 0.40."""
-    min_points: int = 18
-    """N: sets of this many points or fewer are dropped. The paper's is 10."""
-    slice_m: float = 0.15
-    """Sideways gaps are looked for in slices of this depth [m], cut twice, half a slice apart;
-    sets that share a point are one. What stands at the same depth far away, or to the same side
-    farther back, then joins nothing. 0: the paper's order, all depths first and then sideways."""
-    occluder_m: float = 1.0
-    """With slices: surfaces in a row of the grid on both sides of a nearer thing, at most this far
-    apart [m], are one when their depths are within d_z. 0: off."""
-    occluder_slope: float = 0.25
-    """d_z grows by so much for each metre between two such surfaces: they are seen obliquely."""
-    max_holes: int = 2
-    """With slices: so many pixels of the grid without depth may lie between such surfaces."""
-    surface_height_m: float = 0.65
-    """With slices: surfaces at least so high stand on their own: they are never one because of
-    what is near them sideways. A surface is pixels of the grid whose depths go on to the next
-    column or row, or behind a nearer thing. 0: off."""
-    surface_gap_m: float = 0.03
-    """Largest step in depth between neighbouring pixels of a surface [m]."""
-    surface_gap_per_m: float = 0.011
-    """Added to it in proportion to z squared [1/m], as stereo noise grows: some four standard
-    deviations of a D435's depth."""
+    lateral_gap_m: float = 0.40
+    """d_x [m]: a larger sideways gap starts a new set; the robot's width."""
+    min_points: int = 10
+    """N: sets of this many points or fewer are dropped."""
 
     def __post_init__(self) -> None:
         _require_within(self.depth_gap_m, 0, FARTHEST_M, "cluster.depth-gap-m")
         _require_within(self.lateral_gap_m, 0, FARTHEST_M, "cluster.lateral-gap-m")
         _require_within(self.min_points, 0, MAX_POINTS, "cluster.min-points")
-        _require_within(self.slice_m, 0, FARTHEST_M, "cluster.slice-m")
-        _require_within(self.occluder_m, 0, FARTHEST_M, "cluster.occluder-m")
-        _require_within(self.occluder_slope, 0, 2, "cluster.occluder-slope")
-        _require_within(self.max_holes, 0, REACH, "cluster.max-holes")
-        _require_within(self.surface_height_m, 0, FARTHEST_M, "cluster.surface-height-m")
-        _require_within(self.surface_gap_m, 0, FARTHEST_M, "cluster.surface-gap-m")
-        _require_within(self.surface_gap_per_m, 0, FARTHEST_M, "cluster.surface-gap-per-m")
 
 
 @dataclass(frozen=True)
@@ -298,8 +269,7 @@ class FootprintConfig:
     and B to count as a vertex."""
     trim: int = 2
     """So many of the outermost points of each side, and of the nearest ones, are outliers that
-    don't make A, B or C, at most a sixteenth of the obstacle's points. The rectangle still covers
-    them. The paper's is 0."""
+    don't make A, B or C, at most a sixteenth of the obstacle's points. The paper's is 0."""
     side_band_per_m: float = 0.006
     """A and B are the median of the points at most this far inside of the outermost [m], for each
     metre of distance: a silhouette is smeared over about three pixels. The paper's is 0."""
@@ -308,18 +278,13 @@ class FootprintConfig:
     squared [1/m]: of many noisy points the nearest is too near, and stereo noise grows so; 0.012
     is some four standard deviations of a D435's. The paper's is 0."""
     extension_m: float = 0.20
-    """How far the edge AB is extended backward when there is no vertex [m]."""
-    cover: bool = True
-    """Widen the rectangle along and across AB until all of the obstacle's points are inside; off:
-    the paper's, which leaves out what stands beyond A, B or C."""
-    margin_m: float = 0.03
+    """How far the edge AB is extended backward when there is no vertex [m]; fitted rectangles end
+    with their obstacle's cells."""
+    margin_m: float = 0.0
     """Added to the rectangle on all sides [m]."""
-    margin_per_m2: float = 0.0
+    margin_per_m2: float = 0.007
     """Added to it in proportion to the square of the obstacle's smallest z [1/m], as stereo noise
     grows; 0.007 is nearly two standard deviations of a D435's."""
-    fitted: bool = False
-    """The rectangle of an obstacle made of surfaces: the one that fits its visible contour best;
-    off: the paper's, along AB."""
     long_m: float = 3.0
     """Fitted rectangles longer than this pass over a twentieth of their cells at each long side:
     walls are smeared over the floor before them [m]."""

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.types import Detections, Obstacles
+from jaxdet.floor_units import FloorFit, floor_fit
+from jaxdet.types import Detections, Obstacles, Scene
 
 
 class Extents(NamedTuple):
@@ -43,6 +44,16 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
             for a in (obstacles.xyz_min, obstacles.xyz_max, centroid)
         )
     )
+
+
+def floors(scene: Scene, depth_unit: float) -> FloorFit:
+    """The floor of each frame in metres and radians, its own or the one given.
+
+    Args:
+        scene: NumPy or JAX arrays.
+        depth_unit: Metres in one depth unit.
+    """
+    return floor_fit(np.asarray(scene.floor), scene.prior, depth_unit)
 
 
 def distances(detections: Detections) -> np.ndarray:
@@ -78,13 +89,11 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     fixed ``extension_m``. With one, the opposite edge lies on the parallel to AB through C,
     cut by the perpendiculars through A and B.
 
-    With ``config.cover`` the rectangle is then widened along and across AB until all points of the
-    obstacle are inside ("ensuring absolute safety for the robot", Section 3.5): points beyond AB
-    or to the sides of A and B would be left out otherwise. The margin,
-    ``margin_m + margin_per_m2 z²`` with the obstacle's smallest z, is added on all sides.
+    The margin, ``margin_m + margin_per_m2 z²`` with the obstacle's smallest z, is added on all
+    sides.
 
-    With ``config.fitted``, ``direction`` and ``span`` are those of the rectangle itself and only
-    the margin is added; AB is the side whose middle is nearest to the camera.
+    Obstacles made of surfaces have the ``direction`` and the ``span`` of the rectangle itself, to
+    which only the margin is added; AB is the side whose middle is nearest to the camera.
 
     Where A and B coincide, AB is taken as sideways, so its normal is forward. Where AB points
     forward it has no side away from the camera; the normal that points away from the camera's
@@ -93,16 +102,16 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     Args:
         obstacles: Integer outlines, ``(B, M)`` slots.
         depth_unit: Metres in one depth unit.
-        config: The fixed extension, the cover and the margin.
+        config: The fixed extension and the margin.
 
     Returns:
         ``(B, M, 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
         corner beyond B, the corner beyond A.
     """
-    if config.fitted:
+    if np.any(obstacles.direction):
         return _fitted_rectangles(obstacles, depth_unit, config)
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
-    edge = np.asarray(obstacles.direction).astype(np.float64) if config.cover else b - a
+    edge = b - a
     length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
     along = np.divide(edge, length, out=np.zeros_like(edge), where=length > 0)
     along = np.where(length > 0, along, [1.0, 0.0])
@@ -113,13 +122,6 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     back = np.where(
         has_vertex, np.sum(c * across, axis=-1), front + config.extension_m / depth_unit
     )
-    if config.cover:
-        scale = np.where(length > 0, length, 1.0)
-        span = np.asarray(obstacles.span) / scale
-        low, high = _oriented(span[..., 2:], edge, across)
-        left, right = np.minimum(left, span[..., 0]), np.maximum(right, span[..., 1])
-        front = np.where(has_vertex, np.maximum(front, high), np.minimum(front, low))
-        back = np.where(has_vertex, np.minimum(back, low), np.maximum(back, high))
     margin = _margin(obstacles, depth_unit, config)
     outward = np.where(front <= back, margin, -margin)
     left, right, front, back = left - margin, right + margin, front - outward, back + outward
@@ -162,15 +164,6 @@ def _sides(ring: np.ndarray) -> np.ndarray:
     """How far the middle of each side of rectangles is from the camera, squared."""
     middle = ring + np.roll(ring, -1, axis=-2)
     return np.sum(middle * middle, axis=-1)
-
-
-def _oriented(
-    across_extremes: np.ndarray, edge: np.ndarray, backward: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest distance across the edge, counted along the ``backward`` normal."""
-    same = edge[..., 0] * backward[..., 1] - edge[..., 1] * backward[..., 0] >= 0
-    low, high = across_extremes[..., 0], across_extremes[..., 1]
-    return np.where(same, low, -high), np.where(same, high, -low)
 
 
 def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:

@@ -9,16 +9,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxdet.camera import pixel_rays
-from jaxdet.config import ClusterConfig, FootprintConfig, GroundConfig
-from jaxdet.types import MAX_LATERAL, GroundPlane, Intrinsics
+from jaxdet.camera import cell_side, pixel_rays
+from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
+from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
 
 GROUND_BITS = 13
 """Fraction bits of the ground frame's axes."""
-UNKNOWN_HEIGHT = 1 << 20
-"""Of everything, where the floor is not known [depth units]."""
-SLOPE_BITS = 10
-"""Fraction bits of the slope in :func:`slope_units`."""
+DIRECTIONS = 90
+"""Directions tried for a rectangle, a degree apart."""
+DIRECTION_BITS = 9
+"""Fraction bits of a direction, short enough for products in 32 bits."""
 
 
 def flat_plane(
@@ -162,68 +162,9 @@ def _crossing(height: float, s: np.ndarray, depth_unit: float) -> np.ndarray:
     return np.divide(drop, s, out=np.full_like(s, np.inf), where=s > 0)
 
 
-def slope_units(config: ClusterConfig) -> int:
-    """The slope of surfaces behind nearer things, as an integer."""
-    return round(config.occluder_slope * (1 << SLOPE_BITS))
-
-
-def slice_units(config: ClusterConfig, depth_unit: float) -> int:
-    """The depth of a slice [depth units], at least one; 0: no slices."""
-    return max(1, round(config.slice_m / depth_unit)) if config.slice_m else 0
-
-
 def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
     """d_z [depth units], at most 2^20, which no two depths are apart."""
     return min(round(config.depth_gap_m / depth_unit), 1 << 20)
-
-
-@lru_cache(maxsize=16)
-def surface_gap_table(config: ClusterConfig, depth_unit: float) -> np.ndarray:
-    """The largest step in depth from pixel to pixel of a surface.
-
-    ``d + c z^2`` with the configured constants, rounded to whole depth units, at most 2^20.
-
-    Returns:
-        ``(65536,)`` int32 [depth units], by z in depth units, read-only.
-    """
-    steps = quadratic_table(config.surface_gap_m, config.surface_gap_per_m, depth_unit)
-    gaps = np.minimum(steps, 1 << 20).astype(np.int32)
-    gaps.setflags(write=False)
-    return gaps
-
-
-def floor_frame(
-    plane: GroundPlane, b: int, xyz: np.ndarray, depth_unit: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points in the ground frame of frame ``b``, and their height above its plane.
-
-    Args:
-        plane: The floor; over an unknown one everything is ``UNKNOWN_HEIGHT`` high.
-        b: The frame.
-        xyz: ``(3, ...)`` int64, colour optical frame [depth units].
-        depth_unit: Metres in one depth unit.
-
-    Returns:
-        Right, forward and height, each ``(...)`` int64, rounded to depth units.
-    """
-    one = GroundPlane(*(part[b : b + 1] for part in plane))
-    down = down_vector(one.pitch, one.roll)
-    fixed = np.rint(down * (1 << GROUND_BITS)).astype(np.int64)
-    axes = np.concatenate([ground_axes(one)[0].astype(np.int64), fixed])
-    along = np.tensordot(axes, xyz, axes=1)
-    right, forward, drop = (along + (1 << (GROUND_BITS - 1))) >> GROUND_BITS
-    if not one.valid[0]:
-        return right, forward, np.full_like(drop, UNKNOWN_HEIGHT)
-    return right, forward, round(float(one.height[0]) / depth_unit) - drop
-
-
-def ramp_rise(plane: GroundPlane, b: int, forward: np.ndarray, depth_unit: float) -> np.ndarray:
-    """How much a ramp ahead raises the floor of frame ``b`` at these distances [depth units]."""
-    start, slope = float(plane.ramp_start[b]), float(plane.ramp_slope[b])
-    if not np.isfinite(start) or not slope:
-        return np.zeros_like(forward)
-    run = np.maximum(forward - round(start / depth_unit), 0)
-    return (run * round(slope * (1 << GROUND_BITS))) >> GROUND_BITS
 
 
 @lru_cache(maxsize=16)
@@ -232,6 +173,21 @@ def linear_table(constant_m: float, per_m: float, depth_unit: float) -> np.ndarr
     table = np.rint(constant_m / depth_unit + per_m * np.arange(65536)).astype(np.int64)
     table.setflags(write=False)
     return table
+
+
+def step_table(calibration: Calibration, config: Config) -> np.ndarray:
+    """The height up to which a cell is floor: ``step_height_m + step_height_per_m z / s``.
+
+    A stereo camera's depth errs by ``c z^2``, with c in inverse proportion to its focal length, so
+    floor seen from a height h seems to be up to ``c z h`` higher or lower. A cell takes up the same
+    angle in each camera, so s, its side in pixels, is in proportion to the focal length.
+
+    Returns:
+        ``(65536,)`` int64 [depth units], by z in depth units, read-only.
+    """
+    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    ground, unit = config.ground, calibration.depth_unit
+    return linear_table(ground.step_height_m, ground.step_height_per_m / side, unit)
 
 
 @lru_cache(maxsize=64)
@@ -266,6 +222,21 @@ def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
     bands = np.minimum(np.rint(bands / depth_unit), MAX_LATERAL).astype(np.int32)
     bands.setflags(write=False)
     return bands
+
+
+@lru_cache(maxsize=1)
+def direction_table() -> np.ndarray:
+    """The directions on the floor that are tried for a rectangle.
+
+    Returns:
+        ``(DIRECTIONS, 2)`` int64, right and forward with ``DIRECTION_BITS`` fraction bits, by
+        angle from 0 on, read-only.
+    """
+    angle = np.radians(np.arange(DIRECTIONS) * 90.0 / DIRECTIONS)
+    table = np.rint(np.stack([np.cos(angle), np.sin(angle)], -1) * (1 << DIRECTION_BITS))
+    table = table.astype(np.int64)
+    table.setflags(write=False)
+    return table
 
 
 def forward_vector(down: np.ndarray) -> np.ndarray:

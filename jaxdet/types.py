@@ -26,6 +26,15 @@ Array = Any
 MAX_CONTOUR = 512
 """Most points of an obstacle's contour: columns of cells."""
 
+MAX_SURFACES = 512
+"""Most surfaces of a frame; the cells of others belong to none."""
+
+MAX_LABELS = 1024
+"""Most parts of obstacles of a frame, once those that bend are split."""
+
+MAX_OBSTACLES = 128
+"""``M`` where obstacles are made of surfaces; more set the overflow flag."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 
@@ -139,7 +148,8 @@ class Frames(NamedTuple):
     T_world_camera: np.ndarray | None = None
     """``(B, 4, 4)`` float64, colour optical frame to world, NaN where unknown; None without."""
     plane: GroundPlane | None = None
-    """The floor of each frame; None leaves it to the configuration or to an estimate."""
+    """What is known of the floor of each frame, which its own depth corrects (clusters of points
+    take it as it is); None leaves it to the configuration."""
 
 
 class Cells(NamedTuple):
@@ -157,6 +167,11 @@ class Cells(NamedTuple):
     """``(B, R, C, 2)`` int32, the last."""
     in_view: Array
     """``(B, R, C)`` bool, measured and at least partly in the colour image."""
+
+    @property
+    def middle(self) -> Array:
+        """``(B, R, C, 2)`` int32, column and row in the middle of what a cell covers [pixel]."""
+        return (self.uv_min + self.uv_max) >> 1
 
 
 class AlignedDepth(NamedTuple):
@@ -180,10 +195,9 @@ class Keep(NamedTuple):
 
 
 class Features(NamedTuple):
-    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then the grid's if any.
+    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then a sample of the cells.
 
-    Empty slots are zero, but a grid pixel that is not kept still tells its place and depth: what
-    is seen there may part two obstacles.
+    Empty slots of corners are zero. Of a cell that is not kept place and depth are told too.
     """
 
     u: Array
@@ -201,7 +215,8 @@ class Features(NamedTuple):
     kept: Array
     """``(B, N)`` bool, its depth is in range and above the floor."""
     overflow: Array
-    """``(B,)`` bool, more corners qualified than there are slots."""
+    """``(B,)`` bool, more corners qualified than there are slots, or there are more surfaces than
+    ``MAX_SURFACES`` or more obstacles than ``MAX_OBSTACLES``."""
 
 
 class Labels(NamedTuple):
@@ -219,7 +234,8 @@ class Obstacles(NamedTuple):
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
     ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
     are the outermost and the nearest points of the paper, or the medians of bands behind those, see
-    ``FootprintConfig``.
+    ``FootprintConfig``. Points are kept features, or of obstacles made of surfaces their cells in
+    the colour image; ``direction`` and ``span`` are of all their cells.
     """
 
     num_points: Array
@@ -243,9 +259,10 @@ class Obstacles(NamedTuple):
     has_vertex: Array
     """``(B, M)`` bool, Eq. 7: C stands out towards the camera."""
     direction: Array
-    """``(B, M, 2)`` int32, AB halved until both parts are below 512; (1, 0) where A is B."""
+    """``(B, M, 2)`` int32, along the fitted rectangle, right and forward, about 512 long; zero for
+    clusters of points."""
     span: Array
-    """``(B, M, 4)`` int32, extremes of all points along ``direction`` (dot product) and across
+    """``(B, M, 4)`` int32, the rectangle's extent along ``direction`` (dot product) and across
     (cross product): least and largest along, least and largest across."""
 
 
@@ -280,15 +297,14 @@ class Refusal(IntEnum):
 class Scene(NamedTuple):
     """What is seen beside the obstacles themselves, where they are made of surfaces."""
 
-    plane: GroundPlane
-    """The floor of each frame."""
-    own_floor: np.ndarray
-    """``(B,)`` bool, found in the frame's own depth; else it is the one given."""
-    refused: np.ndarray
-    """``(B,)`` int32, why not, see :class:`Refusal`."""
+    floor: Array
+    """``(B, 8)`` int32, the floor in each frame's own depth; with the next one it gives the planes
+    (:func:`jaxdet.floor_units.floor_fit`)."""
+    prior: GroundPlane
+    """What was known of each frame's floor, on the host."""
     contour: Array
-    """``(B, M, MAX_CONTOUR, 2)`` int32, the visible edge of each obstacle, right and forward in the
-    ground frame, from left to right [depth units]."""
+    """``(B, M, C, 2)`` int32, C columns of cells or 1, the visible edge of each obstacle, right and
+    forward in the ground frame, from left to right [depth units]."""
     contour_points: Array
     """``(B, M)`` int32, how many of them are used."""
     bottom_top: Array

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -57,35 +57,6 @@ def device(request: pytest.FixtureRequest) -> Iterator[Any]:
     chosen = jax.devices(request.param)[0]
     with jax.default_device(chosen):
         yield chosen
-
-
-@pytest.fixture(params=["of the device", "by arrays"])
-def cluster_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The cluster stage as its device has it, and as the array program of CUDA on the CPU too."""
-    from jaxdet.stages import _cluster, _cluster_cpu
-
-    if request.param == "by arrays":
-        monkeypatch.setattr(_cluster_cpu, "labels_by_frames", _cluster.labels_by_arrays)
-        cast(Any, _cluster.labels).clear_cache()
-    yield
-    if request.param == "by arrays":
-        cast(Any, _cluster.labels).clear_cache()
-
-
-@pytest.fixture(params=["of the device", "by arrays"])
-def footprint_form(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[None]:
-    """The footprint stage as its device has it, and as CUDA's array program on the CPU too."""
-    from jaxdet.stages import _footprint, _footprint_cpu
-
-    if request.param == "by arrays":
-        form = _footprint.obstacles_by_arrays
-        monkeypatch.setattr(_footprint_cpu, "obstacles_by_frames", form)
-        cast(Any, _footprint.obstacles).clear_cache()
-    yield
-    if request.param == "by arrays":
-        cast(Any, _footprint.obstacles).clear_cache()
 
 
 @pytest.fixture(scope="session")

@@ -20,9 +20,12 @@ from benchmarks.baselines import (
 )
 from benchmarks.baselines.dense import range_image
 from benchmarks.baselines.frames import grid_features, labels_at, ordered
+from benchmarks.paper.shots import Spec, frames_of, shot_of
 from jaxdet import reference
 from jaxdet.config import MAX_POINTS, ClusterConfig
 from jaxdet.eval import score
+from jaxdet.presets import preset
+from jaxdet.sim import sample_frames
 from jaxdet.types import Frames, GroundPlane
 from tests.boards import (
     BOXES,
@@ -94,7 +97,6 @@ def test_every_baseline_bears_little(name, frame):
 
 
 def test_the_registry():
-    assert next(iter(BASELINES)) == "ours"
     for name, baseline in BASELINES.items():
         assert baseline.name == name and baseline.citation and baseline.title
         known = {"depth_scale", *baseline.defaults, *(f.name for f in fields(ClusterConfig))}
@@ -102,11 +104,12 @@ def test_the_registry():
         assert 5 <= len(baseline.trials()) <= 60 or name == "paper"
 
 
-def test_ours_is_the_reference(frame):
-    found = detect_with(BASELINES["ours"], frame, CONFIG)
-    expected = reference.cluster(frame.features, 0.001, CONFIG)
+def test_the_paper_s_rule_is_the_reference(frame):
+    rule = preset("paper")
+    found = detect_with(BASELINES["paper"], frame, rule)
+    expected = reference.cluster(frame.features, 0.001, rule)
     np.testing.assert_array_equal(found.labels.labels, expected.labels)
-    outlines = reference.footprint(frame.features, expected, LEVEL, 0.001, CONFIG)
+    outlines = reference.footprint(frame.features, expected, LEVEL, 0.001, rule)
     for ours, theirs in zip(found.obstacles, outlines, strict=True):
         np.testing.assert_array_equal(ours[:, :3], theirs[:, :3])
         assert not ours[:, 3:].any()
@@ -187,15 +190,40 @@ def test_prepare_is_the_pipeline():
     aligned = reference.align(frames.depth, CALIBRATION)
     keep = reference.ground(aligned, plane, CALIBRATION, CONFIG)
     expected = reference.features(color, keep, CALIBRATION, CONFIG.features)
-    np.testing.assert_array_equal(prepared[0].features.u[0], expected.u[0])
+    corners, found = expected.u.shape[1], prepared[0].features
+    for got, want in zip(found[:-1], expected[:-1], strict=True):
+        np.testing.assert_array_equal(got[:, :corners], want[:1])
     np.testing.assert_array_equal(prepared[0].keep, keep.mask[0])
-    n = int(expected.kept[0].sum())
+    n = int(found.kept[0].sum())
     assert points_of(prepared[0]).shape == (n, 2) and points_of(prepared[0], "xyz").shape == (n, 3)
+
+    # Every second pixel of 160 columns, row by row.
+    u, v, x, y, z = (a[0, corners:] for a in found[:5])
+    assert u[:81].tolist() == [*range(1, 160, 2), 1] and v[79:81].tolist() == [1, 3]
+    np.testing.assert_array_equal(found.kept[0, corners:], keep.mask[0, 1::2, 1::2].ravel())
+    np.testing.assert_array_equal(z, depth[1::2, 1::2].ravel())
+    for place, pixel, centre in ((x, u, 79.5), (y, v, 59.5)):
+        assert np.abs(place - (pixel - centre) / 120 * z).max() <= 1
+
     flags = replace(CONFIG, ground=replace(CONFIG.ground, camera_height_m=1.0))
     again = prepare(frames._replace(plane=None), flags)
     np.testing.assert_array_equal(again[0].keep, prepared[0].keep)
     none = replace(CONFIG, ground=replace(CONFIG.ground, source="none"))
     assert not prepare(frames._replace(plane=None), none)[0].plane.valid[0]
+
+
+def test_each_frame_corrects_its_floor():
+    (frame,) = sample_frames("mixed", 3, 1, width=320, height=240)
+    shot = shot_of(Spec("mixed", 3, 1), frame)
+    height, pitch, roll = shot.mount
+    told = frames_of([shot._replace(mount=(height, pitch + np.radians(2), roll))])
+    (prepared,) = prepare(told)
+    want = reference.find_floors(told, told.plane, CONFIG)
+    assert want.own[0] and prepared.plane == want.plane
+    assert abs(prepared.plane.pitch[0] - pitch) < np.radians(1)
+    aligned = reference.align(told.depth, told.calibration)
+    keep = reference.ground(aligned, want.plane, told.calibration, CONFIG)
+    np.testing.assert_array_equal(prepared.keep, keep.mask[0])
 
 
 def test_a_missing_module_is_named():

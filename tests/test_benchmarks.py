@@ -2,18 +2,20 @@
 
 import doctest
 import json
+from importlib import import_module
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from benchmarks import fit, gate, report
 from benchmarks.baselines.sortgap import sort_and_gap
 from benchmarks.points import points, settings
-from benchmarks.run import Case, Metric, Missing, metrics_of, with_peer
+from benchmarks.run import Case, Metric, Missing, check_equal, metrics_of, with_peer
+from benchmarks.scene import BATCH, on_cells
 from benchmarks.sweep import AXES, Point, points_of
 from jaxdet import reference
-from jaxdet.config import STAGES
 from jaxdet.presets import preset
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
@@ -133,6 +135,23 @@ def test_the_numpy_loop_equals_the_reference(n: int) -> None:
     assert n < 700 or want.max() < reference.cluster(found, 0.001, config).labels.max()
 
 
+@pytest.mark.parametrize("stage", ["cells", "floor", "surfaces", "obstacles", "outlines", "free"])
+def test_stages_on_cells_equal_the_reference(stage: str) -> None:
+    (case,) = import_module(f"benchmarks.bench_{stage}").cases()
+    assert case.equal and case.frames == BATCH
+    check_equal(stage, case.compared(case.run()), case.peer())
+    fewer = import_module(f"benchmarks.bench_{stage}").at(Point("640x480", 0, 3))
+    for ours, theirs in zip(jax.tree.leaves(case.run()), jax.tree.leaves(fewer.run()), strict=True):
+        np.testing.assert_array_equal(np.asarray(ours)[:3], np.asarray(theirs))
+    assert fewer.bytes_read > 0
+
+
+def test_the_scene_has_obstacles() -> None:
+    seen = on_cells("640x480")
+    assert seen.fit.own.all()
+    assert (seen.of("label", seen.obstacles).max(axis=(1, 2)) >= 2).all()
+
+
 # the sweep and its fits
 
 
@@ -141,7 +160,7 @@ def test_examples(module) -> None:
     assert doctest.testmod(module).failed == 0
 
 
-@pytest.mark.parametrize("stage", [*STAGES, "pipeline"])
+@pytest.mark.parametrize("stage", AXES)
 @pytest.mark.parametrize("kind", ["cpu", "gpu"])
 def test_fits_find_the_cost_that_was_put_in(stage: str, kind: str) -> None:
     def cost(p: Point) -> float:

@@ -5,10 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.config import SurfaceConfig
+from jaxdet.camera import cell_side
+from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.errors import CalibrationError
+from jaxdet.plane import linear_table, step_table
+from jaxdet.presets import preset
 from jaxdet.reference import align, cells
-from jaxdet.reference._cells import cell_side
+from jaxdet.reference._cells import cover
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 from tests.scenes import (
     D435,
@@ -50,8 +53,8 @@ def test_grid_of_whole_cells() -> None:
     assert grid.z.tolist() == [[[102, 700], [502, 0]]]
     assert grid.x.tolist() == [[[-1, 7], [-5, 0]]]  # (0.5 - 1.5) / 100 z, (2.5 - 1.5) / 100 z
     assert grid.y.tolist() == [[[-1, -7], [5, 0]]]
-    assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [2, 2]]]]
-    assert grid.uv_max.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [3, 3]]]]
+    assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [0, 0]]]]
+    assert grid.uv_max.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [0, 0]]]]
     assert grid.in_view.tolist() == [[[True, True], [True, False]]]
     assert {a.dtype.name for a in (grid.x, grid.y, grid.z, grid.uv_min, grid.uv_max)} == {"int32"}
 
@@ -80,6 +83,31 @@ def test_step_grows_with_the_square_of_depth() -> None:
     assert one_cell([[2990, 3100], [3100, 3100]], config) == 3100
 
 
+@pytest.mark.parametrize(
+    ("focal", "side", "at_4_m"), [(192.25, 1, 62), (384.5, 3, 54), (769.0, 6, 52)]
+)
+def test_the_step_height_grows_less_where_cells_have_more_pixels(
+    focal: float, side: int, at_4_m: int
+) -> None:
+    """5 cm, and 3 mm for each metre over the side: of the depth camera, where there is one."""
+    config = Config(GroundConfig(step_height_m=0.05, step_height_per_m=0.003), surface=THREE)
+    camera = Intrinsics(640, 480, focal, focal, 319.5, 239.5)
+    steps = step_table(Calibration(camera), config)
+    assert cell_side(camera, THREE.cell_rad) == side
+    assert (steps.shape, steps[0], steps[4000]) == ((65536,), 50, at_4_m)
+    apart = Calibration(D435_COLOR, camera, IDENTITY)
+    np.testing.assert_array_equal(step_table(apart, config), steps)
+    tenths = step_table(Calibration(camera, depth_unit=0.0001), config)
+    assert (tenths[0], tenths[40_000]) == (500, round(500 + 120 / side))
+
+
+def test_the_step_height_over_a_table() -> None:
+    """4 mm for each metre at a Kinect's cells of 4 pixels, which its table was learnt with."""
+    kinect = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
+    expected = linear_table(0.008, 0.004, 0.001)
+    np.testing.assert_array_equal(step_table(kinect, preset("tabletop")), expected)
+
+
 def test_depth_unit() -> None:
     """The step is metric, the depths are not."""
     camera = Intrinsics(2, 2, 100.0, 100.0, 0.5, 0.5)
@@ -93,7 +121,7 @@ def test_centre_is_moved_into_the_colour_camera() -> None:
     """``P = R K_d^-1 p d + t`` in floating point, to the nearest depth unit."""
     depth = smooth_depth(1, D435_DEPTH)
     depth[0, :200] = 2000
-    grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE)
+    grid, side = cells(depth, D435, THREE), cell_side(D435_DEPTH, THREE.cell_rad)
     flat = np.zeros(grid.z.shape[1:], bool)
     flat[: 200 // side] = True
     row, column = np.nonzero(flat)
@@ -197,7 +225,8 @@ def test_a_mirrored_image_has_mirrored_cells() -> None:
     other = cells(depth[:, :, ::-1], Calibration(camera), config)
     np.testing.assert_array_equal(other.z, one.z[:, :, ::-1])
     assert np.abs(other.x + one.x[:, :, ::-1]).max() <= 1
-    np.testing.assert_array_equal(other.uv_min[..., 0], 23 - one.uv_max[:, :, ::-1, 0])
+    seen, mirrored = other.in_view, 23 - one.uv_max[:, :, ::-1, 0]
+    np.testing.assert_array_equal(other.uv_min[seen, 0], mirrored[seen])
 
 
 # edges
@@ -213,7 +242,7 @@ def test_no_depth_at_all(calibration: Calibration) -> None:
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (639, 479), (7, 5), (1, 1)])
 def test_sizes(width: int, height: int) -> None:
     camera = Intrinsics(width, height, 640.0, 640.0, width / 2, height / 2)
-    side = cell_side(camera, THREE)
+    side = cell_side(camera, THREE.cell_rad)
     assert side == 5
     motion = Extrinsics(IDENTITY, (0.0, 0.0, 0.0))
     for calibration in (Calibration(camera), Calibration(camera, camera, motion)):
@@ -238,3 +267,25 @@ def test_what_cannot_be_calibrated() -> None:
         cells(depth, Calibration(wide), THREE)
     with pytest.raises(CalibrationError, match="no extrinsics"):
         cells(depth, Calibration(CAMERA, CAMERA), THREE)
+
+
+def test_cover_is_the_nearest_kept_cell_a_pixel_wider() -> None:
+    """Two cells beside each other and one far behind both; the first row is not kept."""
+    camera = Intrinsics(12, 9, 100.0, 100.0, 6.0, 4.5)
+    depth = np.full((1, 9, 12), 3000, np.uint16)
+    depth[:, 3:6, 3:6], depth[:, 3:6, 6:9] = 1000, 900
+    grid = cells(depth, Calibration(camera), SurfaceConfig(cell_rad=0.03))
+    keep = np.zeros((1, 3, 4), bool)
+    keep[0, 1, 1:3] = True
+    over = cover(grid, keep, camera)[0]
+    assert (over[2:7, 2:5] == 5).all() and (over[2:7, 5:10] == 6).all()
+    over[2:7, 2:10] = -1
+    assert (over == -1).all()
+
+
+def test_cover_of_equally_near_cells_is_the_first() -> None:
+    camera = Intrinsics(6, 3, 100.0, 100.0, 3.0, 1.5)
+    grid = cells(
+        np.full((1, 3, 6), 800, np.uint16), Calibration(camera), SurfaceConfig(cell_rad=0.03)
+    )
+    assert cover(grid, grid.in_view, camera)[0, 1].tolist() == [0, 0, 0, 0, 1, 1]

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from jaxdet import detect, stages
-from jaxdet.config import REACH, ClusterConfig, Config, FeaturesConfig, FootprintConfig
+from jaxdet.config import (
+    ClusterConfig,
+    Config,
+    FeaturesConfig,
+    FootprintConfig,
+    ObstacleConfig,
+    SurfaceConfig,
+)
 from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import Calibration, Frames, Keep, Labels
@@ -44,9 +51,8 @@ def test_the_stages_refuse_other_sizes():
     given = made()
     keep = Keep(np.ones((2, 60, 96), bool), np.ones((2, 60, 96), np.uint16), np.ones(2, bool))
     small_mask = keep._replace(mask=keep.mask[:, :30])
-    for align in (stages.align, lambda *a: stages.align_points(*a, keep.z[:, 0], keep.z[:, 0])):
-        with pytest.raises(CalibrationError, match="depth images of 96x20"):
-            align(given.depth[:, :20], given.calibration)
+    with pytest.raises(CalibrationError, match="depth images of 96x20"):
+        stages.align(given.depth[:, :20], given.calibration)
     for color, mask in ((given.color[:, :30], keep), (given.color, small_mask)):
         with pytest.raises(CalibrationError, match="images of 96x30"):
             stages.features(color, mask, given.calibration, FeaturesConfig())
@@ -57,7 +63,7 @@ def test_images_smaller_or_larger_than_the_kernels_take(width, height):
     camera = resized(small().color, width, height)
     z = np.zeros((1, height, width), np.uint16)
     color, keep = np.zeros((*z.shape, 3), np.uint8), Keep(z > 0, z, np.zeros(1, bool))
-    config = Config(features=FeaturesConfig(grid_columns=0))
+    config = Config()
     message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
     with pytest.raises(ConfigError, match=message):
         stages.features(color, keep, Calibration(camera), config.features)
@@ -77,9 +83,7 @@ def test_more_points_than_the_kernels_hold():
 @pytest.mark.parametrize(
     ("settings", "names"),
     [
-        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m", "min_points")),
-        (ClusterConfig, ("max_holes", "occluder_slope")),
-        (ClusterConfig, ("surface_height_m", "surface_gap_m", "surface_gap_per_m")),
+        (ClusterConfig, ("depth_gap_m", "lateral_gap_m", "min_points")),
         (FootprintConfig, ("vertex_threshold_m", "trim", "side_band_per_m", "near_band_per_m2")),
         (FootprintConfig, ("extension_m", "margin_m", "margin_per_m2")),
         (FeaturesConfig, ("min_distance",)),
@@ -93,14 +97,26 @@ def test_numbers_that_no_integer_holds(settings, names):
 
 
 def test_the_largest_numbers_work():
-    lengths = dict.fromkeys(("depth_gap_m", "lateral_gap_m", "slice_m", "occluder_m"), 1000.0)
-    wide = FootprintConfig(1000.0, 8192, 1000.0, 1000.0)
-    config = Config(features=FeaturesConfig(min_distance=8192.0), footprint=wide)
-    for slices in (0.0, 1000.0):
-        widest = {**lengths, "slice_m": slices, "max_holes": REACH, "occluder_slope": 2.0}
-        cluster = ClusterConfig(**widest, surface_gap_m=1000.0, surface_gap_per_m=1000.0)
-        given = made(), replace(config, cluster=cluster)
-        assert_equal(detect(*given), detect(*given, backend="reference"))
+    """Lengths of a kilometre, for points and for surfaces."""
+
+    def widest(part):
+        numbers = {"min_cells": 8192, "affinity": "surfaces", "cell_rad": 0.02, "beyond": 4.0}
+        numbers |= {"crease_cells": 16, "crease_margin": 16}
+        return {name: numbers.get(name, 1000.0) for name in part.__dataclass_fields__}
+
+    config = Config(
+        features=FeaturesConfig(min_distance=8192.0),
+        cluster=ClusterConfig(True, 1000.0, 1000.0, 8192),
+        footprint=FootprintConfig(1000.0, 8192, 1000.0, 1000.0),
+    )
+    surfaces = replace(
+        config, cluster=ClusterConfig(), surface=SurfaceConfig(**widest(SurfaceConfig))
+    )
+    obstacles = replace(
+        config, cluster=ClusterConfig(), obstacle=ObstacleConfig(**widest(ObstacleConfig))
+    )
+    for each in (config, surfaces, obstacles):
+        assert_equal(detect(made(), each), detect(made(), each, backend="reference"))
 
 
 def test_no_workers_are_an_error():

@@ -116,7 +116,7 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[cluster]\ngap = 1\n", r"bad.toml: no key 'gap' in \[cluster\]; it takes depth_gap_m"),
+        ("[cluster]\ngap = 1\n", r"bad.toml: no key 'gap' in \[cluster\]; it takes points, "),
         ("[clusters]\n", r"bad.toml: no section \[clusters\]"),
         ("cluster = 1\n", r"no section \[cluster\]"),
         ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not int"),
@@ -164,16 +164,11 @@ def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Capture
 def test_info_says_what_is_used_and_why(sim_log: Path, capsys: Captured) -> None:
     assert main(["info", str(sim_log)]) == 0
     text = capsys.readouterr().out
-    for part in ("topics", "<- color", "<- depth", "calibration", "camera 0.300 m up", "from tf"):
+    for part in ("topics", "<- color", "<- depth", "calibration", "from estimate"):
         assert part in text
+    assert "2 of 2 sampled frames show their floor" in text and "tf: 0.300 m up" in text
     assert main(["info", str(sim_log), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["logs"][0]["frames"] == 2
-
-
-def test_info_says_what_surfaces_start_from(sim_log: Path, capsys: Captured) -> None:
-    assert main(["info", str(sim_log), "--preset", "surfaces"]) == 0
-    text = capsys.readouterr().out
-    assert "2 of 2 sampled frames show their floor" in text and "tf: 0.300 m up" in text
 
 
 def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:

@@ -1,7 +1,6 @@
 """cluster: by hand, against SciPy's single linkage, and the twin."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,9 +14,6 @@ from jaxdet.errors import ConfigError
 from jaxdet.types import Features
 from tests.scenes import assert_equal, points
 
-gap_rule = partial(ClusterConfig, slice_m=0.0)
-"""The paper's: gaps in depth, then sideways."""
-
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
 
 
@@ -25,7 +21,7 @@ def config(depth_gap: int = 100, lateral_gap: int = 400, min_points: int = 2) ->
     """Gaps in depth units of 1 mm."""
     return replace(
         Config(),
-        cluster=gap_rule(
+        cluster=ClusterConfig(
             depth_gap_m=depth_gap / 1000,
             lateral_gap_m=lateral_gap / 1000,
             min_points=min_points,
@@ -143,7 +139,7 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
     ("batch", "n", "min_points"), [(1, 1, 0), (1, 7, 0), (3, 100, 2), (2, 1024, 10), (2, 5000, 2)]
 )
 @pytest.mark.parametrize("spread", [3, 500, 65535])
-def test_twin(device, cluster_form, batch, n, spread, min_points):
+def test_twin(device, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
     given_ = features, 0.001, config(30, 60, min_points)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))

@@ -12,21 +12,31 @@ from jaxdet import detect, metric
 from jaxdet.config import Config, GroundConfig
 from jaxdet.eval import BoxTally, score_boxes, tally_boxes
 from jaxdet.io import open_log
+from jaxdet.metric import floors
 from jaxdet.plane import flat_plane, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import align, ground
-from jaxdet.reference._detect import MAX_OBSTACLES
 from jaxdet.sim import DepthSensor, SimConfig, sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.sim.frames import SimFrame, simulate_frame
 from jaxdet.sim.looks import CARTON, POST, RED_CRATE, WOOD
 from jaxdet.sim.scene import Box, Cylinder, Ground, Scene
 from jaxdet.sim.scene import Path as Way
-from jaxdet.types import Calibration, Detections, Frames, FreeEnd, GroundPlane, Intrinsics, Refusal
+from jaxdet.types import (
+    MAX_OBSTACLES,
+    Calibration,
+    Detections,
+    Frames,
+    FreeEnd,
+    GroundPlane,
+    Intrinsics,
+    Refusal,
+)
 from tests.floor_cells import CAMERA, Pose, cast
 from tests.scenes import D435, assert_equal, frames
 
-SURFACES = preset("surfaces")
+SURFACES = Config()
+UNIT = 0.001
 POSE = Pose(0.5, 15.0, 0.0)
 MARGIN = SURFACES.footprint.margin_per_m2 * 1.2**2
 """Of an obstacle whose nearest point is 1.2 m ahead [m]."""
@@ -96,8 +106,8 @@ def test_a_box_in_exact_depth() -> None:
     assert len(contour) > 30 and (np.abs(contour[2:-2, 1] - 1200) < 15).all()
     assert (np.diff(contour[:, 0]) > 0).all()
     assert metric.distances(detections)[0, 0] == pytest.approx(1200, abs=15)
-    assert scene.own_floor[0] and scene.refused[0] == Refusal.NONE
-    assert scene.plane.height[0] == pytest.approx(POSE.height, abs=0.004)
+    assert floors(scene, UNIT).own[0] and floors(scene, UNIT).refused[0] == Refusal.NONE
+    assert floors(scene, UNIT).plane.height[0] == pytest.approx(POSE.height, abs=0.004)
 
 
 def test_free_floor_before_and_beside_a_box() -> None:
@@ -113,6 +123,22 @@ def test_free_floor_before_and_beside_a_box() -> None:
     assert FreeEnd.DROP not in end
     beyond = line[end == FreeEnd.RANGE, 1, 1]
     assert len(beyond) > 50 and (beyond > 3400).all() and (beyond <= 4000).all()
+
+
+def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
+    """A box 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
+    fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)
+    coarse = made(cast(POSE, [((-0.5, 2.6, 0.0), (0.5, 3.4, 0.09))])[None], POSE.plane())
+    depth = np.kron(coarse.depth, np.ones((1, 2, 2), np.uint16))
+    black = np.zeros((1, 240, 320, 3), np.uint8)
+    fine = frames(Calibration(fine_camera), black, depth, plane=POSE.plane())
+
+    def kept(given: Frames, per_m: float) -> np.ndarray:
+        config = replace(SURFACES, ground=GroundConfig(step_height_per_m=per_m))
+        return found(given, config).features.kept[0, SURFACES.features.max_corners :]
+
+    np.testing.assert_array_equal(kept(coarse, 0.01), kept(fine, 0.02))
+    assert kept(fine, 0.02).sum() > kept(coarse, 0.02).sum()
 
 
 def test_features_are_corners_and_every_second_cell() -> None:
@@ -159,7 +185,7 @@ def test_families(family: str, things: int) -> None:
     for frame in sample_frames(family, 0, 1, width=320, height=240):
         detections = found(of(frame))
         assert count(detections) == things
-        assert detections.scene and detections.scene.own_floor[0]
+        assert detections.scene and floors(detections.scene, UNIT).own[0]
 
 
 CARTON_BOX = Box((1.5, 0.0), (0.3, 0.4, 0.4), 0.0, CARTON)
@@ -211,7 +237,7 @@ def test_as_many_as_there_are_whatever_the_prior(things: int, scene: dict) -> No
     for wrong_deg in (2.0, -2.0):
         other = found(of(frame, wrong_deg))
         assert count(other) == things
-        assert other.scene and other.scene.own_floor[0]
+        assert other.scene and floors(other.scene, UNIT).own[0]
         assert np.abs(sizes(other) - sizes(true)).max(initial=0) < 0.05
 
 
@@ -298,7 +324,11 @@ def test_no_depth_at_all(calibration: Calibration, known: bool) -> None:
     assert count(detections) == 0 and not detections.has_depth[0]
     assert not detections.features.valid.any() and not detections.features.overflow[0]
     scene = detections.scene
-    assert scene and not scene.own_floor[0] and scene.refused[0] == Refusal.TOO_LITTLE
+    assert (
+        scene
+        and not floors(scene, UNIT).own[0]
+        and floors(scene, UNIT).refused[0] == Refusal.TOO_LITTLE
+    )
     assert not scene.free.any() and (scene.free_end == FreeEnd.UNKNOWN).all()
     assert not np.concatenate([a.ravel() for a in detections.obstacles]).any()
 
@@ -308,7 +338,7 @@ def test_without_a_floor_nothing_is_floor() -> None:
     config = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
     detections = found(made(cast(POSE, [BOX])[None], None), config)
     scene = detections.scene
-    assert scene and not scene.own_floor[0] and not scene.plane.valid[0]
+    assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
     assert count(detections) >= 1
     assert detections.features.kept[0].mean() > 0.4
     assert FreeEnd.RANGE not in scene.free_end and FreeEnd.DROP not in scene.free_end
@@ -317,7 +347,7 @@ def test_without_a_floor_nothing_is_floor() -> None:
 def test_no_floor_is_looked_for() -> None:
     config = replace(SURFACES, ground=GroundConfig(source="none"))
     scene = found(made(cast(POSE, [BOX])[None], None), config).scene
-    assert scene and not scene.own_floor[0] and not scene.plane.valid[0]
+    assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
 
 
 def test_more_obstacles_than_there_is_room_for() -> None:
@@ -329,7 +359,7 @@ def test_more_obstacles_than_there_is_room_for() -> None:
             depth[0, 9 * row : 9 * row + 6, 9 * column : 9 * column + 6] = z
     loose = replace(SURFACES.obstacle, forward_gap_m=0.0)
     detections = found(made(depth, unknown_plane(1)), replace(SURFACES, obstacle=loose))
-    assert detections.scene and not detections.scene.own_floor[0]
+    assert detections.scene and not floors(detections.scene, UNIT).own[0]
     assert count(detections) == MAX_OBSTACLES < 13 * 17
     assert detections.features.overflow[0]
     assert detections.labels.labels.max() == MAX_OBSTACLES - 1
@@ -378,7 +408,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
         for batch in log.batches(1):
             given = batch.frames._replace(plane=None)
             number, unit = int(given.number[0]), given.calibration.depth_unit
-            if recording.held_out and number % recording.held_out == recording.held_out - 1:
+            if recording.holds_out(number):
                 continue
             aligned = align(given.depth, given.calibration)
             z_m = aligned.z[0] * unit
@@ -392,7 +422,7 @@ def judged(shared_data: Path, name: str, config: Config, **changes: Any) -> list
                 [detections.obstacles.uv_min[0, :n], detections.obstacles.uv_max[0, :n]], axis=1
             )
             nearest = metric.extents(detections.obstacles, unit).minimum[0, :n, 2]
-            kept = ground(aligned, scene.plane, given.calibration, config).mask[0]
+            kept = ground(aligned, floors(scene, UNIT).plane, given.calibration, config).mask[0]
             tallies.append(tally_boxes(labels, boxes, nearest, kept, z_m > 0, recording.least_iou))
     return tallies
 

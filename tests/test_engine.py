@@ -12,13 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet import engine
-from jaxdet.config import Config, GroundConfig
+from jaxdet.config import ClusterConfig, Config, GroundConfig
 from jaxdet.engine import RunOptions, decide_planes
 from jaxdet.engine import loop as engine_loop
 from jaxdet.engine.ground import evenly
 from jaxdet.engine.prefetch import prefetch
 from jaxdet.errors import ConfigError, FrameStatus, InputError
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
+from jaxdet.plane import flat_plane
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
 
@@ -57,12 +58,12 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     keys = [(row["log"], row["frame"], row["obstacle"]) for row in obstacles]
     assert keys == sorted(keys)
     assert all(row["corners_world"] is not None for row in obstacles)
-    assert frames[0]["camera_height_m"] == pytest.approx(0.30, abs=1e-3)
+    assert frames[0]["camera_height_m"] == pytest.approx(0.30, abs=0.01)
     pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
     assert pictures == [f"sim_{i:06d}.png" for i in (0, 3, 6)]
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert read["status"]["ok"] == 7
-    assert read["logs"][0]["ground"][0]["source"] == "tf"
+    assert read["logs"][0]["ground"][0]["source"] == "estimate"
     assert summary.obstacles == len(obstacles) > 0
     scores = summary.logs[0].score
     assert scores is not None
@@ -74,13 +75,13 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
 
 
 def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
-    run(sim_log, tmp_path, backend="reference", pictures=0)
+    summary = run(sim_log, tmp_path, backend="reference", pictures=0)
     grid = np.load(tmp_path / "map_sim.npz")
     with open_log(find_logs([str(sim_log)])[0]) as log:
         poses = log.read(range(7)).frames.T_world_camera
     assert poses is not None
     np.testing.assert_array_equal(grid["path"], poses[:, :2, 3])
-    assert grid["counts"].max() <= 7
+    assert 0 < grid["counts"].max() <= summary.obstacles
     assert grid["counts"].dtype == np.int32
 
 
@@ -163,7 +164,7 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
     assert rows[0]["camera_height_m"] is None
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"
-    assert any("no floor" in w for w in summary.logs[0].warnings)
+    assert any("5 of 5 frames don't show their floor" in w for w in summary.logs[0].warnings)
     assert any("no poses" in w for w in summary.logs[0].warnings)
 
 
@@ -218,18 +219,18 @@ def test_sources_of_the_ground() -> None:
 
 
 def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    from jaxdet.engine import planes as module
-    from jaxdet.pipeline import PlaneEstimate
-    from jaxdet.plane import flagged_plane
+    from jaxdet.engine import prior
+    from jaxdet.floor_units import FloorFit
 
-    def by_first_frame(frames: Frames, config: Config, *, backend: str) -> PlaneEstimate:
-        height = 0.5 + int(frames.number[0]) / 100
-        plane = flagged_plane(GroundConfig(camera_height_m=height))
-        return PlaneEstimate(plane, 0.5, 0.01, 1, "")
+    def by_first_frame(frames: Frames, config: Config, *, backend: str) -> FloorFit:
+        own = frames.valid
+        height = np.full(len(own), 0.5 + int(frames.number[0]) / 100)
+        plane = flat_plane(height, 0 * height, 0 * height, own)
+        return FloorFit(plane, own, 0.5 * own, 0 * own, np.zeros((len(own), 8)))
 
-    monkeypatch.setattr(module, "estimate_plane", by_first_frame)
+    monkeypatch.setattr(prior, "find_floors", by_first_frame)
     log: Any = FakeLog()
-    config = Config(ground=GroundConfig(window_s=0.5))
+    config = Config(GroundConfig(window_s=0.5), cluster=ClusterConfig(points=True))
     planes = decide_planes(log, config, "reference")
     starts = [record.window_start_ns for record in planes.records]
     assert starts == [500_000_000, 1_000_000_000, 1_500_000_000]
@@ -238,6 +239,7 @@ def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.valid.tolist() == [True] * 6 + [False] * 4  # no readable pair in the last one
     assert "1 of 3 time windows" in planes.warnings[0]
     assert not planes.of(np.array([0])).valid.any()
+    assert not decide_planes(log, Config(config.ground), "reference").warnings
 
 
 def test_evenly_takes_both_ends() -> None:

@@ -10,11 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet import detect, engine
-from jaxdet.cli import main
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions, Workers
 from jaxdet.engine.summary import LogSummary
-from jaxdet.errors import ConfigError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.presets import preset
 from jaxdet.sim import SimConfig, write_log
@@ -36,7 +34,7 @@ def sim_log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def run(log: Path, output: Path, config: Config | None = None, **options: Any) -> LogSummary:
-    config = config or preset("surfaces")
+    config = config or Config()
     given = RunOptions(output, "reference", **{"pictures": 0, **options})
     return engine.run(find_logs([str(log)]), config, LogOptions(), given).logs[0]
 
@@ -86,7 +84,7 @@ def test_the_map_knows_what_is_free(tmp_path: Path) -> None:
 
 def test_each_frame_is_as_alone(sim_log: Path) -> None:
     """What is found with the prior of the log is what ``detect`` finds with it."""
-    config = preset("surfaces")
+    config = Config()
     with open_log(find_logs([str(sim_log)])[0]) as log:
         planes = engine.decide_planes(log, config, "reference")
         frames = log.read(range(FRAMES)).frames
@@ -106,7 +104,7 @@ def test_a_wrong_mount_is_corrected(tmp_path: Path) -> None:
 
 
 def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path) -> None:
-    log, config = simulated(tmp_path), preset("surfaces")
+    log, config = simulated(tmp_path), Config()
     flags = replace(config.ground, camera_height_m=0.7, camera_pitch_rad=0.5)
     about = run(log, tmp_path / "out", replace(config, ground=flags))
     frames, _ = tables(tmp_path / "out")
@@ -120,7 +118,7 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path
 
 
 def test_source_none_drops_nothing_as_floor(tmp_path: Path) -> None:
-    log, config = simulated(tmp_path), preset("surfaces")
+    log, config = simulated(tmp_path), Config()
     nothing = replace(config, ground=replace(config.ground, source="none"))
     about = run(log, tmp_path / "out", nothing)
     frames, obstacles = tables(tmp_path / "out")
@@ -136,22 +134,3 @@ def test_on_a_table(tmp_path: Path) -> None:
     frames, obstacles = tables(tmp_path / "out")
     assert len(frames) == FRAMES and obstacles
     assert {row["status"] for row in frames} == {"ok"}
-
-
-def test_the_jitted_backend_is_refused_before_anything_is_made(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    log, out = simulated(tmp_path, scene="empty"), tmp_path / "out"
-    args = ["run", str(log), "--output", str(out), "--preset", "surfaces"]
-    assert main([*args, "--backend", "jax"]) == 2
-    said = capfd.readouterr()
-    assert said.out == "" and "use --backend reference" in said.err
-    lines = [line for line in said.err.splitlines() if not line.startswith("Warp")]
-    assert len(lines) == 1 and lines[0].startswith("jaxdet: error: ")
-    assert not out.exists()
-    with pytest.raises(ConfigError, match="--backend reference"):
-        engine.run(find_logs([str(log)]), preset("surfaces"), LogOptions(), RunOptions(out))
-    flags = ["--surface.cell-rad", "0.0", "--quiet", "--pictures", "0", "--floor.no-ramps"]
-    assert main([*args, "--backend", "reference", *flags]) == 0
-    config = json.loads((out / "config.json").read_text(encoding="utf-8"))
-    assert config["surface"]["cell_rad"] == 0.0 and config["floor"]["ramps"] is False

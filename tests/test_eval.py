@@ -186,7 +186,7 @@ def test_shapes():
     a[0, 0], b[0, 0] = (0, 1000), (800, 1000)
     found = detections(on(1, 0), [1000], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
     config = EvalConfig(
-        footprint=FootprintConfig(extension_m=0.5, cover=False, margin_m=0.0),
+        footprint=FootprintConfig(extension_m=0.5, margin_per_m2=0.0),
         coverage_margin_m=0.005,
     )
     got = evaluate(found, where, config=config)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from jaxdet.config import Config
 from jaxdet.eval import (
     EvalConfig,
     Tally,
@@ -16,13 +17,12 @@ from jaxdet.eval import (
 )
 from jaxdet.pipeline import detect
 from jaxdet.plane import flat_plane, unknown_plane
-from jaxdet.presets import preset
 from jaxdet.sim import floor_truth, sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.types import Detections, Frames, Scene
+from jaxdet.types import Detections, Frames, Refusal, Scene
 from tests.scenes import frames, small, smooth_depth
 
-CONFIG = EvalConfig(footprint=preset("surfaces").footprint, min_visible_pixels=3)
+CONFIG = EvalConfig(footprint=Config().footprint, min_visible_pixels=3)
 
 
 def found() -> Detections:
@@ -31,7 +31,7 @@ def found() -> Detections:
     color = np.zeros((2, 60, 80, 3), np.uint8)
     plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))
     given: Frames = frames(calibration, color, smooth_depth(2, calibration.color), plane=plane)
-    empty = detect(given, preset("surfaces"), backend="reference")
+    empty = detect(given, backend="reference")
     obstacles, scene = empty.obstacles, empty.scene
     assert scene is not None
     margin = round(CONFIG.footprint.margin_m * 1000)
@@ -69,7 +69,9 @@ def test_by_hand() -> None:
     heights[0, 0] = 501, 900
     hanging = claimed_floor(with_scene(low, bottom_top=heights), FLOOR, 0.001, CONFIG)
     assert hanging[0].drivable_claimed == 1
-    unknown = with_scene(low, bottom_top=heights, plane=unknown_plane(2))
+    floor = 0 * detections.scene.floor
+    floor[:, 7] = Refusal.TOO_LITTLE
+    unknown = with_scene(low, bottom_top=heights, floor=floor, prior=unknown_plane(2))
     assert claimed_floor(unknown, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
     points = low._replace(scene=None)
     assert claimed_floor(points, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
@@ -113,7 +115,7 @@ def test_a_run_counts_it(tmp_path) -> None:
     path = tmp_path / "sim.mcap"
     write_log(path, SimConfig(frames=2, width=320, height=240))
     options = RunOptions(tmp_path / "out", "reference", 2, pictures=0, truth=path)
-    summary = run(find_logs([str(path)]), preset("surfaces"), LogOptions(), options)
+    summary = run(find_logs([str(path)]), Config(), LogOptions(), options)
     figures = summary.logs[0].score
     assert figures is not None and figures["drivable_pixels"] > 10000
     assert 0 < figures["free_claimed"] <= figures["free_claimed_worst"] < 0.2

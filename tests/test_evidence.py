@@ -114,7 +114,7 @@ def test_what_is_seen_by_hand() -> None:
 
 def test_less_and_more_go_by_size_not_by_number() -> None:
     """Equal numbers of cells: the narrower one, nearer here, is the lesser."""
-    ((one), (other)) = ([(20, 10, 1000), (60, 10, 1500)], [(60, 10, 1500), (20, 10, 1000)])
+    one, other = ([(20, 10, 1000), (60, 10, 1500)], [(60, 10, 1500), (20, 10, 1000)])
     assert seen_of(one) == seen_of(other)
     (seen,) = seen_of(one)
     assert seen["cells_less"] == seen["cells_more"] and seen["width_less"] < seen["width_more"]

@@ -31,8 +31,8 @@ def grey_images() -> list[np.ndarray]:
 
 
 def corners_only(**changes) -> FeaturesConfig:
-    """The paper's bounds and no grid, with a mask."""
-    plain = FeaturesConfig(canny_low=100, canny_high=200, min_distance=5.0, grid_columns=0)
+    """The paper's bounds, with a mask."""
+    plain = FeaturesConfig(canny_low=100, canny_high=200, min_distance=5.0)
     return replace(plain, **changes)
 
 
@@ -177,7 +177,6 @@ CONFIGS = {
     "root": corners_only(max_corners=3000, min_distance=2**0.5),
     "few": corners_only(max_corners=20, min_distance=12.5),
     "dense": corners_only(max_corners=4000, min_distance=0, quality_level=0.0001),
-    "grid": FeaturesConfig(max_corners=30, grid_columns=20),
 }
 
 

@@ -15,7 +15,7 @@ from jaxdet.reference._corners import _scaled_sobel, _window_maximum, min_eigenv
 from jaxdet.types import Calibration, Keep
 from tests.scenes import D435_COLOR, assert_equal, blocks, recorded_colors, resized
 
-CORNERS = FeaturesConfig(grid_columns=0, max_corners=200)
+CORNERS = FeaturesConfig(max_corners=200)
 
 
 def spiral(height: int, width: int) -> np.ndarray:

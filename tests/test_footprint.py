@@ -12,13 +12,15 @@ from jaxdet.config import ClusterConfig, Config, FootprintConfig
 from jaxdet.errors import ConfigError
 from jaxdet.metric import rectangles
 from jaxdet.plane import ground_axes
+from jaxdet.presets import PRESETS
 from jaxdet.reference._footprint import to_ground
 from jaxdet.stages._footprint import to_ground as to_ground_twin
 from jaxdet.types import Features, Labels
 from tests.scenes import assert_equal, level, points
 
 BACKENDS = pytest.mark.parametrize("backend", [reference, stages], ids=["reference", "stages"])
-CONFIG = replace(Config(), cluster=ClusterConfig(min_points=0))
+PAPER = PRESETS["paper"].footprint
+CONFIG = replace(Config(), footprint=PAPER, cluster=ClusterConfig(points=True, min_points=0))
 
 
 def measure(backend, x, z, labels, plane=None, config=CONFIG):
@@ -80,28 +82,10 @@ def test_bad_values_name_the_flag():
         FootprintConfig(extension_m=0)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 3000))
-@settings(max_examples=80)
-def test_a_covering_rectangle_holds_every_point(seed, count, spread):
-    rng = np.random.default_rng(seed)
-    x, z = rng.integers(-spread, spread + 1, count), 500 + rng.integers(0, spread, count)
-    found = measure(reference, x, z, [0] * count, level(1))
-    margin = float(rng.choice([0.01, 0.05]))
-    corners = rectangles(found, 0.001, FootprintConfig(margin_m=margin))[0, 0] * 1000
-    for i in range(4):
-        edge, inward = corners[(i + 1) % 4] - corners[i], corners[(i + 2) % 4] - corners[i]
-        normal = np.array([-edge[1], edge[0]]) * np.sign(edge[0] * inward[1] - edge[1] * inward[0])
-        normal = normal / np.hypot(*normal)
-        distance = (np.stack([x, z], axis=1) - corners[i]) @ normal
-        assert distance.min() >= 1000 * margin - 1e-6
-
-
-def test_without_cover_it_is_the_papers_rectangle():
+def test_it_is_the_papers_rectangle():
     found = measure(reference, [-300, 0, 200], [1500, 1000, 1400], [0, 0, 0])
-    plain = rectangles(found, 0.001, FootprintConfig(cover=False, margin_m=0.0))[0, 0]
+    plain = rectangles(found, 0.001, PRESETS["paper"].footprint)[0, 0]
     assert np.allclose(plain[:2], [[-0.3, 1.5], [0.2, 1.4]])
-    covering = rectangles(found, 0.001, FootprintConfig(margin_m=0.0))[0, 0]
-    assert np.allclose(covering, plain, atol=0.002)
 
 
 def outline(trim=0, side=0.0, near=0.0):
@@ -158,7 +142,7 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
     [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 3.0, 9.0)],
 )
 @pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (2, 5000), (1, 8191), (1, 8192)])
-def test_twin(device, footprint_form, batch, n, settings):
+def test_twin(device, batch, n, settings):
     plane = level(batch, 0.5, 0.3, -0.2)
     plane.pitch[-1], plane.valid[0] = -0.1, False
     config = replace(CONFIG, footprint=settings)
@@ -169,7 +153,7 @@ def test_twin(device, footprint_form, batch, n, settings):
     assert_equal(stages.footprint(*given_), want)
 
 
-def test_twin_without_obstacles(device, footprint_form):
+def test_twin_without_obstacles(device):
     features, labels = hostile_features(0, 2, 30)
     none = Labels(np.full_like(labels.labels, -1), np.zeros(2, np.int32))
     given_ = features, none, level(2), 0.001, CONFIG

@@ -1,18 +1,10 @@
-"""free_floor: how far the floor is seen and what ends it; and the ground frame it is seen in."""
+"""free_floor: how far the floor is seen and what ends it."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.plane import (
-    UNKNOWN_HEIGHT,
-    down_vector,
-    flat_plane,
-    floor_frame,
-    ramp_rise,
-    unknown_plane,
-)
 from jaxdet.reference._free import BESIDE, FloorView, free_floor
 from jaxdet.types import FreeEnd
 
@@ -204,50 +196,3 @@ def test_nothing() -> None:
 def test_narrow_grids(count: int) -> None:
     line, end = narrow(*[column(*floor(500, 900), "1200")] * count, count=count)
     assert end == [FreeEnd.OBSTACLE] * count and line.shape == (count, 2, 2)
-
-
-# the ground frame
-
-
-def test_ground_frame_of_a_level_camera() -> None:
-    plane = flat_plane(np.array([0.4, 1.0]), np.zeros(2), np.zeros(2))
-    xyz = np.array([[-100, 20], [400, -50], [1000, 3000]])
-    right, forward, height = floor_frame(plane, 0, xyz, 0.001)
-    assert right.tolist() == [-100, 20] and forward.tolist() == [1000, 3000]
-    assert height.tolist() == [0, 450]
-    assert floor_frame(plane, 1, xyz, 0.001)[2].tolist() == [600, 1050]
-    assert floor_frame(plane, 1, 10 * xyz, 0.0001)[2].tolist() == [6000, 10500]
-
-
-@given(
-    st.floats(-0.6, 1.3),
-    st.floats(-0.5, 0.5),
-    st.lists(st.tuples(*[st.integers(-4000, 4000)] * 3), min_size=1, max_size=5),
-)
-def test_ground_frame_is_a_rotation(pitch: float, roll: float, points: list) -> None:
-    plane = flat_plane(*(np.array([a]) for a in (0.5, pitch, roll)))
-    xyz = np.array(points).T
-    right, forward, height = floor_frame(plane, 0, xyz, 0.001)
-    down = down_vector(plane.pitch, plane.roll)[0]
-    assert np.abs(500 - down @ xyz - height).max() <= 2.0
-    length = np.sqrt(right**2.0 + forward**2.0 + (500 - height) ** 2.0)
-    np.testing.assert_allclose(length, np.sqrt((xyz**2.0).sum(axis=0)), atol=4)
-
-
-def test_ground_frame_without_a_floor() -> None:
-    """Level, and everything is high above."""
-    xyz = np.array([[5], [700], [900]])
-    right, forward, height = floor_frame(unknown_plane(1), 0, xyz, 0.001)
-    assert (right.tolist(), forward.tolist(), height.tolist()) == ([5], [900], [UNKNOWN_HEIGHT])
-
-
-def test_ramps_raise_the_floor() -> None:
-    plane = flat_plane(np.ones(3), np.zeros(3), np.zeros(3))
-    plane = plane._replace(
-        ramp_start=np.array([1.5, 1.5, np.inf]), ramp_slope=np.array([0.125, -0.25, 0])
-    )
-    forward = np.array([-3, 0, 1500, 1508, 2300])
-    assert ramp_rise(plane, 0, forward, 0.001).tolist() == [0, 0, 0, 1, 100]
-    assert ramp_rise(plane, 1, forward, 0.001).tolist() == [0, 0, 0, -2, -200]
-    assert ramp_rise(plane, 2, forward, 0.001).tolist() == [0] * 5
-    assert ramp_rise(plane, 0, 10 * forward, 0.0001).tolist() == [0, 0, 0, 10, 1000]

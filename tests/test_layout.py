@@ -10,23 +10,23 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
-STAGES_WITH_KERNELS = ("align", "features")
-STAGES_WITH_CONFIG = STAGES[1:]
+"""Of obstacles made of points; features are corners on cells too."""
+STEPS = ("cells", "floor", "surfaces", "obstacles", "outlines", "free")
+"""Of obstacles made of surfaces; both backends join them in their ``_detect.py``."""
+BENCHMARKS = {*STAGES, *STEPS, "pipeline"} - {"ground"}
+SECTIONS = ("ground", "features", "cluster", "footprint", "floor", "surface", "obstacle")
+"""Parts of the configuration; a step's has its name in the singular."""
+EXPORTS = {"detect", "find_floors", *STAGES}
 HEAVY = ("cv2", "jax", "matplotlib", "mcap", "numba", "pyarrow", "warp")
 SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
 
 
-def stage_files(stage: str) -> list[str]:
-    """The files that a stage consists of, relative to the root."""
-    files = [
-        f"jaxdet/reference/_{stage}.py",
-        f"jaxdet/stages/_{stage}.py",
-        f"tests/test_{stage}.py",
-        f"benchmarks/bench_{stage}.py",
-    ]
-    if stage in STAGES_WITH_KERNELS:
-        files.append(f"kernels/jaxdet_kernels/{stage}.py")
-    return files
+def named_files() -> list[str]:
+    """The files that stages and steps consist of, relative to the root."""
+    twins = [f"jaxdet/{side}/_{n}.py" for n in STAGES + STEPS for side in ("reference", "stages")]
+    tests = [f"tests/test_{name}.py" for name in STAGES]
+    tests += [f"tests/test_{name}_program.py" for name in STEPS]
+    return twins + tests + [f"benchmarks/bench_{name}.py" for name in sorted(BENCHMARKS)]
 
 
 def exported(package: Path) -> set[str]:
@@ -38,20 +38,17 @@ def exported(package: Path) -> set[str]:
 
 
 def layout_faults(root: Path) -> list[str]:
-    """What breaks "one name for a stage everywhere" in the tree at ``root``."""
-    faults = []
+    """What breaks "one name everywhere" in the tree at ``root``."""
+    faults = [f"{file} is missing" for file in named_files() if not (root / file).is_file()]
     config = ast.parse((root / "jaxdet/config.py").read_text(encoding="utf-8"))
     classes = {node.name for node in config.body if isinstance(node, ast.ClassDef)}
-    for stage in STAGES:
-        faults += [
-            f"{file} is missing" for file in stage_files(stage) if not (root / file).is_file()
-        ]
-        if stage in STAGES_WITH_CONFIG and f"{stage.capitalize()}Config" not in classes:
-            faults.append(f"jaxdet/config.py lacks {stage.capitalize()}Config")
+    wanted = {f"{name.capitalize()}Config" for name in SECTIONS}
+    faults += [f"jaxdet/config.py lacks {name}" for name in sorted(wanted - classes)]
     for package in ("reference", "stages"):
-        hidden = set(STAGES) - exported(root / "jaxdet" / package)
-        faults += [f"jaxdet.{package} does not export {stage}" for stage in sorted(hidden)]
-    return faults
+        hidden = EXPORTS - exported(root / "jaxdet" / package)
+        faults += [f"jaxdet.{package} does not export {name}" for name in sorted(hidden)]
+    timed = {path.stem.removeprefix("bench_") for path in root.glob("benchmarks/bench_*.py")}
+    return faults + [f"bench_{name}.py is of no stage" for name in sorted(timed - BENCHMARKS)]
 
 
 def tree(root: Path) -> list[Path]:
@@ -64,18 +61,24 @@ def tree(root: Path) -> list[Path]:
     return sorted(files)
 
 
-def test_each_stage_has_its_files_config_and_exports() -> None:
+def test_each_stage_and_step_has_its_files_config_and_exports() -> None:
     assert layout_faults(ROOT) == []
 
 
-def test_a_missing_stage_file_is_found(tmp_path: Path) -> None:
-    for top in ("jaxdet", "kernels", "tests", "benchmarks"):
+def test_what_is_missing_or_strange_is_found(tmp_path: Path) -> None:
+    for top in ("jaxdet", "tests", "benchmarks"):
         skip = shutil.ignore_patterns("__pycache__", "goldens")
         shutil.copytree(ROOT / top, tmp_path / top, ignore=skip)
-    for lost in [file for stage in STAGES for file in stage_files(stage)]:
+    for lost in named_files():
+        fault = f"{lost} is missing"
         (tmp_path / lost).rename(tmp_path / "lost")
-        assert layout_faults(tmp_path) == [f"{lost} is missing"]
+        assert layout_faults(tmp_path) == [fault]
         (tmp_path / "lost").rename(tmp_path / lost)
+    (tmp_path / "benchmarks/bench_else.py").touch()
+    assert layout_faults(tmp_path) == ["bench_else.py is of no stage"]
+    for package in ("reference", "stages"):
+        (tmp_path / "jaxdet" / package / "__init__.py").write_text("", encoding="utf-8")
+    assert len(layout_faults(tmp_path)) == 1 + 2 * len(EXPORTS)
 
 
 def test_kernels_is_a_source_root() -> None:

@@ -12,7 +12,7 @@ from jaxdet.config import FootprintConfig
 from jaxdet.plane import down_vector, flat_plane, ground_axes
 from jaxdet.types import Obstacles
 
-CONFIG = FootprintConfig(extension_m=0.2, cover=False, margin_m=0.0)
+CONFIG = FootprintConfig(extension_m=0.2, margin_per_m2=0.0)
 
 
 def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles:
@@ -23,7 +23,7 @@ def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles
     count = np.ones((1, 1), np.int32)
     vertex = np.array([[has_vertex]])
     span = np.zeros((*pa.shape[:-1], 4), np.int32)
-    return Obstacles(count, uv, uv, point, point, point, pa, pb, pc, vertex, pa, span)
+    return Obstacles(count, uv, uv, point, point, point, pa, pb, pc, vertex, 0 * pa, span)
 
 
 def corners(*args: Any) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Outlines on the floor: contours, their straight parts, and the rectangle that fits."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,8 +11,9 @@ from hypothesis.extra.numpy import arrays
 
 from jaxdet import metric
 from jaxdet.config import FootprintConfig
+from jaxdet.plane import DIRECTION_BITS
+from jaxdet.presets import PRESETS
 from jaxdet.reference._outlines import (
-    DIRECTION_BITS,
     contours,
     fitted_direction,
     fitted_span,
@@ -20,7 +23,7 @@ from jaxdet.reference._outlines import (
 from jaxdet.types import MAX_CONTOUR, Obstacles
 
 LONG = 1500
-FITTED = FootprintConfig(fitted=True, margin_m=0.0)
+FITTED = FootprintConfig(margin_per_m2=0.0)
 
 
 def turned(points: np.ndarray, degrees: float, to: tuple[float, float] = (0, 0)) -> np.ndarray:
@@ -76,7 +79,7 @@ def test_contour_is_the_nearest_cell_of_each_column() -> None:
     assert points[0, :3].tolist() == [[-9, 60], [-4, 70], [4, 70]]
     assert points[1, :2].tolist() == [[3, 40], [31, 40]]
     assert not points[0, 3:].any() and not points[2].any()
-    assert points.shape == (3, MAX_CONTOUR, 2) and points.dtype == np.int32
+    assert points.shape == (3, 4, 2) and points.dtype == np.int32
 
 
 def test_contour_without_room() -> None:
@@ -190,18 +193,19 @@ def test_the_margin_grows_with_the_square_of_z() -> None:
     """2 m ahead: 1 cm and four times 5 mm."""
     one = fitted(np.array([512, 0]), 512 * np.array([-100, 500, 2000, 2300]))
     one = one._replace(xyz_min=np.array([[[-100, 0, 2000]]], np.int32))
-    config = FootprintConfig(fitted=True, margin_m=0.01, margin_per_m2=0.005)
+    config = FootprintConfig(margin_m=0.01, margin_per_m2=0.005)
     corners = metric.rectangles(one, 0.001, config)[0, 0]
     np.testing.assert_allclose(corners[:2], [[-0.13, 1.97], [0.53, 1.97]], atol=1e-12)
-    wide = metric.rectangles(one, 0.001, FootprintConfig(cover=True, margin_m=0.03))
-    same = FootprintConfig(cover=True, margin_m=0.01, margin_per_m2=0.005)
+    plain = PRESETS["paper"].footprint
+    wide = metric.rectangles(one, 0.001, replace(plain, margin_m=0.03))
+    same = replace(plain, margin_m=0.01, margin_per_m2=0.005)
     np.testing.assert_allclose(metric.rectangles(one, 0.001, same), wide, atol=1e-12)
 
 
 def test_fitted_rectangle_by_hand() -> None:
     """0.6 m wide, from 1.0 to 1.3 m ahead: A and B are the near side, a margin all around."""
     edge, span = np.array([512, 0]), 512 * np.array([-100, 500, 1000, 1300])
-    config = FootprintConfig(fitted=True, margin_m=0.03)
+    config = FootprintConfig(margin_m=0.03, margin_per_m2=0.0)
     corners = metric.rectangles(fitted(edge, span), 0.001, config)[0, 0]
     np.testing.assert_allclose(
         corners, [[-0.13, 0.97], [0.53, 0.97], [0.53, 1.33], [-0.13, 1.33]], atol=1e-12
@@ -216,7 +220,7 @@ def test_ab_is_the_side_nearest_to_the_camera() -> None:
 
 
 def test_a_single_point_has_the_margin() -> None:
-    config, point = FootprintConfig(fitted=True, margin_m=0.02), np.array([[300, 1200]])
+    config, point = FootprintConfig(margin_m=0.02, margin_per_m2=0.0), np.array([[300, 1200]])
     direction = fitted_direction(point)
     one = fitted(direction, span_of(point, direction))
     corners = metric.rectangles(one, 0.001, config)[0, 0]

@@ -15,11 +15,11 @@ from benchmarks.paper import labelled, realframes, section
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import BOXES, RECORDINGS, Recording, find_recordings, read_boxes
 from benchmarks.paper.plan import Counts
+from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions, run
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs, open_log
-from jaxdet.pipeline import load_backend
 from jaxdet.sim import SimConfig, load_obstacle_ids, write_log
 
 FRAMES = {"aims_slam": 18, "d435_boxes_felixchenfy": 10}
@@ -79,7 +79,8 @@ def test_a_made_recording(made):
         assert by_key[stem.format(part, "precision")] == 1
         assert by_key[stem.format(part, "swamped")] == 0
         assert by_key[stem.format(part, "floor_kept")] < 0.02
-        assert by_key[stem.format(part, "error_p90_m")] < 0.1
+        # The least of many cells up to 3 m away, where depth has a deviation of 3.6 cm.
+        assert by_key[stem.format(part, "error_p90_m")] < 0.12
     table = next(block for block in found.blocks if isinstance(block, section.Table))
     assert [row[:3] for row in table.rows] == [
         ("row.tuning", "wheeled", "2"),
@@ -118,7 +119,7 @@ def test_distances_are_in_the_depth_images(shared_data, tmp_path, name):
         assert log.num_frames == FRAMES[name]
         for batch in log.batches(1):
             frames = batch.frames
-            z_m = load_backend("reference").align(frames.depth, frames.calibration).z[0] * 1e-3
+            z_m = reference.align(frames.depth, frames.calibration).z[0] * 1e-3
             objects, distance, _ = boxes[int(frames.number[0])]
             for (u, v, right, bottom), metres in zip(objects, distance, strict=True):
                 part = z_m[v : bottom + 1, u : right + 1]

@@ -37,9 +37,8 @@ def recorded_frames(shared_data: Path) -> Frames:
 
 CONFIGS = {
     **{name: PRESETS[name] for name in ("wheeled", "paper", "d455")},
-    "grid": replace(Config(), features=FeaturesConfig(max_corners=200, grid_columns=40)),
     "few_slots": replace(Config(), features=FeaturesConfig(max_corners=60)),
-    "tight": replace(Config(), cluster=ClusterConfig(0.02, lateral_gap_m=0.05, min_points=2)),
+    "tight": replace(Config(), cluster=ClusterConfig(True, 0.02, lateral_gap_m=0.05, min_points=2)),
 }
 
 
@@ -101,12 +100,6 @@ def test_empty_depth_is_told_apart_from_no_obstacle():
     found = detect(given)
     assert np.asarray(found.has_depth).tolist() == [True, False]
     assert np.asarray(found.labels.num_obstacles)[1] == 0
-
-
-def test_too_many_points_are_an_error():
-    config = replace(Config(), features=FeaturesConfig(max_corners=8192, grid_columns=20))
-    with pytest.raises(ConfigError, match=r"features\.grid-columns"):
-        detect(made_frames(1), config)
 
 
 def test_unknown_names_are_errors():

@@ -8,9 +8,9 @@ import pytest
 
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.engine import Planes, decide_planes, prior
-from jaxdet.engine.sampled_floor import sampled_floor
+from jaxdet.floor_units import FloorFit
 from jaxdet.plane import flat_plane, unknown_plane
-from jaxdet.reference import FloorFit
+from jaxdet.sampled_floor import sampled_floor
 
 MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 
@@ -32,12 +32,12 @@ class Sampled:
         frames = _Frames(np.array(indices), np.ones(n, bool), None)
         return SimpleNamespace(frames=frames)
 
-    def find(self, frames: Any, config: Config) -> FloorFit:
+    def find(self, frames: Any, config: Config, backend: str) -> FloorFit:
         self.priors.append(frames.plane)
         own = self.own[frames.number]
         height = np.where(own, self.heights[frames.number], frames.plane.height)
         plane = flat_plane(height, 0 * height + 0.1, 0 * height, own | frames.plane.valid)
-        return FloorFit(plane, own, 0.5 * own, np.where(own, 0, 1))
+        return FloorFit(plane, own, 0.5 * own, np.where(own, 0, 1), np.zeros((own.size, 8)))
 
 
 class _Frames(SimpleNamespace):

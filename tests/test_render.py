@@ -8,10 +8,9 @@ import pytest
 
 from jaxdet.config import Config
 from jaxdet.engine.rows import to_host
-from jaxdet.metric import rectangles
+from jaxdet.metric import floors, rectangles
 from jaxdet.pipeline import detect
 from jaxdet.plane import flat_plane, unknown_plane
-from jaxdet.presets import preset
 from jaxdet.render import MapImage, canvas, draw_frame, draw_map, write_png
 from jaxdet.render.topview import View, ground_points
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
@@ -87,9 +86,9 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
     depth = np.where(floor < 2000, floor, np.where(lower < 6000, lower, 0)) + np.zeros((1, 160))
     depth[30:80, 90:140] = 1200
     frames = frames._replace(depth=depth[None].astype(np.uint16))
-    config = preset("surfaces")
+    config = Config()
     found = to_host(detect(frames, config, backend="reference"))
-    assert found.scene is not None and found.scene.own_floor[0]
+    assert found.scene is not None and floors(found.scene, 0.001).own[0]
     corners = rectangles(found.obstacles, 0.001, config.footprint)
     image = draw_frame(frames, found, corners, 0, config, "")[46:-40]
     assert found.labels.num_obstacles[0] == 1 and has_color(image, canvas.color_of(0))

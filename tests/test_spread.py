@@ -13,9 +13,10 @@ from jaxdet import detect, engine
 from jaxdet.config import Config
 from jaxdet.engine import local
 from jaxdet.io import LogOptions, find_logs
+from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.stages import _program, _program_cpu, _upload
-from jaxdet.types import Calibration, Frames
+from jaxdet.stages import _upload
+from jaxdet.types import Frames
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
 
@@ -27,21 +28,13 @@ def scene(batch: int) -> Frames:
 
 
 @pytest.mark.parametrize("batch", [1, 2, 5])
-def test_two_devices_equal_the_reference(monkeypatch, batch):
-    """The CUDA program's way over the devices, with the CPU's program in its place."""
-
-    def tables(calibration: Calibration) -> Any:
-        arrays, *flags = _program_cpu._align_tables(calibration)
-        return arrays, tuple(flags)
-
-    monkeypatch.setattr(jax, "local_devices", lambda: jax.devices("cpu"))
-    monkeypatch.setattr(_program, "_detect", _program_cpu._detect)
-    monkeypatch.setattr(_program, "_align_tables", tables)
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_two_devices_equal_the_reference(name, batch):
     assert len(jax.devices("cpu")) == 2
-    given, config = scene(batch), Config()
-    found = _program.detect(given, given.plane, config)
+    given, config = scene(batch), PRESETS[name]
+    found = detect(given, config)
     assert_equal(found, detect(given, config, backend="reference"))
-    if batch == 2:
+    if batch == 2 and jax.default_backend() == "cpu":
         shards = found.features.u.addressable_shards
         assert [shard.data.shape[0] for shard in shards] == [1, 1]
         assert [shard.device for shard in shards] == jax.devices("cpu")
@@ -77,7 +70,7 @@ def test_rings_of_buffers_keep_what_is_in_use(monkeypatch, tmp_path):
     )
     monkeypatch.setattr(_upload, "wp", stand_in)
     monkeypatch.setattr(_upload, "_empty", empty)
-    monkeypatch.setattr(local, "_on_cuda", lambda work: True)
+    monkeypatch.setattr(local, "_on_cuda", lambda: True)
     with jax.default_device(jax.devices("cpu")[0]):
         runs(path, tmp_path, [("reference", 23), ("jax", 1), ("jax", 3)])
     assert len(copies) == 2 * (23 + 8)

@@ -20,7 +20,6 @@ from tests.scenes import (
     noise_depth,
     small,
     smooth_depth,
-    with_lens,
 )
 
 BATCHES = pytest.mark.parametrize("batch", [1, 2, 3, 7])
@@ -49,16 +48,6 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
     calibration = small(96, 61)
     depth = noise_depth(batch, calibration.depth)
     given = frames(calibration, blocks(batch, 61, 96), depth, plane=level(batch, 0.3))
-    assert stages.covers(given)
-    assert_equal(detect(given), detect(given, backend="reference"))
-
-
-def test_stages_one_by_one_do_not_depend_on_the_threads(threads):
-    """A distorted depth camera keeps the stages apart."""
-    base = small(96, 61)
-    calibration = base._replace(depth=with_lens(base.depth, "rational"))
-    depth = noise_depth(5, calibration.depth)
-    given = frames(calibration, blocks(5, 61, 96), depth, plane=level(5, 0.3))
     assert_equal(detect(given), detect(given, backend="reference"))
 
 

@@ -1,19 +1,14 @@
 """The baselines, each with its parameters and where it is from."""
 
-from collections.abc import Mapping
 from dataclasses import asdict
 
 from benchmarks.baselines import clustering, cure, dcc, ddc, dense, perch, rock, rsc
-from benchmarks.baselines.registry import Baseline, Params
+from benchmarks.baselines.registry import Baseline
 from jaxdet.presets import preset
 
 SCALES = (1.0, 4.0)
 """Stretch of z: none, or as the paper's gaps have it, 0.40 m to the side and 0.10 m in depth."""
 DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
-SLICES_M = {
-    "slice_m": (0.07, 0.10, 0.15, 0.2, 0.3),
-    "lateral_gap_m": (0.07, 0.1, 0.15, 0.2, 0.3),
-}
 SKLEARN = "scikit-learn: Pedregosa et al., JMLR 12 (2011), 2825-2830"
 RSC = "Xie et al., Information Sciences 527 (2020), 279-292; our reading"
 
@@ -42,24 +37,15 @@ def _rsc(name: str, title: str, root: str) -> Baseline:
     )
 
 
-def _ours(
-    name: str, title: str, defaults: Params, grid: Mapping[str, tuple[float, ...]]
-) -> Baseline:
-    return Baseline(
-        name=name,
-        title=title,
-        run=clustering.ours,
+_ALL = (
+    Baseline(
+        name="paper",
+        title="The paper's rule (reference)",
+        run=clustering.paper,
         space="frame",
         citation="Liu et al., Electronics 12 (2023), 2316, Section 3.4",
-        defaults=defaults,
-        grid=grid,
-    )
-
-
-PAPER = asdict(preset("paper").cluster)
-_ALL = (
-    _ours("ours", "Ours", {}, SLICES_M),
-    _ours("paper", "The paper's rule (reference)", PAPER, {}),
+        defaults=asdict(preset("paper").cluster),
+    ),
     _hierarchical("ward", 1.0, (0.3, 0.6, 1.0, 2.0, 4.0, 8.0)),
     _hierarchical("complete", 0.6, (0.3, 0.4, 0.6, 0.9, 1.3, 2.0)),
     _hierarchical("average", 0.4, DISTANCES_M),
@@ -194,4 +180,4 @@ _ALL = (
 )
 
 BASELINES: dict[str, Baseline] = {baseline.name: baseline for baseline in _ALL}
-"""All but the detector, which needs the user's weights, by name; ``ours`` comes first."""
+"""All but the detector, which needs the user's weights, by name."""

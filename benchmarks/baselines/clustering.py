@@ -1,4 +1,4 @@
-"""Clustering by scikit-learn and SciPy, and ours, on a frame's kept features."""
+"""Clustering by scikit-learn and SciPy, and by the paper's rule, on a frame's kept features."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -98,8 +98,8 @@ def chameleon(
     return cluster_sample(points, limit, model.fit_predict)
 
 
-def ours(frame: Frame, config: Config, **params: Any) -> np.ndarray:
-    """The reference's cluster stage.
+def paper(frame: Frame, config: Config, **params: Any) -> np.ndarray:
+    """The paper's rule: the reference's cluster stage.
 
     Args:
         frame: The frame.

@@ -8,12 +8,12 @@ import numpy as np
 from jaxdet import reference
 from jaxdet.camera import fixed_rays
 from jaxdet.config import MAX_POINTS, Config
-from jaxdet.floor import fit_floor, fit_ramp
-from jaxdet.pipeline import BackendName, known_plane, load_backend
-from jaxdet.plane import join_planes, repeat_plane
+from jaxdet.pipeline import find_floors
 from jaxdet.reference._features import lateral
-from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Labels
+from jaxdet.types import Calibration, Detections, Features, Frames, GroundPlane, Keep, Labels
 
+GRID_COLUMNS = 80
+"""Columns of the grid of pixels that are points beside the corners."""
 Space = Literal["xz", "xyz", "frame", "image"]
 
 
@@ -33,50 +33,48 @@ class Frame(NamedTuple):
     calibration: Calibration
 
 
-def prepare(
-    frames: Frames, config: Config | None = None, *, backend: BackendName = "reference"
-) -> list[Frame]:
-    """Runs the stages before clustering on a batch; padding is left out.
+def prepare(frames: Frames, config: Config | None = None) -> list[Frame]:
+    """Runs the reference's stages before clustering on a batch; padding is left out.
+
+    The floor is that of each frame as :func:`jaxdet.detect` finds it, and the points are the
+    default's corners on kept pixels and the kept pixels of a grid of ``GRID_COLUMNS`` columns, so
+    that surfaces without corners are seen by their depth.
 
     Args:
-        frames: ``B`` frames; without a plane it is the configuration's, or estimated from them.
-            With time windows in the configuration, each frame is one.
+        frames: ``B`` frames; ``plane`` is what is known of each frame's floor, where that is None
+            the configuration's.
         config: Range, floor and feature parameters.
-        backend: Both give the same arrays.
     """
-    config = config or Config()
-    stages, calibration = load_backend(backend), frames.calibration
-    aligned = stages.align(frames.depth, calibration)
-    plane = _floor(frames, np.asarray(aligned.z), config)
-    keep = stages.ground(aligned, plane, calibration, config)
-    found = stages.features(frames.color, keep, calibration, config.features)
-    z, mask = np.asarray(keep.z), np.asarray(keep.mask)
-    features = Features(*(np.asarray(a) for a in found))
+    config, calibration = config or Config(), frames.calibration
+    plane = find_floors(frames, config, backend="reference").plane
+    keep = reference.ground(reference.align(frames.depth, calibration), plane, calibration, config)
+    corners = reference.features(frames.color, keep, calibration, config.features)
+    features = _with_grid(corners, keep, calibration)
     return [
         Frame(
             frames.color[b],
-            z[b],
-            mask[b],
+            keep.z[b],
+            keep.mask[b],
             Features(*(a[b : b + 1] for a in features)),
-            GroundPlane(*(np.asarray(a)[b : b + 1] for a in plane)),
+            GroundPlane(*(a[b : b + 1] for a in plane)),
             calibration,
         )
         for b in np.flatnonzero(frames.valid)
     ]
 
 
-def _floor(frames: Frames, z: np.ndarray, config: Config) -> GroundPlane:
-    ground, calibration, known = config.ground, frames.calibration, known_plane(frames, config)
-    if not ground.window_s:
-        return known or repeat_plane(fit_floor(z[frames.valid], calibration, ground).plane, len(z))
-    each: list[GroundPlane] = []
-    for b in range(len(z)):
-        if known is None:
-            each.append(fit_floor(z[b : b + 1], calibration, ground).plane)
-        else:
-            plane = GroundPlane(*(a[b : b + 1] for a in known))
-            each.append(fit_ramp(z[b : b + 1], plane, calibration, ground))
-    return join_planes(each)
+def _with_grid(corners: Features, keep: Keep, calibration: Calibration) -> Features:
+    """Corners, then the kept pixels of a grid with square meshes, row by row."""
+    batch, height, width = keep.mask.shape
+    step = max(1, round(width / GRID_COLUMNS))
+    v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step].astype(np.int32)
+    u, v = (np.broadcast_to(a.ravel(), (batch, a.size)) for a in (u, v))
+    frame = np.arange(batch)[:, None]
+    z, kept = keep.z[frame, v, u].astype(np.int32), keep.mask[frame, v, u]
+    x, y = (lateral(ray[v, u], z) for ray in fixed_rays(calibration.color))
+    grid = Features(u, v, x, y, z, kept, kept, corners.overflow)
+    parts = zip(corners[:-1], grid[:-1], strict=True)
+    return Features(*[np.concatenate(part, axis=1) for part in parts], overflow=corners.overflow)
 
 
 def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:

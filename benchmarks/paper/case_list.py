@@ -1,4 +1,4 @@
-"""The list of single hard cases, and what a review found the default to do in each."""
+"""The list of single hard cases, and what a review found an earlier default to do in each."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -35,7 +35,7 @@ class Case(NamedTuple):
     title: str
     build: Callable[[Draft], Scene]
     review: str = ""
-    """What the review says of the default: found of its scenes, or in words."""
+    """What the review says of it: found of its scenes, or in words."""
     asked: Asked = "found"
     within_m: float = np.inf
     """A detection that is this far nearer or farther than its thing does not find it [m]."""

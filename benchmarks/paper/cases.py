@@ -11,7 +11,7 @@ from benchmarks.paper.free import claim_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Shot, Spec, shot_of
-from benchmarks.paper.systems import Prepared, System, eval_config, found_by, held
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
 from jaxdet.eval import Tally, evaluate_frames, score
 from jaxdet.sim import SimConfig
 from jaxdet.sim.draft import Draft
@@ -28,7 +28,7 @@ class Task(NamedTuple):
     key: str
     seed: int
     width: int
-    systems: tuple[System, ...]
+    system: System
 
 
 class Outcome(NamedTuple):
@@ -36,29 +36,24 @@ class Outcome(NamedTuple):
 
     tally: Tally
     """Of the things asked for."""
-    drop_m: float | None
-    """How far the reported step down is, NaN where none is reported; None: the system has no such
-    report."""
+    drop_m: float
+    """How far the reported step down is, NaN where none is reported."""
     true_drop_m: float
     claimed: float
     """Share of the free floor inside outlines."""
 
 
-def judge_case(task: Task) -> dict[str, Outcome]:
-    """Draws a scene and runs the systems on it."""
+def judge_case(task: Task) -> Outcome:
+    """Draws a scene and runs the system on it."""
     case = CASES[task.key]
     shot, true_drop_m = _draw(case, task.seed, task.width)
-    prepared = Prepared([shot])
-    out: dict[str, Outcome] = {}
-    for system in task.systems:
-        found = found_by(system, prepared)[0]
-        out[system.name] = Outcome(
-            _tally(case, shot, found, system),
-            drop_of(found, shot.calibration.depth_unit),
-            true_drop_m,
-            claim_of(shot, found, system.config).share,
-        )
-    return out
+    found = found_by(task.system, Prepared([shot]))[0]
+    return Outcome(
+        _tally(case, shot, found, task.system),
+        drop_of(found, shot.calibration.depth_unit),
+        true_drop_m,
+        claim_of(shot, found, task.system.config).share,
+    )
 
 
 def _draw(case: Case, seed: int, width: int) -> tuple[Shot, float]:
@@ -83,20 +78,18 @@ def _tally(case: Case, shot: Shot, found: Detections, system: System) -> Tally:
     return tally._replace(cases=mine, found=sum(one.found for one in mine))
 
 
-def drop_of(found: Detections, unit: float) -> float | None:
+def drop_of(found: Detections, unit: float) -> float:
     """How far a frame's reported step down is.
 
     Args:
-        found: ``B = 1``.
+        found: ``B = 1``, with a scene.
         unit: Metres in a depth unit.
 
     Returns:
         The median forward distance [m] of the columns of cells that end in a drop beside others
-        that do, at least :data:`NEIGHBOURS` side by side; NaN where there are none; None where
-        the method reports no free floor.
+        that do, at least :data:`NEIGHBOURS` side by side; NaN where there are none.
     """
-    if found.scene is None:
-        return None
+    assert found.scene is not None
     ends = np.asarray(found.scene.free_end[0]) == FreeEnd.DROP
     edges = np.flatnonzero(np.diff(np.r_[False, ends, False]))
     runs = [np.arange(a, b) for a, b in edges.reshape(-1, 2) if b - a >= NEIGHBOURS]
@@ -115,12 +108,12 @@ def run(lab: Lab) -> Section:
         "normal light unless said. Found: each thing has a detection of its own, at least half of "
         "whose points lie on it, however low and small it is (a pane: within 30 cm of it, not what "
         "is seen behind). A step down is reported where the free "
-        f"floor ends in a drop in at least {NEIGHBOURS} neighbouring columns of cells; the preset "
-        "wheeled (the default) has no such report. The last column is what a review found the "
-        "default to do in scenes of its own of the same kind, an earlier version of it."
+        f"floor ends in a drop in at least {NEIGHBOURS} neighbouring columns of cells. The last "
+        "column is what a review found an earlier default, of clustered points, to do in scenes of "
+        "its own of the same kind."
     )
-    chosen = held(lab.config)
-    tasks = [Task(key, seed, lab.counts.width, chosen) for key in CASES for seed in seeds]
+    system = ours(lab.config)
+    tasks = [Task(key, seed, lab.counts.width, system) for key in CASES for seed in seeds]
     lab.log(f"{len(tasks)} frames of single cases")
     lab.store.drawn += len(tasks)
     parts = iter(lab.run(judge_case, tasks))
@@ -128,12 +121,9 @@ def run(lab: Lab) -> Section:
     for group in dict.fromkeys(case.group for case in CASES.values()):
         rows = []
         for case in (case for case in CASES.values() if case.group == group):
-            row = [case.title]
-            for system in chosen:
-                mine = [one[system.name] for one in outcomes[case.key]]
-                row.append(_cell(section, f"{system.name}.{case.key}", case, mine))
-            rows.append([*row, case.review])
-        section.table(["Case", *(s.title for s in chosen), "Review"], rows, group)
+            cell = _cell(section, f"{OURS}.{case.key}", case, outcomes[case.key])
+            rows.append([case.title, cell, case.review])
+        section.table(["Case", system.title, "Review"], rows, group)
     return section
 
 
@@ -146,9 +136,7 @@ def _cell(section: Section, key: str, case: Case, mine: Sequence[Outcome]) -> st
         return f"{percent(float(np.mean(shares)))}, worst {percent(max(shares))}"
     if case.asked == "found":
         return _found_cell(section, key, case, [one.tally for one in mine])
-    told = [one.drop_m for one in mine if one.drop_m is not None]
-    if not told:
-        return "no report"
+    told = [one.drop_m for one in mine]
     reported = [drop for drop in told if np.isfinite(drop)]
     right = len(reported) if case.asked == "drop" else len(told) - len(reported)
     name = "reported" if case.asked == "drop" else "none_reported"

@@ -4,7 +4,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.plan import LIGHTS, SCENES
 from benchmarks.paper.section import Section, number, percent
-from benchmarks.paper.systems import OURS, PRESET, SURFACES, UNEVEN
+from benchmarks.paper.systems import OURS, PAPER
 from jaxdet.eval import score
 
 
@@ -25,7 +25,7 @@ def run(lab: Lab) -> Section:
         **{scene: ((scene,), LIGHTS) for scene in SCENES},
     }
     titles = {system.name: system.title for system in lab.systems}
-    for name in (OURS, SURFACES, UNEVEN, PRESET):
+    for name in (OURS, PAPER):
         rows: list[list[str]] = []
         for group, (scenes, lights) in groups.items():
             tallies = lab.tallies(name, scenes, lights)

@@ -19,6 +19,9 @@ from jaxdet.types import Detections
 NEAR_M = 2.0
 """Obstacles missed nearer than this are pictured first."""
 
+FEW_POINTS = 2
+"""Corners and sampled cells: of the least obstacle eight cells are seen, a fourth are points."""
+
 
 class Failure(NamedTuple):
     """A frame with mistakes."""
@@ -90,9 +93,7 @@ def reasons(shot: Shot, system: System, tally: Tally) -> list[tuple[int, str]]:
     found = found_by(system, Prepared([shot]))[0]
     counted = eval_config(system.config)
     unit = shot.calibration.depth_unit
-    return [
-        (number, _reason(found, shot.truth, number, unit, counted, system)) for number in missed
-    ]
+    return [(number, _reason(found, shot.truth, number, unit, counted)) for number in missed]
 
 
 def _reason(
@@ -101,16 +102,15 @@ def _reason(
     number: int,
     unit: float,
     counted: EvalConfig,
-    system: System,
 ) -> str:
     kept, features = found.features.kept[0], found.features
     labels = found.labels.labels[0, kept]
     objects = objects_of(features, truth, 0, unit, counted)[kept]
     mine = labels[objects == number]
-    if len(mine) <= system.config.cluster.min_points:
-        return "missed: too few features with depth"
-    if (mine >= 0).sum() <= system.config.cluster.min_points:
-        return "missed: its features fell into small sets"
+    if len(mine) <= FEW_POINTS:
+        return "missed: too little of it was measured above the floor"
+    if (mine >= 0).sum() <= FEW_POINTS:
+        return "missed: what was measured of it is in no obstacle"
     label = np.bincount(mine[mine >= 0]).argmax()
     others = objects[labels == label]
     solid = np.concatenate([[False], ~truth.is_wall])

@@ -8,10 +8,10 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.shots import frames_of
-from benchmarks.paper.systems import PRESET, SURFACES, UNEVEN
+from benchmarks.paper.systems import OURS, PAPER
 from benchmarks.paper.timing import process_ms
 
-ROWS = ("ours", SURFACES, UNEVEN, PRESET, "hierarchical_ward", "rsc", "dbscan", "range_image")
+ROWS = (OURS, PAPER, "hierarchical_ward", "rsc", "dbscan", "range_image")
 FIGURES = {"accuracy": "ACC", "fmi": "FMI", "f1": "F1"}
 
 
@@ -33,7 +33,7 @@ def run(lab: Lab) -> Section:
             for light in LIGHTS:
                 one = found[n, light]
                 paper = paper_figures.LIGHT_ACC.get(light)
-                known = paper if (n, figure) == ("ours", "accuracy") else None
+                known = paper if (n, figure) == (OURS, "accuracy") else None
                 key, ends = f"{n}.{light}.{figure}", one.intervals[figure]
                 section.add(key, one.value(figure), "", "higher", ends, known)
     shown, axes = plots.canvas(3, 13, 4.2)
@@ -44,7 +44,7 @@ def run(lab: Lab) -> Section:
                 [found[n, i].intervals[figure].low for i in LIGHTS],
                 [found[n, i].intervals[figure].high for i in LIGHTS],
                 [paper_figures.LIGHT_ACC.get(i) for i in LIGHTS]
-                if (n, figure) == ("ours", "accuracy")
+                if (n, figure) == (OURS, "accuracy")
                 else None,
             )
             for n in ROWS

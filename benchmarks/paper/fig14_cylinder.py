@@ -1,6 +1,5 @@
 """Fig. 14: how exactly a cylinder of 9 cm diameter is measured, by distance and illumination."""
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -9,12 +8,10 @@ from benchmarks.paper import paper_figures, plots
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, bootstrap
-from benchmarks.paper.systems import OURS, SURFACES, held
+from benchmarks.paper.systems import ours
 from jaxdet.eval import Tally, total
 
 NAMES = ("position", "width")
-ROWS = {OURS: "", SURFACES: f"{SURFACES}."}
-"""The systems and how their figures' names begin."""
 
 
 class Errors(NamedTuple):
@@ -38,21 +35,20 @@ def errors_of(tally: Tally) -> Errors:
     return Errors(*np.where(found[:, None], np.abs(every), np.inf).T)
 
 
-def cells_of(lab: Lab) -> dict[tuple[str, float, str], Errors]:
-    """The errors in every cell, by system, distance and light."""
+def cells_of(lab: Lab) -> dict[tuple[float, str], Errors]:
+    """The errors in every cell, by distance and light."""
     seeds = lab.seeds[: lab.counts.cylinder_seeds]
-    chosen = held(lab.config)
+    system = ours(lab.config)
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [
         lab.spec("cylinder", seed, 1, light, distance_m=d) for d, light in keys for seed in seeds
     ]
     lab.log(f"{len(specs)} frames of the cylinder")
-    parts = iter(lab.judge(specs, chosen))
-    cells: dict[tuple[str, float, str], Errors] = {}
+    parts = iter(lab.judge(specs, [system]))
+    cells: dict[tuple[float, str], Errors] = {}
     for key in keys:
         mine = [next(parts) for _ in seeds]
-        for name in ROWS:
-            cells[name, *key] = errors_of(total(tally for part in mine for tally in part[name]))
+        cells[key] = errors_of(total(tally for part in mine for tally in part[system.name]))
     return cells
 
 
@@ -67,27 +63,26 @@ def run(lab: Lab) -> Section:
         "cm; a cylinder that was not found counts with an infinite error. The paper draws its "
         f"figure without numbers; by its text: {paper_figures.CYLINDER}."
     )
-    titles = {system.name: system.title for system in held(lab.config)}
-    for system, name in product(ROWS, NAMES):
+    for name in NAMES:
         rows: list[list[str]] = []
         for light in LIGHTS:
             row = [light]
             for distance in DISTANCES_M:
-                one = cells[system, distance, light]
+                one = cells[distance, light]
                 middle, high = one.quantile(name, 0.5), one.quantile(name, 0.9)
                 ends = bootstrap(getattr(one, name), 0.5)
-                key = f"{ROWS[system]}{light}.{distance:g}m.{name}"
+                key = f"{light}.{distance:g}m.{name}"
                 section.add(f"{key}.median", middle, "m", "lower", ends)
                 section.add(f"{key}.p90", high, "m", "lower")
                 row.append(f"{_cm(middle)} / {_cm(high)}")
             rows.append(row)
         header = [f"{name.capitalize()} [cm]", *(f"{d:g} m" for d in DISTANCES_M)]
-        section.table(header, rows, f"{titles[system]}: median / 90th percentile")
+        section.table(header, rows, "Median / 90th percentile")
     figure, axes = plots.canvas(2, 11, 4)
     for ax, name in zip(axes, NAMES, strict=True):
         series = {
             light: plots.Series(
-                [_finite(100 * cells[OURS, d, light].quantile(name, 0.5)) for d in DISTANCES_M]
+                [_finite(100 * cells[d, light].quantile(name, 0.5)) for d in DISTANCES_M]
             )
             for light in LIGHTS
         }
@@ -96,7 +91,7 @@ def run(lab: Lab) -> Section:
         ax.set_xlabel("distance [m]")
         ax.set_ylim(bottom=0)
     plots.legend(figure, axes[0], 4)
-    caption = "Errors of ours (default) on the cylinder; dotted the paper's bound of 2 cm."
+    caption = "Errors of ours on the cylinder; dotted the paper's bound of 2 cm."
     section.picture("errors", plots.png(figure), caption)
     return section
 

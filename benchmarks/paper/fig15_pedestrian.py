@@ -8,7 +8,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
-from benchmarks.paper.systems import Prepared, eval_config, found_by, held
+from benchmarks.paper.systems import Prepared, eval_config, found_by, ours
 from jaxdet.engine.occupancy import OccupancyMap
 from jaxdet.eval import evaluate_frames, total
 from jaxdet.metric import rectangles, to_world
@@ -25,7 +25,7 @@ def run(lab: Lab) -> Section:
     seed = lab.seeds[0]
     spec = lab.spec("pedestrian", seed, lab.counts.log_frames, log=True, rate_hz=RATE_HZ)
     shots = lab.load([spec])
-    results = found_by(held(lab.config)[0], Prepared(shots))
+    results = found_by(ours(lab.config), Prepared(shots))
     corners: list[np.ndarray] = []
     occupancy = OccupancyMap()
     tallies = []

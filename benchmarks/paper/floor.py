@@ -1,28 +1,27 @@
 """Ours: how much of the floor is kept, and how much of the obstacles, under tilt and slope."""
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.baselines import prepare
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.measure import measured
 from benchmarks.paper.plan import PITCHES_DEG, ROLLS_DEG, SLOPES_DEG
 from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import Shot, frames_of, load_shots
 from benchmarks.paper.systems import eval_config
-from jaxdet import detect, reference
+from jaxdet import reference
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.eval import Tally, keep_shares, total
-from jaxdet.presets import preset
+from jaxdet.pipeline import find_floors
 
-SURFACES = "surfaces"
-SOURCES = ("tf", "uneven", "estimate", SURFACES)
-"""Where the floor is from: the camera's mount on the robot; with the preset uneven, that and a
-ramp looked for in the depth image; with the same preset all from the depth image; or with the
-preset surfaces, the mount and a ramp, corrected by the depth image."""
+SOURCES = ("tf", "estimate")
+"""What is known before each frame's own depth is looked at: the camera's mount on the robot, or
+nothing."""
 PIXELS = "_pixels"
 """After a source's name: of all pixels that show the floor, or an obstacle."""
 KINDS = ("", PIXELS)
@@ -38,7 +37,7 @@ class Task(NamedTuple):
 
 
 def judge_floor(task: Task) -> dict[str, list[Tally]]:
-    """What the ground stage keeps in each frame of a file, by source."""
+    """What is kept above the floor in each frame of a file, by source."""
     out: dict[str, list[Tally]] = {source + kind: [] for source in SOURCES for kind in KINDS}
     ground, counted = task.config.ground, eval_config(task.config)
     for shot in load_shots(task.path):
@@ -63,17 +62,16 @@ def judge_floor(task: Task) -> dict[str, list[Tally]]:
 
 
 def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """What the ground stage keeps, ``(H, W)`` bool, and the depths ``(H, W)`` [depth units]."""
-    if source == SURFACES:
-        config, frames = preset(SURFACES), frames_of([shot])
-        scene = detect(frames, config, backend="reference").scene
-        assert scene is not None
-        aligned = reference.align(frames.depth, frames.calibration)
-        keep = reference.ground(aligned, scene.plane, frames.calibration, config)
-        return keep.mask[0], keep.z[0]
-    config = config if source == "tf" else preset("uneven")
-    frame = prepare(frames_of([shot], plane=source != "estimate"), config)[0]
-    return frame.keep, frame.z
+    """Pixels that lie higher than the step of cells, ``(H, W)`` bool, and depths ``(H, W)``."""
+    frames = frames_of([shot], plane=source == "tf")
+    plane = find_floors(frames, config, backend="reference").plane
+    calibration, ground = frames.calibration, config.ground
+    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    step = ground.step_height_per_m / side
+    config = replace(config, ground=replace(ground, step_height_per_m=step))
+    aligned = reference.align(frames.depth, frames.calibration)
+    keep = reference.ground(aligned, plane, frames.calibration, config)
+    return keep.mask[0], keep.z[0]
 
 
 def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:
@@ -109,15 +107,14 @@ def run(lab: Lab) -> Section:
     section = Section("floor", "Floor and obstacle points kept (ours)")
     section.say(
         f"{lab.counts.floor_seeds} simulated scenes (family mixed) for each tilt, roll and ramp "
-        "ahead, normal light. Of the points in range: the share of true floor that the ground "
-        "stage keeps (wrong), and of true obstacle above the step height (right). A pixel that "
-        "shows the floor beside a thing and has the thing's depth, as a stereo camera gives it, "
-        "is no point of the floor (the rule of the features' votes); the last table counts all "
-        "pixels by what they show. "
-        "The floor is that of the camera's mount (tf), which doesn't know the ramp; the same with "
-        "a ramp looked for in each single frame (preset uneven); plane and ramp from each "
-        "single frame (estimate, the same preset); or the mount's floor and a ramp as each frame "
-        "corrects them (surfaces). The paper has no such figure."
+        "ahead, normal light. Of the pixels in range: the share of true floor that is kept as "
+        "above the floor (wrong; the step is that of cells), and of true obstacle above the step "
+        "height (right). A pixel that shows the floor beside a thing and has the thing's depth, as "
+        "a stereo camera gives it, is no point of the floor (the rule of the features' votes); the "
+        "last table counts all pixels by what they show. Each frame's own depth gives its plane "
+        "and the ramp ahead; known before is the camera's mount (tf), which doesn't tell of the "
+        "ramp, or nothing (estimate). Where nothing is known and a frame shows too little floor, "
+        "all is kept. The paper has no such figure."
     )
     every = tallies_of(lab)
     _totals(section, every)

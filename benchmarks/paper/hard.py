@@ -12,7 +12,7 @@ from benchmarks.paper.measure import measured
 from benchmarks.paper.pictures import encode, grid, shot_picture, titled
 from benchmarks.paper.section import Direction, Section, percent
 from benchmarks.paper.shots import Spec, load_shots
-from benchmarks.paper.systems import SURFACES, Prepared, System, eval_config, found_by, held
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
 from jaxdet.eval import Tally, evaluate_frames
 from jaxdet.sim import HARD_FAMILIES
 
@@ -46,27 +46,22 @@ class Judged(NamedTuple):
         return self.claim.share if self.claim.drivable >= LEAST_FLOOR * self.pixels else 0.0
 
 
-Cells = dict[tuple[str, str, float], list[Judged]]
-"""By system, family and depth error, in the seeds' order."""
+Cells = dict[tuple[str, float], list[Judged]]
+"""By family and depth error, in the seeds' order."""
 
 
-def judge_hard(task: tuple[Path, tuple[System, ...]]) -> dict[str, list[Judged]]:
-    """A worker's task: some systems on all frames of a file."""
-    path, chosen = task
-    shots = load_shots(path)
-    prepared = Prepared(shots)
-    out: dict[str, list[Judged]] = {}
-    for system in chosen:
-        counted = eval_config(system.config)
-        out[system.name] = [
-            Judged(
-                evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0],
-                claim_of(shot, found, system.config),
-                shot.depth.size,
-            )
-            for shot, found in zip(shots, found_by(system, prepared), strict=True)
-        ]
-    return out
+def judge_hard(task: tuple[Path, System]) -> list[Judged]:
+    """A worker's task: a system on all frames of a file."""
+    path, system = task
+    shots, counted = load_shots(path), eval_config(system.config)
+    return [
+        Judged(
+            evaluate_frames(found, shot.truth, shot.calibration.depth_unit, counted)[0],
+            claim_of(shot, found, system.config),
+            shot.depth.size,
+        )
+        for shot, found in zip(shots, found_by(system, Prepared(shots)), strict=True)
+    ]
 
 
 def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
@@ -79,20 +74,15 @@ def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
 
 
 def cells_of(lab: Lab) -> Cells:
-    """All systems on all families."""
+    """Ours on all families."""
     keys = list(product(FAMILIES, ERRORS))
     specs = {key: specs_of(lab, *key) for key in keys}
     every = [spec for key in keys for spec in specs[key]]
     lab.log(f"{len(every)} frames of harder scenes")
     lab.store.ensure(every)
-    chosen = held(lab.config)
-    parts = iter(lab.run(judge_hard, [(lab.store.path(spec), chosen) for spec in every]))
-    cells: Cells = {}
-    for key in keys:
-        mine = [next(parts) for _ in specs[key]]
-        for system in chosen:
-            cells[system.name, *key] = [one for part in mine for one in part[system.name]]
-    return cells
+    system = ours(lab.config)
+    parts = iter(lab.run(judge_hard, [(lab.store.path(spec), system) for spec in every]))
+    return {key: [one for _ in specs[key] for one in next(parts)] for key in keys}
 
 
 def run(lab: Lab) -> Section:
@@ -112,17 +102,14 @@ def run(lab: Lab) -> Section:
     cells = cells_of(lab)
     for error in ERRORS:
         rows = []
-        for family, system in product((*FAMILIES, "all"), held(lab.config)):
+        for family in (*FAMILIES, "all"):
             chosen = FAMILIES if family == "all" else (family,)
-            judged = [one for name in chosen for one in cells[system.name, name, error]]
-            key = f"{system.name}.{family}.{error:g}"
-            rows.append([family, system.title, *_row(section, key, judged)])
-        header = ["Family", "System", "ACC", "Recall", "Precision", "Coverage", "Floor claimed"]
+            judged = [one for name in chosen for one in cells[name, error]]
+            rows.append([family, *_row(section, f"{OURS}.{family}.{error:g}", judged)])
+        header = ["Family", "ACC", "Recall", "Precision", "Coverage", "Floor claimed"]
         header += ["worst frame", "Missed / false"]
         section.table(header, rows, f"Depth camera {CAMERAS[error]}")
-    for system in held(lab.config):
-        judged = [one for key, cell in cells.items() if key[0] == system.name for one in cell]
-        _add_claimed(section, f"{system.name}.all", judged)
+    _add_claimed(section, f"{OURS}.all", [one for cell in cells.values() for one in cell])
     _pictures(section, lab, cells)
     return section
 
@@ -153,10 +140,9 @@ def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[floa
 
 
 def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
-    """The worst frames by the preset surfaces: most mistakes, and most floor claimed."""
-    system = next(one for one in held(lab.config) if one.name == SURFACES)
-    keys = [key for key in cells if key[0] == system.name]
-    every = [(key, index, one) for key in keys for index, one in enumerate(cells[key])]
+    """The worst frames: most mistakes, and most floor claimed."""
+    system = ours(lab.config)
+    every = [(key, index, one) for key, cell in cells.items() for index, one in enumerate(cell)]
     orders = {
         "mistakes": lambda item: (item[2].mistakes, item[2].claimed),
         "claimed": lambda item: (item[2].claimed, item[2].mistakes),
@@ -164,7 +150,7 @@ def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
     for name, order in orders.items():
         worst = sorted(every, key=order, reverse=True)[: lab.counts.worst]
         views: list[np.ndarray] = []
-        for (_, family, error), index, one in worst:
+        for (family, error), index, one in worst:
             if not any(order(((), 0, one))):
                 continue
             shot = lab.load([specs_of(lab, family, error)[index]])[0]
@@ -174,5 +160,5 @@ def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
             views.append(titled(shot_picture(shot, system), text, 640))
         if views:
             most = "missed and false" if name == "mistakes" else "floor claimed"
-            caption = f"Preset surfaces: the frames with the most {most}."
+            caption = f"The frames with the most {most}."
             section.picture(name, encode(grid(views, 2)), caption)

@@ -22,6 +22,7 @@ from benchmarks.paper.systems import (
     System,
     TuningTask,
     judge,
+    of_points,
     systems,
     tune_one,
 )
@@ -114,7 +115,8 @@ class Lab:
         self.log(f"tuning {len(RIVALS)} baselines on {len(specs)} frames")
         self.store.ensure(specs)
         paths = tuple(self.store.path(spec) for spec in specs)
-        found = self.run(tune_one, [TuningTask(name, paths, self.config) for name in RIVALS])
+        config = of_points(self.config)
+        found = self.run(tune_one, [TuningTask(name, paths, config) for name in RIVALS])
         self.tuning_values = {name: one[1] for name, one in zip(RIVALS, found, strict=True)}
         return {name: one[0] for name, one in zip(RIVALS, found, strict=True)}
 

@@ -39,6 +39,10 @@ class Recording(NamedTuple):
     held_out: int = 0
     """Frames whose number leaves this less 1 over when divided by it are held out; 0: none."""
 
+    def holds_out(self, frame: int) -> bool:
+        """Whether the frame of this number is held out."""
+        return self.held_out > 0 and frame % self.held_out == self.held_out - 1
+
 
 RECORDINGS = (
     Recording("mosd", "labelled/mosd.mcap", 0.5, "labelled/mosd_labels", 300, held_out=3),

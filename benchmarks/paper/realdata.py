@@ -17,7 +17,7 @@ from jaxdet.engine.rows import to_host
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.io import open_log
 from jaxdet.pipeline import detect, estimate_plane
-from jaxdet.plane import join_planes, repeat_plane
+from jaxdet.plane import repeat_plane
 from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
 
 SHEET = (3, 5)
@@ -27,7 +27,7 @@ CAMERA_FILE = "cam_params_realsense.json"
 
 
 class Recording(NamedTuple):
-    """Frames of a folder or a log, each with its floor."""
+    """Frames of a folder or a log, with what is known of their floor."""
 
     name: str
     frames: Frames
@@ -39,9 +39,9 @@ def run(lab: Lab, place: Path, number: int = 0) -> Section:
     """Contact sheets of all recordings in a folder: logs, and folders of PNG pairs."""
     section = Section(f"recordings{number}", f"Real recordings: {place.name}")
     section.say(
-        "No truth exists for these; the pictures are for reading. The floor is estimated from the "
-        "depth images: one plane for a recording of a camera that keeps its place, one for each "
-        "still of a camera held by hand."
+        "No truth exists for these; the pictures are for reading. The floor is that of each "
+        "frame's own depth; known before is one plane for a recording of a camera that keeps its "
+        "place, nothing of stills of a camera held by hand."
     )
     try:
         recordings = list(find(place, lab.config))
@@ -61,7 +61,7 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
     """
     data = place / "data" if (place / "data").is_dir() else place
     if (data / CAMERA_FILE).is_file():
-        yield _stills(data, place.name, config)
+        yield _stills(data, place.name)
         return
     logs = sorted(place.glob("*.mcap"))
     if not logs:
@@ -77,19 +77,14 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
                 return
 
 
-def _stills(data: Path, name: str, config: Config) -> Recording:
-    """Aligned stills of a camera held by hand: a floor for each."""
+def _stills(data: Path, name: str) -> Recording:
+    """Aligned stills of a camera held by hand: nothing is known of their floors."""
     about = json.loads((data / CAMERA_FILE).read_text(encoding="utf-8"))
     K = np.reshape(about["intrinsic_matrix"], (3, 3)).T.tolist()
     size = about["width"], about["height"]
     camera = Intrinsics(*size, K[0][0], K[1][1], K[0][2], K[1][2])
     frames, names = _read(data / "color", data / "depth", Calibration(camera))
-    planes = [_plane(frames, b, config) for b in range(len(names))]
-    return Recording(name, frames._replace(plane=join_planes(planes)), names)
-
-
-def _plane(frames: Frames, b: int, config: Config) -> GroundPlane:
-    return estimate_plane(_one(frames, b), config, backend="reference").plane
+    return Recording(name, frames, names)
 
 
 def _pairs(data: Path, name: str, calibration: Calibration, config: Config) -> Recording:

@@ -10,6 +10,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import Recording, find_recordings, labels_of, log_of
 from benchmarks.paper.pictures import encode, grid, titled
 from benchmarks.paper.section import Direction, Section, number, percent, wilson
+from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
 from jaxdet.engine.rows import to_host
@@ -22,8 +23,8 @@ from jaxdet.eval import (
     tally_boxes,
 )
 from jaxdet.io import Log, open_log
-from jaxdet.metric import extents
-from jaxdet.pipeline import detect, floor_of, load_backend
+from jaxdet.metric import extents, floors
+from jaxdet.pipeline import detect, floor_of
 from jaxdet.presets import PRESETS
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view
@@ -31,8 +32,6 @@ from jaxdet.types import Detections, Frames
 
 TITLES: tuple[tuple[str, Config], ...] = (
     ("wheeled", PRESETS["wheeled"]),
-    ("surfaces", PRESETS["surfaces"]),
-    ("uneven", PRESETS["uneven"]),
     ("paper", PRESETS["paper"]),
 )
 """What is compared, by title; the first is pictured."""
@@ -115,15 +114,15 @@ def judge(task: Task) -> Judgement:
 def _held(task: Task, found: Found) -> tuple[FrameLabels | None, BoxTally]:
     """A frame's labels and counts."""
     frames, calibration = found.frames, found.frames.calibration
-    stages = load_backend("reference")
-    aligned = stages.align(frames.depth, calibration)
+    aligned = reference.align(frames.depth, calibration)
     z_m = np.asarray(aligned.z[0]) * calibration.depth_unit
     labels = labels_of(task.recording, task.folder, int(frames.number[0]), z_m, calibration)
     if labels is None:
         return None, BoxTally()
     scene = found.detections.scene
-    plane = scene.plane if scene else floor_of(frames, task.config, backend="reference")
-    kept = np.asarray(stages.ground(aligned, plane, calibration, task.config).mask[0])
+    known = floor_of(frames, task.config, backend="reference")
+    plane = floors(scene, calibration.depth_unit).plane if scene else known
+    kept = np.asarray(reference.ground(aligned, plane, calibration, task.config).mask[0])
     boxes, nearest, least = found.boxes, found.nearest_m, task.recording.least_iou
     return labels, tally_boxes(labels, boxes, nearest, kept, z_m > 0, least)
 
@@ -145,13 +144,12 @@ def run(lab: Lab) -> Section:
         "A detection is right when its image box and a labelled object's overlap by enough (IoU "
         f"{', '.join(f'{one.name} {one.least_iou:g}' for one, _ in places)}), one to one; one on "
         "mostly unlabelled ground is neither right nor wrong. A frame is swamped when one box "
-        "covers more than half of its floor. Floor kept: share of the floor's measured pixels "
-        "that the ground stage takes as above the floor; where only boxes are labelled, the floor "
-        "is what has none. Distance: the detection's least forward depth against the "
-        "near surface's. All frames lie more than 0.1 s apart, so uneven has a plane for each; "
-        "wheeled and paper have one for a recording, though only aims_slam is one drive. "
-        "Nothing may be tuned on the held-out frames of mosd; wheelchair_5cm leaves out what is "
-        "lower."
+        "covers more than half of its floor. Floor kept: share of the floor's measured pixels that "
+        "lie above the floor as it was found; where only boxes are labelled, the floor is what has "
+        "none. Distance: the detection's least forward depth against the near surface's. One plane "
+        "for a recording is known to wheeled before each frame corrects it, and is all that paper "
+        "has, though only aims_slam is one drive. Nothing may be tuned on the held-out frames of "
+        "mosd; wheelchair_5cm leaves out what is lower."
     )
     logs = [log_of(recording, folder, lab.store.folder) for recording, folder in places]
     tasks = [
@@ -182,8 +180,7 @@ def parts_of(recording: Recording, judged: Judgement) -> dict[str, list[BoxTally
         return {recording.name: judged.tallies}
     parts: dict[str, list[BoxTally]] = {"tuning": [], "held_out": []}
     for frame, tally in zip(judged.numbers, judged.tallies, strict=True):
-        last = frame % recording.held_out == recording.held_out - 1
-        parts["held_out" if last else "tuning"].append(tally)
+        parts["held_out" if recording.holds_out(frame) else "tuning"].append(tally)
     return {f"{recording.name}.{part}": tallies for part, tallies in parts.items()}
 
 

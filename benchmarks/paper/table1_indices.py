@@ -9,9 +9,9 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.pictures import side_by_side
 from benchmarks.paper.plan import SCENE_TITLES, SCENES
 from benchmarks.paper.section import Direction, Section, number
-from benchmarks.paper.systems import CITED, INDEXED_LIGHT, MISSING, PRESET
+from benchmarks.paper.systems import CITED, INDEXED_LIGHT, MISSING, OURS, PAPER
 
-ROWS = {"ours": "ours", PRESET: "ours", "hierarchical_ward": "traditional", "rsc": "rsc"}
+ROWS = {OURS: "ours", PAPER: "ours", "hierarchical_ward": "traditional", "rsc": "rsc"}
 """Our systems and the paper's rows they stand for."""
 INDICES: dict[str, Direction] = {"silhouette": "higher", "davies_bouldin": "lower"}
 
@@ -22,10 +22,11 @@ def run(lab: Lab) -> Section:
     section.say(
         "Silhouette coefficient SC (larger is better) and Davies-Bouldin index DB (smaller is "
         "better), means over the frames with at least two clusters, normal light. Points without a "
-        "label take no part, so these indices reward a method that throws points away; they "
-        "say nothing about the truth. DB is not bounded by 1. The paper has one picture of "
-        "each scene, we have a family of simulated ones. Below its rows are the methods that it "
-        "cites in Section 2, with parameters tuned as in Table 2."
+        "label take no part, so these indices reward a method that throws points away; they say "
+        "nothing about the truth. DB is not bounded by 1. Points are corners and, of the default, "
+        "a sample of its cells, of the others but the preset paper a grid of pixels. The paper has "
+        "one picture of each scene, we have a family of simulated ones. Below its rows are the "
+        "methods that it cites in Section 2, with parameters tuned as in Table 2."
     )
     titles = {system.name: system.title for system in lab.systems}
     found = {

@@ -10,7 +10,7 @@ from benchmarks.paper.measure import Measured, measured
 from benchmarks.paper.plan import LIGHTS, SCENES
 from benchmarks.paper.section import Section, percent
 from benchmarks.paper.shots import Shot
-from benchmarks.paper.systems import OURS, PRESET, Prepared, System, found_by
+from benchmarks.paper.systems import OURS, PAPER, Prepared, System, found_by, of_points
 
 FIGURES = ("accuracy", "precision", "recall", "f1")
 
@@ -27,13 +27,13 @@ def run(lab: Lab) -> Section:
     shots = lab.load(lab.test_specs(SCENES[0], "normal"))[: lab.counts.timed]
     titles = {system.name: system.title for system in lab.systems}
     rows: list[list[str]] = []
-    for name in (OURS, PRESET):
+    for name in (OURS, PAPER):
         system = next(system for system in lab.systems if system.name == name)
         paper = paper_figures.DETECTORS["Ours"]
         one = measured(lab.tallies(name))
         rows.append(_row(section, titles[name], name, one, _seconds(system, shots), paper))
     for name, path in lab.detectors.items():
-        system = System(name, name, "onnx", lab.config, model=path)
+        system = System(name, name, "onnx", of_points(lab.config), model=path)
         tallies = units(lab.score_scenes([system]), name, SCENES, LIGHTS)
         paper = paper_figures.DETECTORS.get(name)
         one = measured(tallies)

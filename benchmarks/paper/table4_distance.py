@@ -5,10 +5,10 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Spec
-from benchmarks.paper.systems import OURS, PRESET, SURFACES
+from benchmarks.paper.systems import OURS, PAPER
 from jaxdet.eval import Tally, total
 
-SHOWN = (OURS, SURFACES, PRESET)
+SHOWN = (OURS, PAPER)
 Cells = dict[tuple[str, float, str], Tally]
 """By system, distance and light."""
 
@@ -20,7 +20,7 @@ def specs_of(lab: Lab, distance_m: float, light: str) -> list[Spec]:
 
 
 def cells_of(lab: Lab) -> Cells:
-    """The counts of every cell, by ours and by the presets ``surfaces`` and ``paper``."""
+    """The counts of every cell, by ours and by the preset ``paper``."""
     chosen = [system for system in lab.systems if system.name in SHOWN]
     keys = [(distance, light) for distance in DISTANCES_M for light in LIGHTS]
     specs = [spec for key in keys for spec in specs_of(lab, *key)]
@@ -66,7 +66,7 @@ def run(lab: Lab) -> Section:
 
 
 def _plot(section: Section, cells: Cells, titles: dict[str, str]) -> None:
-    figure, axes = plots.canvas(len(SHOWN), 15, 4)
+    figure, axes = plots.canvas(len(SHOWN), 11, 4)
     for ax, name in zip(axes, SHOWN, strict=True):
         series: dict[str, plots.Series] = {}
         for light in LIGHTS:

@@ -10,8 +10,8 @@ import tyro
 import jaxdet
 
 DESCRIPTION = """\
-Checks this installation: versions, the devices that JAX and Warp find, and whether the jitted
-stages give the same arrays as the NumPy reference on a small built-in case.
+Checks this installation: versions, the devices that JAX and Warp find, and whether the compiled
+program gives the same arrays as the NumPy reference on a small built-in case.
 """
 
 
@@ -75,13 +75,18 @@ def backends_agree() -> tuple[bool, str]:
     frames = small_case()
     both = [detect(frames, backend=name) for name in ("reference", "jax")]
     wrong = []
-    for part in ("features", "labels", "obstacles"):
-        pairs = zip(*(getattr(found, part) for found in both), strict=True)
+    for part in ("features", "labels", "obstacles", "scene"):
+        pairs = zip(*(_leaves(getattr(found, part)) for found in both), strict=True)
         wrong += [part] * any(not np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
     count = int(np.asarray(both[0].labels.num_obstacles).sum())
     if wrong:
         return False, f"differ in {', '.join(wrong)}"
     return count > 0, f"equal arrays, {count} obstacles"
+
+
+def _leaves(part: Any) -> list[Any]:
+    """The arrays of a tree of tuples."""
+    return [leaf for one in part for leaf in (_leaves(one) if isinstance(one, tuple) else [one])]
 
 
 def small_case() -> "jaxdet.Frames":

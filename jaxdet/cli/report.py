@@ -39,7 +39,8 @@ def _log_lines(log: "LogSummary") -> list[str]:
     if log.floor_sources["frame"] or log.floor_refused:
         text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
-        text.append(f"overflow   {log.overflow_frames} frames had more features than slots")
+        frames = f"{log.overflow_frames} frames"
+        text.append(f"overflow   {frames} had more corners, surfaces or obstacles than slots")
     if log.score:
         text += _score_lines(log.score)
     return text + [f"warning    {warning}" for warning in log.warnings]

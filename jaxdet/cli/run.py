@@ -30,11 +30,12 @@ config.json, summary.json, pictures and a map of each log.
 
 Examples:
   jaxdet run drive.mcap --output results
-  jaxdet run bags/ --output results --preset d435 --config mine.toml --cluster.lateral-gap-m 0.5
+  jaxdet run bags/ --output results --preset d435 --config mine.toml --ground.step-height-m 0.03
   jaxdet run drive.mcap --output results --ground.camera-height-m 0.3 --ground.camera-pitch-rad 0.17
+  jaxdet run table.mcap --output results --preset tabletop
 
-A value comes from the flag, else from the file of --config (TOML: section [cluster], key
-depth_gap_m), else from the preset. Lengths are in metres, angles in radians, times in seconds.
+A value comes from the flag, else from the file of --config (TOML: section [ground], key
+max_depth_m), else from the preset. Lengths are in metres, angles in radians, times in seconds.
 """
 
 
@@ -48,13 +49,13 @@ class RunCommand:
     output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     preset: str = DEFAULT_PRESET
-    """Configuration to start from: wheeled, paper, surfaces, tabletop, uneven, d435, d455, oak-d,
-    zed, azure-kinect, orbbec."""
+    """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
+    orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
+    of corners; the others are wheeled with the depth range of a camera."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with sections as below."""
     backend: Literal["jax", "reference"] = "jax"
-    """jax: jitted, on the GPU when there is one; reference: plain NumPy. Equal results; only
-    reference has surfaces and tabletop."""
+    """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
     batch_size: int = 16
     """Frames computed together; changes no result."""
     workers: int | None = None

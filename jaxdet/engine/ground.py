@@ -30,8 +30,6 @@ class GroundRecord:
     ramp_slope: float | None = None
     height_spread_m: float | None = None
     """How much the height differs between the sampled frames (estimate) [m]."""
-    inlier_share: float | None = None
-    """Share of the sampled points that lie on the floor (estimate)."""
     frames_used: int | None = None
     message: str = ""
 

@@ -24,7 +24,7 @@ def batches_here(work: LogWork) -> Generator[Done, None, None]:
     """
     upload = None
     reading = work.log.batches(work.job.batch_size)
-    if work.job.backend == "jax" and _on_cuda(work):
+    if work.job.backend == "jax" and _on_cuda():
         upload = _Upload(work)
         reading = work.log.batches(upload.size, images=upload.ring.images)
     pending = None
@@ -56,9 +56,8 @@ class _Upload:
         return {"color": color, "depth": depth}
 
 
-def _on_cuda(work: LogWork) -> bool:
-    """Whether the log's frames run as one program on CUDA."""
-    from jaxdet import stages
+def _on_cuda() -> bool:
+    """Whether frames are worked on by CUDA devices."""
     from jaxdet.stages._device import on_cuda
 
-    return on_cuda() and stages.covers(work.log.read([]).frames)
+    return on_cuda()

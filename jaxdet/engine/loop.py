@@ -20,7 +20,7 @@ from jaxdet.engine.summary import LogSummary, Summary, plain
 from jaxdet.errors import JaxdetError
 from jaxdet.io import open_log
 from jaxdet.io.results import ResultWriter
-from jaxdet.pipeline import BackendName, check_backend
+from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
 
 if TYPE_CHECKING:
@@ -93,7 +93,6 @@ def run(
             the configuration.
         InputError: The output folder can't be written to, or the truth can't be read.
     """
-    check_backend(config, options.backend)
     start = time.perf_counter()
     summary = Summary(options.backend, options.batch_size)
     with (

@@ -1,21 +1,19 @@
-"""Which floor each frame has: the user's, the robot's (TF), an estimate, or none.
+"""What is known of each frame's floor: from the user, the robot (TF), or a sample of the log.
 
-The plane, and in time windows a ramp ahead, is decided before the frames of a log (or of a fixed
-time window of it) are looked at, and never carried from frame to frame, so results do not depend
-on how a run is split. With surfaces it is a prior, which each frame's own depth then corrects.
+It is decided before the frames of a log (or of a fixed time window of it) are looked at, and never
+carried from frame to frame, so results do not depend on how a run is split. Each frame's own depth
+then corrects it.
 """
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine.ground import GroundRecord, Planes, in_windows, record_of
+from jaxdet.engine.ground import GroundRecord, Planes, record_of
 from jaxdet.engine.prior import prior_of
 from jaxdet.errors import InputError
-from jaxdet.pipeline import BackendName, estimate_plane, estimate_ramp
-from jaxdet.plane import flagged_plane, plane_from_transform, repeat_plane, unknown_plane
+from jaxdet.pipeline import BackendName
+from jaxdet.plane import flagged_plane, plane_from_transform, unknown_plane
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -26,18 +24,17 @@ MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
 
 
 def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
-    """The floor of a log, in the order flags, TF, estimate, none.
+    """What is known of the floor of a log's frames, in the order flags, TF, none.
 
-    With surfaces (``config.surface``) it is the prior of each frame's floor. Then a sample of the
-    frames is looked at first, each for itself, and the median of the floors that they show takes
-    the place of what flags or TF say, as mounts are not always as they are said to be. Where
-    neither says anything it is the prior only of a camera that keeps its place, see
-    :class:`jaxdet.engine.sampled_floor.SampledFloor`; else each frame is searched alone.
+    A sample of the frames is looked at first, each for itself, and the median of the floors that
+    they show takes the place of what flags or TF say, as mounts are not always as they are said to
+    be. Where neither says anything it is the prior only of a camera that keeps its place, see
+    :class:`jaxdet.sampled_floor.SampledFloor`; else each frame is searched alone.
 
     Args:
         log: An open log.
         config: ``config.ground`` says which source is wanted.
-        backend: Backend that aligns the sampled depth images.
+        backend: Backend that finds the floors.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -48,11 +45,13 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
-    if config.surface.cell_rad:
-        return prior_of(log, known, plane, config, warnings)
-    if known.source != "none":
-        return _known(log, known, plane, config, backend)
-    return _estimated(log, config, backend, warnings)
+    planes = prior_of(log, known, plane, config, backend, warnings)
+    unknown = sum(not one.valid[0] for one in planes.windows.values())
+    if not config.cluster.points or not unknown:
+        return planes
+    where = f" in {unknown} of {len(planes.windows)} time windows" if planes.window_ns else ""
+    problem = f"no floor was found{where}: nothing is dropped as floor there"
+    return replace(planes, warnings=(*warnings, f"{problem}; give --ground.camera-height-m"))
 
 
 def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane, tuple[str, ...]]:
@@ -71,27 +70,6 @@ def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane
     return *nothing, (problem,) if log.T_base_camera is not None else ()
 
 
-def _known(
-    log: "Log", known: GroundRecord, plane: GroundPlane, config: Config, backend: BackendName
-) -> Planes:
-    """A plane that needs no estimate; in time windows, ramps ahead are looked for."""
-    if not config.ground.window_s:
-        return Planes((known,), {0: plane})
-
-    def look(sample: np.ndarray) -> tuple[GroundRecord, GroundPlane]:
-        frames = log.read(sample.tolist()).frames
-        if not frames.valid.any():
-            message = "no sampled frame could be read, no ramp seen"
-            return replace(known, message=message), plane
-        frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-        found = estimate_ramp(frames, config, backend=backend)
-        return record_of(known.source, found, known.message), found
-
-    records, windows = in_windows(log, config, look)
-    window_ns = round(config.ground.window_s * 1e9)
-    return Planes(tuple(records) or (known,), windows, window_ns, (), plane, known.source)
-
-
 def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
     if log.T_base_camera is None:
         return None, "no transform from the robot's base to the colour camera"
@@ -100,43 +78,3 @@ def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
     if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
         return None, f"the TF camera height of {height:.3f} m above {log.base_frame} is not used"
     return plane, ""
-
-
-def _estimated(
-    log: "Log", config: Config, backend: BackendName, warnings: tuple[str, ...]
-) -> Planes:
-    window_ns = round(config.ground.window_s * 1e9)
-    records, windows = in_windows(
-        log, config, lambda sample: _estimate(log, sample, config, backend)
-    )
-    unknown = sum(record.source == "none" for record in records)
-    if unknown or not records:
-        where = f" in {unknown} of {len(records)} time windows" if window_ns else ""
-        reason = next((r.message for r in records if r.source == "none"), "no frame has depth")
-        problem = f"no floor was found{where} ({reason}): nothing is dropped as floor there"
-        warnings = (*warnings, f"{problem}; give --ground.camera-height-m")
-    return Planes(
-        tuple(records) or (GroundRecord("none", message="no frame has depth"),),
-        windows if window_ns else {0: unknown_plane(1), **windows},
-        window_ns,
-        warnings,
-    )
-
-
-def _estimate(
-    log: "Log", sample: np.ndarray, config: Config, backend: BackendName
-) -> tuple[GroundRecord, GroundPlane]:
-    frames = log.read(sample.tolist()).frames
-    if not frames.valid.any():
-        return GroundRecord("none", message="no sampled frame could be read"), unknown_plane(1)
-    found = estimate_plane(frames, config, backend=backend)
-    if not found.plane.valid[0]:
-        record = GroundRecord("none", frames_used=found.frames_used, message=found.message)
-        return record, unknown_plane(1)
-    record = replace(
-        record_of("estimate", found.plane, found.message),
-        height_spread_m=float(found.height_spread_m),
-        inlier_share=float(found.inlier_share),
-        frames_used=int(found.frames_used),
-    )
-    return record, found.plane

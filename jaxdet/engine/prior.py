@@ -1,4 +1,4 @@
-"""The prior of each frame's floor, where obstacles are made of surfaces.
+"""The prior of each frame's floor; of clusters of points it is the floor.
 
 Each frame's own depth corrects it, so it need not be exact; mounts are not always as they are said
 to be, and frames that show little floor have nothing else.
@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.ground import GroundRecord, Planes, in_windows, record_of
-from jaxdet.engine.sampled_floor import SampledFloor, sampled_floor
-from jaxdet.pipeline import find_floors
+from jaxdet.pipeline import BackendName, find_floors
 from jaxdet.plane import repeat_plane
+from jaxdet.sampled_floor import SampledFloor, sampled_floor
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def prior_of(
     known: GroundRecord,
     plane: GroundPlane,
     config: Config,
+    backend: BackendName,
     warnings: tuple[str, ...] = (),
 ) -> Planes:
     """The prior of each frame's floor: what a sample shows, else what is known."""
@@ -34,12 +35,13 @@ def prior_of(
         if not frames.valid.any():
             return replace(known, message=_said(known, "no sampled frame could be read")), plane
         frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-        fit = find_floors(frames, config)
+        fit = find_floors(frames, config, backend=backend)
         shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
         found = sampled_floor(shown, fit.own[frames.valid])
         message = _said(known, _sample_text(found))
-        if not (found.plane.valid[0] if plane.valid[0] else found.agrees):
-            if not plane.valid[0]:
+        alone = not plane.valid[0] and not config.cluster.points
+        if not (found.agrees if alone else found.plane.valid[0]):
+            if alone:
                 message = f"each frame is searched alone; {message}"
             return replace(known, frames_used=found.decided, message=message), plane
         record = replace(

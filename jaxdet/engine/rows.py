@@ -8,7 +8,8 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.engine.free_floor import FreeFloor, free_columns, free_floor, no_free_columns
 from jaxdet.errors import FrameStatus
-from jaxdet.metric import distances, extents, rectangles, to_world
+from jaxdet.floor_units import FloorFit
+from jaxdet.metric import distances, extents, floors, rectangles, to_world
 from jaxdet.types import Detections, GroundPlane, Refusal
 
 if TYPE_CHECKING:
@@ -79,14 +80,15 @@ def batch_rows(
     )
     good = status == FrameStatus.OK
     unit = frames.calibration.depth_unit
-    plane = plane if found.scene is None else found.scene.plane
+    fit = None if found.scene is None else floors(found.scene, unit)
+    plane = plane if fit is None else fit.plane
     free = None if found.scene is None else free_floor(found.scene, unit)
     corners = rectangles(found.obstacles, unit, config.footprint)
     frame_columns = _frame_columns(log, batch, plane, found, good)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
-    frame_columns |= _floor_columns(found, sources[:count], good, config)
+    frame_columns |= _floor_columns(fit, sources[:count], good, config)
     frame_columns |= free_columns(free, good) if free else no_free_columns(count)
-    obstacle_columns = _obstacle_columns(log, batch, found, corners, good)
+    obstacle_columns = _obstacle_columns(log, batch, found, plane, corners, good)
     world = _free_world(free, good, frames.T_world_camera)
     return Rows(frame_columns, obstacle_columns, found, corners, plane, world)
 
@@ -119,12 +121,12 @@ def _frame_columns(
 
 
 def _floor_columns(
-    found: Detections, sources: Sequence[str], good: np.ndarray, config: Config
+    fit: FloorFit | None, sources: Sequence[str], good: np.ndarray, config: Config
 ) -> dict[str, Any]:
     """Where each frame's floor comes from, and why not from its own depth."""
-    scene, own, refused = found.scene, np.zeros_like(good), np.zeros(good.size, int)
-    if scene is not None and config.ground.source != "none":
-        own, refused = good & scene.own_floor[: good.size], scene.refused[: good.size]
+    own, refused = np.zeros_like(good), np.zeros(good.size, int)
+    if fit is not None and config.ground.source != "none":
+        own, refused = good & fit.own[: good.size], fit.refused[: good.size]
     names = np.array([Refusal(number).name.lower() for number in refused.tolist()], object)
     return {
         "floor_source": np.where(own, "frame", np.array(sources, object)),
@@ -142,7 +144,12 @@ def _free_world(
 
 
 def _obstacle_columns(
-    log: str, batch: "Batch", found: Detections, corners: np.ndarray, good: np.ndarray
+    log: str,
+    batch: "Batch",
+    found: Detections,
+    plane: GroundPlane,
+    corners: np.ndarray,
+    good: np.ndarray,
 ) -> dict[str, Any]:
     frames, obstacles = batch.frames, found.obstacles
     slots = np.arange(obstacles.num_points.shape[1], dtype=np.int32)
@@ -159,7 +166,7 @@ def _obstacle_columns(
         "corners_ground": corners[row, slot].reshape(-1, 8).astype(np.float32),
         "corners_world": _world_corners(corners, frames.T_world_camera)[row, slot].reshape(-1, 8),
     }
-    columns |= _shape_columns(found, row, slot, frames.calibration.depth_unit)
+    columns |= _shape_columns(found, plane, row, slot, frames.calibration.depth_unit)
     for i, axis in enumerate("uv"):
         columns[f"{axis}_min"] = obstacles.uv_min[row, slot, i]
         columns[f"{axis}_max"] = obstacles.uv_max[row, slot, i]
@@ -171,7 +178,7 @@ def _obstacle_columns(
 
 
 def _shape_columns(
-    found: Detections, row: np.ndarray, slot: np.ndarray, unit: float
+    found: Detections, plane: GroundPlane, row: np.ndarray, slot: np.ndarray, unit: float
 ) -> dict[str, Any]:
     """Distances, and of obstacles made of surfaces contours and heights above the floor."""
     columns: dict[str, Any] = {"distance_m": (distances(found) * unit)[row, slot]}
@@ -181,7 +188,7 @@ def _shape_columns(
     else:
         scene = found.scene
         height = scene.bottom_top[row, slot] * unit
-        height = np.where(scene.plane.valid[row, None], height, np.nan)
+        height = np.where(plane.valid[row, None], height, np.nan)
         used = scene.contour_points[row, slot].tolist()
         points = (scene.contour[row, slot] * unit).astype(np.float32)
         lines = [line[:count].ravel() for line, count in zip(points, used, strict=True)]

@@ -6,7 +6,7 @@ from jaxdet.camera import pixel_rays
 from jaxdet.eval.polygon import inside
 from jaxdet.eval.tally import Tally
 from jaxdet.eval.truth import EvalConfig
-from jaxdet.metric import rectangles, world_angle
+from jaxdet.metric import floors, rectangles, world_angle
 from jaxdet.types import Detections, Intrinsics
 
 
@@ -100,7 +100,7 @@ def _standing(detections: Detections, b: int, unit: float, config: EvalConfig) -
     """The obstacles of frame ``b`` that the robot can't drive under, ``(L,)``."""
     numbers = np.arange(int(detections.labels.num_obstacles[b]))
     scene = detections.scene
-    if scene is None or not scene.plane.valid[b]:
+    if scene is None or not floors(scene, unit).plane.valid[b]:
         return numbers
     bottom = np.asarray(scene.bottom_top[b])[numbers, 0] * unit
     return numbers[bottom <= config.hanging_m]

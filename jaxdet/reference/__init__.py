@@ -1,13 +1,13 @@
-"""The specification: the five stages in plain NumPy, one file each.
+"""The specification in plain NumPy, a file a step.
 
-Written to be read and checked, not to be fast. :mod:`jaxdet.stages` has the same five functions
-and returns equal arrays. Obstacles made of surfaces are found by :func:`detect`, as one.
+Written to be read and checked, not to be fast. :func:`detect` is the whole method;
+:mod:`jaxdet.stages` returns equal arrays.
 """
 
 from jaxdet.reference._align import align
 from jaxdet.reference._cells import cells
 from jaxdet.reference._cluster import cluster
-from jaxdet.reference._detect import detect, surface_pairs
+from jaxdet.reference._detect import detect, find_floors, surface_pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import FloorFit, find_floor
 from jaxdet.reference._footprint import footprint
@@ -21,6 +21,7 @@ __all__ = [
     "detect",
     "features",
     "find_floor",
+    "find_floors",
     "footprint",
     "ground",
     "surface_pairs",

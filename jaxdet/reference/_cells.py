@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.camera import cell_rays, corner_rays, splat_parameters
+from jaxdet.camera import cell_rays, cell_side, corner_rays, splat_parameters
 from jaxdet.config import SurfaceConfig
 from jaxdet.plane import quadratic_table
 from jaxdet.reference._align import project_corners
@@ -38,7 +38,7 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
         ``(B, R, C)`` cells; pixels right of and below the last whole cell are left out.
     """
     camera = calibration.depth or calibration.color
-    side = cell_side(camera, config)
+    side = cell_side(camera, config.cell_rad)
     near = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
     d = np.stack([_block_depth(image, side, near) for image in depth])
     rays, offset = cell_rays(calibration, side)
@@ -50,9 +50,27 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
     return Cells(x, y, z, *_boxes(d, seen, side, calibration))
 
 
-def cell_side(camera: Intrinsics, config: SurfaceConfig) -> int:
-    """The side of a cell [pixel] of a depth camera."""
-    return max(1, round(camera.fx * config.cell_rad))
+def cover(grid: Cells, keep: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """The nearest kept cell whose box, a pixel wider at each side, covers a colour pixel.
+
+    Args:
+        grid: The cells.
+        keep: ``(B, R, C)`` bool, those that take part, all of them in view.
+        camera: The colour camera.
+
+    Returns:
+        ``(B, H, W)`` int64, its index in the flattened grid, of equally near ones the first; -1
+        where there is none.
+    """
+    out = np.full((len(keep), camera.height, camera.width), -1)
+    for b, image in enumerate(out):
+        cell = np.flatnonzero(keep[b])
+        cell = cell[np.lexsort((cell, grid.z[b].ravel()[cell]))][::-1]
+        left, top = (grid.uv_min[b].reshape(-1, 2)[cell] - 1).T
+        right, bottom = (grid.uv_max[b].reshape(-1, 2)[cell] + 1).T
+        for k, one in enumerate(cell.tolist()):
+            image[max(top[k], 0) : bottom[k] + 1, max(left[k], 0) : right[k] + 1] = one
+    return out
 
 
 def margins(columns: int) -> np.ndarray:
@@ -82,12 +100,16 @@ def _block_depth(image: np.ndarray, side: int, near: np.ndarray) -> np.ndarray:
 def _boxes(
     d: np.ndarray, seen: np.ndarray, side: int, calibration: Calibration
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The first and the last colour pixel of each cell, clipped, and whether any is inside."""
+    """The first and the last colour pixel of each cell, clipped, and whether any is inside.
+
+    Boxes of cells that are not in view are zero.
+    """
     batch, rows, columns = d.shape
     top, left = (a * side for a in np.mgrid[0:rows, 0:columns])
     if calibration.is_aligned:
         first = np.broadcast_to(np.stack([left, top], axis=-1), (batch, rows, columns, 2))
-        return first.astype(np.int32), (first + side - 1).astype(np.int32), seen
+        first, last = (np.where(seen[..., None], a, 0) for a in (first, first + side - 1))
+        return first.astype(np.int32), last.astype(np.int32), seen
     assert calibration.depth is not None
     splat, color = splat_parameters(calibration), calibration.color
     x, y = corner_rays(calibration.depth)
@@ -102,4 +124,5 @@ def _boxes(
     low, high = np.minimum(low, high), np.maximum(low, high)
     last = np.array([color.width - 1, color.height - 1])
     inside &= ((high >= 0) & (low <= last)).all(axis=-1)
-    return np.clip(low, 0, last), np.clip(high, 0, last), inside
+    low, high = (np.where(inside[..., None], np.clip(a, 0, last), 0) for a in (low, high))
+    return low.astype(np.int32), high.astype(np.int32), inside

@@ -3,8 +3,7 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_gap_units, surface_gap_table
-from jaxdet.reference._slices import Points, linked_sets
+from jaxdet.plane import depth_gap_units
 from jaxdet.types import Features, Labels
 
 
@@ -15,9 +14,6 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     fewer are dropped; each set is split the same way along x with ``d_x``, and again sets of N
     points or fewer are dropped. That is single linkage on a line, twice (Steps 1-5; the printed
     Algorithm 1 compares with the set's seed only, which contradicts Step 3).
-
-    Beyond the paper, and by default, the sideways gaps are looked for slice by slice
-    (:func:`jaxdet.reference._slices.linked_sets`).
 
     Args:
         features: ``(B, N)`` points; only ``kept`` ones take part.
@@ -33,28 +29,21 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
         >>> yes = np.ones((1, 6), bool)
         >>> points = Features(z, z, 0 * z, z, z, yes, yes, np.array([False]))
         >>> from dataclasses import replace
-        >>> config = replace(Config(), cluster=replace(Config().cluster, min_points=2, slice_m=0))
+        >>> config = replace(Config(), cluster=replace(Config().cluster, min_points=2))
         >>> cluster(points, 0.001, config).labels.tolist()
         [[0, 0, 0, 1, 1, 1]]
     """
     settings = config.cluster
     depth_gap = depth_gap_units(settings, depth_unit)
-    surface_gaps = surface_gap_table(settings, depth_unit)
     lateral_gap = round(settings.lateral_gap_m / depth_unit)
     labels = np.full(features.z.shape, -1, np.int32)
     for b, kept in enumerate(features.kept):
         z, x = features.z[b], features.x[b]
-        if settings.slice_m:
-            row = np.where(np.arange(len(z)) < config.features.max_corners, -1, features.v[b])
-            points = Points(x, features.y[b], z, kept, row)
-            parts = linked_sets(points, depth_gap, surface_gaps[z], depth_unit, settings)
-            sets = [part for part in parts if len(part) > settings.min_points]
-        else:
-            sets = [
-                part
-                for column in _split(np.flatnonzero(kept), z, depth_gap, settings.min_points)
-                for part in _split(column, x, lateral_gap, settings.min_points)
-            ]
+        sets = [
+            part
+            for column in _split(np.flatnonzero(kept), z, depth_gap, settings.min_points)
+            for part in _split(column, x, lateral_gap, settings.min_points)
+        ]
         sets.sort(key=lambda s, z=z, x=x: (z[s].min(), x[s].min(), s.min()))
         for label, part in enumerate(sets):
             labels[b, part] = label

@@ -1,39 +1,40 @@
-"""Obstacles made of surfaces: the whole method for a batch of frames, step by step."""
+"""The whole method for a batch of frames, step by step."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, floor_frame, linear_table, quadratic_table, ramp_rise
-from jaxdet.reference._align import align
-from jaxdet.reference._cells import cells, margins
+from jaxdet.floor_frame import floor_frames, on_floor
+from jaxdet.plane import depth_range, quadratic_table, step_table
+from jaxdet.reference._cells import cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
-from jaxdet.reference._floor import find_floor
-from jaxdet.reference._footprint import footprint
+from jaxdet.reference._floor import FloorFit, find_floor
+from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, free_floor
-from jaxdet.reference._ground import ground
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
+from jaxdet.reference._points import clusters
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
     MAX_CONTOUR,
+    MAX_LATERAL,
+    MAX_OBSTACLES,
+    MAX_SURFACES,
     Cells,
     Detections,
     Features,
     Frames,
     GroundPlane,
+    Keep,
     Labels,
     Obstacles,
     Scene,
 )
 
-MAX_OBSTACLES = 128
-"""``M``; more set the overflow flag."""
 SAMPLE = 2
 """Of the cells, every second one of every second row is a feature."""
 
@@ -50,29 +51,34 @@ class Found(NamedTuple):
     view: View
     low: np.ndarray
     """``(R, C)`` bool, measured and no higher than the step."""
+    overflow: bool
+    """There are more surfaces than ``MAX_SURFACES``."""
 
 
-def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Finds floor, surfaces, obstacles, their outlines and the free floor of each frame.
 
     Args:
         frames: ``B`` of them; their ``plane`` is not used.
-        prior: What is known of each frame's floor, from the user, TF or the log; corrected by
+        plane: What is known of each frame's floor, from the user, TF or the log; corrected by
             the frame's own depth where that shows enough floor.
-        config: The method; ``surface.cell_rad`` is above 0.
+        config: The method; with ``cluster.points`` it is the paper's
+            (:func:`jaxdet.reference._points.clusters`).
 
     Returns:
         Features are the corners, then every second cell of every second row; the obstacles are
         measured on all cells.
     """
+    if config.cluster.points:
+        return clusters(frames, plane, config)
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
-    fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
-    found = [_group(grid, b, fit.plane, unit, config) for b in range(len(grid.z))]
+    fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
+    floors, step = floor_frames(fit.plane, unit), step_table(calibration, config)
+    found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
 
-    corners = _corners(frames, fit.plane, config)
-    points, labels = _with_cells(corners, grid, found, unit, config)
-    outlines, shapes = _outlines(grid, found, fit.plane, unit, config)
+    points, labels = _points(frames, grid, found, config)
+    outlines, shapes = _outlines(grid, found, unit, config)
 
     nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
@@ -81,8 +87,15 @@ def detect(frames: Frames, prior: GroundPlane, config: Config) -> Detections:
         labels,
         outlines,
         in_range.any(axis=(1, 2)),
-        Scene(fit.plane, fit.own, fit.refused, *shapes, *_free(found, unit, config)),
+        Scene(fit.found, plane, *shapes, *_free(found, unit, config)),
     )
+
+
+def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
+    """The floor of each frame alone, see :func:`jaxdet.reference.find_floor`."""
+    calibration = frames.calibration
+    grid = cells(frames.depth, calibration, config.surface)
+    return find_floor(grid.x, grid.y, grid.z, prior, config.floor, calibration.depth_unit)
 
 
 def surface_pairs(
@@ -96,107 +109,91 @@ def surface_pairs(
     unit = frames.calibration.depth_unit
     grid = cells(frames.depth, frames.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
-    for b in range(len(grid.z)):
-        found = _surfaces(grid, b, fit.plane, unit, config)
+    step = step_table(frames.calibration, config)
+    for b, floor in enumerate(floor_frames(fit.plane, unit)):
+        found = _surfaces(grid, b, floor, step, unit, config)
         label = whole_surfaces(found.label, found.view, unit, config.obstacle)
         seen = pairs(label, found.free, found.view, unit, config.obstacle)
         yield Cells(*(a[b : b + 1] for a in grid)), label, seen
 
 
-def _group(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
+def _group(
+    grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
+) -> Found:
     """Surfaces and obstacles of one frame."""
-    found = _surfaces(grid, b, plane, unit, config)
+    found = _surfaces(grid, b, floor, step, unit, config)
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     label = obstacles(found.label, found.free, found.view, farthest, unit, config.obstacle)
     return found._replace(label=label)
 
 
-def _surfaces(grid: Cells, b: int, plane: GroundPlane, unit: float, config: Config) -> Found:
-    """Surfaces of one frame."""
+def _surfaces(
+    grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
+) -> Found:
+    """Surfaces of one frame; ``step`` is of :func:`jaxdet.plane.step_table`."""
     ground_config, settings = config.ground, config.surface
-    view = _view(grid, b, plane, unit)
+    view = _view(grid, b, floor)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
-    step = linear_table(ground_config.step_height_m, ground_config.step_height_per_m, unit)[view.z]
+    step = step[view.z]
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
     keep = in_range & (view.height > step)
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
-    return Found(straight, keep, (view.z >= nearest) & ~keep, view, low)
+    overflow = bool(straight.max(initial=-1) >= MAX_SURFACES)
+    straight = np.where(straight < MAX_SURFACES, straight, -1)
+    return Found(straight, keep, (view.z >= nearest) & ~keep, view, low, overflow)
 
 
-def _view(grid: Cells, b: int, plane: GroundPlane, unit: float) -> View:
+def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
     """Where the cells of frame ``b`` are, in the camera and on the floor."""
     xyz = np.stack([grid.x[b], grid.y[b], grid.z[b]]).astype(np.int64)
-    right, forward, height = floor_frame(plane, b, xyz, unit)
-    height = height - ramp_rise(plane, b, forward, unit)
     x, y, z = xyz
-    return View(x, y, z, right, forward, height, grid.in_view[b])
+    return View(x, y, z, *on_floor(floor, xyz), grid.in_view[b])
 
 
-def _corners(frames: Frames, plane: GroundPlane, config: Config) -> Features:
-    """The corners of each frame with their depths (Sections 3.1 to 3.3)."""
-    calibration = frames.calibration
-    keep = ground(align(frames.depth, calibration), plane, calibration, config)
-    return features(frames.color, keep, calibration, replace(config.features, grid_columns=0))
-
-
-def _with_cells(
-    corners: Features, grid: Cells, found: list[Found], unit: float, config: Config
+def _points(
+    frames: Frames, grid: Cells, found: list[Found], config: Config
 ) -> tuple[Features, Labels]:
-    """Corners and a sample of the cells as features, with their obstacles."""
-    part = (slice(None), slice(SAMPLE // 2, None, SAMPLE), slice(SAMPLE // 2, None, SAMPLE))
-    uv = (grid.uv_min + grid.uv_max) // 2
-    label = np.stack([one.label for one in found])
+    """Corners on kept cells (Section 3.2) and a sample of the cells as features.
+
+    A corner has the depth and the obstacle of the nearest kept cell whose box it lies in or
+    beside: corners on a contour may lie a pixel beyond it.
+    """
+    calibration, unit, batch = frames.calibration, frames.calibration.depth_unit, len(grid.z)
+    label = np.stack([one.label for one in found]).reshape(batch, -1)
     keep = np.stack([one.keep for one in found]) & grid.in_view
-    columns = {"u": uv[..., 0], "v": uv[..., 1], "x": grid.x, "y": grid.y, "z": grid.z}
-    columns |= {"valid": keep, "kept": keep}
-    sampled = {k: a[part].reshape(len(a), -1) for k, a in columns.items()}
-    of_cells = np.where(grid.in_view, label, -1)[part].reshape(len(label), -1)
-    of_corners = np.stack(
-        [_corner_labels(corners, b, grid, one, unit, config) for b, one in enumerate(label)]
+    farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)[1]
+    over = cover(grid, keep & (grid.z <= farthest), calibration.color)
+    z, there = grid.z.reshape(batch, -1), over >= 0
+    frame = np.arange(batch)[:, None, None]
+    depth = np.where(there, z[frame, over], 0).astype(np.uint16)
+    corners = features(
+        frames.color,
+        Keep(there, depth, there.any(axis=(1, 2))),
+        calibration,
+        config.features,
     )
-    count = label.max(axis=(1, 2), initial=-1) + 1
+    cell = over[frame[..., 0], corners.v, corners.u]
+    of_corners = np.where(corners.kept & (cell >= 0), label[frame[..., 0], cell], -1)
+
+    part = (slice(None), slice(SAMPLE // 2, None, SAMPLE), slice(SAMPLE // 2, None, SAMPLE))
+    u, v = np.moveaxis(grid.middle, -1, 0)
+    columns = {"u": u, "v": v, "x": grid.x, "y": grid.y, "z": grid.z, "valid": keep, "kept": keep}
+    sampled = {k: a[part].reshape(batch, -1) for k, a in columns.items()}
+    of_cells = np.where(grid.in_view, label.reshape(grid.z.shape), -1)[part].reshape(batch, -1)
+    count = label.max(axis=1, initial=-1) + 1
     points = Features(
         **{k: np.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
-        overflow=corners.overflow | (count > MAX_OBSTACLES),
+        overflow=corners.overflow | (count > MAX_OBSTACLES) | [one.overflow for one in found],
     )
     labels = np.concatenate([of_corners, of_cells], axis=1)
     labels = np.where(labels < MAX_OBSTACLES, labels, -1).astype(np.int32)
     return points, Labels(labels, np.minimum(count, MAX_OBSTACLES).astype(np.int32))
 
 
-def _corner_labels(
-    corners: Features, b: int, grid: Cells, label: np.ndarray, unit: float, config: Config
-) -> np.ndarray:
-    """The obstacle of each corner: that of the nearest cell whose box it lies in or beside.
-
-    A corner of a contour lies beside it, so the boxes are a pixel larger. One whose depth is not
-    that of the cell, within the gap of hidden surfaces, has none.
-
-    Returns:
-        ``(N,)`` int64, -1 = none.
-    """
-    own = (label >= 0) & grid.in_view[b]
-    low, high = grid.uv_min[b][own] - 1, grid.uv_max[b][own] + 1
-    z, number = grid.z[b][own], label[own]
-    out = np.full(corners.u.shape[1], -1)
-    gap = round(config.obstacle.depth_gap_m / unit)
-    for n in np.flatnonzero(corners.kept[b]).tolist():
-        place = np.array([corners.u[b, n], corners.v[b, n]])
-        hit = np.flatnonzero(((low <= place) & (place <= high)).all(axis=1))
-        near = hit[np.abs(z[hit] - corners.z[b, n]) <= gap]
-        if len(near):
-            out[n] = number[near[np.argmin(z[near])]]
-    return out
-
-
 def _outlines(
-    grid: Cells,
-    found: list[Found],
-    plane: GroundPlane,
-    unit: float,
-    config: Config,
+    grid: Cells, found: list[Found], unit: float, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The obstacles, measured on their cells in the colour image, and outlined on all of them."""
     batch = len(found)
@@ -205,10 +202,15 @@ def _outlines(
     every = Features(flat["x"], flat["y"], **flat, valid=seen, kept=seen, overflow=none)
     label = np.stack([one.label.ravel() for one in found])
     shown = np.where(seen, label, -1)
+    floor = [np.stack([one.view.right, one.view.forward], axis=-1) for one in found]
+    floor = np.clip(np.stack(floor).reshape(batch, -1, 2), -MAX_LATERAL, MAX_LATERAL)
     count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
-    measured = footprint(every, Labels(shown, count), plane, unit, config, slots=MAX_OBSTACLES)
+    settings = config.footprint
+    measured = footprint_on_floor(
+        every, Labels(shown, count), floor, unit, settings, slots=MAX_OBSTACLES
+    )
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
-    long, edge = round(config.footprint.long_m / unit), margins(grid.z.shape[2])
+    long, edge = round(settings.long_m / unit), margins(grid.z.shape[2])
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):

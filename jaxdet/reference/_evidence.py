@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.affinity import NO_STEP
 from jaxdet.config import ObstacleConfig
 from jaxdet.reference._outlines import contours
 from jaxdet.reference._view import Extents, View, extents
@@ -15,8 +16,6 @@ SLOPE = 10
 CONTACT = 2
 """Contours so many gaps apart are near, whether or not the surfaces face each other."""
 PERCENT = 100
-NO_STEP = 10_000
-"""Step in depth [mm] of two surfaces that do not face each other in any row."""
 
 
 class Facing(NamedTuple):
@@ -83,16 +82,14 @@ def pairs(
     rank = np.argsort(np.lexsort(sizes))
     fewer = rank[one] < rank[other]
     less, more = np.where(fewer, one, other), np.where(fewer, other, one)
-    both = np.minimum(known.right[one], known.right[other])
-    both = both - np.maximum(known.left[one], known.left[other])
     narrower = np.maximum(np.minimum(known.width[one], known.width[other]), 1)
     shorter = np.minimum(known.rows[one], known.rows[other])
     closed = (rows.places - rows.through)[at]
     step = rows.steps[at] // np.maximum(closed, 1)
     seen = [
         distance[at],
-        ahead[at],
-        PERCENT * both // narrower,  # rounded down
+        np.maximum(ahead[at], 0),
+        PERCENT * -aside[at] // narrower,  # rounded down
         np.where(closed > 0, step, round(NO_STEP / (1000 * unit))),
         rows.through[at],
         PERCENT * rows.hidden[at] // shorter,
@@ -188,9 +185,9 @@ def _contour_gaps(label: np.ndarray, view: View, count: int) -> np.ndarray:
 
 
 def _extent_gaps(known: Extents) -> tuple[np.ndarray, np.ndarray]:
-    """How far surfaces are apart on the floor, sideways and forward, ``(S, S)``; 0: overlap."""
+    """How far surfaces are apart on the floor, sideways and forward, ``(S, S)``; < 0: overlap."""
     aside = np.maximum(known.left, known.left[:, None])
     aside = aside - np.minimum(known.right, known.right[:, None])
     ahead = np.maximum(known.near, known.near[:, None])
     ahead = ahead - np.minimum(known.far, known.far[:, None])
-    return np.maximum(aside, 0), np.maximum(ahead, 0)
+    return aside, ahead

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.camera import RAY_BITS, fixed_rays, grid_pixels
+from jaxdet.camera import RAY_BITS, fixed_rays
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference._canny import canny, grey
 from jaxdet.reference._corners import min_eigenvalue, strongest_corners
@@ -29,8 +29,7 @@ def features(
         config: Canny's bounds and the corner selection.
 
     Returns:
-        ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
-        are zero, but a grid pixel that is not kept still tells its place and depth.
+        ``N = config.max_corners`` slots a frame; empty slots are zero.
     """
     slots = [
         _corners(image, mask if config.use_mask else None, config)
@@ -44,10 +43,8 @@ def features(
         count = min(len(corners), n)
         u[b, :count], v[b, :count] = corners[:count].T
         valid[b, :count] = True
-    u, v, valid = _with_grid(u, v, valid, keep, config)
     frame = np.arange(batch)[:, None]
-    known = valid | (np.arange(u.shape[1]) >= n)
-    z = np.where(known, keep.z[frame, v, u], 0).astype(np.int32)
+    z = np.where(valid, keep.z[frame, v, u], 0).astype(np.int32)
     ray_x, ray_y = fixed_rays(calibration.color)
     return Features(
         u=u,
@@ -59,18 +56,6 @@ def features(
         kept=valid & keep.mask[frame, v, u],
         overflow=overflow,
     )
-
-
-def _with_grid(
-    u: np.ndarray, v: np.ndarray, valid: np.ndarray, keep: Keep, config: FeaturesConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Appends the grid's pixels to the corners' slots, ``(B, N)`` each; kept ones are valid."""
-    _, height, width = keep.mask.shape
-    grid_u, grid_v = grid_pixels(width, height, config.grid_columns)
-    kept = keep.mask[:, grid_v, grid_u]
-    u = np.concatenate([u, np.broadcast_to(grid_u, kept.shape)], axis=1)
-    v = np.concatenate([v, np.broadcast_to(grid_v, kept.shape)], axis=1)
-    return u, v, np.concatenate([valid, kept], axis=1)
 
 
 def _corners(image: np.ndarray, mask: np.ndarray | None, config: FeaturesConfig) -> np.ndarray:

@@ -5,20 +5,20 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FloorConfig
-from jaxdet.plane import flat_plane
-from jaxdet.reference._cells import margins
-from jaxdet.reference._floor_planes import (
+from jaxdet.floor_units import (
     ANGLES,
-    BELOW,
-    STEEPEST,
-    Plane,
-    Sample,
+    RAMP_M,
+    STEP_M,
+    TABLE_M,
+    FloorFit,
     Scale,
-    below,
-    score,
+    floor_fit,
+    prior_units,
+    stride,
 )
+from jaxdet.reference._cells import margins
+from jaxdet.reference._floor_planes import BELOW, Plane, Sample, below, refined, score
 from jaxdet.reference._floor_ramp import (
-    SLOPE_BITS,
     Hinge,
     crossing,
     distance,
@@ -33,28 +33,11 @@ MIN_CELLS = 50
 """Of fewer cells, nothing is said."""
 FAR_GAIN = 5
 """A plane far from the prior is believed where so many percent more of the cells lie on it."""
-RAMP_M = 3.6
-"""Such a plane is a ramp where it crosses the prior so near."""
-STEP_M, TABLE_M = 0.05, 0.10
-"""Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
 OBSTACLE = (95, 85)
 """Largest share of obstacle, with a prior and without [percent]."""
 UNDER = ((10, 2), (3, 8))
 """With a prior and without: a plane is a table's where more than so many percent of the cells lie
 under it, and more than one for so many on it: a glossy floor mirrors a few."""
-
-
-class FloorFit(NamedTuple):
-    """The floor of each frame."""
-
-    plane: GroundPlane
-    """``B`` planes: the frame's own, or where that was refused the prior."""
-    own: np.ndarray
-    """``(B,)`` bool, the frame's own depth decided."""
-    share: np.ndarray
-    """``(B,)`` float64, share of the cells on the frame's own best floor."""
-    refused: np.ndarray
-    """``(B,)`` int32, a :class:`Refusal`."""
 
 
 class _Found(NamedTuple):
@@ -67,6 +50,11 @@ class _Found(NamedTuple):
     total: int
     """All cells."""
     refused: Refusal
+
+    @property
+    def row(self) -> tuple[int, ...]:
+        """As :func:`jaxdet.floor_units.floor_fit` takes it."""
+        return (*self.plane, *(self.hinge or (0, 0)), self.on, self.total, self.refused)
 
 
 def find_floor(
@@ -101,42 +89,19 @@ def find_floor(
         keeps its prior.
     """
     scale = Scale(depth_unit, config.noise_per_m)
-    found = []
-    for b in range(len(z)):
+    given = prior_units(prior, scale).tolist()
+    found = np.zeros((len(z), 8), np.int32)
+    for b, (*plane, valid) in enumerate(given):
         cells, few = _take(x[b], y[b], z[b], config, scale)
-        found.append(_find(cells, few, _known(prior, b, scale), config, scale))
-    own = np.array([f.refused == Refusal.NONE for f in found], bool)
-    mine = _planes(found, depth_unit)
-    plane = GroundPlane(*(np.where(own, a, b) for a, b in zip(mine, prior, strict=True)))
-    share = np.array([f.on / max(f.total, 1) for f in found], np.float64)
-    return FloorFit(plane, own, share, np.array([f.refused for f in found], np.int32))
-
-
-def _known(prior: GroundPlane, b: int, scale: Scale) -> Plane | None:
-    """A frame's prior, rounded."""
-    if not prior.valid[b]:
-        return None
-    pitch, roll = (round(float(np.degrees(a[b])) * ANGLES) for a in (prior.pitch, prior.roll))
-    roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
-    return Plane(min(max(pitch, -STEEPEST), STEEPEST), roll, scale.length(float(prior.height[b])))
-
-
-def _planes(found: list[_Found], unit: float) -> GroundPlane:
-    """The planes in metres and radians."""
-    every = np.array([f.plane for f in found], np.float64).reshape(-1, 3)
-    pitch, roll = np.radians(every[:, :2] / ANGLES).T
-    hinges = [f.hinge or Hinge(0, 0) for f in found]
-    return flat_plane(every[:, 2] * unit, pitch, roll)._replace(
-        ramp_start=np.array([h.start * unit if h.turn else np.inf for h in hinges]),
-        ramp_slope=np.array([h.slope / (1 << SLOPE_BITS) for h in hinges]),
-    )
+        found[b] = _find(cells, few, Plane(*plane) if valid else None, config, scale).row
+    return floor_fit(found, prior, depth_unit)
 
 
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
     """The cells used, and every second of them in rows and columns."""
-    step = max(1, int(np.ceil((z.size / config.max_cells) ** 0.5)))
+    step = stride(z.size, config)
     part = slice(step // 2, None, step)
     x, y, z = (a[part, part].astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
@@ -181,11 +146,11 @@ def _refined(
 ) -> tuple[Plane, Hinge | None]:
     """A plane refined on all cells, or on those before its ramp, and the ramp on those after."""
     if not hinge:
-        return scale.refined(plane, cells, (0, 1, 5), prior), None
+        return refined(plane, cells, (0, 1, 5), prior, scale), None
     steep = ramp_plane(plane, hinge)
     beyond = distance(plane, cells) >= hinge.start
-    plane = scale.refined(plane, cells.take(~beyond), (0, 1, 5), prior)
-    steep = scale.refined(steep, cells.take(beyond), (0, 1, 5), steep)
+    plane = refined(plane, cells.take(~beyond), (0, 1, 5), prior, scale)
+    steep = refined(steep, cells.take(beyond), (0, 1, 5), steep, scale)
     ahead = crossing(plane, steep)
     return plane, ahead if ahead and 0 < ahead.start <= scale.length(RAMP_M) else hinge
 

@@ -9,27 +9,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.floor_units import (
+    ANGLES,
+    LEVER_M,
+    ROUGH_DEG,
+    SINE_BITS,
+    STEEPEST,
+    Scale,
+    Slack,
+    cosine,
+    sine,
+)
 from jaxdet.reference._rounding import rounded
 
-ANGLES = 32
-"""Steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m."""
-SINE_BITS = 15
-"""Fraction bits of sines; the product of two has 32 bits with its sign."""
 DOWN_BITS = 12
 """Fraction bits of a direction: with the largest position its product has 32 bits."""
-_TURN = np.radians(np.arange(-360 * ANGLES, 360 * ANGLES + 1) / ANGLES)
-SINES = np.rint(np.sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)
-STEEPEST = 85 * ANGLES
-"""Largest pitch, up or down: beyond it roll means nothing."""
 RADIAN = round(180 * ANGLES / np.pi)
 """Angle steps in a radian."""
-SLACK_BITS = 26
-"""Fraction bits of what a tolerance has in proportion to depth."""
-ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
-"""Tolerances: roughness [m] where a plane is looked for and where it is known; and how much floors
-and depth images are bowed, for each metre."""
-SHARP_M, SHARP_PER_Z = 0.005, 0.0015
-"""The same for the last steps, so that a book on a table moves nothing."""
 LARGEST_TURN = 8 * ANGLES
 """Most that a round of refinement turns a plane."""
 BELOW = 4
@@ -38,8 +34,6 @@ BELOW_COST = 2
 """And counts so many times as much as one on it: nothing is seen through a floor."""
 TURN_BITS = 24
 """Bits of the sums that the refinement multiplies: two products and an angle fit into 64."""
-LEVER_M = 0.008
-"""Distances on the floor are measured so, to hold their squares."""
 RIDGE = 14
 """Square of 3 cm in levers of 8 mm: floor seen over a few centimetres tells no tilt."""
 
@@ -68,75 +62,6 @@ class Plane(NamedTuple):
     pitch: int
     roll: int
     height: int
-
-
-class Slack(NamedTuple):
-    """How far from a plane of height h its cells may lie: ``base + per_z z + noise z h``."""
-
-    base: int
-    """Roughness of a floor [depth units]."""
-    per_z: int
-    """Errors of direction and bowed floors, ``SLACK_BITS`` fraction bits."""
-    noise: int
-    """Stereo noise ``c z^2`` along a ray that meets the floor at the angle whose sine is h / z,
-    ``SLACK_BITS`` fraction bits."""
-
-    def of(self, z: np.ndarray, height: int) -> np.ndarray:
-        """The tolerance at each depth, ``(K,)`` int64 [depth units]."""
-        return self.base + ((z * (self.per_z + self.noise * height)) >> SLACK_BITS)
-
-
-class Scale(NamedTuple):
-    """Lengths in depth units."""
-
-    unit: float
-    """Metres in one depth unit."""
-    noise_per_m: float
-    """Standard error of depth over its square [1/m]."""
-
-    def length(self, metres: float) -> int:
-        """Rounded, at least one."""
-        return max(round(metres / self.unit), 1)
-
-    def bits(self, metres: float) -> int:
-        """The nearest power of two."""
-        return max(round(np.log2(metres / self.unit)), 0)
-
-    def slack(self, base_m: float, per_z: float) -> Slack:
-        """A tolerance of so much, and so much more for each metre of depth."""
-        one = 1 << SLACK_BITS
-        noise = round(self.noise_per_m * self.unit * one)
-        return Slack(self.length(base_m), round(per_z * one), noise)
-
-    def coarse(self, z: np.ndarray, step_deg: float) -> np.ndarray:
-        """The tolerance of votes for directions so far apart, whatever the height, ``(K,)``."""
-        slack = self.slack(ROUGH_M, float(np.radians(step_deg / 2)))
-        return slack.of(z, 0) + ((z * z * slack.noise) >> SLACK_BITS)
-
-    def refined(
-        self, plane: Plane, cells: Sample, rounds: tuple[int, int, int], prior: Plane | None
-    ) -> Plane:
-        """:func:`refine` in some rounds with a rough tolerance, a fine and a sharp one."""
-        rough = self.slack(ROUGH_M, float(np.radians(0.5)))
-        sharp = self.slack(SHARP_M, SHARP_PER_Z)
-        for slack, count in zip((rough, self.fine, sharp), rounds, strict=True):
-            plane = refine(plane, cells, slack, count, prior, self.bits(LEVER_M))
-        return plane
-
-    @property
-    def fine(self) -> Slack:
-        """The tolerance of floor cells from their own plane."""
-        return self.slack(FINE_M, FINE_PER_Z)
-
-
-def sine(angle: np.ndarray | int) -> np.ndarray:
-    """Sines of angle steps within three quarters of a turn, ``SINE_BITS`` fraction bits."""
-    return SINES[np.asarray(angle) + 360 * ANGLES]
-
-
-def cosine(angle: np.ndarray | int) -> np.ndarray:
-    """Cosines likewise."""
-    return SINES[np.asarray(angle) + 450 * ANGLES]
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -180,6 +105,15 @@ def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
     """Cells on a floor, less ``BELOW_COST`` times those clearly below it; over the last axis."""
     on = np.count_nonzero(np.abs(below) <= slack, axis=-1)
     return on - BELOW_COST * np.count_nonzero(below > BELOW * slack, axis=-1)
+
+
+def refined(
+    plane: Plane, cells: Sample, rounds: tuple[int, int, int], prior: Plane | None, scale: Scale
+) -> Plane:
+    """:func:`refine` in some rounds with a rough tolerance, a fine and a sharp one."""
+    for slack, count in zip((scale.rough(ROUGH_DEG), scale.fine, scale.sharp), rounds, strict=True):
+        plane = refine(plane, cells, slack, count, prior, scale.bits(LEVER_M))
+    return plane
 
 
 def refine(

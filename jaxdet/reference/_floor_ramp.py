@@ -4,46 +4,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.reference._floor_planes import (
+from jaxdet.floor_units import (
     ANGLES,
-    BELOW,
-    BELOW_COST,
+    FARTHEST_M,
     FINE_PER_Z,
+    FINE_START_M,
+    HIGHEST_M,
+    PROFILE_M,
+    RAMP_NEAR_M,
+    RISE_M,
     ROUGH_M,
+    RUN_M,
     SINE_BITS,
-    Plane,
-    Sample,
+    SLOPE_BITS,
+    SPREAD_M,
+    STARTS_M,
     Scale,
-    along,
     cosine,
-    floor_axes,
-    sine,
+    slopes,
 )
+from jaxdet.reference._floor_planes import BELOW, BELOW_COST, Plane, Sample, along, floor_axes
 
-STARTS_M = np.arange(0.4, 3.5, 0.2)
-"""Distances at which a ramp is tried to begin."""
 LEAST_TURN, MOST_TURN = 3 * ANGLES, 12 * ANGLES
 TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
 """Slopes tried: a smaller one is no more than a floor's own waves, and robots on wheels drive no
 larger one."""
-FINE_START_M, FINE_TURN = 0.05, ANGLES // 4
-"""Steps of the finer lattice."""
-SLOPE_BITS = 14
-"""Fraction bits of a slope, its rise over its run."""
-RUN_M, RISE_M = 0.064, 0.004
-"""A cell of the profile; both are rounded to powers of two of the depth unit."""
-FARTHEST_M, HIGHEST_M = 6.0, 1.3
-"""Where the profile ends; what is lower is counted at its lower edge."""
+FINE_TURN = ANGLES // 4
+"""Step of the finer lattice."""
 MIN_GAIN = 4
 """A ramp must explain so many percent more of the cells."""
 MIN_SHARE = 40
 """Of the cells near the floor that tell the ramp from the plane, it must explain at least so many
 percent anew."""
-COARSE_M = 0.02
-"""Tolerance of the first lattice [m]."""
-NEAR_M, SPREAD_M = 0.5, 0.4
-"""It must be seen this near to where it can be told from the plane, and over such a distance; a
-hinge through an obstacle's top or face is seen in one place."""
 
 
 class Hinge(NamedTuple):
@@ -58,11 +50,6 @@ class Hinge(NamedTuple):
     def slope(self) -> int:
         """Rise over run, ``SLOPE_BITS`` fraction bits."""
         return int(slopes(np.array(self.turn)))
-
-
-def slopes(turn: np.ndarray) -> np.ndarray:
-    """The tangents of angle steps, ``SLOPE_BITS`` fraction bits."""
-    return (sine(turn) << SLOPE_BITS) // cosine(turn)
 
 
 class Profile(NamedTuple):
@@ -132,7 +119,8 @@ def find_hinge(
     for plane in dict.fromkeys([flat, *planes]):
         seen = profile(plane, inner, scale.unit)
         coarse, fine = (
-            scale.slack(base, FINE_PER_Z).of(seen.run, plane.height) for base in (COARSE_M, ROUGH_M)
+            scale.slack(base, FINE_PER_Z).of(seen.run, plane.height)
+            for base in (PROFILE_M, ROUGH_M)
         )
         alone.append(int(seen.votes(np.zeros_like(seen.run), fine)))
         votes, hinge = best_hinge(seen, coarse, fine, scale.unit)
@@ -211,4 +199,4 @@ def _is_seen(seen: Profile, hinge: Hinge, slack: np.ndarray, unit: float) -> boo
         return False
     first, last = (int(seen.run[np.argmax(10 * running >= n * total)]) for n in (1, 9))
     begin = int(seen.run[np.argmax(telling)])
-    return first < begin + round(NEAR_M / unit) and last - first > round(SPREAD_M / unit)
+    return first < begin + round(RAMP_NEAR_M / unit) and last - first > round(SPREAD_M / unit)

@@ -2,38 +2,37 @@
 
 import numpy as np
 
-from jaxdet.reference._floor_planes import (
+from jaxdet.floor_units import (
     ANGLES,
+    BIN_M,
+    HEIGHTS_M,
+    NEAR_M,
+    RINGS_M,
+    STEEP_M,
+    STEEPEST,
+    STEP_DEG,
+    Scale,
+)
+from jaxdet.reference._floor_planes import (
     BELOW,
     BELOW_COST,
-    STEEPEST,
     Plane,
     Sample,
-    Scale,
     along,
     below,
     down_units,
+    refined,
     score,
 )
 
-HEIGHTS_M = (0.05, 3.0)
-"""Heights of a robot's or a hand-held camera."""
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
 """Its tilts; a wall in front of a level camera is as a floor at 90 degrees."""
-STEP_DEG = 3
-"""Directions are tried so far apart at first, then a degree."""
 WINNERS = 10
 """So many of the first planes are looked at more closely."""
-BIN_M = 0.008
-"""Heights are tried so far apart, a power of two of the depth unit."""
 APART = 12
 """Planes of neighbouring directions within so many bins are one."""
-NEAR_DEG, NEAR_M = 4, 0.10
-"""A plane is looked for so far from a guess: a robot rocks and mounts are wrong by less."""
-STEEP_DEG, STEEP_M = 8, 0.20
-"""And one so far in pitch and height: where all that is seen is a ramp, it is that plane."""
-RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
-"""Before a ramp, only the cells up to some distance tell the plane."""
+NEAR_DEG, STEEP_DEG = 4, 8
+"""Planes are looked for so far in pitch from a guess, in roll within the first, and one so far."""
 LEAST = np.iinfo(np.int64).min
 """Fewer votes than any plane has."""
 MIN_SHARE = 3
@@ -164,7 +163,7 @@ def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) 
         whole = n == len(ends)
         planes = lattice.best(near[n], 2 if whole else 1)
         planes += lattice.best(votes[n], 1) if whole else []
-        out += [scale.refined(plane, some, (2, 2, 1), prior) for plane in planes]
+        out += [refined(plane, some, (2, 2, 1), prior, scale) for plane in planes]
     return out
 
 
@@ -186,7 +185,7 @@ def any_plane(cells: Sample, scale: Scale) -> Plane:
             _heights(plane.height - span, plane.height + span, scale),
         )
         [plane] = close.best(close.votes(cells, scale.coarse(cells.z, 1), once, 1)[0], 1)
-        plane = scale.refined(plane, cells, (2, 2, 0), None)
+        plane = refined(plane, cells, (2, 2, 0), None, scale)
         slack = scale.fine.of(cells.z, plane.height)
         best.append((int(score(below(plane, cells), slack)), plane))
     return max(best, key=lambda pair: pair[0])[1]

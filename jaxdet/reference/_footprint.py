@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.config import TRIM_SHARE, Config
+from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
 from jaxdet.plane import GROUND_BITS, band_table, ground_axes
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
@@ -13,8 +13,6 @@ def footprint(
     plane: GroundPlane,
     depth_unit: float,
     config: Config,
-    *,
-    slots: int | None = None,
 ) -> Obstacles:
     """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
 
@@ -33,21 +31,45 @@ def footprint(
         plane: The floor of each frame, for the ground frame's axes.
         depth_unit: Metres in one depth unit.
         config: Its footprint part; with N, ``min_points`` of its cluster part sets ``M``.
-        slots: ``M``, if it is known otherwise.
 
     Returns:
         ``(B, M)`` obstacles in the order of their labels.
     """
-    batch, n = labels.labels.shape
-    m = slots or max(1, n // (config.cluster.min_points + 1))
-    threshold = round(config.footprint.vertex_threshold_m / depth_unit)
+    slots = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
+    floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)
+    return footprint_on_floor(features, labels, floor, depth_unit, config.footprint, slots=slots)
+
+
+def footprint_on_floor(
+    features: Features,
+    labels: Labels,
+    floor: np.ndarray,
+    depth_unit: float,
+    config: FootprintConfig,
+    *,
+    slots: int,
+) -> Obstacles:
+    """Measures obstacles whose points' places on the floor are known, see :func:`footprint`.
+
+    Args:
+        features: ``(B, N)`` points.
+        labels: Their obstacles.
+        floor: ``(B, N, 2)`` integer, right and forward, at most MAX_LATERAL [depth units].
+        depth_unit: Metres in one depth unit.
+        config: Trim, bands and the vertex's threshold.
+        slots: ``M``.
+
+    Returns:
+        ``(B, M)`` obstacles in the order of their labels; direction and span are zero.
+    """
+    batch, m = len(labels.labels), slots
+    threshold = round(config.vertex_threshold_m / depth_unit)
     shapes = {"num_points": (m,), "has_vertex": (m,)}
     shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction"), (m, 2))
     shapes |= {"span": (m, 4)}
     shapes |= dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (m, 3))
     out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
-    bands = band_table(config.footprint, depth_unit)
-    floor = np.clip(to_ground(features, plane), -MAX_LATERAL, MAX_LATERAL)
+    bands = band_table(config, depth_unit)
     uv = np.stack([features.u, features.v], axis=-1)
     xyz = np.stack([features.x, features.y, features.z], axis=-1)
     for b in range(batch):
@@ -57,13 +79,10 @@ def footprint(
             out.uv_min[b, label], out.uv_max[b, label] = uv[b, own].min(0), uv[b, own].max(0)
             out.xyz_min[b, label], out.xyz_max[b, label] = xyz[b, own].min(0), xyz[b, own].max(0)
             out.xyz_sum[b, label] = xyz[b, own].sum(0)
-            a_b_c = _outline(floor[b, own], config.footprint.trim, bands)
+            a_b_c = _outline(floor[b, own], config.trim, bands)
             out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
             (_, d_a), (_, d_b), (_, d_c) = a_b_c
             out.has_vertex[b, label] = min(d_a, d_b) - d_c >= threshold
-            direction = shortened(a_b_c[1] - a_b_c[0])
-            out.direction[b, label] = direction
-            out.span[b, label] = _span(floor[b, own], direction)
     return out._replace(has_vertex=out.has_vertex.astype(bool))
 
 
@@ -104,24 +123,3 @@ def _outermost(values: np.ndarray, trim: int, band: int) -> int:
     values = np.sort(values)[min(trim, len(values) // TRIM_SHARE) :]
     inside = values[values <= values[0] + band]
     return int(inside[(len(inside) - 1) // 2])
-
-
-def shortened(edge: np.ndarray) -> np.ndarray:
-    """The edge AB ``(2,)`` halved (rounding down) until both parts are below 512.
-
-    It is only a direction then, short enough for products in 32 bits. (1, 0) for no edge.
-
-    Example:
-        >>> shortened(np.array([3000, -5])).tolist()
-        [375, -1]
-    """
-    halvings = max(0, int(np.abs(edge).max()).bit_length() - 9)
-    short = edge >> halvings
-    return short if short.any() else np.array([1, 0], edge.dtype)
-
-
-def _span(points: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Extremes of the points ``(n, 2)`` along and across a direction, ``(4,)``."""
-    along = points @ direction
-    across = points[:, 1] * direction[0] - points[:, 0] * direction[1]
-    return np.array([along.min(), along.max(), across.min(), across.max()])

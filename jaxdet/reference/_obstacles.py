@@ -9,6 +9,7 @@ from jaxdet.reference._evidence import pairs
 from jaxdet.reference._outlines import contours, straight_parts
 from jaxdet.reference._surfaces import renumbered
 from jaxdet.reference._view import View, extents
+from jaxdet.types import MAX_LABELS
 
 
 def obstacles(
@@ -48,7 +49,7 @@ def obstacles(
     found = pairs(label, free, view, unit, config)
     weight = evidence(found.seen, affinity(config.affinity, unit))
     group = contracted(int(label.max(initial=-1)) + 1, found.one, found.other, weight)
-    label = renumbered(np.where(label >= 0, np.append(group, -1)[label], -1))
+    label = _regrouped(label, group)
     label = _straightened(label, view, unit, config)
     return _ordered(label, view, farthest, unit, config)
 
@@ -107,7 +108,12 @@ def whole_surfaces(
     piece, first = np.unique(both[0, order], return_index=True)
     joins = np.stack([piece, both[1, order][first]])[:, small[piece]]
     group = components(len(small), *joins)
-    return renumbered(np.where(label >= 0, np.append(group, -1)[label], -1))
+    return _regrouped(label, group)
+
+
+def _regrouped(label: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Labels by the group ``(S,)`` of each, numbered anew; -1 stays."""
+    return renumbered(np.append(group, -1)[label])
 
 
 def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +131,10 @@ def _contacts(label: np.ndarray, view: View, step: int) -> tuple[np.ndarray, np.
 
 
 def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleConfig) -> np.ndarray:
-    """Obstacles that bend around free floor, split between columns of cells."""
+    """Obstacles that bend around free floor, split between columns of cells.
+
+    At most ``MAX_LABELS`` parts are told apart.
+    """
     bend, shortest = (round(a / unit) for a in (config.bend_m, config.side_m))
     if not bend:
         return label
@@ -137,6 +146,8 @@ def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleCo
         column = np.flatnonzero(own.any(axis=0))[: used[number]]
         line = lines[number, : used[number]]
         for start in straight_parts(line, bend, shortest, shortest)[1:]:
+            if free == MAX_LABELS:
+                break
             out[own & (np.arange(label.shape[1]) >= column[start])] = free
             free += 1
     return renumbered(out)

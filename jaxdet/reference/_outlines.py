@@ -4,18 +4,15 @@ from math import isqrt
 
 import numpy as np
 
+from jaxdet.plane import DIRECTION_BITS, direction_table
 from jaxdet.types import MAX_CONTOUR
 
-DIRECTIONS = 90
-"""Directions tried for a rectangle, a degree apart."""
 LONG_TRIM = 20
 """One of so many cells of a long thing is passed over at each of its long sides."""
 FAR_BEHIND = 4
 """Where a contour jumps, a corner lies so many times the bend behind the chord."""
 FAR = 1 << 40
 """Farther than any edge."""
-DIRECTION_BITS = 9
-"""Fraction bits of a direction, short enough for products in 32 bits."""
 
 
 def contours(
@@ -33,8 +30,8 @@ def contours(
         slots: ``M``, how many obstacles there is room for.
 
     Returns:
-        ``(M, MAX_CONTOUR, 2)`` int32 right and forward, from left to right, and ``(M,)`` int32, how
-        many points of each are used.
+        ``(M, C, 2)`` int32 right and forward from left to right, C from 1 to MAX_CONTOUR, and
+        ``(M,)`` int32, how many points of each are used.
 
     Example:
         >>> label = np.array([[0, 0], [0, -1]])
@@ -43,7 +40,7 @@ def contours(
         >>> points[0, : count[0]].tolist()
         [[-4, 70], [5, 80]]
     """
-    points = np.zeros((slots, MAX_CONTOUR, 2), np.int32)
+    points = np.zeros((slots, min(max(label.shape[1], 1), MAX_CONTOUR), 2), np.int32)
     count = np.zeros(slots, np.int32)
     distance = right * right + forward * forward
     for number in range(min(slots, int(label.max(initial=-1)) + 1)):
@@ -169,9 +166,7 @@ def _to_near_edge(places: np.ndarray) -> np.ndarray:
 
 def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points ``(n, 2)`` along and across each direction, ``(D, n)``, and the directions."""
-    angle = np.radians(np.arange(DIRECTIONS) * 90.0 / DIRECTIONS)
-    table = np.rint(np.stack([np.cos(angle), np.sin(angle)], -1) * (1 << DIRECTION_BITS))
-    table = table.astype(np.int64)
+    table = direction_table()
     x, y = points.T
     along = table[:, :1] * x + table[:, 1:] * y
     return along, table[:, :1] * y - table[:, 1:] * x, table

@@ -1,6 +1,6 @@
 """Stage 4, cluster: sorts, gap flags and segmented scans."""
 
-from functools import lru_cache, partial
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,10 +8,8 @@ from jax import lax
 
 from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
-from jaxdet.plane import depth_gap_units, surface_gap_table
-from jaxdet.stages import _cluster_cpu
+from jaxdet.plane import depth_gap_units
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
-from jaxdet.stages._slices import linked_sets
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
 LAST = jnp.iinfo(jnp.int32).max
@@ -20,10 +18,9 @@ LAST = jnp.iinfo(jnp.int32).max
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
-    Equals :func:`jaxdet.reference.cluster`. By default the points are linked slice by slice
-    (:mod:`jaxdet.stages._slices`). Without slices every frame is an array program of its own,
-    mapped over the batch: sort by set and depth, flag gaps, count each set; the same by set and
-    x; number what is left. On the CPU one kernel does a frame after the other.
+    Equals :func:`jaxdet.reference.cluster`. Every frame is an array program of its own, mapped over
+    the batch: sort by set and depth, flag gaps, count each set; the same by set and x; number what
+    is left.
 
     Args:
         features: ``(B, N)`` points, N at most 8192; only ``kept`` ones take part. z is below 65536,
@@ -39,57 +36,23 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
         ConfigError: N is larger.
     """
     check_points(features.z.shape[1])
-    return labels(features, surface_gaps(config.cluster, depth_unit), depth_unit, config)
+    return labels(features, depth_unit, config.cluster)
 
 
-@lru_cache(maxsize=8)
-def surface_gaps(config: ClusterConfig, depth_unit: float) -> jax.Array:
-    """:func:`jaxdet.plane.surface_gap_table` on the device."""
-    return jnp.asarray(surface_gap_table(config, depth_unit))
-
-
-@partial(jax.jit, static_argnames=("depth_unit", "config"))
-def labels(features: Features, gaps: jax.Array, depth_unit: float, config: Config) -> Labels:
-    """The labels, from :func:`surface_gaps`."""
+@partial(jax.jit, static_argnames=("depth_unit", "settings"))
+def labels(features: Features, depth_unit: float, settings: ClusterConfig) -> Labels:
+    """The labels of points."""
     with jax.named_scope("cluster"):
-        first_grid = min(config.features.max_corners, features.x.shape[1])
-        given = features, gaps
-        static = {"first_grid": first_grid, "depth_unit": depth_unit, "settings": config.cluster}
-        by_frames, by_arrays = (
-            partial(f, **static) for f in (_cluster_cpu.labels_by_frames, labels_by_arrays)
-        )
-        return Labels(*lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays))
-
-
-def labels_by_arrays(
-    features: Features,
-    gaps: jax.Array,
-    first_grid: int,
-    depth_unit: float,
-    settings: ClusterConfig,
-) -> tuple[jax.Array, jax.Array]:
-    """The array program; takes and gives what ``_cluster_cpu.labels_by_frames`` does."""
-    x, z = features.x, features.z
-    if settings.slice_m:
-        root = linked_sets(features, gaps, first_grid, depth_unit, settings)
-        part = jax.vmap(partial(_large, min_points=settings.min_points))(root, features.kept)
-    else:
         split = partial(
             _gap_parts,
             depth_gap=depth_gap_units(settings, depth_unit),
             lateral_gap=round(settings.lateral_gap_m / depth_unit),
             min_points=settings.min_points,
         )
+        x, z = features.x, features.z
         part = jax.vmap(split)(x, z, features.kept)
-    number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
-    return jax.vmap(number)(part, x, z)
-
-
-def _large(root: jax.Array, kept: jax.Array, min_points: int) -> jax.Array:
-    """The root of each kept point of a frame whose set has more points than N, else ``N``."""
-    n = root.shape[0]
-    size = jnp.zeros(n, jnp.int32).at[root].add(kept.astype(jnp.int32))
-    return jnp.where(kept & (size[root] > min_points), root, n)
+        number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
+        return Labels(*jax.vmap(number)(part, x, z))
 
 
 def _gap_parts(

@@ -9,21 +9,30 @@ import warp as wp
 from jax import lax
 
 from jaxdet.config import FeaturesConfig
-from jaxdet_kernels import features as kernels
+from jaxdet_kernels.features_canny import (
+    SUPPRESS_BLOCK,
+    SUPPRESS_COLUMNS,
+    SUPPRESS_ROWS,
+    canny_suppress,
+)
+from jaxdet_kernels.features_corners import EIGENVALUE_BLOCK, corners_eigenvalue
+from jaxdet_kernels.features_hysteresis import HYSTERESIS_BLOCK, canny_hysteresis
+from jaxdet_kernels.features_maxima import MAXIMA_BLOCK, corners_maxima
+from jaxdet_kernels.features_select import SPREAD_BLOCK, corners_spread
 
 CANDIDATES = 8192
 """Most maxima of a frame that are listed, a multiple of 256; a frame with more takes longer."""
 
-_suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kernels.SUPPRESS_BLOCK)
-_hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_BLOCK)
+_suppress = wp.jax_kernel(canny_suppress, num_outputs=2, block_dim=SUPPRESS_BLOCK)
+_hysteresis = wp.jax_kernel(canny_hysteresis, block_dim=HYSTERESIS_BLOCK)
 _eigenvalue = wp.jax_kernel(
-    kernels.corners_eigenvalue,
+    corners_eigenvalue,
     num_outputs=5,
     in_out_argnames=["best_out", "count_out"],
-    block_dim=kernels.EIGENVALUE_BLOCK,
+    block_dim=EIGENVALUE_BLOCK,
 )
-_maxima = wp.jax_kernel(kernels.corners_maxima, block_dim=kernels.MAXIMA_BLOCK)
-_spread = wp.jax_kernel(kernels.corners_spread, num_outputs=5, block_dim=kernels.SPREAD_BLOCK)
+_maxima = wp.jax_kernel(corners_maxima, block_dim=MAXIMA_BLOCK)
+_spread = wp.jax_kernel(corners_spread, num_outputs=5, block_dim=SPREAD_BLOCK)
 
 
 def edges(color: jax.Array, low: int, high: int) -> jax.Array:
@@ -39,19 +48,19 @@ def edges(color: jax.Array, low: int, high: int) -> jax.Array:
     """
     batch, height, width, _ = color.shape
     words = 2 * -(-width // 64)
-    tiles = -(-height // kernels.SUPPRESS_ROWS) * -(-width // kernels.SUPPRESS_COLUMNS)
+    tiles = -(-height // SUPPRESS_ROWS) * -(-width // SUPPRESS_COLUMNS)
     rows = (batch, height, words)
     candidates, strong = _suppress(
         color,
         low,
         high,
-        launch_dims=(batch * tiles * kernels.SUPPRESS_BLOCK,),
+        launch_dims=(batch * tiles * SUPPRESS_BLOCK,),
         output_dims={"candidates_out": rows, "strong_out": rows},
     )
     (found,) = _hysteresis(
         candidates,
         strong,
-        launch_dims=(batch * kernels.HYSTERESIS_BLOCK,),
+        launch_dims=(batch * HYSTERESIS_BLOCK,),
         output_dims={"edges_out": rows},
     )
     return found
@@ -94,7 +103,7 @@ def strongest_corners(
         found.best,
         found.peak,
         float(config.quality_level),
-        launch_dims=(-(-math.prod(rows) // kernels.MAXIMA_BLOCK) * kernels.MAXIMA_BLOCK,),
+        launch_dims=(-(-math.prod(rows) // MAXIMA_BLOCK) * MAXIMA_BLOCK,),
         output_dims={"maxima_out": rows},
     )
     return select(found.strength, maxima, config)
@@ -104,14 +113,14 @@ def strengths(color: jax.Array, mask: jax.Array | None, config: FeaturesConfig) 
     """The strength of each pixel as a corner of the edge image; ``mask`` None allows all."""
     batch, height, width, _ = color.shape
     edge = edges(color, *config.canny_bounds)
-    blocks = batch * -(-width // kernels.EIGENVALUE_BLOCK)
+    blocks = batch * -(-width // EIGENVALUE_BLOCK)
     best, count, strength, peak, listed = _eigenvalue(
         edge,
         jnp.ones((1, 1, 1), bool) if mask is None else mask,
         int(mask is not None),
         jnp.full(batch, jnp.iinfo(jnp.int32).min, jnp.int32),
         jnp.zeros(batch, jnp.int32),
-        launch_dims=(blocks * kernels.EIGENVALUE_BLOCK,),
+        launch_dims=(blocks * EIGENVALUE_BLOCK,),
         output_dims={
             "best_out": (batch,),
             "count_out": (batch,),
@@ -133,7 +142,7 @@ def select(
         strength,
         maxima,
         float(config.min_distance),
-        launch_dims=(batch * kernels.SPREAD_BLOCK,),
+        launch_dims=(batch * SPREAD_BLOCK,),
         output_dims={
             "strength_key_out": slots,
             "place_key_out": slots,

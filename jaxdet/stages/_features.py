@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxdet.camera import fixed_rays, grid_pixels
+from jaxdet.camera import fixed_rays
 from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.errors import ConfigError
@@ -15,20 +15,19 @@ from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
 from jaxdet_kernels.features_canny_lines import MAX_SIZE
 
 
-class Tables(NamedTuple):
-    """What depends on the calibration and the grid only."""
+class Rays(NamedTuple):
+    """The rays of a camera's pixels, from :func:`jaxdet.camera.fixed_rays`."""
 
-    ray_x: jax.Array
-    ray_y: jax.Array
-    grid_u: jax.Array
-    grid_v: jax.Array
+    x: jax.Array
+    """``(H, W)`` int32."""
+    y: jax.Array
+    """``(H, W)`` int32."""
 
 
 @lru_cache(maxsize=8)
-def tables(camera: Intrinsics, columns: int) -> Tables:
-    """The tables on the device."""
-    grid = grid_pixels(camera.width, camera.height, columns)
-    return Tables(*(jnp.asarray(a) for a in (*fixed_rays(camera), *grid)))
+def rays(camera: Intrinsics) -> Rays:
+    """The rays on the device."""
+    return Rays(*(jnp.asarray(a) for a in fixed_rays(camera)))
 
 
 def features(
@@ -48,8 +47,7 @@ def features(
         config: Canny's bounds and the corner selection.
 
     Returns:
-        ``N = config.max_corners`` slots a frame and one for each pixel of the grid; empty slots
-        are zero.
+        ``N = config.max_corners`` slots a frame; empty slots are zero.
 
     Raises:
         CalibrationError: The images or the mask are not of the colour camera's size.
@@ -58,7 +56,7 @@ def features(
     check_kernels_size(calibration.color)
     for what, images in (("colour", color), ("mask", keep.mask)):
         check_size(what, images.shape, calibration.color)
-    arrays = tables(calibration.color, config.grid_columns)
+    arrays = rays(calibration.color)
     return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, config)
 
 
@@ -81,19 +79,35 @@ def on_device(
     color: jax.Array,
     z: jax.Array,
     keep: jax.Array,
-    arrays: Tables,
+    arrays: Rays,
     config: FeaturesConfig,
 ) -> Features:
-    """The features, from :func:`tables`."""
+    """The features, from :func:`rays`."""
     with jax.named_scope("features"):
+        return _look_up(*strongest_corners(color, keep, config), z, keep, arrays)
 
-        def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            mask = keep if config.use_mask else jnp.ones_like(keep)
-            return _corners_cuda.strongest_corners(color, mask, config)
 
-        by_lines = partial(_corners_cpu.strongest_corners, config=config)
-        u, v, count = jax.lax.platform_dependent(color, keep, cpu=by_lines, cuda=by_blocks)
-        return _look_up(u, v, count, z, keep, arrays)
+def strongest_corners(
+    color: jax.Array, keep: jax.Array, config: FeaturesConfig
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The strongest corners of the Canny edge images, as the reference selects them.
+
+    Args:
+        color: ``(B, H, W, 3)`` uint8, RGB.
+        keep: ``(B, H, W)`` bool, where corners may be if the configuration uses a mask.
+        config: Canny's bounds and the corner selection, static.
+
+    Returns:
+        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
+        corners qualify ``(B,)`` int32, perhaps more than there are slots.
+    """
+
+    def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        mask = keep if config.use_mask else jnp.ones_like(keep)
+        return _corners_cuda.strongest_corners(color, mask, config)
+
+    by_lines = partial(_corners_cpu.strongest_corners, config=config)
+    return jax.lax.platform_dependent(color, keep, cpu=by_lines, cuda=by_blocks)
 
 
 def _look_up(
@@ -102,23 +116,15 @@ def _look_up(
     count: jax.Array,
     z: jax.Array,
     keep: jax.Array,
-    arrays: Tables,
+    arrays: Rays,
 ) -> Features:
     """The features' depth, coordinates and flags, from their pixels ``(B, N)``."""
     n = u.shape[1]
     valid = jnp.arange(n, dtype=jnp.int32)[None, :] < count[:, None]
-    kept = keep[:, arrays.grid_v, arrays.grid_u]
-    known = jnp.concatenate([valid, jnp.ones_like(kept)], axis=1)
-    valid = jnp.concatenate([valid, kept], axis=1)
-    u, v = (
-        jnp.concatenate([corner, jnp.broadcast_to(grid, kept.shape)], axis=1)
-        for corner, grid in ((u, arrays.grid_u), (v, arrays.grid_v))
-    )
     frame = jnp.arange(u.shape[0], dtype=jnp.int32)[:, None]
-    z = jnp.where(known, z[frame, v, u].astype(jnp.int32), 0)
-    kept = valid & keep[frame, v, u]
-    x, y = (lateral(ray[v, u], z) for ray in (arrays.ray_x, arrays.ray_y))
-    return Features(u, v, x, y, z, valid, kept, overflow=count > n)
+    z = jnp.where(valid, z[frame, v, u].astype(jnp.int32), 0)
+    x, y = (lateral(ray[v, u], z) for ray in arrays)
+    return Features(u, v, x, y, z, valid, valid & keep[frame, v, u], overflow=count > n)
 
 
 def lateral(ray: jax.Array, z: jax.Array) -> jax.Array:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
 from jaxdet.plane import band_table, ground_axes
-from jaxdet.stages import _footprint_cpu
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19
@@ -21,8 +20,7 @@ def footprint(
 ) -> Obstacles:
     """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
 
-    Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label. On the
-    CPU one kernel does a frame after the other.
+    Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label.
 
     Args:
         features: ``(B, N)`` points, N at most 8192.
@@ -62,34 +60,12 @@ def obstacles(
     with jax.named_scope("footprint"):
         threshold = round(config.footprint.vertex_threshold_m / depth_unit)
         m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
-        static = {
-            "slots": m,
-            "threshold": threshold,
-            "trim": config.footprint.trim,
-        }
-        by_frames, by_arrays = (
-            partial(f, **static) for f in (_footprint_cpu.obstacles_by_frames, obstacles_by_arrays)
-        )
-        given = features, labels.labels, band_by_depth, axes
-        return jax.lax.platform_dependent(*given, cpu=by_frames, cuda=by_arrays)
-
-
-def obstacles_by_arrays(
-    features: Features,
-    labels: jax.Array,
-    band_by_depth: jax.Array,
-    axes: jax.Array,
-    slots: int,
-    threshold: int,
-    trim: int,
-) -> Obstacles:
-    """The array program; takes and gives what ``_footprint_cpu.obstacles_by_frames`` does."""
-    uv = jnp.stack([features.u, features.v], axis=-1)
-    xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
-    floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
-    static = {"threshold": threshold, "m": slots, "trim": trim}
-    measure = partial(_measure, band_by_depth=band_by_depth, **static)
-    return jax.vmap(measure)(labels, uv, xyz, floor)
+        static = {"threshold": threshold, "m": m, "trim": config.footprint.trim}
+        uv = jnp.stack([features.u, features.v], axis=-1)
+        xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
+        floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
+        measure = partial(_measure, band_by_depth=band_by_depth, **static)
+        return jax.vmap(measure)(labels.labels, uv, xyz, floor)
 
 
 def to_ground(xyz: jax.Array, axes: jax.Array) -> jax.Array:
@@ -151,11 +127,6 @@ def _measure(
     c_right = least(right, c_forward, forward)
     a = jnp.stack([a_right, a_forward], axis=-1)
     b = jnp.stack([b_right, b_forward], axis=-1)
-    direction = jnp.where(some[:, None], _shortened(b - a), 0)
-    own_direction = direction[jnp.minimum(own, m - 1)]
-    along = jnp.sum(floor * own_direction, axis=-1, dtype=jnp.int32)
-    across = forward * own_direction[:, 0] - right * own_direction[:, 1]
-    extremes = [extreme(side, values) for values in (along, across) for side in ("min", "max")]
     return Obstacles(
         num_points=points,
         uv_min=extreme("min", uv),
@@ -167,8 +138,8 @@ def _measure(
         b=b,
         c=jnp.stack([c_right, c_forward], axis=-1),
         has_vertex=some & (jnp.minimum(a_forward, b_forward) - c_forward >= threshold),
-        direction=direction,
-        span=jnp.stack(extremes, axis=-1),
+        direction=jnp.zeros_like(a),
+        span=jnp.zeros((m, 4), jnp.int32),
     )
 
 
@@ -211,12 +182,3 @@ def _outermost(
         jnp.where(some, value_at(low) - MAX_LATERAL, 0),
         jnp.where(some, value_at(high) - MAX_LATERAL, 0),
     )
-
-
-def _shortened(edge: jax.Array) -> jax.Array:
-    """The edges AB ``(M, 2)`` halved until both parts are below 512; (1, 0) for no edge."""
-    largest = jnp.max(jnp.abs(edge), axis=-1, keepdims=True)
-    halvings = sum(((largest >> (9 + k)) > 0).astype(jnp.int32) for k in range(12))
-    short = edge >> halvings
-    none = jnp.all(short == 0, axis=-1, keepdims=True)
-    return jnp.where(none, jnp.array([1, 0], jnp.int32)[None, :], short)

@@ -1,1 +1,1 @@
-"""Warp kernels, one file a stage; they import Warp and nothing of jaxdet."""
+"""Warp kernels; they import Warp and nothing of jaxdet. ``native`` has C++ that several share."""

@@ -10,6 +10,8 @@ equals the initial one, all bits set.
 
 import warp as wp
 
+from jaxdet_kernels.native_source import native
+
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
 PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = 0, 1, 2, 3
@@ -23,99 +25,19 @@ Box = wp.types.vector(length=5, dtype=wp.int32)
 """Left, top, right, bottom, z."""
 
 
-@wp.func
-def align_arctangent(x: wp.float64):
-    """Cephes ``atan`` for x >= 0 from the four operations alone."""
-    one = wp.float64(1.0)
-    t = x
-    offset = wp.float64(0.0)
-    if x > wp.float64(2.414213562373095):
-        offset = wp.float64(1.5707963267948966)
-        t = -one / x
-    elif x > wp.float64(0.66):
-        offset = wp.float64(0.7853981633974483)
-        t = (x - one) / (x + one)
-    z = t * t
-    p = wp.float64(-8.750608600031904122785e-1)
-    p = p * z + wp.float64(-1.615753718733365076637e1)
-    p = p * z + wp.float64(-7.500855792314704667340e1)
-    p = p * z + wp.float64(-1.228866684490136173410e2)
-    p = p * z + wp.float64(-6.485021904942025371773e1)
-    q = z + wp.float64(2.485846490142306297962e1)
-    q = q * z + wp.float64(1.650270098316988542046e2)
-    q = q * z + wp.float64(4.328810604912902668951e2)
-    q = q * z + wp.float64(4.853903996359136964868e2)
-    q = q * z + wp.float64(1.945506571482613964425e2)
-    return offset + (t * (z * p / q) + t)
-
-
-@wp.func
-def align_equidistant(x: wp.float32, y: wp.float32, k: wp.array[wp.float32]):
-    """Kannala-Brandt, in float64."""
-    one = wp.float64(1.0)
-    wx = wp.float64(x)
-    wy = wp.float64(y)
-    r = wp.sqrt(wx * wx + wy * wy)
-    theta = align_arctangent(r)
-    t2 = theta * theta
-    series = wp.float64(k[18]) + t2 * wp.float64(k[19])
-    series = one + t2 * (wp.float64(k[16]) + t2 * (wp.float64(k[17]) + t2 * series))
-    scale = one
-    if r > wp.float64(1.0e-9):
-        scale = (theta * series) / r
-    return wp.vec2(wp.float32(wx * scale), wp.float32(wy * scale))
-
-
-@wp.func
-def align_brown_conrady(
-    x: wp.float32, y: wp.float32, r2: wp.float32, k: wp.array[wp.float32], rational: bool
-):
-    """OpenCV's radial and tangential model."""
-    one = wp.float32(1.0)
-    two = wp.float32(2.0)
-    radial = one + r2 * (k[16] + r2 * (k[17] + r2 * k[20]))
-    if rational:
-        radial = radial / (one + r2 * (k[21] + r2 * (k[22] + r2 * k[23])))
-    xy = two * (x * y)
-    dx = x * radial + (k[18] * xy + k[19] * (r2 + two * (x * x)))
-    dy = y * radial + (k[19] * xy + k[18] * (r2 + two * (y * y)))
-    return wp.vec2(dx, dy)
-
-
-@wp.func
+@wp.func_native(
+    native(
+        "projection.h",
+        body="""
+    const Projection::Point at = Projection{p.data, model}.point(units, x, y);
+    return wp::vec_t<3, int>(at.u, at.v, at.seen ? at.z : -1);
+""",
+    )
+)
 def align_project(
     units: wp.uint16, x: wp.float32, y: wp.float32, p: wp.array[wp.float32], model: int
-):
+) -> wp.vec3i:  # pyright: ignore[reportReturnType]
     """Colour column, row and z of a ray at a depth; z = -1 where it can't be seen."""
-    depth = wp.float32(units) * p[25]
-    px = depth * x
-    py = depth * y
-    cx = p[0] * px + (p[1] * py + (p[2] * depth + p[9]))
-    cy = p[3] * px + (p[4] * py + (p[5] * depth + p[10]))
-    cz = p[6] * px + (p[7] * py + (p[8] * depth + p[11]))
-    if not cz > wp.float32(0.0):
-        return wp.vec3i(0, 0, -1)
-    px = cx / cz
-    py = cy / cz
-    r2 = px * px + py * py
-    if not r2 <= p[24]:
-        return wp.vec3i(0, 0, -1)
-    if model == 3:
-        bent = align_equidistant(px, py, p)
-        px = bent[0]
-        py = bent[1]
-    elif model != 0:
-        bent = align_brown_conrady(px, py, r2, p, model == 2)
-        px = bent[0]
-        py = bent[1]
-    half = wp.float32(0.5)
-    column = px * p[12] + p[14] + half
-    row = py * p[13] + p[15] + half
-    limit = wp.float32(1048576.0)
-    if not (wp.abs(column) < limit and wp.abs(row) < limit):
-        return wp.vec3i(0, 0, -1)
-    z = wp.min(cz / p[25] + half, wp.float32(65534.0))
-    return wp.vec3i(int(column), int(row), int(z))
 
 
 @wp.func

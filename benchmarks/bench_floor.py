@@ -1,0 +1,41 @@
+"""The floor of each frame, against the reference."""
+
+import jax
+import numpy as np
+
+from benchmarks.run import Case
+from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
+from benchmarks.sweep import SIZES, Point
+from jaxdet import reference
+from jaxdet.floor_units import Scale, prior_units
+from jaxdet.stages._floor import find_floor, floor_settings
+
+program = jax.jit(find_floor, static_argnames=("config", "unit"))
+
+
+def cases() -> list[Case]:
+    """Cells on the device, the mount known; no other library has this step."""
+    given, seen = inputs(SIZES[0]), on_cells(SIZES[0])
+    x, y, z = seen.cells[:3]
+    unit = given.calibration.depth_unit
+
+    def peer() -> np.ndarray:
+        return reference.find_floor(x, y, z, given.plane, CONFIG.floor, unit).found
+
+    ours = at(Point(SIZES[0], 0, BATCH))
+    return [ours._replace(name="vs_reference", peer=peer, equal=True, bytes_read=0)]
+
+
+def at(point: Point) -> Case:
+    """Cells on the device."""
+    given, seen = inputs(point.size), on_cells(point.size)
+    unit = given.calibration.depth_unit
+    prior = prior_units(given.plane, Scale(unit, CONFIG.floor.noise_per_m))
+    settings = floor_settings(seen.cells.z[0].size, CONFIG.floor, unit).array()
+    *xyz, known = jax.device_put(repeated((*seen.cells[:3], prior), point.batch))
+    return Case(
+        name=point.name,
+        run=lambda: program(*xyz, known, settings, config=CONFIG.floor, unit=unit),
+        frames=point.batch,
+        bytes_read=sum(a.nbytes for a in xyz),
+    )

@@ -1,0 +1,43 @@
+"""Outlines of obstacles made of surfaces, against the reference."""
+
+import jax
+
+from benchmarks.run import Case
+from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
+from benchmarks.sweep import SIZES, Point
+from jaxdet.plane import band_table
+from jaxdet.reference._detect import _outlines
+from jaxdet.stages._outlines import outline_settings, outlines
+
+program = jax.jit(outlines)
+
+
+def cases() -> list[Case]:
+    """Obstacles on the device; no other library has this step."""
+    seen, unit = on_cells(SIZES[0]), inputs(SIZES[0]).calibration.depth_unit
+    return [
+        at(Point(SIZES[0], 0, BATCH))._replace(
+            name="vs_reference",
+            peer=lambda: _outlines(seen.cells, seen.obstacles, unit, CONFIG),
+            equal=True,
+            bytes_read=0,
+        )
+    ]
+
+
+def at(point: Point) -> Case:
+    """Obstacles on the device."""
+    seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
+    label = seen.of("label", seen.obstacles)
+    given = jax.device_put(
+        repeated((label, label.max(axis=(1, 2)) + 1, seen.cells, seen.places), point.batch)
+    )
+    shared = jax.device_put(
+        (band_table(CONFIG.footprint, unit), outline_settings(CONFIG.footprint, unit))
+    )
+    return Case(
+        name=point.name,
+        run=lambda: program(*given, *shared),
+        frames=point.batch,
+        bytes_read=sum(a.nbytes for a in jax.tree.leaves(given)),
+    )

@@ -1,0 +1,120 @@
+"""The floor of each frame in integers: where points lie on it, and how high above it.
+
+Angles are whole :data:`ANGLES` of a degree, and sines come from one table, so that all that
+follows is a sum, a product or a shift of integers.
+"""
+
+import numpy as np
+
+from jaxdet.floor_units import ANGLES, SINE_BITS, SINES, SLOPE_BITS
+from jaxdet.types import Array, GroundPlane
+
+FRAME_BITS = 13
+"""Fraction bits of the axes of a floor frame."""
+FLOOR_VALUES = 13
+"""Integers of a floor frame: right, forward and down in the camera (three each, ``FRAME_BITS``
+fraction bits), height of the optical centre [depth units], whether the floor is known, where a ramp
+begins [depth units], and its rise over its run (``FRAME_BITS`` fraction bits)."""
+UNKNOWN_HEIGHT = 1 << 20
+"""Of everything, where the floor is not known [depth units]."""
+FARTHEST = 1 << 20
+"""Heights and starts of ramps are at most so large [depth units]."""
+STEEPEST_SLOPE = 8
+"""Rise over run of a ramp, at most."""
+
+
+def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
+    """The floor of each frame as integers.
+
+    With pitch p and roll r rounded to whole steps, right is ``(cos r, -sin r, 0)``, forward
+    ``(-sin r sin p, -cos r sin p, cos p)`` and down ``(sin r cos p, cos r cos p, sin p)``.
+
+    Args:
+        plane: ``B`` planes; of one that is not known, the camera is taken as level.
+        depth_unit: Metres in one depth unit.
+
+    Returns:
+        ``(B, FLOOR_VALUES)`` int32.
+
+    Example:
+        >>> from jaxdet.plane import flat_plane
+        >>> level = flat_plane(np.array([0.5]), np.zeros(1), np.zeros(1))
+        >>> floor_frames(level, 0.001)[0].tolist()
+        [8192, 0, 0, 0, 0, 8192, 0, 8192, 0, 500, 1, 0, 0]
+    """
+    valid = np.asarray(plane.valid, bool)
+    pitch, roll = (
+        np.rint(np.degrees(np.where(valid, a, 0.0)) * ANGLES).astype(np.int64)
+        for a in (plane.pitch, plane.roll)
+    )
+    ramps = valid & np.isfinite(plane.ramp_start)
+    start, slope = (np.where(ramps, a, 0.0) for a in (plane.ramp_start, plane.ramp_slope))
+    slope = np.clip(slope, -STEEPEST_SLOPE, STEEPEST_SLOPE)
+    lengths = (np.where(valid, plane.height, 0.0), start)
+    height, start = (
+        np.clip(np.rint(a / depth_unit), -FARTHEST, FARTHEST).astype(np.int64) for a in lengths
+    )
+    slope = np.floor(slope * (1 << FRAME_BITS) + 0.5).astype(np.int64)
+    values = [*axes(pitch, roll, SINES), height, valid, start, slope]
+    return np.stack(np.broadcast_arrays(*values), axis=1).astype(np.int32)
+
+
+def axes(pitch: Array, roll: Array, table: Array) -> list[Array]:
+    """Right, forward and down in the camera, nine numbers with ``FRAME_BITS`` fraction bits.
+
+    Args:
+        pitch: ``(B,)`` integer [angle steps], NumPy or JAX.
+        roll: Likewise.
+        table: :data:`jaxdet.floor_units.SINES`, likewise.
+
+    Returns:
+        Each ``(B,)``, or 0.
+    """
+    turn, quarter = 180 * ANGLES, 90 * ANGLES
+    sin_p, cos_p, sin_r, cos_r = (
+        table[(a + turn) % (2 * turn) + turn + b] for a in (pitch, roll) for b in (0, quarter)
+    )
+
+    def product(a: Array, b: Array | int = 1 << SINE_BITS) -> Array:
+        bits = 2 * SINE_BITS - FRAME_BITS
+        return (a * b + (1 << (bits - 1))) >> bits
+
+    right = [product(cos_r), product(-sin_r), 0]
+    forward = [product(-sin_r, sin_p), product(-cos_r, sin_p), product(cos_p)]
+    return [*right, *forward, product(sin_r, cos_p), product(cos_r, cos_p), product(sin_p)]
+
+
+def ramp_slopes(turn: Array, table: Array) -> Array:
+    """The rise over run of ramps with ``FRAME_BITS`` fraction bits.
+
+    Args:
+        turn: ``(B,)`` integer, pitch against the plane [angle steps].
+        table: :data:`jaxdet.floor_units.SINES`.
+    """
+    sin, cos = (table[turn + n * ANGLES] for n in (360, 450))
+    return (((sin << SLOPE_BITS) // cos) + (1 << (SLOPE_BITS - FRAME_BITS - 1))) >> (
+        SLOPE_BITS - FRAME_BITS
+    )
+
+
+def on_floor(frame: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points on the floor, and their height above it.
+
+    A ramp raises the floor by its slope times what a point is beyond its start.
+
+    Args:
+        frame: ``(FLOOR_VALUES,)`` int32, of :func:`floor_frames`.
+        xyz: ``(3, ...)`` int64, colour optical frame [depth units].
+
+    Returns:
+        Right, forward and height, each ``(...)`` int64, rounded to depth units; over a floor that
+        is not known everything is ``UNKNOWN_HEIGHT`` high.
+    """
+    values = frame.astype(np.int64)
+    along = np.tensordot(values[:9].reshape(3, 3), xyz, axes=1)
+    right, forward, drop = (along + (1 << (FRAME_BITS - 1))) >> FRAME_BITS
+    height, valid, start, slope = values[9:].tolist()
+    if not valid:
+        return right, forward, np.full_like(drop, UNKNOWN_HEIGHT)
+    rise = (np.maximum(forward - start, 0) * slope) >> FRAME_BITS
+    return right, forward, height - drop - rise

@@ -1,0 +1,89 @@
+"""Cells of the depth image, under ``jax.jit``."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdet.camera import cell_rays, cell_side
+from jaxdet.config import SurfaceConfig
+from jaxdet.errors import ConfigError
+from jaxdet.plane import quadratic_table
+from jaxdet.stages import _align
+from jaxdet.stages._teams import TeamKernel
+from jaxdet.types import Calibration, Cells
+from jaxdet_kernels import cells as kernels
+from jaxdet_kernels.align import PARAMETERS
+
+_cells = TeamKernel(kernels.cells, num_outputs=6)
+_MOST = 1 << 30
+
+
+class Tables(NamedTuple):
+    """A calibration's arrays on the device, as the kernel takes them."""
+
+    near: jax.Array
+    rays: jax.Array
+    offset: jax.Array
+    corner_x: jax.Array
+    corner_y: jax.Array
+    parameters: jax.Array
+    last: jax.Array
+
+
+class Static(NamedTuple):
+    """What a compiled program is for."""
+
+    side: int
+    model: int
+    aligned: int
+
+
+@lru_cache(maxsize=8)
+def tables(calibration: Calibration, config: SurfaceConfig) -> tuple[Tables, Static]:
+    """What :func:`cells` takes beside the images.
+
+    Raises:
+        CalibrationError: The calibration can't be used.
+        ConfigError: Cells have more pixels than the kernel takes.
+    """
+    camera, color = calibration.depth or calibration.color, calibration.color
+    side = cell_side(camera, config.cell_rad)
+    if side > kernels.MAX_SIDE:
+        raise ConfigError(
+            f"cells of {side}x{side} pixels, but at most {kernels.MAX_SIDE} a side",
+            remedy="lower --surface.cell-rad, the angle that a cell takes up",
+        )
+    near = depth_table(quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit))
+    rays, offset = (jnp.asarray(a.astype(np.int32)) for a in cell_rays(calibration, side))
+    last = jnp.array([color.width - 1, color.height - 1], jnp.int32)
+    if calibration.is_aligned:
+        none, parameters = jnp.zeros((1, 1), jnp.float32), jnp.zeros(PARAMETERS, jnp.float32)
+        return Tables(near, rays, offset, none, none, parameters, last), Static(side, 0, 1)
+    x, y, parameters, model, *_ = _align.tables(calibration)
+    return Tables(near, rays, offset, x, y, parameters, last), Static(side, model, 0)
+
+
+def depth_table(values: np.ndarray) -> jax.Array:
+    """A table by depth as the kernels take it: int32, nothing above 2^30."""
+    return jnp.asarray(np.minimum(values, _MOST).astype(np.int32))
+
+
+def cells(depth: jax.Array, arrays: Tables, static: Static) -> Cells:
+    """The cells of depth images, equal to :func:`jaxdet.reference.cells`.
+
+    Args:
+        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
+        arrays: From :func:`tables`.
+        static: Likewise.
+    """
+    with jax.named_scope("cells"):
+        shape = (depth.shape[0], *arrays.rays.shape[1:])
+        shapes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(("x_out", "y_out", "z_out", "in_view_out"), shape),
+            **dict.fromkeys(("uv_min_out", "uv_max_out"), (*shape, 2)),
+        }
+        found = _cells(depth, *arrays, *static, batch=shape[0], shapes=shapes, scratch=1)
+        return Cells(*found)

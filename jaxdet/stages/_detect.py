@@ -1,0 +1,223 @@
+"""The whole method as one compiled program, for the CPU and CUDA."""
+
+from functools import lru_cache, partial
+from typing import NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdet.affinity import affinity
+from jaxdet.checks import check_grid
+from jaxdet.config import Config, FeaturesConfig, FloorConfig
+from jaxdet.floor_frame import axes, floor_frames, ramp_slopes
+from jaxdet.floor_units import SINES, FloorFit, Scale, floor_fit, prior_units
+from jaxdet.plane import band_table, depth_range
+from jaxdet.stages import _cells, _features, _floor, _free, _obstacles, _outlines, _spread
+from jaxdet.stages import _surfaces as surface_stage
+from jaxdet.stages._cover import corners_on_cells
+from jaxdet.stages._points import clusters
+from jaxdet.types import (
+    MAX_OBSTACLES,
+    MAX_SURFACES,
+    Array,
+    Calibration,
+    Cells,
+    Detections,
+    Features,
+    Frames,
+    GroundPlane,
+    Labels,
+    Refusal,
+    Scene,
+)
+
+SAMPLE = 2
+"""Of the cells, every second one of every second row is a feature."""
+
+
+class _Tables(NamedTuple):
+    """What all frames share: arrays, so that no camera and no setting compiles anew."""
+
+    cells: _cells.Tables
+    rays: _features.Rays
+    floor: Array
+    surfaces: surface_stage.SurfaceTables
+    surface: Array
+    trees: _obstacles.Trees
+    obstacle: Array
+    bands: Array
+    outline: Array
+    free: _free.FreeTables
+    free_settings: Array
+    depth_range: Array
+
+
+class _Given(NamedTuple):
+    """What is known of each frame's floor."""
+
+    prior: jax.Array
+    """``(B, 4)`` int32, see :func:`jaxdet.floor_units.prior_units`."""
+    frame: jax.Array
+    """``(B, 13)`` int32, see :func:`jaxdet.floor_frame.floor_frames`."""
+
+
+SPECS = (_spread.WHOLE, _spread.ROWS)
+"""Of :class:`_Tables` and :class:`_Given`: which have a row for each frame."""
+
+
+class _Static(NamedTuple):
+    """What a compiled program is for."""
+
+    cells: _cells.Static
+    features: FeaturesConfig
+    floor: FloorConfig
+    unit: float
+
+
+def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+    """Equals :func:`jaxdet.reference.detect`.
+
+    Args:
+        frames: ``B`` frames; images on the host, which all devices share, or already on devices.
+            On the CPU, images whose memory starts at a multiple of 64 bytes are read where they
+            are, so leave them alone until the results are ready.
+        plane: What is known of each frame's floor.
+        config: The method.
+
+    Returns:
+        What the reference finds, still being computed perhaps.
+
+    Raises:
+        ConfigError: The kernels don't take images or grids of this size.
+    """
+    _features.check_kernels_size(frames.calibration.color)
+    if config.cluster.points:
+        return clusters(frames, plane, config)
+    calibration, unit, count = frames.calibration, frames.calibration.depth_unit, len(frames.color)
+    tables, static = _tables(calibration, config)
+    among = _spread.devices_for(frames.color)
+    color, depth, prior = _spread.even(frames.color, frames.depth, plane, len(among))
+    scale = Scale(unit, config.floor.noise_per_m)
+    given = _Given(*map(jnp.asarray, (prior_units(prior, scale), floor_frames(prior, unit))))
+    found = _spread.run(_detect, color, depth, (tables, given), SPECS, static)
+    found = found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
+    return found._replace(scene=found.scene._replace(prior=plane))
+
+
+def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
+    """Equals :func:`jaxdet.reference.find_floors`."""
+    calibration, unit = frames.calibration, frames.calibration.depth_unit
+    tables, static = _tables(calibration, config)
+    units = jnp.asarray(prior_units(prior, Scale(unit, config.floor.noise_per_m)))
+    found = _find_floors(jax.device_put(frames.depth), tables, units, static)
+    return floor_fit(np.asarray(found), prior, unit)
+
+
+@lru_cache(maxsize=8)
+def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
+    """The arrays on the device, and what is compiled for."""
+    unit = calibration.depth_unit
+    cells, static = _cells.tables(calibration, config.surface)
+    rows, columns = cells.rays.shape[1:]
+    check_grid(rows, columns)
+    bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    table = affinity(config.obstacle.affinity, unit)
+    obstacle, trees = _obstacles.settings_of(bounds[1], unit, config.obstacle, table)
+    made = _Tables(
+        cells,
+        _features.rays(calibration.color),
+        _floor.floor_settings(rows * columns, config.floor, unit).array(),
+        surface_stage.surface_tables(calibration, config),
+        surface_stage.surface_settings(config, unit),
+        trees,
+        obstacle,
+        band_table(config.footprint, unit),
+        _outlines.outline_settings(config.footprint, unit),
+        _free.free_tables(config, unit),
+        _free.free_settings(config, unit),
+        np.array(bounds, np.int32),
+    )
+    made = jax.tree.map(jnp.asarray, made)
+    # Of the floor's configuration only this says how much memory is needed.
+    sizes = FloorConfig(max_cells=config.floor.max_cells)
+    return made, _Static(static, config.features, sizes, unit)
+
+
+@partial(jax.jit, static_argnames="static")
+def _find_floors(depth: jax.Array, tables: _Tables, prior: jax.Array, static: _Static) -> jax.Array:
+    grid = _cells.cells(depth, tables.cells, static.cells)
+    return _floor.find_floor(grid.x, grid.y, grid.z, prior, tables.floor, static.floor, static.unit)
+
+
+@partial(jax.jit, static_argnames="static")
+def _detect(
+    color: jax.Array, depth: jax.Array, tables: tuple[_Tables, _Given], static: _Static
+) -> Detections:
+    shared, given = tables
+    grid = _cells.cells(depth, shared.cells, static.cells)
+    floor = _floor.find_floor(
+        grid.x, grid.y, grid.z, given.prior, shared.floor, static.floor, static.unit
+    )
+    surfaces = surface_stage.surfaces(
+        grid.x, grid.y, grid.z, _frame(floor, given.frame), shared.surfaces, shared.surface
+    )
+    on_floor = surfaces.right, surfaces.forward, surfaces.height
+    free = (grid.z >= shared.depth_range[0]) & ~surfaces.keep
+    view = _obstacles.View(grid.x, grid.y, grid.z, *on_floor, grid.in_view)
+    label, count = _obstacles.obstacles(surfaces.label, free, view, shared.trees, shared.obstacle)
+    points, labels = _points(color, grid, surfaces, label, count, shared, static)
+    outlined = _outlines.outlines(label, count, grid, on_floor, shared.bands, shared.outline)
+    line, end = _free.free_floor(
+        label, surfaces.low, grid.z, on_floor, shared.free, shared.free_settings
+    )
+    nearest, farthest = shared.depth_range
+    in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
+    lost = cast(GroundPlane, None)  # it stays on the host
+    scene = Scene(floor, lost, *outlined[1:], line, end)
+    return Detections(points, labels, outlined.obstacles, in_range.any(axis=(1, 2)), scene)
+
+
+def _points(
+    color: jax.Array,
+    grid: Cells,
+    surfaces: surface_stage.Surfaces,
+    label: jax.Array,
+    count: jax.Array,
+    shared: _Tables,
+    static: _Static,
+) -> tuple[Features, Labels]:
+    """Corners on kept cells and a sample of the cells as features, with their obstacles."""
+    batch = len(color)
+    keep = surfaces.keep & grid.in_view
+    near = keep & (grid.z <= shared.depth_range[1])
+    corners, cell = corners_on_cells(color, grid, near, shared.rays, static.features)
+    of_corners = jnp.take_along_axis(label.reshape(batch, -1), jnp.maximum(cell, 0), axis=1)
+    of_corners = jnp.where(corners.kept, of_corners, -1)
+
+    part = (slice(None), slice(SAMPLE // 2, None, SAMPLE), slice(SAMPLE // 2, None, SAMPLE))
+    few = jax.tree.map(lambda a: a[part], grid)
+    kept, (u, v) = keep[part], jnp.moveaxis(few.middle, -1, 0)
+    columns = {"u": u, "v": v, "x": few.x, "y": few.y, "z": few.z, "valid": kept, "kept": kept}
+    sampled = {k: a.reshape(batch, -1) for k, a in columns.items()}
+    of_cells = jnp.where(few.in_view, label[part], -1).reshape(batch, -1)
+    points = Features(
+        **{k: jnp.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
+        overflow=corners.overflow
+        | (count > MAX_OBSTACLES)
+        | (surfaces.num_surfaces > MAX_SURFACES),
+    )
+    labels = jnp.concatenate([of_corners, of_cells], axis=1)
+    labels = jnp.where(labels < MAX_OBSTACLES, labels, -1)
+    return points, Labels(labels, jnp.minimum(count, MAX_OBSTACLES))
+
+
+def _frame(found: jax.Array, given: jax.Array) -> jax.Array:
+    """The floor frames of frames: their own floor, or where that was refused the one given."""
+    table = jnp.asarray(SINES, jnp.int32)
+    pitch, roll, height, start, turn, _, _, refused = found.T
+    ramp = turn != 0
+    start, slope = (jnp.where(ramp, a, 0) for a in (start, ramp_slopes(turn, table)))
+    own = [*axes(pitch, roll, table), height, jnp.ones_like(height), start, slope]
+    own = jnp.stack([jnp.broadcast_to(a, height.shape) for a in own], axis=1)
+    return jnp.where(refused[:, None] == int(Refusal.NONE), own, given)

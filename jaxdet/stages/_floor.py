@@ -1,0 +1,192 @@
+"""The floor of each frame, found in its own depth: integers in, integers out.
+
+Twin of ``jaxdet/reference/_floor.py``. What is known and found has other units outside, see
+:mod:`jaxdet.floor_units`.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxdet.config import FloorConfig
+from jaxdet.floor_units import (
+    ANGLES,
+    BIN_M,
+    FARTHEST_M,
+    FINE_START_M,
+    HEIGHTS_M,
+    HIGHEST_M,
+    LEVER_M,
+    NEAR_M,
+    PROFILE_M,
+    RAMP_M,
+    RAMP_NEAR_M,
+    RINGS_M,
+    RISE_M,
+    ROUGH_DEG,
+    RUN_M,
+    SINES,
+    SPREAD_M,
+    STARTS_M,
+    STEEP_M,
+    STEP_DEG,
+    STEP_M,
+    TABLE_M,
+    Scale,
+    stride,
+)
+from jaxdet.stages._teams import TeamKernel
+from jaxdet_kernels import floor as kernels
+
+_floor = TeamKernel(kernels.floor, 1, kernels.WIDTH)
+
+
+class FloorSettings(NamedTuple):
+    """What the kernel is told; lengths in depth units. ``native/floor_planes.h`` has this order."""
+
+    stride: int
+    """Every so many of the cells are used, in rows and columns."""
+    max_depth: int
+    noise: int
+    """Of tolerances, as what is per z, see :class:`jaxdet.floor_units.Slack`."""
+    rough_base: int
+    rough_per_z: int
+    fine_base: int
+    fine_per_z: int
+    sharp_base: int
+    sharp_per_z: int
+    wide_per_z: int
+    lever_bits: int
+    bin_bits: int
+    span: int
+    """Heights are tried so far from a guess."""
+    edge: int
+    """Bins at each end that are farther than most planes are looked for."""
+    lowest: int
+    highest: int
+    rings: tuple[int, ...]
+    max_turn: int
+    max_shift: int
+    min_share: int
+    """In thousandths."""
+    min_share_alone: int
+    table: int
+    step: int
+    ramps: int
+    farthest_ramp: int
+    run_bits: int
+    rise_bits: int
+    runs: int
+    half: int
+    """Heights of the profile above the plane, and below."""
+    profile_base: int
+    ramp_near: int
+    ramp_spread: int
+    start_step: int
+    starts: tuple[int, ...]
+
+    def array(self) -> np.ndarray:
+        """All of them, ``(N,)`` int32."""
+        return np.hstack(list(self)).astype(np.int32)
+
+
+def floor_settings(cells: int, config: FloorConfig, unit: float) -> FloorSettings:
+    """The settings for frames of so many cells.
+
+    Args:
+        cells: Rows times columns.
+        config: What to correct and what to refuse.
+        unit: Metres in one depth unit.
+    """
+    scale = Scale(unit, config.noise_per_m)
+    rough, fine, sharp = scale.rough(ROUGH_DEG), scale.fine, scale.sharp
+    span, bin_bits = scale.length(STEEP_M), scale.bits(BIN_M)
+    run_bits, rise_bits = scale.bits(RUN_M), scale.bits(RISE_M)
+    return FloorSettings(
+        stride=stride(cells, config),
+        max_depth=scale.length(config.max_depth_m),
+        noise=rough.noise,
+        rough_base=rough.base,
+        rough_per_z=rough.per_z,
+        fine_base=fine.base,
+        fine_per_z=fine.per_z,
+        sharp_base=sharp.base,
+        sharp_per_z=sharp.per_z,
+        wide_per_z=scale.rough(STEP_DEG / 2).per_z,
+        lever_bits=scale.bits(LEVER_M),
+        bin_bits=bin_bits,
+        span=span,
+        edge=(span - scale.length(NEAR_M)) >> bin_bits,
+        lowest=scale.length(HEIGHTS_M[0]),
+        highest=scale.length(HEIGHTS_M[1]),
+        rings=tuple(scale.length(m) for m in RINGS_M),
+        max_turn=round(config.max_turn_deg * ANGLES),
+        max_shift=scale.length(config.max_shift_m),
+        min_share=round(1000 * config.min_share),
+        min_share_alone=round(1000 * config.min_share_alone),
+        table=scale.length(TABLE_M),
+        step=scale.length(STEP_M),
+        ramps=int(config.ramps),
+        farthest_ramp=scale.length(RAMP_M),
+        run_bits=run_bits,
+        rise_bits=rise_bits,
+        runs=round(FARTHEST_M / unit) >> run_bits,
+        half=round(HIGHEST_M / unit) >> rise_bits,
+        profile_base=scale.length(PROFILE_M),
+        ramp_near=round(RAMP_NEAR_M / unit),
+        ramp_spread=round(SPREAD_M / unit),
+        start_step=round(FINE_START_M / unit),
+        starts=tuple(np.rint(STARTS_M / unit).astype(np.int64).tolist()),
+    )
+
+
+def find_floor(
+    x: jax.Array,
+    y: jax.Array,
+    z: jax.Array,
+    prior: jax.Array,
+    settings: jax.Array,
+    config: FloorConfig,
+    unit: float,
+) -> jax.Array:
+    """Finds the floor of each frame, inside ``jax.jit``.
+
+    Args:
+        x: ``(B, R, C)`` int32, right of the optical axis [depth units].
+        y: Likewise, below it.
+        z: Likewise, along it, 0 = none.
+        prior: ``(B, 4)`` int32, see :func:`jaxdet.floor_units.prior_units`.
+        settings: ``(N,)`` int32, :meth:`FloorSettings.array`.
+        config: What memory is needed: ``max_cells`` is read and nothing else.
+        unit: Metres in one depth unit, for the same.
+
+    Returns:
+        ``(B, 8)`` int32, see :func:`jaxdet.floor_units.floor_fit`.
+    """
+    batch, rows, columns = z.shape
+    sizes = floor_settings(rows * columns, config, unit)
+    used = [len(range(sizes.stride // 2, size, sizes.stride)) for size in (rows, columns)]
+    heights = 2 * sizes.span, sizes.highest - sizes.lowest
+    words = kernels.floor_scratch_words(
+        rows=used[0],
+        columns=used[1],
+        near_bins=(heights[0] >> sizes.bin_bits) + 1,
+        wide_bins=(heights[1] >> sizes.bin_bits) + 1,
+        runs=sizes.runs,
+        rises=2 * sizes.half,
+        width=kernels.WIDTH,
+    )
+    [found] = _floor(
+        x,
+        y,
+        z,
+        prior,
+        settings,
+        jnp.asarray(SINES, jnp.int32),
+        batch=batch,
+        shapes={"found_out": (batch, 8)},
+        scratch=words,
+    )
+    return found

@@ -1,0 +1,87 @@
+"""Free floor of obstacles made of surfaces. Twin of ``jaxdet/reference/_free.py``."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.plane import quadratic_table
+from jaxdet.stages._teams import TeamKernel
+from jaxdet.types import Array
+from jaxdet_kernels import free_floor as kernels
+
+_free_floor = TeamKernel(kernels.free_floor, num_outputs=2)
+
+MOST = 1 << 30
+"""Of a setting or of a table: no height differs by more."""
+
+
+class FreeSettings(NamedTuple):
+    """What the kernel is told of the configuration, in this order."""
+
+    far: int
+    """End of the range [depth units]."""
+    gap: int
+    """The floor ends where so much of it shows no measurement [depth units]."""
+
+
+class FreeTables(NamedTuple):
+    """Heights by z, each ``(65536,)`` int32 [depth units]."""
+
+    bows: Array
+    """How far below the plane floor still is."""
+    drops: Array
+    """How much lower than the floor before it the floor behind an edge lies."""
+
+
+def free_settings(config: Config, depth_unit: float) -> np.ndarray:
+    """:class:`FreeSettings` as ``(2,)`` int32, of a configuration."""
+    lengths = (config.ground.max_depth_m, config.floor.gap_m)
+    settings = FreeSettings(*(min(round(m / depth_unit), MOST) for m in lengths))
+    return np.array(settings, np.int32)
+
+
+def free_tables(config: Config, depth_unit: float) -> FreeTables:
+    """The tables of a configuration, on the host."""
+    floor = config.floor
+    bows = quadratic_table(config.ground.step_height_m, floor.bow_per_m, depth_unit)
+    drops = quadratic_table(floor.drop_m, floor.noise_per_m, depth_unit)
+    return FreeTables(*(np.minimum(table, MOST).astype(np.int32) for table in (bows, drops)))
+
+
+def free_floor(
+    label: jax.Array,
+    low: jax.Array,
+    z: jax.Array,
+    floor: tuple[jax.Array, jax.Array, jax.Array],
+    tables: FreeTables,
+    settings: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Follows the floor in each column of cells, from the robot outward.
+
+    Args:
+        label: ``(B, R, C)`` int32 obstacles, -1 = none.
+        low: ``(B, R, C)`` bool, measured and no higher than the step.
+        z: ``(B, R, C)`` int32 [depth units], from 0 to 65535.
+        floor: Right, forward and height of the cells, each ``(B, R, C)`` int32 [depth units].
+        tables: From :func:`free_tables`.
+        settings: From :func:`free_settings`.
+
+    Returns:
+        ``(B, C, 2, 2)`` int32, where the floor begins and where it ends, right and forward, and
+        ``(B, C)`` int32, what ends it, see :class:`jaxdet.types.FreeEnd`.
+    """
+    batch, _, columns = label.shape
+    line, end = _free_floor(
+        label,
+        low,
+        z,
+        *floor,
+        *tables,
+        settings,
+        batch=batch,
+        shapes={"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)},
+        scratch=kernels.scratch_words(columns),
+    )
+    return line, end

@@ -1,0 +1,108 @@
+"""Obstacles made of surfaces, measured and outlined on their cells.
+
+Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside it.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxdet.config import FootprintConfig
+from jaxdet.plane import direction_table
+from jaxdet.stages._teams import TeamKernel
+from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
+from jaxdet_kernels import outlines as kernels
+
+_outlines = TeamKernel(kernels.outlines, num_outputs=15)
+
+MOST = 1 << 30
+"""Of a setting: no length is longer."""
+SHAPES = {
+    **dict.fromkeys(("num_points", "has_vertex", "contour_points"), ()),
+    **dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction", "bottom_top"), (2,)),
+    **dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (3,)),
+    "span": (4,),
+}
+"""Of each output but the contour, for one obstacle."""
+
+
+class OutlineSettings(NamedTuple):
+    """What the kernel is told of the configuration, in this order."""
+
+    trim: int
+    """Cells passed over at each side and in front before A, B and C."""
+    vertex: int
+    """How much nearer than A and B a vertex is [depth units]."""
+    long: int
+    """Longer rectangles pass over a part of their cells at their long sides [depth units]."""
+
+
+class Outlined(NamedTuple):
+    """The obstacles of a batch, with ``M = MAX_OBSTACLES`` slots a frame."""
+
+    obstacles: Obstacles
+    contour: jax.Array
+    """``(B, M, C, 2)`` int32, the nearest cell of each column, right and forward on the
+    floor, from left to right [depth units]; then zeros."""
+    contour_points: jax.Array
+    """``(B, M)`` int32, how many of them are used."""
+    bottom_top: jax.Array
+    """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
+
+
+def outline_settings(config: FootprintConfig, depth_unit: float) -> np.ndarray:
+    """:class:`OutlineSettings` as ``(3,)`` int32, of a configuration."""
+    vertex, long = (round(m / depth_unit) for m in (config.vertex_threshold_m, config.long_m))
+    settings = OutlineSettings(config.trim, min(vertex, MOST), min(long, MOST))
+    return np.array(settings, np.int32)
+
+
+def outlines(
+    label: jax.Array,
+    count: jax.Array,
+    cells: Cells,
+    floor: tuple[jax.Array, jax.Array, jax.Array],
+    bands: jax.Array,
+    settings: jax.Array,
+) -> Outlined:
+    """Measures each obstacle on its cells in the colour image, and outlines it on all of them.
+
+    Args:
+        label: ``(B, R, C)`` int32 obstacles, -1 = none; C at most MAX_CONTOUR. Those from
+            MAX_OBSTACLES on get no slot.
+        count: ``(B,)`` int32, how many there are.
+        cells: ``(B, R, C)``.
+        floor: Right, forward and height of the cells, each ``(B, R, C)`` int32 [depth units].
+        bands: ``(65536, 2)`` int32, from :func:`jaxdet.plane.band_table`.
+        settings: From :func:`outline_settings`.
+    """
+    batch, rows, columns = label.shape
+    named = _outlines(
+        label,
+        count,
+        cells.x,
+        cells.y,
+        cells.z,
+        *floor,
+        cells.in_view,
+        cells.uv_min,
+        cells.uv_max,
+        bands,
+        _directions(),
+        settings,
+        batch=batch,
+        shapes={
+            f"{name}_out": (batch, MAX_OBSTACLES, *shape)
+            for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
+        },
+        scratch=kernels.scratch_words(rows, columns, MAX_OBSTACLES),
+    )
+    fields = len(Obstacles._fields)
+    return Outlined(Obstacles(*named[:fields]), *named[fields:])
+
+
+@lru_cache(maxsize=1)
+def _directions() -> np.ndarray:
+    return direction_table().astype(np.int32)

@@ -1,0 +1,112 @@
+"""Cells on the floor and in surfaces: twin of ``_surfaces`` in ``jaxdet/reference/_detect.py``."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.plane import depth_range, quadratic_table, step_table
+from jaxdet.stages._teams import TeamKernel
+from jaxdet.types import Array, Calibration
+from jaxdet_kernels import surfaces as kernels
+
+_surfaces = TeamKernel(kernels.surfaces, 7)
+
+
+class SurfaceSettings(NamedTuple):
+    """The numbers of the configuration, in the order of ``native/surfaces.h``."""
+
+    nearest: int
+    """Least depth [depth units]."""
+    farthest: int
+    """Depth up to which surfaces are followed [depth units]."""
+    crease_cells: int
+    min_cells: int
+    crease_margin: int
+    bent: int
+    """Height up to which surfaces without a steep side are floor [depth units]."""
+
+
+class SurfaceTables(NamedTuple):
+    """Lengths by z, each ``(65536,)`` int32 [depth units]."""
+
+    steps: Array
+    """Largest step in depth between neighbouring cells of a surface."""
+    limits: Array
+    """Deeper bends are creases."""
+    rises: Array
+    """What is no higher above the floor is floor."""
+
+
+class Surfaces(NamedTuple):
+    """The cells of a batch on the floor and in surfaces.
+
+    Cells measured to be free are those with ``(z >= nearest) & ~keep``.
+    """
+
+    right: jax.Array
+    """``(B, R, C)`` int32, on the floor [depth units]."""
+    forward: jax.Array
+    """``(B, R, C)`` int32, on the floor [depth units]."""
+    height: jax.Array
+    """``(B, R, C)`` int32, above the floor [depth units]."""
+    label: jax.Array
+    """``(B, R, C)`` int32, below MAX_SURFACES, -1 = none."""
+    keep: jax.Array
+    """``(B, R, C)`` bool, in range and above the floor."""
+    low: jax.Array
+    """``(B, R, C)`` bool, measured and no higher than the step."""
+    num_surfaces: jax.Array
+    """``(B,)`` int32, how many surfaces there are, those without a label included."""
+
+
+def surface_settings(config: Config, depth_unit: float) -> np.ndarray:
+    """The configuration's :class:`SurfaceSettings`, ``(6,)`` int32."""
+    ground, surface = config.ground, config.surface
+    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
+    settings = SurfaceSettings(
+        nearest,
+        round(farthest * surface.beyond),
+        surface.crease_cells,
+        surface.min_cells,
+        surface.crease_margin,
+        round(surface.bent_m / depth_unit),
+    )
+    return np.minimum(settings, 1 << 30).astype(np.int32)
+
+
+def surface_tables(calibration: Calibration, config: Config) -> SurfaceTables:
+    """The configuration's lengths by z, on the host; at most 2^30, which no length is."""
+    surface, depth_unit = config.surface, calibration.depth_unit
+    tables = (
+        quadratic_table(surface.step_m, surface.step_per_m, depth_unit),
+        quadratic_table(surface.crease_m, surface.crease_per_m, depth_unit),
+        step_table(calibration, config),
+    )
+    return SurfaceTables(*(np.minimum(table, 1 << 30).astype(np.int32) for table in tables))
+
+
+def surfaces(
+    x: Array, y: Array, z: Array, floor: Array, tables: SurfaceTables, settings: Array
+) -> Surfaces:
+    """Places the cells of a batch on the floor and groups those above it into surfaces.
+
+    Args:
+        x: ``(B, R, C)`` int32, colour optical frame [depth units]; at most MAX_CONTOUR rows and
+            columns.
+        y: Likewise.
+        z: Likewise, 0 .. 65535, 0 = no measurement.
+        floor: ``(B, 13)`` int32, the floor of each frame as ``native/floor_frame.h`` takes it.
+        tables: See :func:`surface_tables`.
+        settings: See :func:`surface_settings`.
+
+    Returns:
+        What the reference finds, to the bit.
+    """
+    batch, rows, columns = shape = z.shape
+    names = ("right_out", "forward_out", "height_out", "label_out", "keep_out", "low_out")
+    shapes = {**dict.fromkeys(names, shape), "count_out": (batch,)}
+    scratch = kernels.surfaces_words(rows, columns)
+    out = _surfaces(x, y, z, floor, *tables, settings, batch=batch, shapes=shapes, scratch=scratch)
+    return Surfaces(*out)

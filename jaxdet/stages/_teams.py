@@ -1,0 +1,70 @@
+"""Kernels whose frames are worked on by teams of threads: blocks on CUDA, single threads on CPUs.
+
+One source serves both, see ``kernels/jaxdet_kernels/native/team.h``.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import warp as wp
+
+from jaxdet.stages._threads import FrameKernel, shares_of
+
+MOST_TEAMS = 528
+"""Blocks of a launch on CUDA, four for each multiprocessor of the largest device there is."""
+
+
+class TeamKernel:
+    """A kernel under ``jax.jit`` whose teams take the frames of a batch in turn.
+
+    The kernel's first arguments are ``share`` and ``shares``, both int. Team ``t`` works on the
+    frames ``t, t + shares, ...``. Its last output is the teams' scratch memory.
+    """
+
+    def __init__(self, kernel: Any, num_outputs: int, width: int = 256) -> None:
+        """Prepares the launches.
+
+        Args:
+            kernel: Its outputs come last, the scratch memory ``scratch_out`` last of all.
+            num_outputs: How many there are beside the scratch memory.
+            width: Threads of a team on CUDA.
+        """
+        count = num_outputs + 1
+        self._by_cores = FrameKernel(kernel, num_outputs=count)
+        self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=width)
+        self._width = width
+
+    def __call__(
+        self, *arguments: Any, batch: int, shapes: Mapping[str, tuple[int, ...]], scratch: int
+    ) -> Sequence[jax.Array]:
+        """The kernel's outputs but for the scratch memory.
+
+        Args:
+            arguments: The kernel's inputs after ``share`` and ``shares``.
+            batch: ``B``.
+            shapes: The shape of each output but for the scratch memory.
+            scratch: 32-bit words of scratch memory of a team; it begins at 16 bytes.
+        """
+
+        def run(teams: int, launch: Any) -> Sequence[jax.Array]:
+            dims = {**shapes, "scratch_out": (teams, 4 * max(-(-scratch // 4), 1))}
+            return tuple(launch(dims))[:-1]
+
+        def by_cores() -> Sequence[jax.Array]:
+            teams = shares_of(batch)
+            return run(
+                teams,
+                lambda dims: self._by_cores(*arguments, frames=teams, output_dims=dims),
+            )
+
+        def by_blocks() -> Sequence[jax.Array]:
+            teams = min(batch, MOST_TEAMS)
+            return run(
+                teams,
+                lambda dims: self._by_blocks(
+                    0, teams, *arguments, launch_dims=(teams * self._width,), output_dims=dims
+                ),
+            )
+
+        return jax.lax.platform_dependent(cpu=by_cores, cuda=by_blocks)

@@ -1,0 +1,342 @@
+// The best floor of a frame, in its own cells. Twin of `_find` in jaxdet/reference/_floor.py; the
+// constants are its.
+#pragma once
+#include "floor_search.h"
+#include "floor_ramp.h"
+
+struct Floor {
+    enum {
+        MIN_CELLS = 50,
+        FAR_GAIN = 5,
+        OBSTACLE = 95,
+        OBSTACLE_ALONE = 85,
+        UNDER = 10,
+        UNDER_PART = 2,
+        UNDER_ALONE = 3,
+        UNDER_PART_ALONE = 8,
+        MARGIN = 8,
+        PLANES = 1 + FloorSearch::NEAR_PLANES,
+        RESULTS = 8,
+        PRIOR = 4,
+        NONE = 0,
+        TOO_LITTLE = 1,
+        MOSTLY_OBSTACLE = 2,
+        FAR = 3,
+        TABLE = 4,
+        // 0 to 3: counts; from 4 on: ends of rings, then where the next cell of each goes.
+        ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
+        COUNTS = NEXT + FloorSearch::RINGS,
+        // Words of shared memory on CUDA: five blocks have room on a multiprocessor of 228 KB.
+        SHARED = 11264
+    };
+    const Team& team;
+    const int* settings;
+    FloorAngles angles;
+    FloorPlane prior;
+    bool known;
+    // Scratch.
+    unsigned long long *sums, *keys;
+    int *counts, *planes, *votes, *alone, *bound, *cells, *parts, *few, *inner, *slack, *weights;
+    int *rows, *places, *table, *lattice, *copies;
+    int most, most_few, room;
+
+    // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum. On
+    // CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
+    // search needs after the other.
+    Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
+          int columns_in, int* scratch, int* fast)
+        : team(team), settings(settings), angles{sines}, prior{given[0], given[1], given[2]},
+          known(given[3] != 0) {
+        const int stride = settings[FloorSetting::STRIDE];
+        const int r = part(rows_in, stride), c = part(columns_in, stride);
+        most = r * c;
+        most_few = ((r + 1) / 2) * ((c + 1) / 2);
+        int* at = scratch;
+        room = fast ? SHARED : 0;
+        const auto always = [&](int words) {
+            int*& from = words <= room ? fast : at;
+            int* const place = from;
+            room -= words <= room ? words : 0;
+            from += words;
+            return place;
+        };
+        sums = (unsigned long long*)always(Crew::words(team));
+        keys = (unsigned long long*)always(FloorSearch::KEY_WORDS);
+        counts = always(COUNTS);
+        planes = always(3 * 3 * PLANES);
+        votes = always(PLANES);
+        alone = always(PLANES);
+        bound = always(PLANES);
+        rows = always(FloorRamps::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
+        const auto now = [&](int words) {
+            int* const place = words <= room ? fast : at;
+            at += words <= room ? 0 : words;
+            return place;
+        };
+        cells = at;
+        at += 3 * most;
+        parts = at;
+        at += 3 * most;
+        few = at;
+        at += 3 * most_few;
+        inner = at;
+        at += 3 * most_few;
+        slack = at;
+        at += most_few;
+        places = now(4 * most_few);
+        const int crews = (team.size + Crew::WARP - 1) / Crew::WARP * most_few;
+        weights = now(crews > most ? crews : most);
+        copies = room ? fast : at;
+        at += room ? 0 : FloorVotes::COPIES * FloorSearch::most_bins(settings);
+        // Votes of a search and the profile of a plane follow each other.
+        lattice = table = at;
+    }
+
+    // Cells of a side that are used: from the middle of the first step on.
+    int part(int size, int stride) const {
+        return size > stride / 2 ? (size - stride / 2 + stride - 1) / stride : 0;
+    }
+
+    FloorCells of(const int* xyz, int room, int from, int count) const {
+        return {xyz + from, xyz + room + from, xyz + 2 * room + from, count};
+    }
+
+    // The cells used, and every second of them in rows and columns, by rings.
+    void take(const int* x, const int* y, const int* z, int rows, int columns) const {
+        const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
+        const int r = part(rows, stride), c = part(columns, stride), margin = c / MARGIN;
+        const int deepest = settings[FloorSetting::MAX_DEPTH];
+        const int* rings = settings + FloorSetting::RINGS;
+        for (int k = team.rank; k < COUNTS; k += team.size) counts[k] = 0;
+        team.sync();
+        const auto ring_of = [&](int depth) {
+            int ring = 0;
+            for (int n = 0; n < FloorSearch::RINGS - 1; n++) ring += rings[n] < depth;
+            return ring;
+        };
+        // Calls with row, column and place of all cells of every so many rows and columns of these.
+        const auto each = [&](int every, auto use) {
+            const int across = (c + every - 1) / every, down = (r + every - 1) / every;
+#if defined(__CUDA_ARCH__)
+            for (int i = team.rank; i < down * across; i += team.size) {
+                const int row = i / across * every, column = i % across * every;
+                use(row, column, (half + row * stride) * columns + half + column * stride);
+            }
+#else
+            for (int row = 0; row < down * every; row += every)
+                for (int column = 0; column < across * every; column += every)
+                    use(row, column, (half + row * stride) * columns + half + column * stride);
+#endif
+        };
+        each(1, [&](int row, int column, int p) {
+            const int depth = z[p];
+            if (depth <= 0 || depth > deepest) return;
+            const int k = team.count(counts + ALL);
+            cells[k] = x[p];
+            cells[most + k] = y[p];
+            cells[2 * most + k] = depth;
+            if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
+        });
+        team.sync();
+        if (team.rank == 0) {
+            int sum = 0;
+            for (int n = 0; n < FloorSearch::RINGS; n++) {
+                counts[NEXT + n] = sum;
+                counts[ENDS + n] = sum += counts[ENDS + n];
+            }
+        }
+        team.sync();
+        each(2, [&](int, int column, int p) {
+            const int depth = z[p];
+            if (depth <= 0 || depth > deepest) return;
+            const int k = team.count(counts + NEXT + ring_of(depth));
+            few[k] = x[p];
+            few[most_few + k] = y[p];
+            few[2 * most_few + k] = depth;
+            if (column < margin || column >= c - margin) return;
+            const int n = team.count(counts + INNER);
+            inner[n] = x[p];
+            inner[most_few + n] = y[p];
+            inner[2 * most_few + n] = depth;
+        });
+        team.sync();
+    }
+
+    // The best floor of a frame: the values of `_Found`, RESULTS integers.
+    void run(const int* x, const int* y, const int* z, int rows, int columns, int* out) const {
+        take(x, y, z, rows, columns);
+        const int number = counts[ENDS + FloorSearch::RINGS - 1];
+        if (number < MIN_CELLS) {
+            const FloorPlane plane = known ? prior : FloorPlane{0, 0, 0};
+            write(out, plane, {0, 0}, 0, 0, TOO_LITTLE);
+        } else {
+            find(number, out);
+        }
+        team.sync();
+    }
+
+    void write(int* out, FloorPlane plane, FloorHinge hinge, int on, int total, int refused) const {
+        if (team.rank) return;
+        const int values[RESULTS] = {plane.pitch, plane.roll, plane.height, hinge.start,
+                                     hinge.turn,  on,         total,        refused};
+        for (int k = 0; k < RESULTS; k++) out[k] = values[k];
+    }
+
+    FloorRamps ramps() const {
+        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places,
+                table,  alone,    bound};
+    }
+
+    void find(int number, int* out) const {
+        const FloorCells sample = of(few, most_few, 0, number);
+        const FloorSearch search = {angles, settings, sample, counts + ENDS,
+                                    slack,  weights,  keys,   lattice, copies, room};
+        FloorPlane* all = (FloorPlane*)planes;
+        FloorPlane* different = all + PLANES;
+        const FloorPlane* told = known ? &prior : nullptr;
+        const FloorPlane guess = known ? prior : search.any_plane(team, different, votes);
+        team.sync();
+        if (team.rank == 0) all[0] = guess;
+        const int count = 1 + search.near_planes(team, guess, told, all + 1);
+        Crew crew(team);
+        for (int n = crew.index(); n < count; n += crew.count()) {
+            const int score = search.score(crew, all[n]);
+            if (crew.rank() == 0) votes[n] = score;
+        }
+        team.sync();
+        int best = 0, first = -1;
+        for (int n = 0; n < count; n++) {
+            if (votes[n] > votes[best]) best = n;
+            if (is_near(all[n]) && (first < 0 || votes[n] > votes[first])) first = n;
+        }
+        FloorPlane plane = all[first];
+        FloorHinge hinge = {0, 0};
+        if (settings[FloorSetting::RAMPS]) {
+            int others = 0;
+            for (int n = -1; n < count; n++) {
+                const FloorPlane one = all[n < 0 ? first : n];
+                bool is_new = is_near(one);
+                for (int k = 0; k < others; k++) is_new = is_new && !(different[k] == one);
+                // All threads count, and read only what the first has written already itself.
+                if (is_new && team.rank == 0) different[others] = one;
+                team.sync();
+                others += is_new;
+            }
+            plane = ramps().run(team, different, others, hinge);
+        }
+        Crew everyone(team, sums);
+        refine(everyone, plane, hinge);
+        int found[3];
+        judge(everyone, plane, hinge, found);
+        const long long least = (100LL * found[0] + (long long)FAR_GAIN * found[1]) * number;
+        FloorPlane steep = plane;
+        bool far = found[2] == FAR;
+        if (!is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
+            steep = all[best];
+            far = true;
+        }
+        if (far) {
+            found[2] = FAR;
+            FloorHinge ahead = {0, 0};
+            const FloorPlane level = {prior.pitch, steep.roll, prior.height};
+            if (known && settings[FloorSetting::RAMPS] && is_near(level))
+                ahead = ramps().crossing(level, steep);
+            if (is_ahead(ahead)) {
+                plane = level;
+                hinge = ahead;
+                judge(everyone, plane, hinge, found);
+            }
+        }
+        write(out, plane, hinge, found[0], found[1], found[2]);
+    }
+
+    bool is_ahead(FloorHinge hinge) const {
+        return hinge.turn && hinge.start > 0 && hinge.start <= settings[FloorSetting::FARTHEST_RAMP];
+    }
+
+    // Whether a plane is no farther from the prior than that is corrected.
+    bool is_near(FloorPlane plane) const {
+        const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
+        const int turn = settings[FloorSetting::MAX_TURN];
+        return !known || (apart(plane.pitch, prior.pitch) <= turn &&
+                          apart(plane.roll, prior.roll) <= turn &&
+                          apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT]);
+    }
+
+    // Whether a camera on a robot or in a hand can be so tilted.
+    bool is_usual(FloorPlane plane) const {
+        const int one = FloorAngles::ANGLES, roll = FloorSearch::ROLL_MOST * one;
+        return plane.pitch >= FloorSearch::PITCH_LEAST * one &&
+               plane.pitch <= FloorSearch::PITCH_MOST * one && plane.roll <= roll &&
+               -plane.roll <= roll;
+    }
+
+    // A plane refined on all cells, or on those before its ramp, and the ramp on those after.
+    void refine(Crew& crew, FloorPlane& plane, FloorHinge& hinge) const {
+        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        FloorRefine refined = {angles, settings, known ? &prior : nullptr, weights};
+        if (!hinge.turn) {
+            plane = refined.run(crew, plane, all, 0, 1, 5);
+            return;
+        }
+        const FloorRamps ramp = ramps();
+        const FloorPlane steep = ramp.steeper(plane, hinge);
+        const FloorDirection forward = angles.forward(plane);
+        for (int i = team.rank; i < all.count; i += team.size) {
+            const int x = all.x[i], y = all.y[i], z = all.z[i];
+            const bool beyond = forward.along(x, y, z) >= hinge.start;
+            const int n = team.count(counts + (beyond ? BEYOND : BEFORE));
+            const int k = beyond ? most - 1 - n : n;
+            parts[k] = x;
+            parts[most + k] = y;
+            parts[2 * most + k] = z;
+        }
+        team.sync();
+        const int before = counts[BEFORE], beyond = counts[BEYOND];
+        plane = refined.run(crew, plane, of(parts, most, 0, before), 0, 1, 5);
+        refined.prior = &steep;
+        const FloorPlane other =
+            refined.run(crew, steep, of(parts, most, most - beyond, beyond), 0, 1, 5);
+        const FloorHinge ahead = ramp.crossing(plane, other);
+        if (is_ahead(ahead)) hinge = ahead;
+    }
+
+    // Says whether a floor is to be believed: cells on it, all cells, and a refusal.
+    void judge(Crew& crew, FloorPlane plane, FloorHinge hinge, int* found) const {
+        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
+        const FloorSlack fine(settings[FloorSetting::FINE_BASE], settings[FloorSetting::FINE_PER_Z],
+                              settings[FloorSetting::NOISE], plane.height);
+        const FloorRamps ramp = ramps();
+        const int slope = hinge.turn ? angles.slope(hinge.turn) : 0;
+        const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
+        const FloorScore each{};
+        int on = 0, low = 0, high = 0, clear = 0;
+        for (int i = crew.rank(); i < all.count; i += crew.size()) {
+            const int x = all.x[i], y = all.y[i], z = all.z[i];
+            const int up = slope ? ramp.rise(hinge.start, slope, forward.along(x, y, z)) : 0;
+            const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
+            on += (deep <= s) & (-deep <= s);
+            low += deep > FloorScore::BELOW * s + table_depth;
+            high += -deep > s + step;
+            clear += each.of(deep, s);
+        }
+        long long sums[4] = {on, low, high, clear};
+        crew.sum(sums, 4);
+        const long long total = all.count, enough = known ? sums[0] : sums[3];
+        const int least = settings[known ? FloorSetting::MIN_SHARE : FloorSetting::MIN_SHARE_ALONE];
+        const int share = known ? UNDER : UNDER_ALONE, portion = known ? UNDER_PART : UNDER_PART_ALONE;
+        int refused = NONE;
+        if (known ? !is_near(plane) : !is_usual(plane))
+            refused = FAR;
+        else if (100 * sums[1] > share * total && portion * sums[1] > sums[0])
+            refused = TABLE;
+        else if (100 * sums[2] > (known ? OBSTACLE : OBSTACLE_ALONE) * total)
+            refused = MOSTLY_OBSTACLE;
+        else if (1000 * enough < least * total)
+            refused = TOO_LITTLE;
+        found[0] = (int)sums[0];
+        found[1] = (int)total;
+        found[2] = refused;
+    }
+};

@@ -1,0 +1,405 @@
+// A ramp ahead of a plane, by votes on the floor's profile: cells by distance and height.
+// Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
+#pragma once
+#include "floor_planes.h"
+#include "lanes.h"
+
+struct FloorHinge {
+    // Where it begins, and its pitch against the plane, uphill positive; turn 0: there is none.
+    int start, turn;
+};
+
+struct FloorRamps {
+    enum {
+        LEAST_TURN = 3 * FloorAngles::ANGLES,
+        MOST_TURN = 12 * FloorAngles::ANGLES,
+        TURN_STEP = FloorAngles::ANGLES / 2,
+        TURNS = (MOST_TURN - LEAST_TURN) / TURN_STEP + 1,
+        STARTS = 16,
+        AROUND = 4,
+        FINE = 2 * AROUND + 1,
+        FINE_TURN = FloorAngles::ANGLES / 4,
+        MIN_GAIN = 4,
+        MIN_SHARE = 40,
+        MOST_PLANES = 10,
+        KEY_WORDS = 2,
+        // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
+        // told (2), where the next cell goes.
+        ROW_ARRAYS = 8
+    };
+    FloorAngles angles;
+    const int* settings;
+    // The inner cells.
+    FloorCells cells;
+    // Scratch: KEY_WORDS; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words;
+    // MOST_PLANES words twice.
+    unsigned long long* key;
+    int *rows, *places, *table, *alone, *bound;
+
+    int runs() const { return settings[FloorSetting::RUNS]; }
+    int half() const { return settings[FloorSetting::HALF]; }
+    int* row(int k) const { return rows + k * (runs() + 1); }
+    // Where the cells of each distance begin in `sorted`.
+    int* begin() const { return row(0); }
+    int* flat() const { return row(1); }
+    int* most() const { return row(2); }
+    int* coarse() const { return row(3); }
+    int* fine() const { return row(4); }
+    int* anew() const { return row(5); }
+    int* there() const { return row(6); }
+    int* cursor() const { return row(7); }
+
+    // The middle of a distance.
+    int middle(int k) const {
+        const int bits = settings[FloorSetting::RUN_BITS];
+        return (k << bits) + (1 << bits >> 1);
+    }
+
+    int index(int height) const {
+        const int place = (height >> settings[FloorSetting::RISE_BITS]) + half();
+        return place < 0 ? 0 : place > 2 * half() ? 2 * half() : place;
+    }
+
+    int rise(int start, int slope, int run) const {
+        const int beyond = run > start ? run - start : 0;
+        return (int)(((long long)slope * beyond + (1 << (FloorAngles::SLOPE_BITS - 1))) >>
+                     FloorAngles::SLOPE_BITS);
+    }
+
+    // Tolerances at each distance, and the cells of a plane by distance, with their heights.
+    void sort(const Team& team, FloorPlane plane) const {
+        const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
+        const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        const int noise = settings[FloorSetting::NOISE], per_z = settings[FloorSetting::FINE_PER_Z];
+        const FloorSlack wide(settings[FloorSetting::PROFILE_BASE], per_z, noise, plane.height);
+        const FloorSlack tight(settings[FloorSetting::ROUGH_BASE], per_z, noise, plane.height);
+        for (int k = team.rank; k <= n; k += team.size) {
+            coarse()[k] = wide.at(middle(k));
+            fine()[k] = tight.at(middle(k));
+            begin()[k] = 0;
+        }
+        team.sync();
+        const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
+        int* run = places;
+        int *high = run + cells.count, *sorted = high + cells.count, *at = sorted + cells.count;
+        for (int i = team.rank; i < cells.count; i += team.size) {
+            const int x = cells.x[i], y = cells.y[i], z = cells.z[i];
+            const int ahead = forward.along(x, y, z) >> run_bits;
+            const int up = ((plane.height - down.along(x, y, z)) >> rise_bits) + middle_rise;
+            run[i] = ahead >= 0 && ahead < n && up < 2 * middle_rise ? ahead : -1;
+            high[i] = up > 0 ? up : 0;
+        }
+        for (int i = team.rank; i < cells.count; i += team.size)
+            if (run[i] >= 0) team.add(begin() + run[i], 1);
+        team.sync();
+        const Lanes lanes(team);
+        if (lanes.index == 0) {
+            lanes.run_up(begin(), n);
+            for (int k = lanes.rank; k <= n; k += lanes.size) cursor()[k] = begin()[k];
+        }
+        team.sync();
+        for (int i = team.rank; i < cells.count; i += team.size)
+            if (run[i] >= 0) {
+                const int place = team.add(cursor() + run[i], 1);
+                sorted[place] = high[i];
+                at[place] = run[i];
+            }
+        team.sync();
+#if defined(__CUDA_ARCH__)
+        // Heights of a distance in order, so that those below any are found by halves.
+        for (int i = team.rank; i < begin()[n]; i += team.size) {
+            const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
+            int place = from;
+            for (int j = from; j < to; j++) place += sorted[j] < h + (j < i);
+            high[place] = h;
+        }
+        team.sync();
+#endif
+    }
+
+    // Heights of the cells by distance, on CUDA in order.
+    const int* sorted() const {
+#if defined(__CUDA_ARCH__)
+        return places + cells.count;
+#else
+        return places + 2 * cells.count;
+#endif
+    }
+
+    // Of heights of the profile, how many cells at a distance are lower than each.
+    void lower(int k, const int* heights, int* counts, int number) const {
+#if defined(__CUDA_ARCH__)
+        const int* in_order = sorted();
+        const int from = begin()[k], to = begin()[k + 1];
+        for (int m = 0; m < number; m++) counts[m] = from;
+        if (from == to) return;
+        // Few are clearly below: the last height asked for is often lower than all.
+        const int asked = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
+        for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
+            for (int m = 0; m < asked; m++) {
+                const int next = counts[m] + part;
+                if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
+            }
+        for (int m = 0; m < number; m++) counts[m] -= from;
+#else
+        const int* row = table + k * (2 * half() + 1);
+        for (int m = 0; m < number; m++) counts[m] = row[heights[m]];
+#endif
+    }
+
+    // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets:
+    // as many cells as a range of heights as wide as the tolerances holds.
+    void limits(const Team& team, const int* slack) const {
+        const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
+        const int *heights = sorted(), *at = places + 3 * cells.count;
+#if defined(__CUDA_ARCH__)
+        for (int k = team.rank; k <= runs(); k += team.size) {
+            most()[k] = flat()[k] = 0;
+            if (k < runs() && begin()[k] < begin()[k + 1]) {
+                const int s = slack[k];
+                const int ends[3] = {index(s), index(-s), index(-FloorScore::BELOW * s)};
+                int under[3];
+                lower(k, ends, under, 3);
+                flat()[k] = under[0] - under[1] - each * under[2];
+            }
+        }
+        team.sync();
+        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
+            const int k = at[i], end = heights[i] + (2 * slack[k] >> bits) + 1;
+            int under;
+            lower(k, &end, &under, 1);
+            team.most(most() + k, begin()[k] + under - i);
+        }
+        team.sync();
+#else
+        for (int k = team.rank; k <= runs(); k += team.size) flat()[k] = most()[k] = 0;
+        team.sync();
+        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
+            const int k = at[i], s = slack[k], from = begin()[k], to = begin()[k + 1];
+            const int h = heights[i], width = (2 * s >> bits) + 1;
+            const int on = (h < index(s)) - (h < index(-s));
+            team.add(flat() + k, on - each * (h < index(-FloorScore::BELOW * s)));
+            int held = 0;
+            for (int j = from; j < to; j++) held += (unsigned)(heights[j] - h) < (unsigned)width;
+            team.most(most() + k, held);
+        }
+        team.sync();
+#endif
+        // The first become sums of those before, the second of those from there on.
+        const Lanes lanes(team);
+        if (lanes.index == 0) lanes.run_up(flat(), runs());
+        if (lanes.index == 1 % lanes.count) {
+            const int all = lanes.run_up(most(), runs());
+            for (int k = lanes.rank; k <= runs(); k += lanes.size) most()[k] = all - most()[k];
+        }
+        team.sync();
+    }
+
+    // Running counts of the cells of each distance over their heights, where these are in no order.
+    void count(const Team& team) const {
+#if !defined(__CUDA_ARCH__)
+        const int n = runs(), width = 2 * half() + 1;
+        const int* heights = sorted();
+        for (int k = team.rank; k < n; k += team.size) {
+            const int from = begin()[k], to = begin()[k + 1];
+            if (from == to) continue;
+            int* counts = table + k * width;
+            for (int h = 0; h < width; h++) counts[h] = 0;
+            for (int i = from; i < to; i++) counts[heights[i] + 1]++;
+            int sum = 0;
+            for (int h = 0; h < width; h++) counts[h] = sum += counts[h];
+        }
+        team.sync();
+#endif
+    }
+
+    // Cells under a height over the plane at a distance.
+    int under(int k, int height) const {
+        if (begin()[k] == begin()[k + 1]) return 0;
+        const int end = index(height);
+        int count;
+        lower(k, &end, &count, 1);
+        return count;
+    }
+
+    // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
+    // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
+    // many votes as the best so far counts, and others are passed over.
+    void best(const Team& team, int start0, int start_step, int starts,
+                                        int turn0, int turn_step, int turns, int sign,
+                                        const int* slack, int least) const {
+        const int n = runs(), last = 2 * half(), center = half(), number = starts * turns;
+        const int bits = settings[FloorSetting::RISE_BITS];
+        const int *first = begin(), *level = flat(), *rest = most();
+        int known = least;
+        for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
+            const int i = m / turns, start = start_of(i, start0, start_step);
+            int k = first_beyond(start), votes = level[k];
+#if defined(__CUDA_ARCH__)
+            const int others = votes_of(*(volatile unsigned long long*)key);
+            if (others > known) known = others;
+#endif
+            if (votes + rest[k] < known) continue;
+            const int slope = angles.slope(turn_of(m - i * turns, turn0, turn_step, turns, sign));
+            for (; k < n && votes + rest[k] >= known; k++) {
+                if (first[k] == first[k + 1]) continue;
+                const int up = rise(start, slope, middle(k)), s = slack[k];
+                const auto place = [&](int height) {
+                    const int at = (height >> bits) + center;
+                    return at < 0 ? 0 : at > last ? last : at;
+                };
+                const int ends[3] = {place(up + s), place(up - s), place(up - FloorScore::BELOW * s)};
+                int under[3];
+                lower(k, ends, under, 3);
+                votes += under[0] - under[1] - FloorScore::BELOW_COST * under[2];
+            }
+            if (votes < known || k < n) continue;
+            known = votes;
+            team.least(key, (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)m);
+        }
+        team.sync();
+    }
+
+    int votes_of(unsigned long long key) const { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
+
+    // The first distance whose middle lies beyond a start.
+    int first_beyond(int start) const {
+        const int bits = settings[FloorSetting::RUN_BITS];
+        const int k = start < 0 ? 0 : start >> bits;
+        const int found = k < runs() ? k + (middle(k) <= start) : runs();
+        return found;
+    }
+
+    // Starts and turns of the lattices: step 0 is the first one's.
+    int start_of(int i, int start0, int step) const {
+        return step ? start0 + (i - AROUND) * step : settings[FloorSetting::STARTS + i];
+    }
+    int turn_of(int j, int turn0, int step, int turns, int sign) const {
+        if (!sign) {
+            const int k = j < turns / 2 ? turns / 2 - 1 - j : j - turns / 2;
+            const int turn = LEAST_TURN + k * TURN_STEP;
+            return j < turns / 2 ? -turn : turn;
+        }
+        const int turn = turn0 + (j - AROUND) * step;
+        return sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
+    }
+
+    // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
+    // than `least` or the ramp is not seen.
+    bool hinge(const Team& team, int least, FloorHinge& found, int& votes) const {
+        count(team);
+        limits(team, coarse());
+        if (team.rank == 0) *key = ~0ull;
+        team.sync();
+        best(team, 0, 0, STARTS, 0, 0, 2 * TURNS, 0, coarse(), -0x7fffffff);
+        const int rough = (int)(*key & 0xffffffffu);
+        const int start0 = start_of(rough / (2 * TURNS), 0, 0);
+        const int turn0 = turn_of(rough % (2 * TURNS), 0, 0, 2 * TURNS, 0);
+        const int step = settings[FloorSetting::START_STEP], sign = turn0 < 0 ? -1 : 1;
+        const int size = turn0 < 0 ? -turn0 : turn0;
+        limits(team, fine());
+        if (team.rank == 0) *key = ~0ull;
+        team.sync();
+        best(team, start0, step, FINE, size, FINE_TURN, FINE, sign, fine(), least);
+        if (*key == ~0ull) return false;
+        const int m = (int)(*key & 0xffffffffu);
+        votes = votes_of(*key);
+        found = {start0 + (m / FINE - AROUND) * step, turn_of(m % FINE, size, FINE_TURN, FINE, sign)};
+        return is_seen(team, found, fine());
+    }
+
+    // Whether the ramp shows itself from near its start on, over some distance.
+    bool is_seen(const Team& team, FloorHinge hinge, const int* slack) const {
+        const int slope = angles.slope(hinge.turn);
+        const bool uphill = hinge.turn > 0;
+        for (int k = team.rank; k < runs(); k += team.size) {
+            const int up = rise(hinge.start, slope, middle(k)), s = slack[k];
+            const bool telling = up > s || -up > s;
+            // Where the tolerances of ramp and plane overlap, a cell is the plane's.
+            int low = up - s, high = up + s;
+            if (uphill && low < s) low = s;
+            if (!uphill && high > -s) high = -s;
+            anew()[k] = telling ? under(k, high) - under(k, low) : 0;
+            there()[k] = telling ? under(k, (up > 0 ? up : 0) + FloorScore::BELOW * s) : -1;
+        }
+        team.sync();
+        int total = 0, all = 0, begins = -1;
+        for (int k = 0; k < runs(); k++) {
+            total += anew()[k];
+            if (there()[k] < 0) continue;
+            all += there()[k];
+            if (begins < 0) begins = k;
+        }
+        if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
+        int first = -1, last = -1, running = 0;
+        for (int k = 0; k < runs(); k++) {
+            running += anew()[k];
+            if (first < 0 && 10LL * running >= total) first = k;
+            if (last < 0 && 10LL * running >= 9LL * total) last = k;
+        }
+        return middle(first) < middle(begins) + settings[FloorSetting::RAMP_NEAR] &&
+               middle(last) - middle(first) > settings[FloorSetting::RAMP_SPREAD];
+    }
+
+    // The plane and ramp that clearly more cells speak for than for any plane alone. Planes are
+    // different ones; the first is taken where there is no ramp.
+    FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorHinge& out) const {
+        int most_alone = -0x7fffffff;
+        for (int n = 0; n < count; n++) {
+            sort(team, planes[n]);
+            limits(team, fine());
+            const int votes = flat()[runs()];
+            const Lanes lanes(team);
+            int limit = -0x7fffffff;
+            for (int k = lanes.rank; k <= runs(); k += lanes.size) {
+                const int here = flat()[k] + most()[k];
+                limit = here > limit ? here : limit;
+            }
+            limit = lanes.most(limit);
+            most_alone = votes > most_alone ? votes : most_alone;
+            if (team.rank == 0) bound[n] = limit;
+            team.sync();
+        }
+        const long long least = 100LL * most_alone + (long long)MIN_GAIN * cells.count;
+        const int needed = (int)angles.quotient(least, 100) + 1;
+        int best_plane = -1, best_votes = -0x7fffffff;
+        for (int n = 0; n < count; n++) {
+            if (bound[n] < needed || bound[n] <= best_votes) continue;
+            FloorHinge found = {0, 0};
+            int votes = 0;
+            sort(team, planes[n]);
+            if (hinge(team, needed > best_votes ? needed : best_votes + 1, found, votes)) {
+                best_votes = votes;
+                best_plane = n;
+                out = found;
+            }
+            team.sync();
+        }
+        if (best_plane < 0) {
+            out = {0, 0};
+            return planes[0];
+        }
+        return planes[best_plane];
+    }
+
+    // The ramp that a steeper plane is, ahead of a level one.
+    FloorHinge crossing(FloorPlane level, FloorPlane steep) const {
+        const int turn = steep.pitch - level.pitch, size = turn < 0 ? -turn : turn;
+        if (size < LEAST_TURN || size > MOST_TURN) return {0, 0};
+        const long long one = 1 << FloorAngles::SINE_BITS;
+        const long long over = angles.quotient(steep.height * one, angles.cosine(turn)) - level.height;
+        const long long rise = over * (1 << FloorAngles::SLOPE_BITS);
+        const int slope = angles.slope(turn);
+        const long long start =
+            slope > 0 ? angles.quotient(rise, slope) : angles.quotient(-rise, -slope);
+        return {angles.clipped(start, 1 << 30), turn};
+    }
+
+    // The plane of a ramp; `crossing` gives the ramp back.
+    FloorPlane steeper(FloorPlane level, FloorHinge hinge) const {
+        const long long up = (long long)hinge.start * angles.slope(hinge.turn);
+        const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);
+        return {level.pitch + hinge.turn, level.roll,
+                (int)(height * angles.cosine(hinge.turn) >> FloorAngles::SINE_BITS)};
+    }
+};

@@ -1,0 +1,491 @@
+// Where planes are looked for: near a guess, or in all directions that cameras have.
+// Twin of jaxdet/reference/_floor_search.py; the constants are its.
+#pragma once
+#include "floor_planes.h"
+#include "lanes.h"
+
+// Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring: the ends of
+// cells' ranges of heights are counted and summed up. On the CPU one direction follows the other.
+// On CUDA each lane of a warp has a direction, the warps share the cells, and as many directions
+// are counted at once as there is shared memory for.
+struct FloorVotes {
+    enum {
+        APART = 12,
+#if defined(__CUDA_ARCH__)
+        CHUNK = 1,
+        COPIES = 1
+#else
+        // A core adds to one place only every few cycles: neighbouring cells have other places.
+        CHUNK = 64,
+        COPIES = 8
+#endif
+    };
+    FloorAngles angles;
+    FloorCells cells;
+    // Tolerance of each cell.
+    const int* slack;
+    // The cells up to each ring come first; a ring of fewer than `fewest` cells is passed over.
+    const int* ring_ends;
+    int rings, fewest;
+    // The lattice in angle steps and depth units.
+    int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
+    // What is left out of the nearer part: pitches and heights at each end.
+    int edge_pitches, edge_bins;
+    // Votes of all cells, bins + 1 words a direction; and COPIES as many words, or on CUDA `room`
+    // words of shared memory.
+    int *votes, *copies;
+    int room;
+    // The best of each ring in the nearer part, of all of the lattice, and of each direction.
+    unsigned long long *best, *whole, *of_direction;
+
+    int directions() const { return pitches * rolls; }
+
+    FloorDirection direction(int d) const {
+        const int pitch = pitch0 + d / rolls * step;
+        return angles.down(angles.clipped(pitch, FloorAngles::STEEPEST), roll0 + d % rolls * step);
+    }
+
+    FloorPlane plane(unsigned long long key) const {
+        const int index = (int)(key & 0xffffffffu), d = index / bins;
+        const int pitch = angles.clipped(pitch0 + d / rolls * step, FloorAngles::STEEPEST);
+        return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
+    }
+
+    // Smaller where there are more votes, or as many for a plane that comes first.
+    unsigned long long key(int votes, int d, int bin) const {
+        return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)(d * bins + bin);
+    }
+
+    // Whether a direction is in the nearer part.
+    bool is_near(int d) const {
+        const int p = d / rolls;
+        return p >= edge_pitches && p < pitches - edge_pitches;
+    }
+
+    unsigned long long least(const int* row, int from, int to, int d) const {
+        int most = row[from], bin = from;
+        for (int b = from + 1; b < to; b++)
+            if (row[b] > most) {
+                most = row[b];
+                bin = b;
+            }
+        return key(most, d, bin);
+    }
+
+#if defined(__CUDA_ARCH__)
+    // Directions with those that fill up the last warp.
+    int padded() const { return (directions() + Lanes::size - 1) / Lanes::size * Lanes::size; }
+    bool are_fast() const { return padded() * (bins + 1) <= room; }
+    // Votes of a direction, and how far those of its bins are apart.
+    int* row_of(int d) const { return (are_fast() ? copies : votes) + d; }
+    int bin_step() const { return padded(); }
+#else
+    int* row_of(int d) const { return votes + d * (bins + 1); }
+    int bin_step() const { return 1; }
+#endif
+
+    // Where the ends of ranges of a direction are counted.
+    int* ends(int* row) const { return COPIES == 1 ? row : copies; }
+
+    // The sums of what was counted.
+    void fold(int* row) const {
+        if (COPIES == 1) return;
+        const int n = bins + 1;
+        for (int b = 0; b < n; b++) {
+            int sum = 0;
+            for (int k = 0; k < COPIES; k++) sum += copies[k * n + b];
+            row[b] = sum;
+        }
+    }
+
+    // Adds the ends of the ranges of some cells.
+    void count(const FloorDirection& down, int from, int to, int* ends) const {
+        const int low = lowest, shift = bits, last = bins;
+        const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y;
+        const int *__restrict__ zs = cells.z, *__restrict__ slacks = slack;
+        for (int start = from; start < to; start += CHUNK) {
+            const int n = to - start < CHUNK ? to - start : CHUNK;
+            int begin[CHUNK], end[CHUNK], under[CHUNK];
+            for (int k = 0; k < n; k++) {
+                const int i = start + k, s = slacks[i];
+                const int height = down.along(xs[i], ys[i], zs[i]) - low;
+                const int a = -((s - height) >> shift), b = ((height + s) >> shift) + 1;
+                const int c = ((height - FloorScore::BELOW * s - 1) >> shift) + 1;
+                begin[k] = a < 0 ? 0 : a > last ? last : a;
+                end[k] = b < 0 ? 0 : b > last ? last : b;
+                under[k] = c < 0 ? 0 : c > last ? last : c;
+            }
+            for (int k = 0; k < n; k++) {
+                int* one = ends + (COPIES > 1 ? (k & (COPIES / 2 - 1)) * (last + 1) : 0);
+                int* other = one + COPIES / 2 * (last + 1);
+                one[begin[k]]++;
+                one[end[k]]--;
+                other[under[k]] += FloorScore::BELOW_COST;
+            }
+        }
+    }
+
+#if defined(__CUDA_ARCH__)
+    // How counts lie in memory: those of direction k and bin b at `table[b * span + k]`, or where
+    // they are packed those of bins 2 n and 2 n + 1 in the halves of `table[n * span + k]`.
+    struct Table {
+        enum { MOST_PACKED = 10000 };  // Cells: all counts of a bin stay below 2^15.
+        int* words;
+        int span;
+        bool is_shared, is_packed;
+
+        int at(int k, int b) const {
+            if (!is_packed) return words[b * span + k];
+            const int word = words[(b >> 1) * span + k], low = (short)word;
+            return b & 1 ? (word - low) >> 16 : low;
+        }
+    };
+
+    // Adds the ends of the ranges of some cells: each lane for direction k of the table.
+    void count(const Lanes& lanes, const FloorDirection& down, int from, int to, const Table& table,
+               int k_of_lane) const {
+        int* const ends = table.words + k_of_lane;
+        const int step = table.span, low = lowest, shift = bits, last = bins;
+        const bool is_packed = table.is_packed, is_shared = table.is_shared;
+        for (int start = from; start < to; start += Lanes::size) {
+            const int i = start + lanes.rank < to ? start + lanes.rank : to - 1;
+            const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
+            const int n = to - start < Lanes::size ? to - start : Lanes::size;
+#pragma unroll 4
+            for (int k = 0; k < n; k++) {
+                const int s = __shfl_sync(0xffffffff, width, k);
+                const int height = down.along(__shfl_sync(0xffffffff, x, k),
+                                              __shfl_sync(0xffffffff, y, k),
+                                              __shfl_sync(0xffffffff, z, k)) - low;
+                const int begin = -((s - height) >> shift), end = ((height + s) >> shift) + 1;
+                const int under = ((height - FloorScore::BELOW * s - 1) >> shift) + 1;
+                const int bin[3] = {min(max(begin, 0), last), min(max(end, 0), last),
+                                    min(max(under, 0), last)};
+                const int worth[3] = {1, -1, FloorScore::BELOW_COST};
+#pragma unroll
+                for (int m = 0; m < 3; m++)
+                    if (is_packed)
+                        lanes.add_shared(ends + (bin[m] >> 1) * step, worth[m] << (bin[m] % 2 * 16));
+                    else if (is_shared)
+                        lanes.add_shared(ends + bin[m] * step, worth[m]);
+                    else
+                        atomicAdd(ends + bin[m] * step, worth[m]);
+            }
+        }
+    }
+
+    // All votes of the directions of a table, from `first` on.
+    void run(const Team& team, int first, const Table& table) const {
+        const Lanes lanes(team);
+        const int span = table.span, groups = span / Lanes::size, step = bin_step();
+        const int size = span * (table.is_packed ? bins / 2 + 1 : bins + 1);
+        for (int k = team.rank; k < size; k += team.size) table.words[k] = 0;
+        team.sync();
+        int done = 0;
+        for (int n = 0; n < rings; n++) {
+            const bool is_last = n == rings - 1;
+            if (!is_last && ring_ends[n] < fewest) continue;
+            const int end = is_last ? cells.count : ring_ends[n], share = end - done;
+            for (int unit = lanes.index; unit < groups * lanes.count; unit += lanes.count) {
+                // Each warp takes another part of the cells for each group, so none waits long.
+                const int group = unit / lanes.count;
+                const int part = (lanes.index + group) % lanes.count;
+                const int k = group * Lanes::size + lanes.rank;
+                count(lanes, direction(first + k), done + share * part / lanes.count,
+                      done + share * (part + 1) / lanes.count, table, k);
+            }
+            team.sync();
+            for (int k = team.rank; k < span; k += team.size) {
+                const int d = first + k;
+                const bool near = is_near(d) && d < directions();
+                unsigned long long nearer = ~0ull, all = ~0ull;
+                if (near || (is_last && d < directions())) {
+                    int* out = row_of(d);
+                    int sum = -FloorScore::BELOW_COST * end, most = -0x7fffffff, bin = 0;
+                    int highest = -0x7fffffff, top = 0;
+                    for (int b = 0; b < bins; b++) {
+                        sum += table.at(k, b);
+                        if (is_last) out[b * step] = sum;
+                        if (sum > most && b >= edge_bins && b < bins - edge_bins) {
+                            most = sum;
+                            bin = b;
+                        }
+                        if (sum > highest) {
+                            highest = sum;
+                            top = b;
+                        }
+                    }
+                    if (near) nearer = key(most, d, bin);
+                    all = key(highest, d, top);
+                    if (is_last) of_direction[d] = nearer;
+                }
+                nearer = lanes.least(nearer);
+                if (lanes.rank == 0) team.least(best + n, nearer);
+                if (!is_last) continue;
+                all = lanes.least(all);
+                if (lanes.rank == 0) team.least(whole, all);
+            }
+            team.sync();
+            done = end;
+        }
+    }
+#endif
+
+    // All votes. `best` and `whole` are set before the sync.
+    void run(const Team& team) const {
+        for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
+        if (team.rank == 0) *whole = ~0ull;
+        team.sync();
+#if defined(__CUDA_ARCH__)
+        const int all = padded();
+        const bool is_packed = !are_fast() && cells.count <= Table::MOST_PACKED;
+        const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Lanes::size * Lanes::size;
+        const int span = most && most < all ? most : all;
+        for (int first = 0; first < all; first += span)
+            run(team, first, {most ? copies : votes, all - first < span ? all - first : span,
+                              most > 0, is_packed && most});
+#else
+        for (int d = team.rank; d < directions(); d += team.size) {
+            const FloorDirection down = direction(d);
+            int* row = votes + d * (bins + 1);
+            int* counted = ends(row);
+            for (int b = 0; b < COPIES * (bins + 1); b++) counted[b] = 0;
+            const bool near = is_near(d);
+            int done = 0;
+            for (int n = 0; n < rings - 1; n++) {
+                if (!near || ring_ends[n] < fewest) continue;
+                count(down, done, ring_ends[n], counted);
+                fold(row);
+                done = ring_ends[n];
+                int sum = -FloorScore::BELOW_COST * done, most = -0x7fffffff, bin = 0;
+                for (int b = 0; b < bins - edge_bins; b++) {
+                    sum += row[b];
+                    if (b >= edge_bins && sum > most) {
+                        most = sum;
+                        bin = b;
+                    }
+                }
+                team.least(best + n, key(most, d, bin));
+            }
+            count(down, done, cells.count, counted);
+            fold(row);
+            int sum = -FloorScore::BELOW_COST * cells.count;
+            for (int b = 0; b < bins; b++) row[b] = sum += row[b];
+            team.least(whole, least(row, 0, bins, d));
+            of_direction[d] = near ? least(row, edge_bins, bins - edge_bins, d) : ~0ull;
+            if (near) team.least(best + rings - 1, of_direction[d]);
+        }
+#endif
+        team.sync();
+    }
+
+    // The best plane of all cells in the nearer part that is apart from the one found last.
+    void next(const Team& team) const {
+        const unsigned long long last = best[rings - 1];
+        const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
+        const int p = d / rolls, r = d % rolls;
+        const Lanes lanes(team);
+        team.sync();
+        if (team.rank == 0) best[rings - 1] = ~0ull;
+        for (int k = lanes.index; k < 9; k += lanes.count) {
+            const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
+            if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
+            int* row = row_of(other);
+            const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
+            const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
+            int most = -0x7fffffff - 1, bin = bins;
+            for (int b = lanes.rank; b < bins; b += lanes.size) {
+                if (b >= from && b < to) row[b * step] = -0x7fffffff - 1;
+                const int here = row[b * step];
+                if (b < edge_bins || b >= bins - edge_bins || (here <= most && bin < bins)) continue;
+                most = here;
+                bin = b;
+            }
+            const unsigned long long found =
+                lanes.least(bin < bins ? key(most, other, bin) : ~0ull);
+            if (is_near(other) && lanes.rank == 0) of_direction[other] = found;
+        }
+        team.sync();
+        unsigned long long left = ~0ull;
+        for (int k = team.rank; k < directions(); k += team.size)
+            left = of_direction[k] < left ? of_direction[k] : left;
+        left = lanes.least(left);
+        if (lanes.rank == 0) team.least(best + rings - 1, left);
+        team.sync();
+    }
+};
+
+struct FloorSearch {
+    enum {
+        RINGS = 7,
+        MIN_SHARE = 3,
+        NEAR_DEG = 4,
+        STEEP_DEG = 8,
+        PITCH_LEAST = -15,
+        PITCH_MOST = 72,
+        ROLL_MOST = 30,
+        STEP_DEG = 3,
+        WINNERS = 10,
+        NEAR_PLANES = 9,
+        MOST_DIRECTIONS = 30 * 21,
+        KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
+    };
+    FloorAngles angles;
+    const int* settings;
+    // The cells voted by, by rings, and where each ring ends.
+    FloorCells cells;
+    const int* ring_ends;
+    // Scratch: a word a cell; the weights of all crews; KEY_WORDS; votes of all directions and
+    // FloorVotes::COPIES of one, or on CUDA `room` words of shared memory.
+    int *slack, *weights;
+    unsigned long long* keys;
+    int *votes, *copies;
+    int room;
+
+    // Bins of the largest lattice, and one more.
+    static int most_bins(const int* settings) {
+        const int span = 2 * settings[FloorSetting::SPAN];
+        const int range = settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST];
+        return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
+    }
+
+    // The tolerance of votes for directions so far apart, whatever the height.
+    void coarse(const Team& team, int per_z) const {
+        const int noise = settings[FloorSetting::NOISE];
+        const FloorSlack rough(settings[FloorSetting::ROUGH_BASE], per_z, noise, 0);
+        for (int i = team.rank; i < cells.count; i += team.size) {
+            const long long z = cells.z[i];
+            slack[i] = rough.at(cells.z[i]) + (int)((z * z * noise) >> FloorSlack::BITS);
+        }
+        team.sync();
+    }
+
+    // A lattice of planes around one.
+    FloorVotes around(FloorPlane middle, int turn, int roll) const {
+        const int span = settings[FloorSetting::SPAN], bits = settings[FloorSetting::BIN_BITS];
+        FloorVotes lattice = empty();
+        lattice.pitch0 = middle.pitch - turn * FloorAngles::ANGLES;
+        lattice.roll0 = middle.roll - roll * FloorAngles::ANGLES;
+        lattice.step = FloorAngles::ANGLES;
+        lattice.pitches = 2 * turn + 1;
+        lattice.rolls = 2 * roll + 1;
+        lattice.lowest = middle.height - span;
+        lattice.bins = (2 * span >> bits) + 1;
+        return lattice;
+    }
+
+    FloorVotes empty() const {
+        FloorVotes lattice;
+        lattice.angles = angles;
+        lattice.cells = cells;
+        lattice.slack = slack;
+        lattice.ring_ends = ring_ends;
+        lattice.rings = 1;
+        lattice.fewest = 0;
+        lattice.edge_pitches = lattice.edge_bins = 0;
+        lattice.bits = settings[FloorSetting::BIN_BITS];
+        lattice.votes = votes;
+        lattice.copies = copies;
+        lattice.room = room;
+        lattice.best = keys;
+        lattice.whole = keys + RINGS;
+        lattice.of_direction = keys + RINGS + 1;
+        return lattice;
+    }
+
+    int score(Crew& crew, FloorPlane plane) const {
+        const FloorDirection down = angles.down(plane);
+        const int* set = settings;
+        const FloorSlack slack(set[FloorSetting::FINE_BASE], set[FloorSetting::FINE_PER_Z],
+                               set[FloorSetting::NOISE], plane.height);
+        const FloorScore each{};
+        const int height = plane.height, last = cells.count, step = crew.size();
+        const int *xs = cells.x, *ys = cells.y, *zs = cells.z;
+        int sum = 0;
+        for (int i = crew.rank(); i < last; i += step)
+            sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, slack.at(zs[i]));
+        long long total[1] = {sum};
+        crew.sum(total, 1);
+        return (int)total[0];
+    }
+
+    // Up to NEAR_PLANES planes near a guess, and how many; `prior` may be null.
+    int near_planes(const Team& team, FloorPlane guess, const FloorPlane* prior,
+                    FloorPlane* planes) const {
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
+        lattice.rings = RINGS;
+        lattice.fewest = (MIN_SHARE * cells.count + 99) / 100;
+        lattice.edge_pitches = STEEP_DEG - NEAR_DEG;
+        lattice.edge_bins = settings[FloorSetting::EDGE];
+        lattice.run(team);
+        int count = 0;
+        int ends[NEAR_PLANES];
+        for (int n = 0; n < RINGS; n++) {
+            if (ring_ends[n] < lattice.fewest) continue;
+            ends[count] = ring_ends[n];
+            if (team.rank == 0) planes[count] = lattice.plane(lattice.best[n]);
+            count++;
+        }
+        lattice.next(team);
+        if (team.rank == 0) {
+            planes[count] = lattice.plane(lattice.best[RINGS - 1]);
+            planes[count + 1] = lattice.plane(*lattice.whole);
+        }
+        ends[count] = ends[count + 1] = cells.count;
+        count += 2;
+        team.sync();
+        Crew crew(team);
+        const FloorRefine refine = {angles, settings, prior, weights + crew.index() * cells.count};
+        for (int n = crew.index(); n < count; n += crew.count()) {
+            const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
+            const FloorPlane plane = refine.run(crew, planes[n], some, 2, 2, 1);
+            if (crew.rank() == 0) planes[n] = plane;
+        }
+        team.sync();
+        return count;
+    }
+
+    // The best floor of any camera that a robot or a hand holds; `planes` and `scores` have
+    // WINNERS places each.
+    FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
+        const int lowest = settings[FloorSetting::LOWEST];
+        FloorVotes wide = empty();
+        wide.pitch0 = PITCH_LEAST * FloorAngles::ANGLES;
+        wide.roll0 = -ROLL_MOST * FloorAngles::ANGLES;
+        wide.step = STEP_DEG * FloorAngles::ANGLES;
+        wide.pitches = (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1;
+        wide.rolls = 2 * ROLL_MOST / STEP_DEG + 1;
+        wide.lowest = lowest;
+        wide.bins = ((settings[FloorSetting::HIGHEST] - lowest) >> wide.bits) + 1;
+        coarse(team, settings[FloorSetting::WIDE_PER_Z]);
+        wide.run(team);
+        for (int n = 0; n < WINNERS; n++) {
+            if (n) wide.next(team);
+            if (team.rank == 0) planes[n] = wide.plane(wide.best[0]);
+        }
+        team.sync();
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        for (int n = 0; n < WINNERS; n++) {
+            const FloorVotes close = around(planes[n], 1, 1);
+            close.run(team);
+            if (team.rank == 0) planes[n] = close.plane(close.best[0]);
+            team.sync();
+        }
+        Crew crew(team);
+        const FloorRefine refine = {angles, settings, nullptr, weights + crew.index() * cells.count};
+        for (int n = crew.index(); n < WINNERS; n += crew.count()) {
+            const FloorPlane plane = refine.run(crew, planes[n], cells, 2, 2, 0);
+            const int votes = score(crew, plane);
+            if (crew.rank() == 0) {
+                planes[n] = plane;
+                scores[n] = votes;
+            }
+        }
+        team.sync();
+        int best = 0;
+        for (int n = 1; n < WINNERS; n++)
+            if (scores[n] > scores[best]) best = n;
+        return planes[best];
+    }
+};

@@ -1,0 +1,159 @@
+// How far the floor is seen in each column of cells, and what ends it. Twin of
+// jaxdet/reference/_free.py.
+#pragma once
+#include "team.h"
+
+struct FreeFloor {
+    enum { FAR, GAP, SETTINGS };
+    enum { UNKNOWN, OBSTACLE, DROP, RANGE };
+    enum {
+        // So many measured cells one after the other are a drop lower than the last floor.
+        RUN = 3,
+        // Columns on both sides of one that drops, more than half of which must drop too.
+        BESIDE = 10,
+        LARGEST = 0x7fffffff,
+        DEPTHS = 65536
+    };
+
+    // What is known of a column while one goes up its cells.
+    struct Column {
+        // The nearest obstacle's distance and row, or the range and -1.
+        int limit, nearest;
+        // Rows where the floor begins and where it has come to, -1 = none yet.
+        int first, last;
+        // Of the last cell of the floor.
+        int forward, height;
+        // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
+        int ended, falls;
+    };
+    enum { COLUMN_WORDS = 8 };
+
+    const Team& team;
+    int rows, columns, far, gap;
+    const int *label, *z, *right, *forward, *height;
+    const bool* low;
+    const int *bows, *drops;  // (DEPTHS,), by z
+    int *line_out, *end_out;
+    // By column: the nearest obstacle's distance and row, and whether the floor drops.
+    int *limit, *nearest, *falls;
+    Column* state;
+
+    explicit FreeFloor(const Team& team) : team(team) {}
+
+    // Puts the arrays into scratch memory, 3 + COLUMN_WORDS words by column.
+    void lay(int* scratch) {
+        limit = scratch;
+        nearest = limit + columns;
+        falls = nearest + columns;
+        state = (Column*)(falls + columns);
+    }
+
+    void run() const {
+        find_obstacles();
+#if defined(__CUDA_ARCH__)
+        // A column a thread.
+        for (int c = team.rank; c < columns; c += team.size) {
+            Column column = start(c);
+            for (int row = rows - 1; row >= 0 && !column.ended; --row) follow(column, row, c);
+            put(column, c);
+        }
+#else
+        // Row by row, as the cells lie in memory.
+        for (int c = 0; c < columns; ++c) state[c] = start(c);
+        for (int row = rows - 1; row >= 0; --row)
+            for (int c = 0; c < columns; ++c)
+                if (!state[c].ended) follow(state[c], row, c);
+        for (int c = 0; c < columns; ++c) put(state[c], c);
+#endif
+        team.sync();
+        for (int c = team.rank; c < columns; c += team.size) {
+            int beside = 0;
+            for (int other = c - BESIDE; other <= c + BESIDE; ++other)
+                beside += other >= 0 && other < columns ? falls[other] : 0;
+            if (falls[c] && beside <= BESIDE) end_out[c] = UNKNOWN;
+        }
+        team.sync();
+    }
+
+    // The nearest obstacle of each column, of equal ones the uppermost; a thread a column, and
+    // row by row.
+    void find_obstacles() const {
+        for (int c = team.rank; c < columns; c += team.size) {
+            limit[c] = LARGEST;
+            nearest[c] = -1;
+        }
+        const int wide = columns;
+        int *__restrict limits = limit, *__restrict rows_of = nearest;
+        for (int row = 0; row < rows; ++row) {
+            const int *own = label + row * wide, *ahead = forward + row * wide;
+            for (int c = team.rank; c < wide; c += team.size) {
+                const bool nearer = (own[c] >= 0) & (ahead[c] < limits[c]);
+                limits[c] = nearer ? ahead[c] : limits[c];
+                rows_of[c] = nearer ? row : rows_of[c];
+            }
+        }
+    }
+
+    Column start(int c) const {
+        return {nearest[c] >= 0 ? limit[c] : far, nearest[c], -1, -1, 0, 0, 0, -1};
+    }
+
+    // Goes on with the floor, from the bottom row up.
+    void follow(Column& column, int row, int c) const {
+        const int k = row * columns + c;
+        if (!low[k]) return;
+        const int ahead = forward[k];
+        if (ahead >= column.limit || z[k] > far || height[k] < -bows[z[k]]) return;
+        if (column.first < 0) {
+            column.first = row;
+        } else if (ahead - column.forward > gap) {
+            column.ended = 1;
+            return;
+        } else if (column.height - height[k] > drops[z[k]]) {
+            if (column.falls < 0) column.falls = falls_after(column, c);
+            column.ended = column.falls;
+            return;
+        }
+        column.last = row;
+        column.forward = ahead;
+        column.height = height[k];
+        column.falls = -1;
+    }
+
+    // Whether the next RUN measured cells up a column are a drop lower, and lie flat.
+    int falls_after(const Column& column, int c) const {
+        int found = 0, before_height = 0, before_forward = 0;
+        for (int row = column.last - 1; row >= 0; --row) {
+            const int k = row * columns + c;
+            if (label[k] >= 0) return 0;
+            if (!low[k]) continue;
+            if (column.height - height[k] <= drops[z[k]]) return 0;
+            const int rise = height[k] - before_height, run = forward[k] - before_forward;
+            if (found > 0 && (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run)) return 0;
+            if (++found == RUN) return 1;
+            before_height = height[k];
+            before_forward = forward[k];
+        }
+        return 0;
+    }
+
+    // Where the free floor of a column begins and ends, but for drops that are too narrow.
+    void put(Column& column, int c) const {
+        const int obstacle = column.nearest, last = column.last;
+        const bool blocked = obstacle >= 0, seen = column.first >= 0;
+        if (seen && column.falls < 0) column.falls = falls_after(column, c);
+        const bool falls_off = column.falls > 0;
+        const bool close = seen && column.limit - column.forward <= gap;
+        const bool up_to = blocked && (!seen || (close && !falls_off));
+        put_place(0, seen ? column.first : obstacle, c);
+        put_place(1, up_to ? obstacle : last, c);
+        falls[c] = falls_off;
+        end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
+    }
+
+    void put_place(int end, int row, int c) const {
+        int* place = line_out + 4 * c + 2 * end;
+        place[0] = row < 0 ? 0 : right[row * columns + c];
+        place[1] = row < 0 ? 0 : forward[row * columns + c];
+    }
+};

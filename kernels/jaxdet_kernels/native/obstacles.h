@@ -1,0 +1,367 @@
+// Obstacles from surfaces. Twin of `obstacles` in jaxdet/reference/_obstacles.py.
+#pragma once
+#include "contraction.h"
+#include "evidence.h"
+#include "pieces.h"
+#include "straight_parts.h"
+
+// Where scratch memory is handed out, in the order asked for.
+struct Store {
+    int* next;
+
+    int* words(size_t count) {
+        int* place = next;
+        next += (count + 15) / 16 * 16;
+        return place;
+    }
+    unsigned long long* longs(size_t count) { return (unsigned long long*)words(2 * count); }
+};
+
+struct Obstacles {
+    typedef unsigned long long Key;
+    enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3, AHEAD = 8 };
+    // Places of `counts`.
+    enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, COUNTS };
+    // The order of `settings`, as `Settings` in jaxdet/stages/_obstacles.py has it.
+    enum {
+        FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
+    };
+    int rows, columns;
+    // Of each cell.
+    const int *surface, *x, *y, *z, *right, *forward, *height;
+    const unsigned char *free, *in_view;
+    const int* settings;
+    Trees trees;
+    int* label;  // result, of each cell
+    int* total;  // result: how many obstacles there are
+
+    // Scratch. `pairs` holds one thing after the other: how often pieces touch, histograms, sums of
+    // pairs, and the nearest cells of obstacles' contours.
+    int slots;
+    Key *pairs, *of_surfaces, *best, *turns;
+    int *between, *list, *packed, *across, *line_x, *line_y, *line_column, *start;
+    unsigned char* near;
+    Extents first, whole, last;
+    int *group, *number, *small, *spare, *over, *state, *counts, *parts, *part_of;
+
+    // As many words as `scratch_words` in jaxdet_kernels/obstacles.py says.
+    void lay(int* scratch) {
+        const size_t cells = (size_t)rows * columns;
+        slots = cells < MAX_SURFACES ? (int)cells : MAX_SURFACES;
+        const size_t all = (size_t)slots * slots;
+        const size_t labels = cells < MAX_LABELS ? cells : (size_t)MAX_LABELS;
+        Store store = {scratch};
+        const size_t sums = Facing::SUMS * all / 2, keys = (size_t)slots * columns;
+        const size_t counted = labels * Trimmed::BUCKETS;
+        const size_t most = keys > counted ? keys : counted;
+        pairs = store.longs(sums > most ? sums : most);
+        of_surfaces = store.longs(keys);
+        best = store.longs(slots);
+        turns = store.longs(2 * Contraction::TURNS);
+        between = store.words(all);
+        list = store.words(all / 2);
+        near = (unsigned char*)store.words((all / 2 + 3) / 4);
+        packed = store.words(cells + slots);
+        across = store.words(cells + slots);
+        line_x = store.words(cells);
+        line_y = store.words(cells);
+        line_column = store.words(cells);
+        start = store.words(labels + 1);
+        first.lay(store.words(Extents::FIELDS * labels), (int)labels);
+        whole.lay(store.words(Extents::FIELDS * labels), (int)labels);
+        last.lay(store.words(Extents::FIELDS * labels), (int)labels);
+        group = store.words(labels);
+        number = store.words(labels);
+        small = store.words(labels);
+        spare = store.words(2 * labels);
+        over = store.words(labels);
+        state = store.words(Trimmed::STATE * labels);
+        parts = store.words(2 * labels);
+        counts = store.words(COUNTS);
+        part_of = (int*)of_surfaces;
+    }
+
+    // Ends in a sync.
+    void run(const Team& team) const {
+        const int cells = rows * columns;
+        if (team.rank == 0) {
+            for (int k = 0; k < COUNTS; ++k) counts[k] = 0;
+            *total = 0;
+        }
+        team.sync();
+        int most = -1;
+        for (int i = team.rank; i < cells; i += team.size) most = surface[i] > most ? surface[i] : most;
+        team.most(counts + SURFACES, most + 1);
+        team.sync();
+        join_pieces(team);
+        pack(team);
+        const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
+        contours.find(team, label);
+        contours.list(team);
+        find_evidence(team, contours);
+        const Contraction contraction = {counts[WHOLE], between, best, turns, group};
+        contraction.run(team);
+        number_groups(team, counts[WHOLE], whole, counts + GROUPS);
+        last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
+        straighten(team, contours);
+        order(team);
+    }
+
+    Contours contours_of(int count, const Extents& known, Key* nearest) const {
+        return {count, rows, columns, right, forward, known.column_low, known.column_high, nearest,
+                start, line_x, line_y, line_column};
+    }
+
+    void measure(const Team& team, const Extents& known, int count, const int* of) const {
+        known.measure(team, count, of, rows, columns, x, z, right, forward, height, in_view);
+    }
+
+    // The trimmed extremes of a value, of labels with `over` set.
+    void trim(
+        const Team& team, const Extents& known, int count, const int* of, const int* value,
+        const int* low, const int* high, int* least, int* most
+    ) const {
+        const Trimmed trimmed = {count, rows, columns, of, value, known.cells, low, high, over, least,
+                                 most, state, (int*)pairs};
+        trimmed.run(team);
+    }
+
+    // Sets `over` of this thread's labels to pass cells over where the trimmed width decides
+    // whether a label is large enough; whether it does for any. Elsewhere the whole width will do.
+    bool width_decides(const Team& team, const Extents& known, int count) const {
+        bool some = false;
+        for (int l = team.rank; l < count; l += team.size) {
+            const int size = settings[MIN_SIZE];
+            known.left[l] = known.right_low[l];
+            known.right[l] = known.right_high[l];
+            const bool decides = known.height(l) < size && known.width(l) >= size;
+            over[l] = decides ? known.cells[l] / Extents::TRIM : 0;
+            some |= over[l] > 0;
+        }
+        return some;
+    }
+
+    // The width, once `over` is set.
+    void measure_width(const Team& team, const Extents& known, int count, const int* of) const {
+        trim(team, known, count, of, right, known.right_low, known.right_high, known.left,
+             known.right);
+    }
+
+    bool is_large(const Extents& known, int l) const {
+        return known.width(l) >= settings[MIN_SIZE] || known.height(l) >= settings[MIN_SIZE];
+    }
+
+    void number_groups(const Team& team, int count, const Extents& known, int* groups) const {
+        const Numbering numbering = {count, group, known.first, spare, spare + slots, number, groups};
+        numbering.run(team);
+    }
+
+    // The surfaces without the small ones: `number` of each, and `whole`.
+    void join_pieces(const Team& team) const {
+        const int count = counts[SURFACES];
+        measure(team, first, count, surface);
+        if (team.any(width_decides(team, first, count))) measure_width(team, first, count, surface);
+        bool some = false;
+        for (int l = team.rank; l < count; l += team.size) {
+            small[l] = !is_large(first, l) || first.rows_of(l) < THINNEST ||
+                       first.columns_of(l) < THINNEST;
+            group[l] = l;
+            some |= small[l];
+        }
+        if (team.any(some)) {
+            const Pieces pieces = {count, rows, columns, settings[CONTACT], surface, z, small,
+                                   (int*)pairs, spare, group};
+            pieces.run(team);
+        }
+        number_groups(team, count, first, counts + WHOLE);
+        whole.join(team, counts[WHOLE], first, count, number);
+    }
+
+    // Where a label leads; -1 stays, without a branch.
+    int mapped(int from, const int* to) const {
+        const int none = from >> 31;
+        return to[from & ~none] | none;
+    }
+
+    // The label of each cell, and all that rows and columns are looked through for in one word.
+    void pack(const Team& team) const {
+#if defined(__CUDA_ARCH__)
+        // The loads of some cells wait together.
+        const int cells = rows * columns;
+        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+            int l[AHEAD], word[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size, there = at < cells ? at : i;
+                l[k] = surface[there];
+                word[k] = Packed(-1, free[there], z[there]).word;
+            }
+            for (int k = 0; k < AHEAD; ++k) l[k] = mapped(l[k], number);
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                if (at >= cells) break;
+                label[at] = l[k];
+                packed[at] = word[k] | Packed(l[k], 0, 0).word;
+            }
+        }
+#else
+        for (int i = 0; i < rows * columns; ++i) {
+            const int l = mapped(surface[i], number);
+            label[i] = l;
+            packed[i] = Packed(l, free[i], z[i]).word;
+        }
+#endif
+        team.sync();
+#if !defined(__CUDA_ARCH__)
+        enum { TILE = 16 };
+        for (int row = 0; row < rows; row += TILE) {
+            const int high = rows - row < TILE ? rows - row : (int)TILE;
+            for (int c = 0; c < columns; ++c) {
+                const int* from = packed + row * columns + c;
+                int* to = across + c * rows + row;
+                for (int k = 0; k < high; ++k) to[k] = from[k * columns];
+            }
+        }
+#endif
+    }
+
+    // The evidence between all pairs of surfaces.
+    void find_evidence(const Team& team, const Contours& contours) const {
+        const int count = counts[WHOLE], gap = settings[GAP];
+        for (int l = team.rank; l < count; l += team.size) over[l] = whole.cells[l] / Extents::TRIM;
+        trim(team, whole, count, label, right, whole.right_low, whole.right_high, whole.left,
+             whole.right);
+        trim(team, whole, count, label, forward, whole.forward_low, whole.forward_high, whole.near,
+             whole.far);
+        team.sync();
+        const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
+                                   whole, contours, trees, near, pairs, list, counts + NEAR, between};
+        evidence.find_near(team);
+        const Facing in_rows = {packed, rows, columns, columns, 1, x, columns, 1, true, gap, near,
+                                pairs};
+        in_rows.run(team);
+#if defined(__CUDA_ARCH__)
+        const Facing in_columns = {packed, columns, rows, 1, columns, y, 1, columns, false, gap, near,
+                                   pairs};
+#else
+        const Facing in_columns = {across, columns, rows, rows, 1, y, 1, columns, false, gap, near,
+                                   pairs};
+#endif
+        in_columns.run(team);
+        team.sync();
+        evidence.run(team);
+    }
+
+    // Splits what bends around free floor; `last` of the parts.
+    void straighten(const Team& team, const Contours& of_whole) const {
+        const int groups = counts[GROUPS];
+        int* names = parts + groups;
+        const Lanes lanes(team);
+        for (int g = team.rank; g < groups; g += team.size) parts[g] = 0;
+        if (settings[BEND] > 0) {
+            const Contours contours = contours_of(groups, last, pairs);
+            contours.join(team, of_whole, number);
+            contours.list(team);
+            for (int g = lanes.index; g < groups; g += lanes.count) {
+                const int found = straight_parts(lanes, g).run() - 1;
+                if (lanes.rank == 0) parts[g] = found;
+            }
+        }
+        team.sync();
+        if (team.rank == 0) {
+            int next = groups;
+            for (int g = 0; g < groups; ++g) {
+                names[g] = next;
+                parts[g] = parts[g] < MAX_LABELS - next ? parts[g] : MAX_LABELS - next;
+                next += parts[g];
+            }
+            counts[PARTS] = next;
+        }
+        team.sync();
+        for (int g = lanes.index; g < groups; g += lanes.count) {
+            if (!parts[g]) continue;
+            const int *begin = straight_parts(lanes, g).parts, end = last.column_high[g];
+            int part = 0;
+            for (int c = last.column_low[g] + lanes.rank; c <= end; c += lanes.size) {
+                while (part < parts[g] && line_column[start[g] + begin[part + 1]] <= c) ++part;
+                part_of[g * columns + c] = part ? names[g] + part - 1 : g;
+            }
+        }
+        team.sync();
+        if (counts[PARTS] == groups) return;
+        name(team);
+        measure(team, last, counts[PARTS], label);
+    }
+
+    // From the surface of each cell to the part of an obstacle. Ends in a sync.
+    void name(const Team& team) const {
+        for (int row = 0; row < rows; ++row) {
+            for (int c = team.rank; c < columns; c += team.size) {
+                int& own = label[row * columns + c];
+                if (own < 0) continue;
+                const int g = number[own];
+                own = parts[g] ? part_of[g * columns + c] : g;
+            }
+        }
+        team.sync();
+    }
+
+    StraightParts straight_parts(const Lanes& lanes, int g) const {
+        const int begin = start[g];
+        return {lanes, line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
+                settings[SIDE], settings[SIDE], across + begin + g, packed + begin + g};
+    }
+
+    // Obstacles by distance; what is too small or too far is none.
+    void order(const Team& team) const {
+        const int count = counts[PARTS], wholes = counts[WHOLE];
+        // Where nothing is split and no width matters, cells still have their surface.
+        bool named = count > counts[GROUPS];
+        if (team.any(width_decides(team, last, count)) && !named) {
+            name(team);
+            named = true;
+        }
+        if (named) measure_width(team, last, count, label);
+        for (int l = team.rank; l < count; l += team.size) {
+            small[l] = !(is_large(last, l) && last.shown[l] >= settings[MIN_CELLS] &&
+                         last.nearest[l] <= settings[FARTHEST]);
+        }
+        team.sync();
+        for (int l = team.rank; l < count; l += team.size) {
+            int before = 0;
+            for (int other = 0; other < count; ++other) {
+                before += !small[other] && is_before(other, l);
+            }
+            spare[l] = small[l] ? -1 : before;
+            if (!small[l]) team.add(total, 1);
+        }
+        team.sync();
+        for (int l = team.rank; l < wholes; l += team.size) group[l] = spare[number[l]];
+        team.sync();
+        const int cells = rows * columns, *to = named ? spare : group;
+#if defined(__CUDA_ARCH__)
+        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+            int own[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                own[k] = at < cells ? label[at] : -1;
+            }
+            for (int k = 0; k < AHEAD; ++k) own[k] = mapped(own[k], to);
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                if (at < cells) label[at] = own[k];
+            }
+        }
+#else
+        for (int i = 0; i < cells; ++i) label[i] = mapped(label[i], to);
+#endif
+        team.sync();
+    }
+
+    bool is_before(int one, int other) const {
+        const int z_one = last.nearest[one], z_other = last.nearest[other];
+        if (z_one != z_other) return z_one < z_other;
+        const int x_one = last.leftmost[one], x_other = last.leftmost[other];
+        if (x_one != x_other) return x_one < x_other;
+        return last.first[one] < last.first[other];
+    }
+};

@@ -1,0 +1,297 @@
+// The outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
+// jaxdet/reference/_outlines.py; contours are at most MAX_CONTOUR points long.
+#pragma once
+#include "measures.h"
+#include "obstacle_cells.h"
+#include "ranks.h"
+
+struct Outlines {
+    enum { TRIM, VERTEX, LONG, SETTINGS };
+    enum {
+        DIRECTIONS = 90,
+        DIRECTION_BITS = 9,
+        LONG_TRIM = 20,
+        // Columns of cells that a thread looks at for contours.
+        CHUNK = 32,
+        // Cells of a frame are counted in so many bits.
+        CELL_BITS = 20,
+        // Larger than any sum of distances to edges, without its fraction.
+        NO_EDGE = 1 << 30
+    };
+
+    const ObstacleCells& cells;
+    const Lanes& lanes;
+    const Measures& measures;
+    int slots, capacity, longest;
+    const int* directions;  // (DIRECTIONS, 2)
+    // By slot.
+    int *contour_out, *points_out, *direction_out, *span_out;
+    // By obstacle and column: the nearest cell's squared distance, then its number.
+    unsigned long long* nearest;
+    // By obstacle and direction: what is compared.
+    long long* area;
+    int* cost;
+    // By obstacle and chunk of columns: points of the contour.
+    int* points_of;
+    // By obstacle: points of the contour in the margins to the left and to the right.
+    int* margins;
+    // By place in the order of the cells: along or across the direction.
+    int* projected;
+
+    Outlines(const ObstacleCells& cells, const Lanes& lanes, const Measures& measures)
+        : cells(cells), lanes(lanes), measures(measures) {}
+
+    // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
+    int* lay(int* scratch) {
+        nearest = (unsigned long long*)scratch;
+        area = (long long*)(nearest + (long long)slots * cells.columns);
+        cost = (int*)(area + slots * DIRECTIONS);
+        points_of = cost + slots * DIRECTIONS;
+        margins = points_of + slots * chunks();
+        projected = margins + 2 * slots;
+        return projected + cells.cells;
+    }
+
+    int chunks() const { return (cells.columns + CHUNK - 1) / CHUNK; }
+
+    // All of it, `measures` included.
+    void run() const {
+        const Team& team = cells.team;
+        clear();
+        measures.clear(slots);
+        cells.clear();
+        team.sync();
+        look();
+        team.sync();
+        if (team.rank == 0) cells.order();
+        count_points();
+        team.sync();
+        cells.sort();
+        put_contours();
+        team.sync();
+        compare_directions();
+        measures.run();
+        team.sync();
+        measures.find_vertices();
+        for (int number = lanes.index; number < cells.count; number += lanes.count)
+            put_rectangle(number);
+        team.sync();
+    }
+
+    void clear() const {
+        const Team& team = cells.team;
+        const int used = cells.count * cells.columns, points = 2 * slots * capacity;
+        const unsigned long long none = ~0ull;
+        for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
+        for (int i = team.rank; i < 2 * cells.count; i += team.size) margins[i] = 0;
+        for (int i = team.rank; i < points; i += team.size) contour_out[i] = 0;
+        for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
+        for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
+        for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
+    }
+
+    // Counts the cells of each obstacle and finds the nearest in each column.
+    void look() const {
+        const Team& team = cells.team;
+        ObstacleCells::Run run = {0, 0};
+#if defined(__CUDA_ARCH__)
+        // Down the columns, AHEAD cells at a time: their loads wait together.
+        enum { AHEAD = ObstacleCells::AHEAD };
+        for (int c = team.rank; c < cells.columns; c += team.size) {
+            int known = -1;
+            unsigned long long best = ~0ull;
+            for (int first = c; first < cells.cells; first += AHEAD * cells.columns) {
+                int number[AHEAD], x[AHEAD], y[AHEAD];
+                bool shown[AHEAD];
+                for (int n = 0; n < AHEAD; ++n) {
+                    const int k = first + n * cells.columns, there = k < cells.cells ? k : first;
+                    number[n] = k < cells.cells ? cells.label[there] : -1;
+                    x[n] = cells.right[there];
+                    y[n] = cells.forward[there];
+                    shown[n] = cells.in_view[there];
+                }
+                for (int n = 0; n < AHEAD; ++n) {
+                    if (number[n] != known) {
+                        if (known >= 0) team.least(nearest + known * cells.columns + c, best);
+                        known = number[n] < cells.count ? number[n] : -1;
+                        best = ~0ull;
+                    }
+                    if (known < 0) continue;
+                    cells.note(run, cells.place(known, shown[n], c));
+                    const unsigned long long own = key(first + n * cells.columns, x[n], y[n]);
+                    best = own < best ? own : best;
+                }
+            }
+            if (known >= 0) team.least(nearest + known * cells.columns + c, best);
+        }
+#else
+        for (int k = 0, c = 0; k < cells.cells; ++k, c = c + 1 < cells.columns ? c + 1 : 0) {
+            const int number = cells.label[k];
+            if (number < 0 || number >= cells.count) continue;
+            cells.note(run, cells.place(number, cells.in_view[k], c));
+            team.least(nearest + number * cells.columns + c, key(k, cells.right[k], cells.forward[k]));
+        }
+#endif
+        cells.end(run);
+    }
+
+    // What the cells of a column are compared by: the squared distance, then the number.
+    unsigned long long key(int k, long long x, long long y) const {
+        return (unsigned long long)(x * x + y * y) << CELL_BITS | (unsigned)k;
+    }
+
+    void count_points() const {
+        const Team& team = cells.team;
+        for (int piece = team.rank; piece < cells.count * chunks(); piece += team.size) {
+            const int first = piece % chunks() * CHUNK;
+            const unsigned long long* own = nearest + piece / chunks() * cells.columns;
+            int points = 0;
+            for (int c = first; c < first + CHUNK && c < cells.columns; ++c)
+                points += own[c] != ~0ull;
+            points_of[piece] = points;
+        }
+    }
+
+    void put_contours() const {
+        const Team& team = cells.team;
+        for (int piece = team.rank; piece < cells.count * chunks(); piece += team.size) {
+            const int number = piece / chunks(), first = piece % chunks() * CHUNK;
+            const unsigned long long* own = nearest + number * cells.columns;
+            int* out = contour_out + 2 * number * capacity;
+            int at = 0, sides[2] = {0, 0};
+            for (int before = number * chunks(); before < piece; ++before) at += points_of[before];
+            for (int c = first; c < first + CHUNK && c < cells.columns; ++c) {
+                if (own[c] == ~0ull || at == capacity) continue;
+                const int k = (int)(own[c] & ((1 << CELL_BITS) - 1));
+                out[2 * at] = cells.right[k];
+                out[2 * at + 1] = cells.forward[k];
+                ++at;
+                if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
+            }
+            for (int side = 0; side < 2; ++side)
+                if (sides[side]) team.add(margins + 2 * number + side, sides[side]);
+            if (piece % chunks() == chunks() - 1) points_out[number] = at;
+        }
+    }
+
+    // How well each direction fits each contour, without its points in the margins unless more
+    // than half of them are there.
+    void compare_directions() const {
+        const Team& team = cells.team;
+        for (int i = team.rank; i < cells.count * DIRECTIONS; i += team.size) {
+            const int number = i / DIRECTIONS, points = points_out[number];
+            const int left = margins[2 * number], right = margins[2 * number + 1];
+            const bool every = 2 * (left + right) > points;
+            const int* line = contour_out + 2 * (number * capacity + (every ? 0 : left));
+            compare(i, line, every ? points : points - left - right, directions + 2 * (i % DIRECTIONS));
+        }
+    }
+
+    // The sum of the distances from `n` points to the nearer of the edges that face the camera.
+    void compare(int i, const int* line, int n, const int* direction) const {
+        const int dx = direction[0], dy = direction[1];
+        int low = ObstacleCells::LARGEST, high = -low, first = low, last = high;
+        for (int j = 0; j < n; ++j) {
+            const int x = line[2 * j], y = line[2 * j + 1];
+            const int along = dx * x + dy * y, across = dx * y - dy * x;
+            low = along < low ? along : low;
+            high = along > high ? along : high;
+            first = across < first ? across : first;
+            last = across > last ? across : last;
+        }
+        if (n == 0) low = high = first = last = 0;
+        const int wide = high - low, deep = last - first;
+        area[i] = (long long)(wide >> DIRECTION_BITS) * (deep >> DIRECTION_BITS);
+        // Distances are `turn * place + shift`.
+        const int turn = low > 0 ? 1 : high < 0 ? -1 : 0, other = first > 0 ? 1 : last < 0 ? -1 : 0;
+        const int shift = low > 0 ? -low : high, away = first > 0 ? -first : last;
+        const int ax = turn * dx, ay = turn * dy, bx = -other * dy, by = other * dx;
+        // Sums distances of at most `most`, as many in 32 bits as fit.
+        auto sum = [&](int most, auto distance) {
+            const unsigned fit = 0xffffffffu / (unsigned)(most > 0 ? most : 1);
+            const int block = fit < (unsigned)n ? (int)fit : n;
+            long long total = 0;
+            for (int start = 0; start < n; start += block) {
+                const int end = n - start < block ? n : start + block;
+                unsigned part = 0;
+                for (int j = start; j < end; ++j)
+                    part += (unsigned)distance(line[2 * j], line[2 * j + 1]);
+                total += part;
+            }
+            return (int)(total >> DIRECTION_BITS);
+        };
+        auto to_side = [&](int x, int y) { return ax * x + ay * y + shift; };
+        auto to_front = [&](int x, int y) { return bx * x + by * y + away; };
+        auto to_nearer = [&](int x, int y) {
+            const int one = to_side(x, y), two = to_front(x, y);
+            return one < two ? one : two;
+        };
+        cost[i] = turn && other ? sum(wide < deep ? wide : deep, to_nearer)
+                  : turn        ? sum(wide, to_side)
+                  : other       ? sum(deep, to_front)
+                                : NO_EDGE;
+    }
+
+    // The best direction of an obstacle and the extremes of its cells along and across.
+    void put_rectangle(int number) const {
+        const ObstacleCells::Range every = cells.all(number), relied = cells.relied(number);
+        if (every.size() == 0) return;
+        const int* direction = directions + 2 * best_direction(number);
+        const int dx = direction[0], dy = direction[1];
+        int span[4];
+        extremes(every, dx, dy, span);
+        extremes(every, -dy, dx, span + 2);
+        const int along = (span[1] - span[0]) >> DIRECTION_BITS;
+        const int across = (span[3] - span[2]) >> DIRECTION_BITS;
+        const bool turned = across < along;
+        const int ax = turned ? -dy : dx, ay = turned ? dx : dy;
+        int* side = span + 2 * turned;
+        extremes(relied, ax, ay, side);
+        if ((turned ? along : across) > longest) trim(relied, ax, ay, side);
+        if (lanes.rank) return;
+        for (int j = 0; j < 2; ++j) direction_out[2 * number + j] = direction[j];
+        for (int j = 0; j < 4; ++j) span_out[4 * number + j] = span[j];
+    }
+
+    int best_direction(int number) const {
+        const int first = number * DIRECTIONS;
+        int best = first + lanes.rank;
+        for (int i = best + lanes.size; i < first + DIRECTIONS; i += lanes.size)
+            if (fits_better(i, best)) best = i;
+#if defined(__CUDA_ARCH__)
+        for (int away = Lanes::size / 2; away; away /= 2) {
+            const int other = __shfl_xor_sync(0xffffffff, best, away);
+            if (fits_better(other, best)) best = other;
+        }
+#endif
+        return best - first;
+    }
+
+    // Of equal directions the first is better.
+    bool fits_better(int one, int other) const {
+        if (cost[one] != cost[other]) return cost[one] < cost[other];
+        return area[one] != area[other] ? area[one] < area[other] : one < other;
+    }
+
+    void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {
+        int low = ObstacleCells::LARGEST, high = -low;
+        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
+            const int value = ax * cells.right_of[i] + ay * cells.forward_of[i];
+            low = value < low ? value : low;
+            high = value > high ? value : high;
+        }
+        found[0] = lanes.least(low);
+        found[1] = lanes.most(high);
+    }
+
+    // Passes over one of LONG_TRIM cells at each end.
+    void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
+        const Ranks ranks(lanes);
+        const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;
+        for (int i = first + lanes.rank; i < end; i += lanes.size)
+            projected[i] = ax * cells.right_of[i] + ay * cells.forward_of[i];
+        const int low = side[0], high = side[1];
+        side[0] = ranks.at(projected, 0, first, end, passed, low, high);
+        side[1] = ~ranks.at(projected, -1, first, end, passed, ~high, ~low);
+    }
+};

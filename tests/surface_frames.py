@@ -1,0 +1,153 @@
+"""Frames of cells in obstacles, that the programs of what comes after the obstacles are held to."""
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.paper.labelled import RECORDINGS
+from jaxdet.config import Config
+from jaxdet.floor_frame import floor_frames
+from jaxdet.io import open_log
+from jaxdet.plane import step_table, unknown_plane
+from jaxdet.presets import preset
+from jaxdet.reference import cells
+from jaxdet.reference._detect import Found, _group
+from jaxdet.reference._floor import find_floor
+from jaxdet.reference._view import View
+from jaxdet.sim import HARD_FAMILIES, sample_frames
+from jaxdet.sim.config import calibration_of
+from jaxdet.types import Calibration, Cells, GroundPlane
+
+SURFACES = Config()
+
+
+class Batch(NamedTuple):
+    """Frames up to their obstacles."""
+
+    grid: Cells
+    found: list[Found]
+    unit: float = 0.001
+
+    @property
+    def label(self) -> np.ndarray:
+        """``(B, R, C)`` int32."""
+        return np.stack([one.label for one in self.found]).astype(np.int32)
+
+    @property
+    def low(self) -> np.ndarray:
+        """``(B, R, C)`` bool."""
+        return np.stack([one.low for one in self.found])
+
+    @property
+    def floor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Right, forward and height, each ``(B, R, C)`` int32."""
+        names = ("right", "forward", "height")
+        parts = ([getattr(one.view, name) for one in self.found] for name in names)
+        right, forward, height = (np.stack(part).astype(np.int32) for part in parts)
+        return right, forward, height
+
+
+def batch_of(depth: np.ndarray, calibration: Calibration, plane: GroundPlane, config: Config):
+    """The obstacles that the reference finds."""
+    unit, grid = calibration.depth_unit, cells(depth, calibration, config.surface)
+    fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
+    floors, step = floor_frames(fit.plane, unit), step_table(calibration, config)
+    found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
+    return Batch(grid, found, unit)
+
+
+@lru_cache(maxsize=16)
+def simulated(family: str, width: int = 320, seed: int = 700) -> Batch:
+    """A frame of a family; of the hard ones with the depth of a stereo camera."""
+    changes = {"depth_error": 1.0} if family in HARD_FAMILIES else {}
+    size = {"width": width, "height": width * 3 // 4}
+    (frame,) = sample_frames(family, seed, 1, **size, **changes)
+    assert frame.depth is not None
+    return batch_of(frame.depth[None], calibration_of(frame.config), frame.plane, SURFACES)
+
+
+@lru_cache(maxsize=4)
+def recorded(shared_data: Path, name: str, frames: int) -> list[Batch]:
+    """The first frames of a labelled recording, none where it is not there."""
+    recording = next(r for r in RECORDINGS if r.name == name)
+    path, batches = shared_data / recording.place, []
+    if not path.is_file():
+        return []
+    with open_log(str(path)) as log:
+        for batch, _ in zip(log.batches(1), range(frames), strict=False):
+            given = batch.frames
+            config = recorded_config(name)
+            batches.append(batch_of(given.depth, given.calibration, unknown_plane(1), config))
+    return batches
+
+
+def recorded_config(name: str) -> Config:
+    """Of a recording's frames."""
+    return preset("tabletop" if name == "mosd" else "wheeled")
+
+
+def drawn(
+    shape: tuple[int, int, int], obstacles: int, seed: int, reach: int = 300000, block: int = 2
+) -> Batch:
+    """Random frames whose obstacles are of square blocks, each seen in the colour image.
+
+    Args:
+        shape: ``(B, R, C)``.
+        obstacles: Most that a frame has; as many where there are blocks enough.
+        seed: Draws them.
+        reach: Largest position, to all sides [depth units].
+        block: Side of a block.
+    """
+    rng = np.random.default_rng(seed)
+    batch, rows, columns = shape
+    label = rng.integers(
+        -obstacles // 3 - 1, obstacles, (batch, rows // block + 1, columns // block + 1)
+    )
+    label = label.repeat(block, axis=1).repeat(block, axis=2)[:, :rows, :columns].clip(-1)
+    x, y, right, forward, height = rng.integers(-reach, reach + 1, (5, *shape))
+    z = rng.integers(0, 65536, shape)
+    in_view = rng.random(shape) < 0.6
+    for b in range(batch):
+        _, inverse = np.unique(np.append(label[b].ravel(), -1), return_inverse=True)
+        label[b] = inverse[:-1].reshape(rows, columns) - 1
+        for number in range(label[b].max() + 1):
+            places = np.argwhere(label[b] == number)
+            in_view[b][tuple(rng.choice(places))] = True
+    uv = np.sort(rng.integers(0, 2000, (2, *shape, 2)), axis=0).astype(np.int32)
+    xyz = np.stack([x, y, z]).astype(np.int32)
+    low = (label < 0) & (rng.random(shape) < 0.8)
+    places = (right, forward, height, in_view)
+    views = [View(x[b], y[b], z[b], *(a[b] for a in places)) for b in range(batch)]
+    found = [Found(label[b], label[b] >= 0, low[b], views[b], low[b], False) for b in range(batch)]
+    return Batch(Cells(*xyz, *uv, in_view), found)
+
+
+def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
+    """The same with forward and height as of a floor that falls now and then, up the image.
+
+    Args:
+        batch: Frames.
+        seed: Draws heights.
+        far: Of the top row [depth units].
+        step: How far it falls at a time [depth units].
+    """
+    rng, found = np.random.default_rng(seed), []
+    for one in batch.found:
+        rows, columns = one.label.shape
+        ahead = np.linspace(far, 300, rows).astype(np.int64)[:, None]
+        forward = ahead + rng.integers(-20, 21, (rows, columns))
+        falls = np.cumsum((rng.random((rows, columns)) < 3 / rows)[::-1], axis=0)[::-1]
+        height = rng.integers(-10, 11, (rows, columns)) - step * falls
+        z = np.abs(forward)
+        view = one.view._replace(forward=forward, height=height, z=z)
+        found.append(one._replace(view=view))
+    z = np.stack([one.view.z for one in found]).astype(np.int32)
+    return batch._replace(grid=batch.grid._replace(z=z), found=found)
+
+
+def changed(**footprint: float) -> Config:
+    """``surfaces`` with another footprint part."""
+    return replace(SURFACES, footprint=replace(SURFACES.footprint, **footprint))

@@ -1,0 +1,206 @@
+"""The floor of each frame: the program finds what the reference finds."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from benchmarks.paper.labelled import RECORDINGS, Recording
+from jaxdet import open_log
+from jaxdet.config import Config, FloorConfig
+from jaxdet.floor_units import Scale, floor_fit, prior_units
+from jaxdet.plane import flat_plane, join_planes, repeat_plane, unknown_plane
+from jaxdet.reference import cells
+from jaxdet.reference._floor import find_floor
+from jaxdet.sim import sample_frames
+from jaxdet.sim.config import calibration_of
+from jaxdet.stages._floor import find_floor as floor_program
+from jaxdet.stages._floor import floor_settings
+from jaxdet.types import GroundPlane
+from tests.floor_cells import BOXES, CAMERA, CONFIG, POSES, UNIT, cast, measured, positions
+from tests.scenes import assert_equal
+
+SURFACE = Config().surface
+Cells = list[np.ndarray]
+
+
+@partial(jax.jit, static_argnums=(5, 6))
+def _program(
+    x: jax.Array,
+    y: jax.Array,
+    z: jax.Array,
+    prior: jax.Array,
+    settings: jax.Array,
+    max_cells: int,
+    unit: float,
+) -> jax.Array:
+    return floor_program(x, y, z, prior, settings, FloorConfig(max_cells=max_cells), unit)
+
+
+def assert_same(
+    grid: Cells, prior: GroundPlane, config: FloorConfig = CONFIG, unit: float = UNIT
+) -> np.ndarray:
+    """The program's planes are the reference's.
+
+    Returns:
+        ``(B, 8)`` int32, as the program found it.
+    """
+    settings = floor_settings(grid[2][0].size, config, unit).array()
+    known = prior_units(prior, Scale(unit, config.noise_per_m))
+    found = np.asarray(_program(*grid, known, settings, config.max_cells, unit))
+    assert_equal(floor_fit(found, prior, unit), find_floor(*grid, prior, config, unit))
+    return found
+
+
+def priors(plane: GroundPlane) -> list[GroundPlane]:
+    """Right ones, some that are wrong, and none."""
+    up, roll = np.radians(2.0), np.radians(-2.0)
+    return [
+        plane,
+        plane._replace(pitch=plane.pitch + up),
+        plane._replace(pitch=plane.pitch - up, height=plane.height + 0.04),
+        plane._replace(roll=plane.roll + roll),
+        unknown_plane(len(plane.height)),
+    ]
+
+
+def random_cells(seed: int, batch: int, rows: int, columns: int, part: float = 0.7) -> Cells:
+    """Anything within a metre of a floor half a metre down, so many of the cells measured."""
+    rng = np.random.default_rng(seed)
+    z = rng.integers(1, 7000, (batch, rows, columns))
+    z *= rng.random(z.shape) < part
+    x = (rng.uniform(-0.6, 0.6, z.shape) * z).astype(np.int32)
+    y = 500 + rng.integers(-1000, 400, z.shape) * (rng.random(z.shape) < 0.5)
+    return [x, y.astype(np.int32), z.astype(np.int32)]
+
+
+# made by hand
+
+
+def test_boxes_and_ramps() -> None:
+    """Ramps up, ramps down and none are found, and planes too far from the prior are refused."""
+    depths, known = [], []
+    for pose in POSES:
+        for slope in (0.0, -6.0, 6.0):
+            ramp = (1.3, float(np.tan(np.radians(slope)))) if slope else None
+            z = measured(cast(pose, BOXES[:2], ramp=ramp))
+            for prior in (*priors(pose.plane()), pose.plane(0.0, 6.0), pose.plane(0.12)):
+                depths.append(z)
+                known.append(prior)
+    found = assert_same(positions(np.stack(depths), CAMERA), join_planes(known))
+    turn, refused = found[:, 4], found[:, 7]
+    assert (turn > 0).sum() > 5 and (turn < 0).sum() > 5 and (turn == 0).sum() > 20
+    assert set(refused.tolist()) >= {0, 3}
+
+
+def test_tables_walls_and_little() -> None:
+    pose = POSES[3]
+    things = [
+        ([((-2.0, 0.2, 0.5), (2.0, 1.1, 0.54)), ((-4.0, 2.0, 0.0), (4.0, 2.1, 2.5))], False),
+        ([((-4.0, 1.5, 0.0), (4.0, 1.6, 3.0)), ((-1.0, 0.0, 0.0), (-0.9, 1.5, 3.0))], False),
+        ([((-4.0, 1.1, 0.0), (4.0, 1.2, 3.0))], True),
+        ([], True),
+    ]
+    few = np.zeros((120, 160), np.uint16)
+    few[100:104, 20:60] = 1000
+    depths = [measured(cast(pose, boxes, floor=floor)) for boxes, floor in things]
+    grid = positions(np.stack([*depths, few, 0 * few]), CAMERA)
+    refused = [
+        assert_same(grid, prior)[:, 7] for prior in priors(repeat_plane(pose.plane(), len(grid[2])))
+    ]
+    assert {int(n) for row in refused for n in row} >= {0, 1, 3}
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        FloorConfig(ramps=False),
+        FloorConfig(max_turn_deg=1.0, max_shift_m=0.01),
+        FloorConfig(max_turn_deg=10.0, max_shift_m=1.0, min_share=0.5, min_share_alone=0.6),
+        FloorConfig(noise_per_m=0.0, max_depth_m=2.0),
+        FloorConfig(noise_per_m=0.05, max_depth_m=65.0),
+    ],
+)
+def test_settings(config: FloorConfig) -> None:
+    depths, known = [], []
+    for pose, slope in zip(POSES, (0.0, 6.0, -6.0, 4.0), strict=True):
+        ramp = (1.3, float(np.tan(np.radians(slope)))) if slope else None
+        for prior in priors(pose.plane()):
+            depths.append(measured(cast(pose, BOXES, ramp=ramp)))
+            known.append(prior)
+    assert_same(positions(np.stack(depths), CAMERA), join_planes(known), config)
+
+
+@pytest.mark.parametrize("unit", [0.0001, 0.01])
+def test_depth_units(unit: float) -> None:
+    pose = POSES[1]
+    grid = positions(measured(cast(pose, BOXES, ramp=(1.3, 0.1)))[None], CAMERA)
+    scaled = [np.rint(a * (UNIT / unit)).astype(np.int32) for a in grid]
+    for prior in priors(pose.plane()):
+        assert_same(scaled, prior, CONFIG, unit)
+
+
+# anything
+
+
+@pytest.mark.parametrize(
+    ("batch", "rows", "columns"), [(1, 1, 1), (1, 7, 5), (3, 61, 83), (2, 160, 213), (5, 24, 31)]
+)
+def test_random_cells(batch: int, rows: int, columns: int) -> None:
+    one = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
+    for part in (0.0, 0.05, 0.7, 1.0):
+        grid = random_cells(rows, batch, rows, columns, part)
+        for prior in priors(repeat_plane(one, batch)):
+            assert_same(grid, prior)
+
+
+def test_fewer_cells_than_are_given() -> None:
+    config = replace(CONFIG, max_cells=300)
+    plane = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.02)))
+    for prior in priors(plane):
+        assert_same(random_cells(3, 1, 61, 83), prior, config)
+
+
+@pytest.mark.parametrize("roll_deg", [-180.0, -177.0, 90.0, 178.0])
+def test_any_roll(roll_deg: float) -> None:
+    """As the images of a camera that hangs upside down."""
+    plane = flat_plane(*(np.array([a]) for a in (0.5, 0.2, np.radians(roll_deg))))
+    for grid in (random_cells(5, 1, 40, 50), [-a for a in random_cells(6, 1, 40, 50)]):
+        assert_same([*grid[:2], np.abs(grid[2])], plane)
+
+
+# simulated and recorded
+
+
+@pytest.mark.parametrize(
+    ("family", "depth_error"),
+    [("corridor", 1.0), ("room", 1.0), ("tables", 1.0), ("ramps", 0.0), ("mixed", 0.0)],
+)
+def test_simulated(family: str, depth_error: float) -> None:
+    frames = list(sample_frames(family, 300, 2, depth_error=depth_error))
+    calibration = calibration_of(frames[0].config)
+    depth = np.stack([f.depth for f in frames if f.depth is not None])
+    grid = cells(depth, calibration, SURFACE)
+    plane = join_planes([frame.plane for frame in frames])
+    for prior in priors(plane):
+        assert_same([grid.x, grid.y, grid.z], prior)
+
+
+@pytest.mark.parametrize(
+    "recording",
+    [one for one in RECORDINGS if one.place.endswith(".mcap")],
+    ids=lambda one: one.name,
+)
+def test_recorded(recording: Recording, shared_data: Path) -> None:
+    with open_log(str(shared_data / recording.place)) as log:
+        batch = next(iter(log.batches(4)))
+    frames, unit = batch.frames, batch.frames.calibration.depth_unit
+    grid = cells(frames.depth, frames.calibration, SURFACE)
+    found = [grid.x, grid.y, grid.z]
+    alone = assert_same(found, unknown_plane(len(frames.depth)), CONFIG, unit)
+    fit = floor_fit(alone, unknown_plane(len(alone)), unit)
+    for prior in priors(fit.plane._replace(valid=np.ones(len(alone), bool)))[:3]:
+        assert_same(found, prior, CONFIG, unit)

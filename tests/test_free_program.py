@@ -1,0 +1,101 @@
+"""The kernel of free floor: equal to the reference in every column."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from jaxdet.config import Config
+from jaxdet.plane import unknown_plane
+from jaxdet.reference._detect import _free
+from jaxdet.stages._free import free_floor, free_settings, free_tables
+from jaxdet.types import FreeEnd
+from tests.scenes import small
+from tests.surface_frames import (
+    SURFACES,
+    Batch,
+    batch_of,
+    drawn,
+    recorded,
+    recorded_config,
+    simulated,
+    with_floor,
+)
+
+_traced: list[int] = []
+"""One for each time that the program is traced."""
+
+
+@jax.jit
+def _program(*arguments: Any) -> Any:
+    _traced.append(1)
+    return free_floor(*arguments)
+
+
+def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
+    """Holds the kernel to the reference; the ends that there are."""
+    want = _free(batch.found, batch.unit, config)
+    z, tables = batch.grid.z, free_tables(config, batch.unit)
+    settings = free_settings(config, batch.unit)
+    twin = _program(batch.label, batch.low, z, batch.floor, tables, settings)
+    for got, expected in zip(twin, want, strict=True):
+        np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
+    return set(want[1].ravel().tolist())
+
+
+@pytest.mark.parametrize("reach", [40, 3000, 300000])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 40, 1), (3, 31, 45), (2, 7, 19), (5, 64, 22)])
+def test_random_frames(shape: tuple[int, int, int], reach: int) -> None:
+    assert FreeEnd.OBSTACLE in assert_twins(drawn(shape, 9, seed=sum(shape), reach=reach))
+
+
+@pytest.mark.parametrize("step", [0, 60, 300])
+@pytest.mark.parametrize("shape", [(3, 40, 61), (1, 160, 213), (2, 57, 512)])
+def test_floors_that_fall(shape: tuple[int, int, int], step: int) -> None:
+    batch = drawn(shape, 2, seed=5, block=3)
+    batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
+    for far in (1500, 5000):
+        ends = assert_twins(with_floor(batch, seed=step, far=far, step=step))
+        assert FreeEnd.DROP in ends or step < 300
+        assert FreeEnd.UNKNOWN in ends or step < 300
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_floors_with_obstacles(seed: int) -> None:
+    batch = with_floor(drawn((2, 50, 60), 4, seed, block=12), seed, far=4500, step=80)
+    assert FreeEnd.OBSTACLE in assert_twins(batch)
+
+
+def test_settings() -> None:
+    batch = with_floor(drawn((2, 50, 60), 3, 9, block=12), 9, far=4500, step=60)
+    before = len(_traced)
+    floors = ({"gap_m": 0.0}, {"gap_m": 1000.0}, {"drop_m": 0.0}, {"drop_m": 1000.0},
+              {"noise_per_m": 1.0, "bow_per_m": 1.0}, {"bow_per_m": 0.0})  # fmt: skip
+    for floor in floors:
+        assert_twins(batch, replace(SURFACES, floor=replace(SURFACES.floor, **floor)))
+    near = replace(SURFACES.ground, max_depth_m=2.0)
+    assert_twins(batch, replace(SURFACES, ground=near))
+    assert len(_traced) <= before + 1
+
+
+def test_nothing_is_measured() -> None:
+    depth = np.zeros((2, 60, 80), np.uint16)
+    ends = assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES))
+    assert ends == {FreeEnd.UNKNOWN}
+
+
+@pytest.mark.parametrize("family", ["mixed", "drops", "ramps", "corridor", "room", "tables"])
+def test_simulated_frames(family: str) -> None:
+    assert FreeEnd.OBSTACLE in assert_twins(simulated(family)) or family in ("drops", "ramps")
+
+
+@pytest.mark.parametrize(("name", "frames"), [("mosd", 4), ("wheelchair", 2), ("aims_slam", 2)])
+def test_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
+    batches = recorded(shared_data, name, frames)
+    if not batches:
+        pytest.skip(f"no {name}")
+    for batch in batches:
+        assert len(assert_twins(batch, recorded_config(name))) > 1

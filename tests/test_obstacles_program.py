@@ -1,0 +1,248 @@
+"""The program of obstacles, a kernel under jit, against the reference."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+from jaxdet import types
+from jaxdet.affinity import affinity
+from jaxdet.config import Config, ObstacleConfig
+from jaxdet.floor_frame import floor_frames
+from jaxdet.io import open_log
+from jaxdet.plane import depth_range, step_table, unknown_plane
+from jaxdet.presets import preset
+from jaxdet.reference._cells import cells
+from jaxdet.reference._detect import _surfaces
+from jaxdet.reference._floor import find_floor
+from jaxdet.reference._obstacles import obstacles as reference
+from jaxdet.reference._surfaces import renumbered
+from jaxdet.reference._view import View
+from jaxdet.sim import sample_frames
+from jaxdet.sim.config import calibration_of
+from jaxdet.stages import _obstacles
+from jaxdet.types import Frames, GroundPlane
+from jaxdet_kernels import obstacles as kernel
+from tests.scenes import frames
+
+UNIT = 0.001
+CONFIG = Config().obstacle
+program = jax.jit(_obstacles.obstacles)
+
+
+class Given(NamedTuple):
+    """Surfaces of one frame."""
+
+    label: np.ndarray
+    free: np.ndarray
+    view: View
+
+
+def assert_twin(
+    given: list[Given], config: ObstacleConfig = CONFIG, farthest: int = 6000, unit: float = UNIT
+) -> list[int]:
+    """The program and the reference find the same; the numbers of obstacles."""
+    table = affinity(config.affinity, unit)
+    settings, trees = _obstacles.settings_of(farthest, unit, config, table)
+    parts = zip(*(one.view for one in given), strict=True)
+    arrays = [np.stack(part) for part in parts]
+    view = _obstacles.View(*(a if a.dtype == bool else a.astype(np.int32) for a in arrays))
+    label = np.stack([one.label for one in given]).astype(np.int32)
+    free = np.stack([one.free for one in given])
+    found, count = program(label, free, view, trees, settings)
+    true = [reference(*one, farthest, unit, config) for one in given]
+    np.testing.assert_array_equal(np.asarray(found), np.stack(true))
+    counts = [int(one.max(initial=-1)) + 1 for one in true]
+    np.testing.assert_array_equal(np.asarray(count), counts)
+    return counts
+
+
+def painted(seed: int, rows: int, columns: int, things: int, spread: int = 900) -> Given:
+    """Rectangles of slanted depth, one over the other, with specks of noise in label and depth."""
+    rng = np.random.default_rng(seed)
+    label, z = np.full((rows, columns), -1), np.full((rows, columns), 4000)
+    row, column = np.indices(label.shape)
+    for number in range(things):
+        top, left = rng.integers(0, rows), rng.integers(0, columns)
+        high, wide = rng.integers(1, 2 + rows // 3), rng.integers(1, 2 + columns // 4)
+        part = (slice(top, top + high), slice(left, left + wide))
+        label[part] = number
+        slope = rng.integers(-40, 41)
+        z[part] = rng.integers(600, 700 + spread) + slope * np.abs(column - left - wide // 2)[part]
+    z = np.maximum(z + rng.integers(-4, 5, z.shape), 1)
+    specks = rng.random(z.shape) < 0.02
+    label[specks] = rng.integers(-1, things, specks.sum())
+    none = rng.random(z.shape) < 0.03
+    label[none], z[none] = -1, 0
+    free = (label < 0) & (z > 0) & (rng.random(z.shape) < 0.7)
+    x, y = (column - columns // 2) * z // 100, (row - rows // 3) * z // 100
+    view = View(x, y, z, x, z + rng.integers(-9, 10, z.shape), 500 - y, rng.random(z.shape) < 0.9)
+    return Given(renumbered(label), free, view)
+
+
+def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
+    """Labels and places without any order, as large as they may be."""
+    rng = np.random.default_rng(seed)
+    shape = (rows, columns)
+    z = rng.integers(0, 65536, shape)
+    x, y, right, forward = (rng.integers(-(1 << 18) + 1, 1 << 18, shape) for _ in range(4))
+    height = rng.integers(-(1 << 20), 1 << 20, shape)
+    free, in_view = (rng.random(shape) < share for share in (0.3, 0.8))
+    view = View(x, y, z, right, forward, height, in_view)
+    label = rng.integers(-1, surfaces, shape)
+    label.ravel()[rng.permutation(label.size)[:surfaces]] = np.arange(surfaces)
+    return Given(renumbered(label), free, view)
+
+
+# by hand
+
+
+def test_constants_of_the_kernel() -> None:
+    assert kernel.MAX_SURFACES == types.MAX_SURFACES
+    assert kernel.MAX_LABELS == types.MAX_LABELS
+
+
+@pytest.mark.parametrize("columns", [1, 40])
+def test_nothing_is_measured(columns: int) -> None:
+    none = np.zeros((30, columns), np.int64)
+    given = Given(none - 1, none > 0, View(*(6 * [none]), none > 0))
+    assert assert_twin([given, given]) == [0, 0]
+
+
+def test_one_surface() -> None:
+    given = painted(0, 24, 40, 1)
+    whole = given._replace(label=np.zeros_like(given.label))
+    assert assert_twin([whole], replace(CONFIG, bend_m=0.0)) == [1]
+
+
+def test_one_cell() -> None:
+    one = np.full((1, 1), 700)
+    given = Given(one * 0, one < 0, View(one, one, one, one, one, one, one > 0))
+    assert assert_twin([given], replace(CONFIG, min_size_m=0.0, min_cells=1)) == [1]
+    assert assert_twin([given]) == [0]
+
+
+def test_a_room_is_split() -> None:
+    """Two side walls and one across."""
+    room = painted(0, 20, 120, 1)
+    depth = np.tile(
+        np.minimum(np.minimum(np.arange(120), np.arange(120)[::-1]) * 80 + 900, 3000), 20
+    )
+    z = depth.reshape(20, 120)
+    side = np.tile((np.arange(120) - 60) * 20, (20, 1))
+    height = 40 * np.indices(z.shape)[0]
+    view = View(side, -height, z, side, z, height, z > 0)
+    given = room._replace(label=z * 0, free=z < 0, view=view)
+    assert assert_twin([given]) == [3]
+    assert assert_twin([given], replace(CONFIG, bend_m=0.0)) == [1]
+
+
+def test_no_more_labels_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """512 surfaces of 16 columns and 4 rows, each of which bends twice."""
+    column, row = np.arange(512), np.arange(64)
+    label = np.tile(column // 16, (64, 1)) + 32 * (row // 4)[:, None]
+    bends = np.array([0, 300, 600, 900, 900, 600, 300, 0] * 2)[column % 16]
+    z = 1000 + np.tile(bends, (64, 1)) + 2000 * (label % 7) + 500 * (label // 32)
+    side = np.tile(column * 300, (64, 1))
+    height = np.tile(100 * row[:, None], (1, 512))
+    view = View(side, -height, z, side, z, height, z > 0)
+    config = replace(CONFIG, bend_m=0.02, lateral_gap_m=0.0, forward_gap_m=0.0, min_cells=1)
+    given = Given(renumbered(label), z < 0, view)
+    assert given.label.max() == 511
+    counts = assert_twin([given], config, farthest=65535)
+    assert counts == [types.MAX_LABELS]
+
+
+def test_a_table_that_could_overflow() -> None:
+    table = affinity("surfaces", UNIT)
+    large = table._replace(value=table.value * 1000)
+    with pytest.raises(ValueError, match="32767"):
+        _obstacles.settings_of(4000, UNIT, CONFIG, large)
+
+
+def test_too_large_a_grid() -> None:
+    none = np.zeros((1, 2, 513), np.int32)
+    view = _obstacles.View(*(6 * [none]), none > 0)
+    settings, trees = _obstacles.settings_of(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
+    with pytest.raises(ValueError, match="513 x 2 cells"):
+        program(none, none > 0, view, trees, settings)
+
+
+# twin
+
+
+@pytest.mark.parametrize(("rows", "columns", "things"), [(37, 61, 25), (60, 83, 60), (7, 9, 6)])
+def test_painted(rows: int, columns: int, things: int) -> None:
+    several = [painted(seed, rows, columns, things) for seed in range(24)]
+    assert len(set(assert_twin(several))) > 1
+    assert_twin(several[:1])
+    loose = replace(CONFIG, lateral_gap_m=0.2, forward_gap_m=0.1, bend_m=0.05, side_m=0.1)
+    assert_twin(several, loose)
+    assert_twin(several, replace(preset("tabletop").obstacle, min_size_m=0.2), farthest=1200)
+
+
+@pytest.mark.parametrize("surfaces", [2, 30, 512])
+def test_scattered(surfaces: int) -> None:
+    given = [scattered(seed, 41, 67, surfaces) for seed in range(1 if surfaces > 100 else 3)]
+    assert {one.label.max() + 1 for one in given} == {surfaces}
+    assert_twin(given, farthest=65535)
+    wide = replace(CONFIG, lateral_gap_m=500, forward_gap_m=500, depth_gap_m=20, contact_m=0.5)
+    assert_twin(given, replace(wide, min_cells=1), farthest=65535)
+
+
+@pytest.mark.parametrize("unit", [0.0001, 0.004])
+def test_other_depth_units(unit: float) -> None:
+    """A millimetre in tenths, and four of them in one."""
+    given = [painted(seed, 37, 61, 20) for seed in range(6)]
+    if unit < UNIT:
+        views = [View(*(10 * a for a in one.view[:-1]), one.view.in_view) for one in given]
+    else:
+        views = [View(*(a // 4 for a in one.view[:-1]), one.view.in_view) for one in given]
+    given = [one._replace(view=view) for one, view in zip(given, views, strict=True)]
+    assert_twin(given, unit=unit, farthest=round(6 / unit))
+
+
+def surfaces_of(given: Frames, prior: GroundPlane, config: Config) -> tuple[list[Given], int]:
+    """The surfaces of frames, and the end of the range."""
+    unit = given.calibration.depth_unit
+    grid = cells(given.depth, given.calibration, config.surface)
+    fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
+    floors, step = floor_frames(fit.plane, unit), step_table(given.calibration, config)
+    found = [_surfaces(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
+    _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    return [Given(one.label, one.free, one.view) for one in found], farthest
+
+
+def test_simulated() -> None:
+    given, farthest, config = [], 0, Config()
+    for family in ("corridor", "room", "tables", "low_clutter", "mixed"):
+        for frame in sample_frames(family, 300, 1, width=424, height=240, depth_error=1.0):
+            assert frame.depth is not None
+            one = frames(calibration_of(frame.config), frame.color[None], frame.depth[None])
+            found, farthest = surfaces_of(one, frame.plane, config)
+            given += found
+    assert sum(assert_twin(given, config.obstacle, farthest)) > 10
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [
+        ("labelled/mosd.mcap", "tabletop"),
+        ("labelled/wheelchair.mcap", "wheeled"),
+        ("aims_slam/aims_slam_18frames.mcap", "wheeled"),
+    ],
+)
+def test_recorded(shared_data: Path, place: str, name: str) -> None:
+    if not (shared_data / place).is_file():
+        pytest.skip(f"no {place}")
+    config = preset(name)
+    with open_log(str(shared_data / place)) as log:
+        batch = next(iter(log.batches(8))).frames
+    count = int(batch.valid.sum())
+    batch = batch._replace(depth=batch.depth[batch.valid])
+    given, farthest = surfaces_of(batch, unknown_plane(count), config)
+    unit = batch.calibration.depth_unit
+    assert sum(assert_twin(given, config.obstacle, farthest, unit)) >= count

@@ -1,0 +1,135 @@
+"""The kernel of outlines: equal to the reference, field by field."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from jaxdet.config import Config
+from jaxdet.plane import band_table, unknown_plane
+from jaxdet.reference._detect import _outlines
+from jaxdet.stages._outlines import outline_settings, outlines
+from jaxdet.types import MAX_OBSTACLES
+from tests.scenes import assert_equal, small
+from tests.surface_frames import (
+    SURFACES,
+    Batch,
+    batch_of,
+    changed,
+    drawn,
+    recorded,
+    recorded_config,
+    simulated,
+)
+
+_traced: list[int] = []
+"""One for each time that the program is traced."""
+
+
+@jax.jit
+def _program(*arguments: Any) -> Any:
+    _traced.append(1)
+    return outlines(*arguments)
+
+
+def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
+    """Holds the kernel to the reference; how many obstacles there are."""
+    measured, shapes = _outlines(batch.grid, batch.found, batch.unit, config)
+    bands = band_table(config.footprint, batch.unit)
+    settings = outline_settings(config.footprint, batch.unit)
+    label = batch.label
+    count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
+    twin = _program(label, count, batch.grid, batch.floor, bands, settings)
+    assert_equal(twin.obstacles, measured)
+    for got, want in zip(twin[1:], shapes, strict=True):
+        np.testing.assert_array_equal(np.asarray(got), want, strict=True)
+    return int((measured.num_points > 0).sum())
+
+
+@pytest.mark.parametrize(
+    ("shape", "obstacles"),
+    [
+        ((1, 13, 17), 3),
+        ((3, 31, 45), 12),
+        ((5, 7, 9), 5),
+        ((1, 1, 1), 1),
+        ((2, 40, 1), 4),
+        ((2, 1, 70), 4),
+        ((2, 24, 512), 9),
+        ((1, 60, 33), 130),
+    ],
+)
+@pytest.mark.parametrize("reach", [4, 3000, 300000])
+def test_random_frames(shape: tuple[int, int, int], obstacles: int, reach: int) -> None:
+    assert assert_twins(drawn(shape, obstacles, seed=sum(shape), reach=reach)) > 0
+
+
+@pytest.mark.parametrize("footprint", [
+    {"trim": 0}, {"trim": 9, "long_m": 0.1}, {"trim": 8192, "side_band_per_m": 0.5},
+    {"vertex_threshold_m": 0.5, "long_m": 0.0}, {"near_band_per_m2": 900.0, "long_m": 1000.0},
+])  # fmt: skip
+def test_settings(footprint: dict[str, float]) -> None:
+    batch = drawn((2, 30, 50), 6, seed=2, reach=2500, block=7)
+    assert assert_twins(batch, changed(**footprint)) == 12
+
+
+def test_a_setting_compiles_nothing_anew() -> None:
+    batch = drawn((2, 30, 50), 6, seed=2)
+    assert_twins(batch)
+    before = len(_traced)
+    assert_twins(batch, changed(trim=1, long_m=1.0, vertex_threshold_m=0.2))
+    assert len(_traced) == before
+
+
+def test_more_obstacles_than_there_are_slots() -> None:
+    batch = drawn((2, 80, 90), 200, seed=4, block=4)
+    assert batch.label.max() > 150
+    assert assert_twins(batch) == 2 * MAX_OBSTACLES
+
+
+def test_no_obstacles_beside_some() -> None:
+    some, none = drawn((1, 20, 30), 5, seed=1), drawn((1, 20, 30), 5, seed=2)
+    empty = none.found[0]._replace(label=np.full((20, 30), -1))
+    grid = type(some.grid)(
+        *(np.concatenate(pair) for pair in zip(none.grid, some.grid, strict=True))
+    )
+    assert 0 < assert_twins(Batch(grid, [empty, some.found[0]])) <= 5
+
+
+def test_an_obstacle_in_the_margins() -> None:
+    """Its cells in the outer eighths, then with ever more of them between."""
+    batch = drawn((1, 12, 40), 1, seed=3, reach=3000)
+    column = np.arange(40)
+    for inner in range(0, 40, 5):
+        own = (column < 5) | (column >= 35) | (np.abs(column - 19) < inner / 2)
+        label = np.where(own, 0, -1) + np.zeros((12, 1), int)
+        in_view = np.ones((1, 12, 40), bool)
+        view = batch.found[0].view._replace(in_view=in_view[0])
+        grid = batch.grid._replace(in_view=in_view)
+        for long_m in (0.1, 100.0):
+            found = [batch.found[0]._replace(label=label, view=view)]
+            assert assert_twins(Batch(grid, found), changed(long_m=long_m)) == 1
+
+
+@pytest.mark.parametrize("family", ["mixed", "queue", "corridor", "room", "tables"])
+def test_simulated_frames(family: str) -> None:
+    assert assert_twins(simulated(family)) > 0
+
+
+def test_a_large_frame() -> None:
+    assert assert_twins(simulated("room", 640)) > 0
+
+
+def test_nothing_is_measured() -> None:
+    depth = np.zeros((2, 60, 80), np.uint16)
+    assert assert_twins(batch_of(depth, small(), unknown_plane(2), SURFACES)) == 0
+
+
+@pytest.mark.parametrize(("name", "frames"), [("mosd", 4), ("wheelchair", 2), ("aims_slam", 2)])
+def test_recorded_frames(shared_data: Path, name: str, frames: int) -> None:
+    batches = recorded(shared_data, name, frames)
+    if not batches:
+        pytest.skip(f"no {name}")
+    assert sum(assert_twins(batch, recorded_config(name)) for batch in batches) > 0

@@ -1,0 +1,225 @@
+"""Cells on the floor and in surfaces: the program equals the reference."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from jaxdet.config import Config
+from jaxdet.floor_frame import floor_frames
+from jaxdet.io import open_log
+from jaxdet.plane import flat_plane, step_table, unknown_plane
+from jaxdet.presets import preset
+from jaxdet.reference import cells
+from jaxdet.reference._detect import _surfaces
+from jaxdet.reference._floor import find_floor
+from jaxdet.sim import sample_frames
+from jaxdet.sim.config import calibration_of
+from jaxdet.stages._surfaces import Surfaces, surface_settings, surface_tables, surfaces
+from jaxdet.types import MAX_SURFACES, Calibration, Cells, GroundPlane, Intrinsics
+
+SURFACES, TABLETOP = Config(), preset("tabletop")
+UNIT = 0.001
+program = jax.jit(surfaces)
+
+
+def with_surface(**changes: float) -> Config:
+    return replace(SURFACES, surface=replace(SURFACES.surface, **changes))
+
+
+def camera(unit: float) -> Calibration:
+    """Cells of 3 x 3 pixels."""
+    return Calibration(Intrinsics(640, 480, 384.5, 384.5, 319.5, 239.5), depth_unit=unit)
+
+
+def assert_twin(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    plane: GroundPlane,
+    config: Config = SURFACES,
+    unit: float = UNIT,
+) -> Surfaces:
+    """All that the program says of these cells is what the reference does."""
+    tables, settings = surface_tables(camera(unit), config), surface_settings(config, unit)
+    floors, step = floor_frames(plane, unit), step_table(camera(unit), config)
+    out = program(x, y, z, floors, tables, settings)
+    got = Surfaces(*map(np.asarray, out))
+    grid = Cells(x, y, z, *np.zeros((2, *z.shape, 2), np.int32), z > 0)
+    for b in range(len(z)):
+        want = _surfaces(grid, b, floors[b], step, unit, config)
+        for name in ("right", "forward", "height"):
+            np.testing.assert_array_equal(getattr(got, name)[b], getattr(want.view, name))
+        for name in ("label", "keep", "low"):
+            np.testing.assert_array_equal(getattr(got, name)[b], getattr(want, name))
+        free = (z[b] >= settings[0]) & ~got.keep[b]
+        np.testing.assert_array_equal(free, want.free)
+        assert min(got.num_surfaces[b], MAX_SURFACES) == want.label.max() + 1
+    assert {a.dtype.name for a in got} == {"int32", "bool"}
+    return got
+
+
+def sideways(z: np.ndarray) -> list[np.ndarray]:
+    """The cells of a camera of 190 columns a radian, from their depths ``(B, R, C)``."""
+    v, u = np.mgrid[: z.shape[1], : z.shape[2]]
+    x, y = ((a - (a.max() + 1) / 2) / 190 for a in (u, v))
+    return [np.rint(a).astype(np.int32) for a in (x * z, y * z, z)]
+
+
+def slanted(rng: np.random.Generator, shape: tuple[int, int, int], noise: int = 0) -> np.ndarray:
+    """Folded walls with slanted things before them, and a tenth of holes."""
+    _, rows, columns = shape
+    z, (v, u) = np.zeros(shape), np.mgrid[:rows, :columns]
+    for one in z:
+        folds = np.abs(u - rng.integers(columns)), np.abs(v - rng.integers(rows))
+        one += rng.integers(1000, 3000) + sum(rng.integers(-25, 25) * fold for fold in folds)
+        for _ in range(6):
+            top, left = rng.integers(rows), rng.integers(columns)
+            part = slice(top, top + rows // 2), slice(left, left + columns // 3)
+            one[part] = rng.integers(300, 5000) + rng.integers(-25, 25) * u[part]
+    z += rng.integers(-noise, noise + 1, shape)
+    return np.where(rng.random(shape) < 0.1, 0, z.clip(1, 65535))
+
+
+def planes(rng: np.random.Generator, batch: int) -> GroundPlane:
+    """Floors of all tilts, every second one with a ramp, every fourth one not known."""
+    tilts = rng.uniform(-0.5, 1.2, batch), rng.uniform(-0.4, 0.4, batch)
+    b = np.arange(batch)
+    plane = flat_plane(rng.uniform(0.2, 1.2, batch), *tilts, b % 4 != 2)
+    ramp = b % 2 == 1
+    start, slope = rng.uniform(0, 3, batch), rng.uniform(-0.3, 0.3, batch)
+    return plane._replace(
+        ramp_start=np.where(ramp, start, np.inf), ramp_slope=np.where(ramp, slope, 0)
+    )
+
+
+# made
+
+
+SHAPES = [(1, 1, 1), (1, 7, 2), (4, 53, 71), (3, 5, 512), (2, 512, 9), (5, 33, 47)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("noise", [0, 15])
+def test_slanted_things(shape, noise):
+    rng = np.random.default_rng(noise)
+    assert_twin(*sideways(slanted(rng, shape, noise)), planes(rng, shape[0]))
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        TABLETOP,
+        with_surface(crease_cells=16, crease_margin=16),
+        with_surface(crease_cells=1, crease_margin=0, crease_m=0.0, crease_per_m=0.0),
+        with_surface(step_m=1e3, step_per_m=1e3, crease_m=1e3, bent_m=1e3, beyond=4.0),
+        with_surface(step_m=0.0, step_per_m=0.0, min_cells=1, bent_m=0.0),
+        with_surface(min_cells=60),
+    ],
+    ids=["tabletop", "wide", "sharp", "endless", "none", "large"],
+)
+def test_settings(config):
+    rng = np.random.default_rng(1)
+    assert_twin(*sideways(slanted(rng, (4, 41, 67), 3)), planes(rng, 4), config)
+
+
+@pytest.mark.parametrize("unit", [0.001, 0.0001])
+def test_depths_and_places_without_sense(unit):
+    """Any depths, and any places up to 2^18 - 1 units sideways."""
+    rng = np.random.default_rng(2)
+    z = rng.integers(0, 65536, (4, 37, 59)).astype(np.int32)
+    x, y = (rng.integers(1 - (1 << 18), 1 << 18, z.shape).astype(np.int32) for _ in "xy")
+    config = with_surface(step_m=0.5, step_per_m=0.1, min_cells=2, beyond=4.0)
+    assert_twin(x, y, z, planes(rng, 4), config, unit)
+
+
+@pytest.mark.parametrize("depth", [0, 1500])
+def test_all_alike(depth):
+    """Nothing is measured, or a wall over the whole picture."""
+    got = assert_twin(*sideways(np.full((2, 31, 45), depth)), unknown_plane(2))
+    assert got.num_surfaces.tolist() == [depth > 0] * 2
+    assert (got.label == (0 if depth else -1)).all() and (got.keep == (depth > 0)).all()
+
+
+def test_more_surfaces_than_there_is_room_for():
+    """Every cell is one; those from the 513th on have no label but are kept."""
+    v, u = np.mgrid[:40, :50]
+    z = 1000 + 200 * ((u + 2 * v) % 5)
+    config = with_surface(step_m=0.01, step_per_m=0.0, min_cells=1, crease_m=10.0)
+    got = assert_twin(*sideways(z[None]), unknown_plane(1), config)
+    assert got.num_surfaces.tolist() == [2000]
+    np.testing.assert_array_equal(
+        got.label.ravel(), np.where(np.arange(2000) < MAX_SURFACES, np.arange(2000), -1)
+    )
+    assert got.keep.all()
+
+
+def test_bent_floor_is_not_kept():
+    """A strip at the image's margin that rises gently from the floor before it."""
+    height, z = np.zeros((20, 80), int), np.tile(2000 - 40 * np.arange(20)[:, None], (1, 80))
+    height[:15, :9] = 60 + 5 * np.arange(15, 0, -1)[:, None]
+    height[15, :9] = 45
+    height[5:, 40:50] = 400
+    level = flat_plane(*np.array([[0.5], [0.0], [0.0]]))
+    z = z.astype(np.int32)[None]
+    got = assert_twin(0 * z, (500 - height).astype(np.int32)[None], z, level)
+    assert got.num_surfaces.tolist() == [1]
+    np.testing.assert_array_equal(got.keep[0], height == 400)
+
+
+def test_settings_compile_nothing_anew():
+    traced = []
+
+    @jax.jit
+    def made(*arguments):
+        traced.append(arguments)
+        return surfaces(*arguments)
+
+    rng = np.random.default_rng(3)
+    grid, floor = sideways(slanted(rng, (1, 20, 30))), floor_frames(unknown_plane(1), UNIT)
+    labels = [
+        np.asarray(
+            made(*grid, floor, surface_tables(camera(UNIT), c), surface_settings(c, UNIT)).label
+        )
+        for c in (with_surface(min_cells=1), with_surface(min_cells=100))
+    ]
+    assert labels[0].max() > labels[1].max()
+    assert len(traced) == 1
+
+
+# simulated and recorded
+
+
+@pytest.mark.parametrize(
+    "family",
+    ["corridor", "room", "tables", "ramps", "drops", "low_clutter", "mixed", "people_and_vehicle"],
+)
+def test_simulated(family):
+    rng = np.random.default_rng(4)
+    shots = list(sample_frames(family, 300, 2, width=424, height=240, depth_error=1.0))
+    depth = np.stack([shot.depth for shot in shots])
+    grid = cells(depth, calibration_of(shots[0].config), SURFACES.surface)
+    parts = zip(*(shot.plane for shot in shots), strict=True)
+    plane = GroundPlane(*(np.concatenate(part) for part in parts))
+    assert_twin(grid.x, grid.y, grid.z, plane)
+    tilted = plane._replace(pitch=plane.pitch + rng.normal(0, 0.02, len(depth)))
+    assert_twin(grid.x, grid.y, grid.z, tilted)
+
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("labelled/mosd.mcap", TABLETOP),
+        ("labelled/wheelchair.mcap", SURFACES),
+        ("aims_slam/aims_slam_18frames.mcap", SURFACES),
+    ],
+)
+def test_recorded(shared_data, name, config):
+    with open_log(str(shared_data / name)) as log:
+        frames = next(iter(log.batches(4))).frames
+    grid, unit = cells(frames.depth, frames.calibration, config.surface), UNIT
+    assert frames.calibration.depth_unit == unit
+    fit = find_floor(grid.x, grid.y, grid.z, unknown_plane(4), config.floor, unit)
+    got = assert_twin(grid.x, grid.y, grid.z, fit.plane, config)
+    assert got.num_surfaces.max() > 1
