@@ -1,8 +1,16 @@
 """What arrays must be like before kernels read them: kernels look nothing up twice."""
 
-from jaxdet.config import MAX_POINTS
+import numpy as np
+
+from jaxdet.camera import cell_side
+from jaxdet.config import MAX_POINTS, SurfaceConfig
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import MAX_CONTOUR, Calibration, Frames, Intrinsics
+
+MAX_CELL_SIDE = 128
+"""Most pixels of a cell's side: sums of depths have 31 bits."""
+MAX_DEPTH_COLUMNS = 4096
+"""Most columns of a depth image in cells."""
 
 
 def check_frames(frames: Frames) -> None:
@@ -10,13 +18,19 @@ def check_frames(frames: Frames) -> None:
 
     Raises:
         CalibrationError: A camera of the calibration has another size than its images.
-        InputError: There are not as many colour images, depth images and planes.
+        InputError: There are not as many colour images, depth images and planes, or a plane is no
+            number.
     """
     check_size("colour", frames.color.shape, frames.calibration.color)
     check_depth(frames.depth.shape, frames.calibration)
     rows = {"colour images": len(frames.color), "depth images": len(frames.depth)}
     if frames.plane is not None:
         rows["planes"] = len(frames.plane.height)
+        if not np.isfinite(np.stack(frames.plane[:3])[:, np.asarray(frames.plane.valid)]).all():
+            raise InputError(
+                "a plane with a height, pitch or roll that is no number",
+                remedy="set its valid to False where the floor is not known",
+            )
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {name}" for name, count in rows.items())
         raise InputError(f"a batch with {counts}", remedy="give one of each for every frame")
@@ -46,15 +60,31 @@ def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
         )
 
 
-def check_grid(rows: int, columns: int) -> None:
-    """Refuses more cells than contours and the kernels' memory hold.
+def check_cells(calibration: Calibration, config: SurfaceConfig) -> None:
+    """Refuses depth images whose cells are none, or more than contours and kernels have room for.
 
     Raises:
-        ConfigError: A side has more than ``MAX_CONTOUR`` cells.
+        ConfigError: No cell fits, a side has more than ``MAX_CONTOUR`` of them, a cell has more
+            than ``MAX_CELL_SIDE`` pixels a side, or images have more than ``MAX_DEPTH_COLUMNS``.
     """
+    camera = calibration.depth or calibration.color
+    side = cell_side(camera, config.cell_rad)
+    rows, columns = camera.height // side, camera.width // side
+    size = f"depth images of {camera.width}x{camera.height} pixels"
+    if camera.width > MAX_DEPTH_COLUMNS:
+        raise ConfigError(
+            f"{size}, but at most {MAX_DEPTH_COLUMNS} columns are taken",
+            remedy="record or scale them smaller",
+        )
+    if side > MAX_CELL_SIDE or not min(rows, columns):
+        raise ConfigError(
+            f"{size} in cells of {side}x{side}, but one must fit, and at most {MAX_CELL_SIDE} "
+            "pixels a side are taken",
+            remedy="lower --surface.cell-rad, the angle that a cell takes up",
+        )
     if max(rows, columns) > MAX_CONTOUR:
         raise ConfigError(
-            f"{columns}x{rows} cells, but at most {MAX_CONTOUR} a side",
+            f"{size} in {columns}x{rows} cells, but at most {MAX_CONTOUR} a side are taken",
             remedy="raise --surface.cell-rad, the angle that a cell takes up",
         )
 

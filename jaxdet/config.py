@@ -123,7 +123,7 @@ class FloorConfig:
     max_cells: int = 4800
     """Most cells used: a regular part of those given."""
     max_depth_m: float = 6.0
-    """Farthest depth used [m]; 0: no floor is looked for, and the prior is used."""
+    """Farthest depth used [m]; 0: no floor is looked for."""
     noise_per_m: float = 0.004
     """Error of depth over its square [1/m]; 0.004 is a D435's."""
     max_turn_deg: float = 4.0

@@ -6,7 +6,7 @@ follows is a sum, a product or a shift of integers.
 
 import numpy as np
 
-from jaxdet.floor_units import ANGLES, SINE_BITS, SINES, SLOPE_BITS
+from jaxdet.floor_units import ANGLES, FARTHEST, SINE_BITS, SINES, SLOPE_BITS
 from jaxdet.types import Array, GroundPlane
 
 FRAME_BITS = 13
@@ -17,8 +17,6 @@ fraction bits), height of the optical centre [depth units], whether the floor is
 begins [depth units], and its rise over its run (``FRAME_BITS`` fraction bits)."""
 UNKNOWN_HEIGHT = 1 << 20
 """Of everything, where the floor is not known [depth units]."""
-FARTHEST = 1 << 20
-"""Heights and starts of ramps are at most so large [depth units]."""
 STEEPEST_SLOPE = 8
 """Rise over run of a ramp, at most."""
 

@@ -13,6 +13,8 @@ from jaxdet.types import GroundPlane, Refusal
 
 ANGLES = 32
 """Steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m."""
+FARTHEST = 1 << 20
+"""Heights and starts of ramps are at most so large [depth units]."""
 SINE_BITS = 15
 """Fraction bits of sines; the product of two has 32 bits with its sign."""
 _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
@@ -168,7 +170,7 @@ def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
         pitch, roll = (round(float(np.degrees(a[b])) * ANGLES) for a in (prior.pitch, prior.roll))
         roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
         pitch = min(max(pitch, -STEEPEST), STEEPEST)
-        out[b] = pitch, roll, scale.length(float(prior.height[b])), 1
+        out[b] = pitch, roll, min(scale.length(float(prior.height[b])), FARTHEST), 1
     return out
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, cast
 
 import numpy as np
 
-from jaxdet.checks import check_frames
+from jaxdet.checks import check_cells, check_frames
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
@@ -65,11 +65,13 @@ def detect(
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
         InputError: There are not as many colour images, depth images and planes.
-        ConfigError: The backend is unknown, or colour images are smaller or larger than the
-            kernels take.
+        ConfigError: The backend is unknown, colour images are smaller or larger than the kernels
+            take, or depth images hold no cell or too many (:func:`jaxdet.checks.check_cells`).
     """
     config = config or Config()
     check_frames(frames)
+    if not config.cluster.points:
+        check_cells(frames.calibration, config.surface)
     plane = floor_of(frames, config, backend=backend)
     return load_backend(backend).detect(frames, plane, _searching(config))
 
@@ -91,6 +93,7 @@ def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax")
         InputError: There are not as many images and planes.
     """
     check_frames(frames)
+    check_cells(frames.calibration, config.surface)
     prior = known_plane(frames, config)
     if prior is None:
         prior = unknown_plane(len(frames.depth))
@@ -117,12 +120,14 @@ def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") ->
 
 def known_plane(frames: Frames, config: Config) -> GroundPlane | None:
     """The floor that is given or configured, or None."""
+    batch = len(frames.depth)
+    if config.ground.source == "none":
+        return unknown_plane(batch)
     if frames.plane is not None:
         return frames.plane
-    batch = len(frames.depth)
     if config.ground.camera_height_m is not None:
         return repeat_plane(flagged_plane(config.ground), batch)
-    return unknown_plane(batch) if config.ground.source == "none" else None
+    return None
 
 
 def estimate_plane(

@@ -149,5 +149,5 @@ def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
 
 
 def changed(**footprint: float) -> Config:
-    """``surfaces`` with another footprint part."""
+    """The default with another footprint part."""
     return replace(SURFACES, footprint=replace(SURFACES.footprint, **footprint))

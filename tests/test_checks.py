@@ -5,18 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxdet import detect, stages
+from jaxdet import detect, find_floors, metric, stages
 from jaxdet.config import (
     ClusterConfig,
     Config,
     FeaturesConfig,
     FootprintConfig,
+    GroundConfig,
     ObstacleConfig,
     SurfaceConfig,
 )
 from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError
-from jaxdet.types import Calibration, Frames, Keep, Labels
+from jaxdet.types import Calibration, Frames, Intrinsics, Keep, Labels
 from tests.scenes import assert_equal, blocks, frames, level, points, resized, small, smooth_depth
 
 
@@ -63,7 +64,7 @@ def test_images_smaller_or_larger_than_the_kernels_take(width, height):
     camera = resized(small().color, width, height)
     z = np.zeros((1, height, width), np.uint16)
     color, keep = np.zeros((*z.shape, 3), np.uint8), Keep(z > 0, z, np.zeros(1, bool))
-    config = Config()
+    config = Config(cluster=ClusterConfig(points=True))
     message = rf"{width}x{height} pixels, but the kernels take from 3 to 4096 .*--backend reference"
     with pytest.raises(ConfigError, match=message):
         stages.features(color, keep, Calibration(camera), config.features)
@@ -122,3 +123,68 @@ def test_the_largest_numbers_work():
 def test_no_workers_are_an_error():
     with pytest.raises(ConfigError, match="give --workers 1 or more"):
         Workers(0)
+
+
+BACKENDS = pytest.mark.parametrize("backend", ["jax", "reference"])
+
+
+@BACKENDS
+@pytest.mark.parametrize(
+    ("size", "focal", "cell_rad", "said"),
+    [
+        ((600, 10), 300.0, 0.0033, "600x10 cells.*raise --surface.cell-rad"),
+        ((64, 8), 2000.0, 0.0078, "cells of 16x16.*lower --surface.cell-rad"),
+        ((300, 300), 1300.0, 0.1, "cells of 130x130.*lower --surface.cell-rad"),
+        ((4097, 31), 4000.0, 0.0078, "at most 4096 columns"),
+    ],
+)
+def test_cells_that_there_is_no_room_for(backend, size, focal, cell_rad, said):
+    width, height = size
+    camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
+    color, depth = (
+        np.zeros((1, height, width, 3), np.uint8),
+        np.zeros((1, height, width), np.uint16),
+    )
+    given = frames(Calibration(camera), color, depth)
+    config = Config(surface=SurfaceConfig(cell_rad=cell_rad))
+    with pytest.raises(ConfigError, match=said):
+        detect(given, config, backend=backend)
+    with pytest.raises(ConfigError, match=said):
+        find_floors(given, config, backend=backend)
+
+
+@BACKENDS
+def test_the_widest_depth_image_works(backend):
+    camera = Intrinsics(4096, 33, 4000.0, 4000.0, 2048.0, 16.5)
+    depth = np.full((1, 33, 4096), 2000, np.uint16)
+    given = frames(Calibration(camera), np.zeros((1, 33, 4096, 3), np.uint8), depth)
+    assert detect(given, backend=backend).scene.contour.shape == (1, 128, 132, 2)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_planes_that_are_no_number(value):
+    plane = level(2)._replace(height=np.array([0.4, value]))
+    with pytest.raises(InputError, match="no number"):
+        detect(made()._replace(plane=plane))
+    given = made()._replace(plane=plane._replace(valid=np.array([True, False])))
+    found, want = (detect(given, backend=name) for name in ("jax", "reference"))
+    assert_equal(found.obstacles, want.obstacles)
+    assert_equal(found.labels, want.labels)
+
+
+@pytest.mark.parametrize("height", [1e4, 1e9])
+def test_planes_of_any_height(height):
+    given = made()._replace(plane=level(2, height))
+    assert_equal(detect(given), detect(given, backend="reference"))
+
+
+@BACKENDS
+def test_no_floor_is_no_floor(backend):
+    """Whatever is given or configured."""
+    config = Config(GroundConfig(source="none", camera_height_m=0.5))
+    given = made()._replace(plane=level(2))
+    found = detect(given, config, backend=backend)
+    fit = metric.floors(found.scene, 0.001)
+    assert not fit.plane.valid.any() and not fit.own.any()
+    shallow = given._replace(depth=np.ones_like(given.depth))
+    assert find_floors(shallow, config, backend=backend).found[:, 6].tolist() == [0, 0]

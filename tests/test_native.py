@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from jaxdet.floor_frame import FLOOR_VALUES, FRAME_BITS
+from jaxdet.reference._cells import MARGIN
+from jaxdet.types import MAX_LABELS, MAX_SURFACES
+from jaxdet_kernels import obstacles
 from jaxdet_kernels.native_source import FOLDER, native
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,3 +65,20 @@ def test_kernels_get_the_structs_without_includes():
     assert text.index("struct Team") < text.index("struct Rows") < text.index("return 1;")
     assert "#include" not in text
     assert "#pragma once" not in text
+
+
+def constant(header: str, name: str) -> int:
+    """A number of an enum."""
+    found = re.search(rf"\b{name} = (\d+)\b", (FOLDER / header).read_text(encoding="utf-8"))
+    assert found, f"{header} has no {name}"
+    return int(found[1])
+
+
+def test_constants_agree() -> None:
+    """Scratch memory is as large as the kernels take it for."""
+    assert obstacles.MAX_SURFACES == MAX_SURFACES
+    assert obstacles.MAX_LABELS == MAX_LABELS
+    assert constant("floor_frame.h", "VALUES") == FLOOR_VALUES
+    assert constant("floor_frame.h", "BITS") == FRAME_BITS
+    for header in ("floor.h", "surfaces.h", "obstacle_cells.h"):
+        assert constant(header, "MARGIN") == MARGIN

@@ -106,7 +106,7 @@ def _take(
     x, y, z = (a[part, part].astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)
-    used = (z > 0) & (z <= scale.length(config.max_depth_m))
+    used = (z > 0) & (z <= round(config.max_depth_m / scale.unit))
     cells = Sample(np.stack([x[used], y[used], z[used]], axis=1), inner[used])
     return cells, cells.take(((row | column) % 2 == 0)[used])
 

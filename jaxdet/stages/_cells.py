@@ -9,16 +9,14 @@ import numpy as np
 
 from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import SurfaceConfig
-from jaxdet.errors import ConfigError
 from jaxdet.plane import quadratic_table
 from jaxdet.stages import _align
-from jaxdet.stages._teams import TeamKernel
+from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Calibration, Cells
 from jaxdet_kernels import cells as kernels
 from jaxdet_kernels.align import PARAMETERS
 
 _cells = TeamKernel(kernels.cells, num_outputs=6)
-_MOST = 1 << 30
 
 
 class Tables(NamedTuple):
@@ -47,16 +45,11 @@ def tables(calibration: Calibration, config: SurfaceConfig) -> tuple[Tables, Sta
 
     Raises:
         CalibrationError: The calibration can't be used.
-        ConfigError: Cells have more pixels than the kernel takes.
     """
     camera, color = calibration.depth or calibration.color, calibration.color
     side = cell_side(camera, config.cell_rad)
-    if side > kernels.MAX_SIDE:
-        raise ConfigError(
-            f"cells of {side}x{side} pixels, but at most {kernels.MAX_SIDE} a side",
-            remedy="lower --surface.cell-rad, the angle that a cell takes up",
-        )
-    near = depth_table(quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit))
+    steps = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
+    near = jnp.asarray(kernel_table(steps))
     rays, offset = (jnp.asarray(a.astype(np.int32)) for a in cell_rays(calibration, side))
     last = jnp.array([color.width - 1, color.height - 1], jnp.int32)
     if calibration.is_aligned:
@@ -64,11 +57,6 @@ def tables(calibration: Calibration, config: SurfaceConfig) -> tuple[Tables, Sta
         return Tables(near, rays, offset, none, none, parameters, last), Static(side, 0, 1)
     x, y, parameters, model, *_ = _align.tables(calibration)
     return Tables(near, rays, offset, x, y, parameters, last), Static(side, model, 0)
-
-
-def depth_table(values: np.ndarray) -> jax.Array:
-    """A table by depth as the kernels take it: int32, nothing above 2^30."""
-    return jnp.asarray(np.minimum(values, _MOST).astype(np.int32))
 
 
 def cells(depth: jax.Array, arrays: Tables, static: Static) -> Cells:

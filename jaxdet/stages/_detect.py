@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.affinity import affinity
-from jaxdet.checks import check_grid
 from jaxdet.config import Config, FeaturesConfig, FloorConfig
 from jaxdet.floor_frame import axes, floor_frames, ramp_slopes
 from jaxdet.floor_units import SINES, FloorFit, Scale, floor_fit, prior_units
@@ -120,7 +119,6 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     unit = calibration.depth_unit
     cells, static = _cells.tables(calibration, config.surface)
     rows, columns = cells.rays.shape[1:]
-    check_grid(rows, columns)
     bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     table = affinity(config.obstacle.affinity, unit)
     obstacle, trees = _obstacles.settings_of(bounds[1], unit, config.obstacle, table)

@@ -106,7 +106,7 @@ def floor_settings(cells: int, config: FloorConfig, unit: float) -> FloorSetting
     run_bits, rise_bits = scale.bits(RUN_M), scale.bits(RISE_M)
     return FloorSettings(
         stride=stride(cells, config),
-        max_depth=scale.length(config.max_depth_m),
+        max_depth=round(config.max_depth_m / unit),
         noise=rough.noise,
         rough_base=rough.base,
         rough_per_z=rough.per_z,

@@ -7,14 +7,11 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.plane import quadratic_table
-from jaxdet.stages._teams import TeamKernel
+from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array
 from jaxdet_kernels import free_floor as kernels
 
 _free_floor = TeamKernel(kernels.free_floor, num_outputs=2)
-
-MOST = 1 << 30
-"""Of a setting or of a table: no height differs by more."""
 
 
 class FreeSettings(NamedTuple):
@@ -38,8 +35,7 @@ class FreeTables(NamedTuple):
 def free_settings(config: Config, depth_unit: float) -> np.ndarray:
     """:class:`FreeSettings` as ``(2,)`` int32, of a configuration."""
     lengths = (config.ground.max_depth_m, config.floor.gap_m)
-    settings = FreeSettings(*(min(round(m / depth_unit), MOST) for m in lengths))
-    return np.array(settings, np.int32)
+    return kernel_table(np.array(FreeSettings(*(round(m / depth_unit) for m in lengths))))
 
 
 def free_tables(config: Config, depth_unit: float) -> FreeTables:
@@ -47,7 +43,7 @@ def free_tables(config: Config, depth_unit: float) -> FreeTables:
     floor = config.floor
     bows = quadratic_table(config.ground.step_height_m, floor.bow_per_m, depth_unit)
     drops = quadratic_table(floor.drop_m, floor.noise_per_m, depth_unit)
-    return FreeTables(*(np.minimum(table, MOST).astype(np.int32) for table in (bows, drops)))
+    return FreeTables(*map(kernel_table, (bows, drops)))
 
 
 def free_floor(

@@ -11,14 +11,12 @@ import numpy as np
 
 from jaxdet.config import FootprintConfig
 from jaxdet.plane import direction_table
-from jaxdet.stages._teams import TeamKernel
+from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
 
 _outlines = TeamKernel(kernels.outlines, num_outputs=15)
 
-MOST = 1 << 30
-"""Of a setting: no length is longer."""
 SHAPES = {
     **dict.fromkeys(("num_points", "has_vertex", "contour_points"), ()),
     **dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction", "bottom_top"), (2,)),
@@ -55,8 +53,7 @@ class Outlined(NamedTuple):
 def outline_settings(config: FootprintConfig, depth_unit: float) -> np.ndarray:
     """:class:`OutlineSettings` as ``(3,)`` int32, of a configuration."""
     vertex, long = (round(m / depth_unit) for m in (config.vertex_threshold_m, config.long_m))
-    settings = OutlineSettings(config.trim, min(vertex, MOST), min(long, MOST))
-    return np.array(settings, np.int32)
+    return kernel_table(np.array(OutlineSettings(config.trim, vertex, long)))
 
 
 def outlines(

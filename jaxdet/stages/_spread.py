@@ -15,7 +15,7 @@ ROWS = PartitionSpec("frames")
 """An array with a row for each frame."""
 WHOLE = PartitionSpec()
 """An array that every device needs."""
-_COPIES = 32
+_COPIES = 256
 
 Devices = tuple[jax.Device, ...]
 
@@ -105,6 +105,8 @@ _copies: OrderedDict[tuple[int, PartitionSpec, Devices], tuple[Any, jax.Array]] 
 
 
 def _copy(array: Any, spec: PartitionSpec, among: Devices) -> jax.Array:
+    if spec != WHOLE:
+        return jax.device_put(array, NamedSharding(_mesh(among), spec))
     key = id(array), spec, among
     if key not in _copies:
         # The array is kept beside its copy, so that no other gets its id.

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.plane import depth_range, quadratic_table, step_table
-from jaxdet.stages._teams import TeamKernel
+from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
 
@@ -73,7 +73,7 @@ def surface_settings(config: Config, depth_unit: float) -> np.ndarray:
         surface.crease_margin,
         round(surface.bent_m / depth_unit),
     )
-    return np.minimum(settings, 1 << 30).astype(np.int32)
+    return kernel_table(np.array(settings))
 
 
 def surface_tables(calibration: Calibration, config: Config) -> SurfaceTables:
@@ -84,7 +84,7 @@ def surface_tables(calibration: Calibration, config: Config) -> SurfaceTables:
         quadratic_table(surface.crease_m, surface.crease_per_m, depth_unit),
         step_table(calibration, config),
     )
-    return SurfaceTables(*(np.minimum(table, 1 << 30).astype(np.int32) for table in tables))
+    return SurfaceTables(*map(kernel_table, tables))
 
 
 def surfaces(

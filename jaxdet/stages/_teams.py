@@ -7,12 +7,21 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
+import numpy as np
 import warp as wp
 
 from jaxdet.stages._threads import FrameKernel, shares_of
 
 MOST_TEAMS = 528
 """Blocks of a launch on CUDA, four for each multiprocessor of the largest device there is."""
+
+LIMIT = 1 << 30
+"""Of a setting or of an entry of a table: no length is longer."""
+
+
+def kernel_table(values: np.ndarray) -> np.ndarray:
+    """A table as kernels take it: int32, nothing above ``LIMIT``."""
+    return np.minimum(values, LIMIT).astype(np.int32)
 
 
 class TeamKernel:

@@ -11,9 +11,6 @@ wp.set_module_options(
     {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
 )
 
-MAX_SIDE, MAX_COLUMNS = 128, 4096
-"""Most pixels of a cell's side, and most columns of cells."""
-
 
 @wp.func_native(
     native(

@@ -38,9 +38,4 @@ struct FloorFrame {
         const long long run = (long long)ahead - ramp_start;
         return run > 0 ? (int)(run * ramp_slope >> BITS) : 0;
     }
-
-    // Above the plane, or above the ramp on it, at a point that is `ahead` forward.
-    int above(int x, int y, int z, int ahead) const {
-        return level(x, y, z) - (has_ramp() ? rise(ahead) : 0);
-    }
 };
