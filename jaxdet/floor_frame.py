@@ -6,7 +6,7 @@ follows is a sum, a product or a shift of integers.
 
 import numpy as np
 
-from jaxdet.floor_units import ANGLES, FARTHEST, SINE_BITS, SINES, SLOPE_BITS
+from jaxdet.floor_units import ANGLES, FARTHEST, SINE_BITS, SINES, SLOPE_BITS, angle_steps
 from jaxdet.types import Array, GroundPlane
 
 FRAME_BITS = 13
@@ -40,11 +40,7 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
         >>> floor_frames(level, 0.001)[0].tolist()
         [8192, 0, 0, 0, 0, 8192, 0, 8192, 0, 500, 1, 0, 0]
     """
-    valid = np.asarray(plane.valid, bool)
-    pitch, roll = (
-        np.rint(np.degrees(np.where(valid, a, 0.0)) * ANGLES).astype(np.int64)
-        for a in (plane.pitch, plane.roll)
-    )
+    valid, (pitch, roll) = np.asarray(plane.valid, bool), angle_steps(plane)
     ramps = valid & np.isfinite(plane.ramp_start)
     start, slope = (np.where(ramps, a, 0.0) for a in (plane.ramp_start, plane.ramp_slope))
     slope = np.clip(slope, -STEEPEST_SLOPE, STEEPEST_SLOPE)

@@ -158,6 +158,15 @@ def stride(cells: int, config: FloorConfig) -> int:
     return max(1, int(np.ceil((cells / config.max_cells) ** 0.5)))
 
 
+def angle_steps(plane: GroundPlane) -> tuple[np.ndarray, np.ndarray]:
+    """Pitch and roll of each frame in whole steps, ``(B,)`` int64; 0 where the floor is unknown."""
+    pitch, roll = (
+        np.rint(np.degrees(np.where(plane.valid, a, 0.0)) * ANGLES).astype(np.int64)
+        for a in (plane.pitch, plane.roll)
+    )
+    return pitch, roll
+
+
 def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
     """What is known of each frame's floor, rounded.
 
@@ -165,13 +174,11 @@ def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
         ``(B, 4)`` int32: pitch and roll [angle steps], height [depth units] and valid; zeros
         where nothing is known.
     """
-    out = np.zeros((len(prior.valid), 4), np.int32)
-    for b in np.flatnonzero(prior.valid):
-        pitch, roll = (round(float(np.degrees(a[b])) * ANGLES) for a in (prior.pitch, prior.roll))
-        roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
-        pitch = min(max(pitch, -STEEPEST), STEEPEST)
-        out[b] = pitch, roll, min(scale.length(float(prior.height[b])), FARTHEST), 1
-    return out
+    pitch, roll = angle_steps(prior)
+    roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
+    height = np.rint(np.where(prior.valid, prior.height, 0.0) / scale.unit)
+    parts = np.clip(pitch, -STEEPEST, STEEPEST), roll, np.clip(height, 1, FARTHEST)
+    return np.stack([np.where(prior.valid, a, 0) for a in (*parts, 1)], axis=1).astype(np.int32)
 
 
 def floor_fit(found: np.ndarray, prior: GroundPlane, unit: float) -> FloorFit:

@@ -35,6 +35,9 @@ MAX_LABELS = 1024
 MAX_OBSTACLES = 128
 """``M`` where obstacles are made of surfaces; more set the overflow flag."""
 
+SAMPLED_CELLS = (slice(None), slice(1, None, 2), slice(1, None, 2))
+"""Of cells ``(B, R, C)``, every second one of every second row is a feature."""
+
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 

@@ -82,11 +82,14 @@ def claimed_floor(
     """
     config = config or EvalConfig()
     outlines = rectangles(detections.obstacles, depth_unit, config.footprint)
+    scene = detections.scene
+    known = None if scene is None else floors(scene, depth_unit).plane.valid
     tallies: list[Tally] = []
     for b, floor in enumerate(floor_m):
         if valid is None or valid[b]:
             points = floor[np.isfinite(floor).all(axis=-1)]
-            claimed = _inside_any(outlines[b, _standing(detections, b, depth_unit, config)], points)
+            standing = _standing(detections, b, known, depth_unit, config)
+            claimed = _inside_any(outlines[b, standing], points)
             share = float(claimed.mean()) if len(points) >= config.min_visible_pixels else None
             claims = () if share is None else (share,)
             count = int(claimed.sum())
@@ -96,11 +99,16 @@ def claimed_floor(
     return tallies
 
 
-def _standing(detections: Detections, b: int, unit: float, config: EvalConfig) -> np.ndarray:
-    """The obstacles of frame ``b`` that the robot can't drive under, ``(L,)``."""
+def _standing(
+    detections: Detections, b: int, known: np.ndarray | None, unit: float, config: EvalConfig
+) -> np.ndarray:
+    """The obstacles of frame ``b`` that the robot can't drive under, ``(L,)``.
+
+    ``known`` says which frames' floor is, ``(B,)`` bool; None without heights.
+    """
     numbers = np.arange(int(detections.labels.num_obstacles[b]))
     scene = detections.scene
-    if scene is None or not floors(scene, unit).plane.valid[b]:
+    if scene is None or known is None or not known[b]:
         return numbers
     bottom = np.asarray(scene.bottom_top[b])[numbers, 0] * unit
     return numbers[bottom <= config.hanging_m]

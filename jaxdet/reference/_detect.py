@@ -24,6 +24,7 @@ from jaxdet.types import (
     MAX_LATERAL,
     MAX_OBSTACLES,
     MAX_SURFACES,
+    SAMPLED_CELLS,
     Cells,
     Detections,
     Features,
@@ -34,9 +35,6 @@ from jaxdet.types import (
     Obstacles,
     Scene,
 )
-
-SAMPLE = 2
-"""Of the cells, every second one of every second row is a feature."""
 
 
 class Found(NamedTuple):
@@ -177,11 +175,11 @@ def _points(
     cell = over[frame[..., 0], corners.v, corners.u]
     of_corners = np.where(corners.kept & (cell >= 0), label[frame[..., 0], cell], -1)
 
-    part = (slice(None), slice(SAMPLE // 2, None, SAMPLE), slice(SAMPLE // 2, None, SAMPLE))
     u, v = np.moveaxis(grid.middle, -1, 0)
     columns = {"u": u, "v": v, "x": grid.x, "y": grid.y, "z": grid.z, "valid": keep, "kept": keep}
-    sampled = {k: a[part].reshape(batch, -1) for k, a in columns.items()}
-    of_cells = np.where(grid.in_view, label.reshape(grid.z.shape), -1)[part].reshape(batch, -1)
+    sampled = {k: a[SAMPLED_CELLS].reshape(batch, -1) for k, a in columns.items()}
+    of_cells = np.where(grid.in_view, label.reshape(grid.z.shape), -1)[SAMPLED_CELLS]
+    of_cells = of_cells.reshape(batch, -1)
     count = label.max(axis=1, initial=-1) + 1
     points = Features(
         **{k: np.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},

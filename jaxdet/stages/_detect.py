@@ -19,6 +19,7 @@ from jaxdet.stages._points import clusters
 from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
+    SAMPLED_CELLS,
     Array,
     Calibration,
     Cells,
@@ -30,9 +31,6 @@ from jaxdet.types import (
     Refusal,
     Scene,
 )
-
-SAMPLE = 2
-"""Of the cells, every second one of every second row is a feature."""
 
 
 class _Tables(NamedTuple):
@@ -193,12 +191,11 @@ def _points(
     of_corners = jnp.take_along_axis(label.reshape(batch, -1), jnp.maximum(cell, 0), axis=1)
     of_corners = jnp.where(corners.kept, of_corners, -1)
 
-    part = (slice(None), slice(SAMPLE // 2, None, SAMPLE), slice(SAMPLE // 2, None, SAMPLE))
-    few = jax.tree.map(lambda a: a[part], grid)
-    kept, (u, v) = keep[part], jnp.moveaxis(few.middle, -1, 0)
+    few = jax.tree.map(lambda a: a[SAMPLED_CELLS], grid)
+    kept, (u, v) = keep[SAMPLED_CELLS], jnp.moveaxis(few.middle, -1, 0)
     columns = {"u": u, "v": v, "x": few.x, "y": few.y, "z": few.z, "valid": kept, "kept": kept}
     sampled = {k: a.reshape(batch, -1) for k, a in columns.items()}
-    of_cells = jnp.where(few.in_view, label[part], -1).reshape(batch, -1)
+    of_cells = jnp.where(few.in_view, label[SAMPLED_CELLS], -1).reshape(batch, -1)
     points = Features(
         **{k: jnp.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
         overflow=corners.overflow
