@@ -14,7 +14,7 @@ from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import BATCH, CONFIG, Inputs, inputs, on_cells, repeated
 from benchmarks.sweep import DEFAULT_BATCH, Point, kind
 from jaxdet import reference, stages
-from jaxdet.plane import depth_range
+from jaxdet.floor.plane import depth_range
 from jaxdet.reference._cells import cover
 from jaxdet.stages._cover import corners_on_cells
 from jaxdet.stages._features import rays

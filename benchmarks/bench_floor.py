@@ -7,7 +7,7 @@ from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
 from jaxdet import reference
-from jaxdet.floor_units import Scale, prior_units
+from jaxdet.floor.units import Scale, prior_units
 from jaxdet.stages._floor import find_floor, floor_settings
 
 program = jax.jit(find_floor, static_argnames=("config", "unit"))

@@ -7,7 +7,7 @@ from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
 from jaxdet.affinity import affinity
-from jaxdet.plane import depth_range
+from jaxdet.floor.plane import depth_range
 from jaxdet.reference._obstacles import obstacles as grouped
 from jaxdet.stages._obstacles import View, obstacles, settings_of
 

@@ -5,7 +5,7 @@ import jax
 from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
-from jaxdet.plane import band_table
+from jaxdet.floor.plane import band_table
 from jaxdet.reference._detect import _outlines
 from jaxdet.stages._outlines import outline_settings, outlines
 

@@ -15,8 +15,8 @@ from benchmarks.run import Case, Metric, check_equal
 from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
 from jaxdet.config import Config
 from jaxdet.engine import Workers
+from jaxdet.floor.plane import flat_plane, floor_limits
 from jaxdet.pipeline import detect
-from jaxdet.plane import flat_plane, floor_limits
 from jaxdet.presets import preset
 from jaxdet.stages._device import on_cuda
 from jaxdet.stages._spread import rows_over

@@ -6,7 +6,7 @@ import numpy as np
 from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
-from jaxdet.plane import step_table
+from jaxdet.floor.plane import step_table
 from jaxdet.reference._detect import _surfaces
 from jaxdet.stages._surfaces import surface_settings, surface_tables, surfaces
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.scene import CALIBRATIONS, CONFIG, HEIGHT_M, PITCH_RAD
 from jaxdet.config import Config
-from jaxdet.plane import flat_plane, repeat_plane
+from jaxdet.floor.plane import flat_plane, repeat_plane
 from jaxdet.types import Calibration, Features, GroundPlane
 
 OBSTACLES = 8

@@ -9,8 +9,8 @@ import warp as wp
 
 from jaxdet import reference
 from jaxdet.config import Config
-from jaxdet.floor_frame import floor_frames
-from jaxdet.plane import flat_plane, repeat_plane, step_table
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import flat_plane, repeat_plane, step_table
 from jaxdet.reference import FloorFit
 from jaxdet.reference._detect import Found, _group, _surfaces
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
@@ -74,7 +74,7 @@ class OnCells(NamedTuple):
     cells: Cells
     fit: FloorFit
     floor: np.ndarray
-    """``(B, 13)`` int32, see :func:`jaxdet.floor_frame.floor_frames`."""
+    """``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
     surfaces: list[Found]
     obstacles: list[Found]
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxdet.config import Config
     from jaxdet.errors import FrameStatus, JaxdetError
+    from jaxdet.floor.plane import flat_plane
     from jaxdet.io import LogOptions, find_logs, open_log
-    from jaxdet.metric import extents, rectangles, to_world
     from jaxdet.pipeline import detect, estimate_plane, find_floors
-    from jaxdet.plane import flat_plane
     from jaxdet.presets import PRESETS, preset
+    from jaxdet.results.metric import extents, rectangles, to_world
     from jaxdet.types import (
         Calibration,
         Detections,
@@ -34,9 +34,9 @@ _HOMES = {
     "jaxdet.presets": ("PRESETS", "preset"),
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
-    "jaxdet.metric": ("extents", "rectangles", "to_world"),
+    "jaxdet.results.metric": ("extents", "rectangles", "to_world"),
     "jaxdet.pipeline": ("detect", "estimate_plane", "find_floors"),
-    "jaxdet.plane": ("flat_plane",),
+    "jaxdet.floor.plane": ("flat_plane",),
     "jaxdet.types": (
         "Calibration",
         "Detections",

@@ -9,8 +9,8 @@ import numpy as np
 from jaxdet.checks import check_cells, check_frames
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
-from jaxdet.plane import flagged_plane, repeat_plane, unknown_plane
-from jaxdet.sampled_floor import SampledFloor, sampled_floor
+from jaxdet.floor.plane import flagged_plane, repeat_plane, unknown_plane
+from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def estimate_plane(
 
     Returns:
         The median of the floors that the frames show, see
-        :class:`jaxdet.sampled_floor.SampledFloor`; not valid where too few do.
+        :class:`jaxdet.floor.sampled.SampledFloor`; not valid where too few do.
     """
     nothing = unknown_plane(len(frames.depth))
     fit = find_floors(frames._replace(plane=nothing), config or Config(), backend=backend)

@@ -10,7 +10,7 @@ is the log's map or odom frame. ``T_a_b`` takes points of ``b`` to ``a``.
 
 Units: metres, radians and nanoseconds, but every *decision* is made on integers in *depth
 units* (the unit of the depth image, 1 mm by default), so that all implementations agree to
-the bit. The metric results are computed from these integers once, in :mod:`jaxdet.metric`.
+the bit. The metric results are computed from these integers once, in :mod:`jaxdet.results.metric`.
 Arrays are NumPy arrays in :mod:`jaxdet.reference` and JAX arrays in :mod:`jaxdet.stages`.
 """
 
@@ -302,7 +302,7 @@ class Scene(NamedTuple):
 
     floor: Array
     """``(B, 8)`` int32, the floor in each frame's own depth; with the next one it gives the planes
-    (:func:`jaxdet.floor_units.floor_fit`)."""
+    (:func:`jaxdet.floor.units.floor_fit`)."""
     prior: GroundPlane
     """What was known of each frame's floor, on the host."""
     contour: Array

@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.baselines import Frame
 from jaxdet.config import Config
 from jaxdet.eval import FrameTruth
-from jaxdet.plane import flat_plane
+from jaxdet.floor.plane import flat_plane
 from jaxdet.types import Calibration, Features, Intrinsics
 
 CAMERA = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5)

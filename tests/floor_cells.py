@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxdet.camera import RAY_BITS, fixed_rays, pixel_rays
 from jaxdet.config import FloorConfig
-from jaxdet.plane import down_vector, flat_plane, forward_vector
+from jaxdet.floor.plane import down_vector, flat_plane, forward_vector
 from jaxdet.reference._floor import FloorFit, find_floor
 from jaxdet.types import GroundPlane, Intrinsics, Refusal
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxdet.plane import flat_plane
+from jaxdet.floor.plane import flat_plane
 from jaxdet.types import (
     AlignedDepth,
     Calibration,

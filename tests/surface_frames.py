@@ -9,9 +9,9 @@ import numpy as np
 
 from benchmarks.paper.labelled import RECORDINGS
 from jaxdet.config import Config
-from jaxdet.floor_frame import floor_frames
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import step_table, unknown_plane
 from jaxdet.io import open_log
-from jaxdet.plane import step_table, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import cells
 from jaxdet.reference._detect import Found, _group

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jaxdet.camera import cell_side
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.errors import CalibrationError
-from jaxdet.plane import linear_table, step_table
+from jaxdet.floor.plane import linear_table, step_table
 from jaxdet.presets import preset
 from jaxdet.reference import align, cells
 from jaxdet.reference._cells import cover

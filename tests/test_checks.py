@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxdet import detect, find_floors, metric, stages
+from jaxdet import detect, find_floors, stages
 from jaxdet.config import (
     ClusterConfig,
     Config,
@@ -17,6 +17,7 @@ from jaxdet.config import (
 )
 from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError
+from jaxdet.results import metric
 from jaxdet.types import Calibration, Frames, Intrinsics, Keep, Labels
 from tests.scenes import assert_equal, blocks, frames, level, points, resized, small, smooth_depth
 

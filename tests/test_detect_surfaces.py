@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from benchmarks.paper.labelled import RECORDINGS, Recording, labels_of
-from jaxdet import detect, metric
+from jaxdet import detect
 from jaxdet.config import Config, GroundConfig
 from jaxdet.eval import BoxTally, score_boxes, tally_boxes
+from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.io import open_log
-from jaxdet.metric import floors
-from jaxdet.plane import flat_plane, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import align, ground
+from jaxdet.results import metric
+from jaxdet.results.metric import floors
 from jaxdet.sim import DepthSensor, SimConfig, sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.sim.frames import SimFrame, simulate_frame

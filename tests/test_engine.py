@@ -18,8 +18,8 @@ from jaxdet.engine import loop as engine_loop
 from jaxdet.engine.ground import evenly
 from jaxdet.engine.prefetch import prefetch
 from jaxdet.errors import ConfigError, FrameStatus, InputError
+from jaxdet.floor.plane import flat_plane
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
-from jaxdet.plane import flat_plane
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
 
@@ -220,7 +220,7 @@ def test_sources_of_the_ground() -> None:
 
 def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
     from jaxdet.engine import prior
-    from jaxdet.floor_units import FloorFit
+    from jaxdet.floor.units import FloorFit
 
     def by_first_frame(frames: Frames, config: Config, *, backend: str) -> FloorFit:
         own = frames.valid

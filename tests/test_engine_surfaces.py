@@ -12,9 +12,9 @@ import pytest
 from jaxdet import detect, engine
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions, Workers
-from jaxdet.engine.summary import LogSummary
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.presets import preset
+from jaxdet.results.summary import LogSummary
 from jaxdet.sim import SimConfig, write_log
 from tests.scenes import assert_equal
 

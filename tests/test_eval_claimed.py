@@ -15,8 +15,8 @@ from jaxdet.eval import (
     score,
     total,
 )
+from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.plane import flat_plane, unknown_plane
 from jaxdet.sim import floor_truth, sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.types import Detections, Frames, Refusal, Scene

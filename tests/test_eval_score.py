@@ -23,7 +23,7 @@ from jaxdet.eval import (
     truth_of,
 )
 from jaxdet.eval.tally import COUNTS
-from jaxdet.metric import to_world
+from jaxdet.results.metric import to_world
 
 NAN = math.nan
 counts = st.lists(

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.floor_frame import ANGLES, FRAME_BITS, UNKNOWN_HEIGHT, floor_frames, on_floor
-from jaxdet.plane import down_vector, flat_plane, ground_axes, unknown_plane
+from jaxdet.floor.frame import ANGLES, FRAME_BITS, UNKNOWN_HEIGHT, floor_frames, on_floor
+from jaxdet.floor.plane import down_vector, flat_plane, ground_axes, unknown_plane
 
 UNIT = 0.001
 

@@ -5,7 +5,7 @@ import pytest
 
 from jaxdet.camera import pixel_rays
 from jaxdet.config import FloorConfig
-from jaxdet.plane import down_vector, flat_plane, forward_vector, unknown_plane
+from jaxdet.floor.plane import down_vector, flat_plane, forward_vector, unknown_plane
 from jaxdet.reference._floor import find_floor
 from jaxdet.types import GroundPlane, Refusal
 from tests.floor_cells import (

@@ -11,8 +11,8 @@ import pytest
 from benchmarks.paper.labelled import RECORDINGS, Recording
 from jaxdet import open_log
 from jaxdet.config import Config, FloorConfig
-from jaxdet.floor_units import Scale, floor_fit, prior_units
-from jaxdet.plane import flat_plane, join_planes, repeat_plane, unknown_plane
+from jaxdet.floor.plane import flat_plane, join_planes, repeat_plane, unknown_plane
+from jaxdet.floor.units import Scale, floor_fit, prior_units
 from jaxdet.reference import cells
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames

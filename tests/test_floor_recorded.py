@@ -8,7 +8,7 @@ import pytest
 
 from jaxdet import open_log
 from jaxdet.camera import pixel_rays
-from jaxdet.plane import down_vector, flat_plane, unknown_plane
+from jaxdet.floor.plane import down_vector, flat_plane, unknown_plane
 from jaxdet.reference import align
 from jaxdet.reference._floor import find_floor
 from jaxdet.types import Calibration

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from jaxdet import reference, stages
 from jaxdet.config import ClusterConfig, Config, FootprintConfig
 from jaxdet.errors import ConfigError
-from jaxdet.metric import rectangles
-from jaxdet.plane import ground_axes
+from jaxdet.floor.plane import ground_axes
 from jaxdet.presets import PRESETS
 from jaxdet.reference._footprint import to_ground
+from jaxdet.results.metric import rectangles
 from jaxdet.stages._footprint import to_ground as to_ground_twin
 from jaxdet.types import Features, Labels
 from tests.scenes import assert_equal, level, points

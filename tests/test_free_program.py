@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.plane import unknown_plane
+from jaxdet.floor.plane import unknown_plane
 from jaxdet.reference._detect import _free
 from jaxdet.stages._free import free_floor, free_settings, free_tables
 from jaxdet.types import FreeEnd

@@ -9,7 +9,7 @@ import pytest
 from jaxdet import reference, stages
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import ConfigError
-from jaxdet.plane import (
+from jaxdet.floor.plane import (
     down_vector,
     floor_limits,
     ground_axes,

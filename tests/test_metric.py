@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet import metric
 from jaxdet.config import FootprintConfig
-from jaxdet.plane import down_vector, flat_plane, ground_axes
+from jaxdet.floor.plane import down_vector, flat_plane, ground_axes
+from jaxdet.results import metric
 from jaxdet.types import Obstacles
 
 CONFIG = FootprintConfig(extension_m=0.2, margin_per_m2=0.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.floor_frame import FLOOR_VALUES, FRAME_BITS
+from jaxdet.floor.frame import FLOOR_VALUES, FRAME_BITS
 from jaxdet.reference._cells import MARGIN
 from jaxdet.types import MAX_LABELS, MAX_SURFACES
 from jaxdet_kernels import obstacles

@@ -11,9 +11,9 @@ import pytest
 from jaxdet import types
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, ObstacleConfig
-from jaxdet.floor_frame import floor_frames
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import depth_range, step_table, unknown_plane
 from jaxdet.io import open_log
-from jaxdet.plane import depth_range, step_table, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference._cells import cells
 from jaxdet.reference._detect import _surfaces

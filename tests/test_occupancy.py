@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxdet.engine.occupancy import CELL_M, OccupancyMap
+from jaxdet.results.occupancy import CELL_M, OccupancyMap
 
 
 def square(x: float, y: float, side: float = 0.2) -> np.ndarray:

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from jaxdet import metric
 from jaxdet.config import FootprintConfig
-from jaxdet.plane import DIRECTION_BITS
+from jaxdet.floor.plane import DIRECTION_BITS
 from jaxdet.presets import PRESETS
 from jaxdet.reference._outlines import (
     contours,
@@ -20,6 +19,7 @@ from jaxdet.reference._outlines import (
     inner,
     straight_parts,
 )
+from jaxdet.results import metric
 from jaxdet.types import MAX_CONTOUR, Obstacles
 
 LONG = 1500

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.plane import band_table, unknown_plane
+from jaxdet.floor.plane import band_table, unknown_plane
 from jaxdet.reference._detect import _outlines
 from jaxdet.stages._outlines import outline_settings, outlines
 from jaxdet.types import MAX_OBSTACLES

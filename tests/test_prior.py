@@ -8,9 +8,9 @@ import pytest
 
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.engine import Planes, decide_planes, prior
-from jaxdet.floor_units import FloorFit
-from jaxdet.plane import flat_plane, unknown_plane
-from jaxdet.sampled_floor import sampled_floor
+from jaxdet.floor.plane import flat_plane, unknown_plane
+from jaxdet.floor.sampled import sampled_floor
+from jaxdet.floor.units import FloorFit
 
 MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.engine.rows import to_host
-from jaxdet.metric import floors, rectangles
+from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.plane import flat_plane, unknown_plane
-from jaxdet.render import MapImage, canvas, draw_frame, draw_map, write_png
+from jaxdet.render import canvas, draw_frame, draw_map, write_png
 from jaxdet.render.topview import View, ground_points
+from jaxdet.results.metric import floors, rectangles
+from jaxdet.results.occupancy import MapImage
+from jaxdet.results.rows import to_host
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
 
 STILL = Extrinsics((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0), (0.0, 0.0, 0.0))

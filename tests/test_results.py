@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.errors import ConfigError
-from jaxdet.io import results
-from jaxdet.io.results import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter
+from jaxdet.results import writer
+from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter
 
 
 def frame_rows(start: int, stop: int) -> dict:
@@ -85,7 +85,7 @@ def test_round_trip_with_nulls(tmp_path: Path) -> None:
 
 
 def test_bytes_do_not_depend_on_the_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "ROWS_PER_GROUP", 16)
+    monkeypatch.setattr(writer, "ROWS_PER_GROUP", 16)
     for batch in (1, 7, 16, 50):
         write(tmp_path / str(batch), batch)
     for name in ("frames.parquet", "obstacles.parquet"):

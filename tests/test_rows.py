@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.engine.free_floor import FreeFloor
-from jaxdet.engine.rows import batch_rows
 from jaxdet.errors import FrameStatus
+from jaxdet.floor.plane import unknown_plane
 from jaxdet.io import Batch
-from jaxdet.io.results import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
 from jaxdet.pipeline import detect
-from jaxdet.plane import unknown_plane
 from jaxdet.presets import preset
+from jaxdet.results.free_floor import FreeFloor
+from jaxdet.results.rows import batch_rows
+from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
 from tests.scenes import frames, level, small
 
 SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}

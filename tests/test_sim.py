@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxdet.errors import ConfigError
-from jaxdet.plane import down_vector
+from jaxdet.floor.plane import down_vector
 from jaxdet.sim import (
     FAMILIES,
     DepthSensor,

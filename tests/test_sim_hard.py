@@ -10,7 +10,7 @@ import jaxdet
 from benchmarks.real_floor import simulated
 from jaxdet.errors import ConfigError
 from jaxdet.eval import truth_of
-from jaxdet.plane import down_vector
+from jaxdet.floor.plane import down_vector
 from jaxdet.sim import (
     EDGE_BEARINGS_RAD,
     HARD_FAMILIES,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.floor_frame import floor_frames
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import flat_plane, step_table, unknown_plane
 from jaxdet.io import open_log
-from jaxdet.plane import flat_plane, step_table, unknown_plane
 from jaxdet.presets import preset
 from jaxdet.reference import cells
 from jaxdet.reference._detect import _surfaces

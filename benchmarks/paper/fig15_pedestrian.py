@@ -9,10 +9,10 @@ from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section, bootstrap, percent, wilson
 from benchmarks.paper.shots import Shot, frames_of
 from benchmarks.paper.systems import Prepared, eval_config, found_by, ours
-from jaxdet.engine.occupancy import OccupancyMap
 from jaxdet.eval import evaluate_frames, total
-from jaxdet.metric import rectangles, to_world
 from jaxdet.render import draw_map
+from jaxdet.results.metric import rectangles, to_world
+from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.sim import load_scene
 
 RATE_HZ = 8.0

@@ -8,9 +8,9 @@ import numpy as np
 from benchmarks.paper.shots import Shot, frames_of
 from benchmarks.paper.systems import Prepared, System, found_by
 from jaxdet.config import Config
-from jaxdet.metric import rectangles
 from jaxdet.render import canvas, draw_frame
 from jaxdet.render.camera import camera_view
+from jaxdet.results.metric import rectangles
 from jaxdet.types import Detections, Frames
 
 CAPTION = 30

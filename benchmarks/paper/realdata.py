@@ -13,11 +13,11 @@ from benchmarks.paper.pictures import encode, frame_picture, grid, scaled
 from benchmarks.paper.section import Section
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
-from jaxdet.engine.rows import to_host
 from jaxdet.errors import InputError, JaxdetError
+from jaxdet.floor.plane import repeat_plane
 from jaxdet.io import open_log
 from jaxdet.pipeline import detect, estimate_plane
-from jaxdet.plane import repeat_plane
+from jaxdet.results.rows import to_host
 from jaxdet.types import Calibration, Frames, GroundPlane, Intrinsics
 
 SHEET = (3, 5)

@@ -13,7 +13,6 @@ from benchmarks.paper.section import Direction, Section, number, percent, wilson
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
-from jaxdet.engine.rows import to_host
 from jaxdet.eval import (
     BoxTally,
     FrameLabels,
@@ -23,11 +22,12 @@ from jaxdet.eval import (
     tally_boxes,
 )
 from jaxdet.io import Log, open_log
-from jaxdet.metric import extents, floors
 from jaxdet.pipeline import detect, floor_of
 from jaxdet.presets import PRESETS
 from jaxdet.render import canvas
 from jaxdet.render.camera import camera_view
+from jaxdet.results.metric import extents, floors
+from jaxdet.results.rows import to_host
 from jaxdet.types import Detections, Frames
 
 TITLES: tuple[tuple[str, Config], ...] = (

@@ -10,7 +10,7 @@ import numpy as np
 import zstandard
 
 from jaxdet.eval import FrameTruth, truth_of
-from jaxdet.plane import flat_plane
+from jaxdet.floor.plane import flat_plane
 from jaxdet.sim import SimConfig, SimFrame, floor_truth, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
 from jaxdet.types import Calibration, Frames

@@ -107,7 +107,7 @@ def main(args: list[str]) -> int:
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import RunOptions, run, start_up
     from jaxdet.io import find_logs
-    from jaxdet.io.results import to_json
+    from jaxdet.results.writer import to_json
 
     logs = find_logs(given(command.logs))
     config = Config(

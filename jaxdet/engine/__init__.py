@@ -5,7 +5,7 @@ from jaxdet.engine.loop import Progress, ProgressCallback, RunOptions, run
 from jaxdet.engine.many import Workers
 from jaxdet.engine.planes import decide_planes
 from jaxdet.engine.startup import start_up, use_caches
-from jaxdet.engine.summary import LogSummary, Summary, plain, versions
+from jaxdet.results.summary import LogSummary, Summary, plain, versions
 
 __all__ = [
     "GroundRecord",

@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.ground import Planes
-from jaxdet.engine.rows import Rows, batch_rows
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.render import draw_frame, write_png
+from jaxdet.results.rows import Rows, batch_rows
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Done(NamedTuple):
     T_world_camera: np.ndarray | None
     """``(B, 4, 4)`` float64."""
     free_world: np.ndarray | None
-    """See :class:`jaxdet.engine.rows.Rows`."""
+    """See :class:`jaxdet.results.rows.Rows`."""
     errors: list[str]
     """Frames that could not be used, with the reason."""
     pictures: list[str]

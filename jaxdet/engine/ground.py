@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import join_planes, repeat_plane, unknown_plane
+from jaxdet.floor.plane import join_planes, repeat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:

@@ -13,15 +13,15 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.engine.batch import Done, LogJob, LogWork
 from jaxdet.engine.ground import evenly
-from jaxdet.engine.occupancy import OccupancyMap, save_map
 from jaxdet.engine.planes import decide_planes
 from jaxdet.engine.processes import Processes
-from jaxdet.engine.summary import LogSummary, Summary, plain
 from jaxdet.errors import JaxdetError
 from jaxdet.io import open_log
-from jaxdet.io.results import ResultWriter
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
+from jaxdet.results.occupancy import OccupancyMap, save_map
+from jaxdet.results.summary import LogSummary, Summary, plain
+from jaxdet.results.writer import ResultWriter
 
 if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions

@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.pool import Pool, usual_count
-from jaxdet.engine.rows import to_host
 from jaxdet.pipeline import BackendName, detect, floor_of
+from jaxdet.results.rows import to_host
 from jaxdet.types import Detections, Frames, GroundPlane
 
 

@@ -12,8 +12,8 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine.ground import GroundRecord, Planes, record_of
 from jaxdet.engine.prior import prior_of
 from jaxdet.errors import InputError
+from jaxdet.floor.plane import flagged_plane, plane_from_transform, unknown_plane
 from jaxdet.pipeline import BackendName
-from jaxdet.plane import flagged_plane, plane_from_transform, unknown_plane
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
     A sample of the frames is looked at first, each for itself, and the median of the floors that
     they show takes the place of what flags or TF say, as mounts are not always as they are said to
     be. Where neither says anything it is the prior only of a camera that keeps its place, see
-    :class:`jaxdet.sampled_floor.SampledFloor`; else each frame is searched alone.
+    :class:`jaxdet.floor.sampled.SampledFloor`; else each frame is searched alone.
 
     Args:
         log: An open log.

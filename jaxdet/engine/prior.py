@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.ground import GroundRecord, Planes, in_windows, record_of
+from jaxdet.floor.plane import repeat_plane
+from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.pipeline import BackendName, find_floors
-from jaxdet.plane import repeat_plane
-from jaxdet.sampled_floor import SampledFloor, sampled_floor
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:

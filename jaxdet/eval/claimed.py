@@ -6,7 +6,7 @@ from jaxdet.camera import pixel_rays
 from jaxdet.eval.polygon import inside
 from jaxdet.eval.tally import Tally
 from jaxdet.eval.truth import EvalConfig
-from jaxdet.metric import floors, rectangles, world_angle
+from jaxdet.results.metric import floors, rectangles, world_angle
 from jaxdet.types import Detections, Intrinsics
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxdet.eval.polygon import inside, near_side, overlap
 from jaxdet.eval.tally import Case, Tally
 from jaxdet.eval.truth import EvalConfig, FrameTruth
-from jaxdet.metric import rectangles
+from jaxdet.results.metric import rectangles
 from jaxdet.types import Detections
 
 NEAR_STEP_M = 0.01

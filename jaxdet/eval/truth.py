@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.metric import world_angle
+from jaxdet.results.metric import world_angle
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxdet.camera import cell_rays, cell_side, corner_rays, splat_parameters
 from jaxdet.config import SurfaceConfig
-from jaxdet.plane import quadratic_table
+from jaxdet.floor.plane import quadratic_table
 from jaxdet.reference._align import project_corners
 from jaxdet.reference._features import lateral
 from jaxdet.reference._rounding import rounded

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_gap_units
+from jaxdet.floor.plane import depth_gap_units
 from jaxdet.types import Features, Labels
 
 

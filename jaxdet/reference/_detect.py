@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor_frame import floor_frames, on_floor
-from jaxdet.plane import depth_range, quadratic_table, step_table
+from jaxdet.floor.frame import floor_frames, on_floor
+from jaxdet.floor.plane import depth_range, quadratic_table, step_table
 from jaxdet.reference._cells import cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
@@ -128,7 +128,7 @@ def _group(
 def _surfaces(
     grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
 ) -> Found:
-    """Surfaces of one frame; ``step`` is of :func:`jaxdet.plane.step_table`."""
+    """Surfaces of one frame; ``step`` is of :func:`jaxdet.floor.plane.step_table`."""
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, floor)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)

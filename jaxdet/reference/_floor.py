@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FloorConfig
-from jaxdet.floor_units import (
+from jaxdet.floor.units import (
     ANGLES,
     RAMP_M,
     STEP_M,
@@ -53,7 +53,7 @@ class _Found(NamedTuple):
 
     @property
     def row(self) -> tuple[int, ...]:
-        """As :func:`jaxdet.floor_units.floor_fit` takes it."""
+        """As :func:`jaxdet.floor.units.floor_fit` takes it."""
         return (*self.plane, *(self.hinge or (0, 0)), self.on, self.total, self.refused)
 
 

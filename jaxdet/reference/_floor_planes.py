@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.floor_units import (
+from jaxdet.floor.units import (
     ANGLES,
     LEVER_M,
     ROUGH_DEG,
@@ -70,7 +70,7 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def down_units(pitch: np.ndarray | int, roll: np.ndarray | int) -> np.ndarray:
-    """:func:`jaxdet.plane.down_vector` with ``DOWN_BITS`` fraction bits, ``(..., 3)`` int64."""
+    """:func:`jaxdet.floor.plane.down_vector`, ``DOWN_BITS`` fraction bits, ``(..., 3)`` int64."""
     one = np.full(np.shape(pitch), 1 << SINE_BITS)
     parts = (
         _product(sine(roll), cosine(pitch)),

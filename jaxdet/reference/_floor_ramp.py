@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.floor_units import (
+from jaxdet.floor.units import (
     ANGLES,
     FARTHEST_M,
     FINE_PER_Z,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.floor_units import (
+from jaxdet.floor.units import (
     ANGLES,
     BIN_M,
     HEIGHTS_M,

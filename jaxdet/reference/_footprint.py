@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
-from jaxdet.plane import GROUND_BITS, band_table, ground_axes
+from jaxdet.floor.plane import GROUND_BITS, band_table, ground_axes
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 
@@ -23,7 +23,7 @@ def footprint(
 
         min(d_A, d_B) - d_C < d_threshold
 
-    with d the distance forward. :func:`jaxdet.metric.rectangles` draws the rectangle.
+    with d the distance forward. :func:`jaxdet.results.metric.rectangles` draws the rectangle.
 
     Args:
         features: ``(B, N)`` points.

@@ -1,7 +1,7 @@
 """Stage 2, ground: which pixels are in range and above the floor (Section 3.3)."""
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, floor_limits
+from jaxdet.floor.plane import depth_range, floor_limits
 from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep
 
 
@@ -13,7 +13,7 @@ def ground(
     A pixel is floor when its image row lies below the row of the plane at height
     ``h_0 = h - step``: for a level camera ``v - c_y >= f h_0 / z`` (Eq. 5), and for any tilt
     and roll when its height above the plane is less than the step height
-    (:func:`jaxdet.plane.floor_limits`). A frame whose plane is unknown loses no floor.
+    (:func:`jaxdet.floor.plane.floor_limits`). A frame whose plane is unknown loses no floor.
 
     Args:
         aligned: Depth at the colour pixels; ``z`` is used.

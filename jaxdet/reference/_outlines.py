@@ -4,7 +4,7 @@ from math import isqrt
 
 import numpy as np
 
-from jaxdet.plane import DIRECTION_BITS, direction_table
+from jaxdet.floor.plane import DIRECTION_BITS, direction_table
 from jaxdet.types import MAX_CONTOUR
 
 LONG_TRIM = 20

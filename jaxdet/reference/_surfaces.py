@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.config import SurfaceConfig
-from jaxdet.plane import quadratic_table
+from jaxdet.floor.plane import quadratic_table
 from jaxdet.reference._cells import margins
 from jaxdet.reference._components import components
 from jaxdet.reference._rounding import rounded

@@ -2,6 +2,6 @@
 
 from jaxdet.render.canvas import write_png
 from jaxdet.render.frame import draw_frame
-from jaxdet.render.map import MapImage, draw_map
+from jaxdet.render.map import draw_map
 
-__all__ = ["MapImage", "draw_frame", "draw_map", "write_png"]
+__all__ = ["draw_frame", "draw_map", "write_png"]

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 import jaxdet.render.canvas as canvas
-from jaxdet.metric import distances
+from jaxdet.results.metric import distances
 from jaxdet.types import Detections
 
 Box = tuple[float, float, float, float]

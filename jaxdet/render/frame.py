@@ -4,7 +4,7 @@ import numpy as np
 
 import jaxdet.render.canvas as canvas
 from jaxdet.config import Config
-from jaxdet.plane import unknown_plane
+from jaxdet.floor.plane import unknown_plane
 from jaxdet.render.camera import camera_view
 from jaxdet.render.topview import top_view
 from jaxdet.types import Detections, Frames

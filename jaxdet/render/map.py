@@ -1,32 +1,16 @@
 """The picture of a whole log: outline counts, free floor, the robot's path, a scale bar."""
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 
 import jaxdet.render.canvas as canvas
+from jaxdet.results.occupancy import MapImage
 
 LONG_SIDE = 1000
 HEADER, FOOTER, MARGIN = 46, 46, 24
 PATH: canvas.Color = (64, 180, 255)
 START: canvas.Color = (80, 214, 120)
 END: canvas.Color = (255, 92, 92)
-
-
-class MapImage(NamedTuple):
-    """An occupancy map; row 0 is the lowest Y."""
-
-    counts: np.ndarray
-    """``(rows, columns)`` int32, outlines that cover each cell."""
-    free: np.ndarray
-    """``(rows, columns)`` int32, frames that saw it free; not known where both are 0."""
-    origin: tuple[float, float]
-    """World X and Y of the outer corner of cell (0, 0) [m]."""
-    cell_m: float
-    """Side of a cell [m]."""
-    path: np.ndarray
-    """``(F, 2)`` float64, world X and Y of the camera, in frame order [m]."""
 
 
 def draw_map(image: MapImage, title: str) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxdet.render.canvas as canvas
-from jaxdet.plane import GROUND_BITS, ground_axes
+from jaxdet.floor.plane import GROUND_BITS, ground_axes
 from jaxdet.types import Calibration, Detections, Features, FreeEnd, GroundPlane, Scene
 
 _MARGIN = 34

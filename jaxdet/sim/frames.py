@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxdet.plane import flat_plane
+from jaxdet.floor.plane import flat_plane
 from jaxdet.sim.config import SimConfig, calibration_of
 from jaxdet.sim.exposure import LIGHTS, expose, reflectance_of
 from jaxdet.sim.ground import standing

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import SurfaceConfig
-from jaxdet.plane import quadratic_table
+from jaxdet.floor.plane import quadratic_table
 from jaxdet.stages import _align
 from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Calibration, Cells

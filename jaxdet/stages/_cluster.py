@@ -8,7 +8,7 @@ from jax import lax
 
 from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
-from jaxdet.plane import depth_gap_units
+from jaxdet.floor.plane import depth_gap_units
 from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
 from jaxdet.types import MAX_LATERAL, Features, Labels
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, FeaturesConfig, FloorConfig
-from jaxdet.floor_frame import axes, floor_frames, ramp_slopes
-from jaxdet.floor_units import SINES, FloorFit, Scale, floor_fit, prior_units
-from jaxdet.plane import band_table, depth_range
+from jaxdet.floor.frame import axes, floor_frames, ramp_slopes
+from jaxdet.floor.plane import band_table, depth_range
+from jaxdet.floor.units import SINES, FloorFit, Scale, floor_fit, prior_units
 from jaxdet.stages import _cells, _features, _floor, _free, _obstacles, _outlines, _spread
 from jaxdet.stages import _surfaces as surface_stage
 from jaxdet.stages._cover import corners_on_cells
@@ -54,9 +54,9 @@ class _Given(NamedTuple):
     """What is known of each frame's floor."""
 
     prior: jax.Array
-    """``(B, 4)`` int32, see :func:`jaxdet.floor_units.prior_units`."""
+    """``(B, 4)`` int32, see :func:`jaxdet.floor.units.prior_units`."""
     frame: jax.Array
-    """``(B, 13)`` int32, see :func:`jaxdet.floor_frame.floor_frames`."""
+    """``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
 
 
 SPECS = (_spread.WHOLE, _spread.ROWS)

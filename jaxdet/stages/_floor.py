@@ -1,7 +1,7 @@
 """The floor of each frame, found in its own depth: integers in, integers out.
 
 Twin of ``jaxdet/reference/_floor.py``. What is known and found has other units outside, see
-:mod:`jaxdet.floor_units`.
+:mod:`jaxdet.floor.units`.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.config import FloorConfig
-from jaxdet.floor_units import (
+from jaxdet.floor.units import (
     ANGLES,
     BIN_M,
     FARTHEST_M,
@@ -50,7 +50,7 @@ class FloorSettings(NamedTuple):
     """Every so many of the cells are used, in rows and columns."""
     max_depth: int
     noise: int
-    """Of tolerances, as what is per z, see :class:`jaxdet.floor_units.Slack`."""
+    """Of tolerances, as what is per z, see :class:`jaxdet.floor.units.Slack`."""
     rough_base: int
     rough_per_z: int
     fine_base: int
@@ -157,13 +157,13 @@ def find_floor(
         x: ``(B, R, C)`` int32, right of the optical axis [depth units].
         y: Likewise, below it.
         z: Likewise, along it, 0 = none.
-        prior: ``(B, 4)`` int32, see :func:`jaxdet.floor_units.prior_units`.
+        prior: ``(B, 4)`` int32, see :func:`jaxdet.floor.units.prior_units`.
         settings: ``(N,)`` int32, :meth:`FloorSettings.array`.
         config: What memory is needed: ``max_cells`` is read and nothing else.
         unit: Metres in one depth unit, for the same.
 
     Returns:
-        ``(B, 8)`` int32, see :func:`jaxdet.floor_units.floor_fit`.
+        ``(B, 8)`` int32, see :func:`jaxdet.floor.units.floor_fit`.
     """
     batch, rows, columns = z.shape
     sizes = floor_settings(rows * columns, config, unit)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
-from jaxdet.plane import band_table, ground_axes
+from jaxdet.floor.plane import band_table, ground_axes
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19
@@ -43,7 +43,7 @@ def footprint(
 
 @lru_cache(maxsize=8)
 def bands(config: FootprintConfig, depth_unit: float) -> jax.Array:
-    """:func:`jaxdet.plane.band_table` on the device."""
+    """:func:`jaxdet.floor.plane.band_table` on the device."""
     return jnp.asarray(band_table(config, depth_unit))
 
 
@@ -56,7 +56,7 @@ def obstacles(
     depth_unit: float,
     config: Config,
 ) -> Obstacles:
-    """The obstacles, from :func:`bands` and :func:`jaxdet.plane.ground_axes`."""
+    """The obstacles, from :func:`bands` and :func:`jaxdet.floor.plane.ground_axes`."""
     with jax.named_scope("footprint"):
         threshold = round(config.footprint.vertex_threshold_m / depth_unit)
         m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))

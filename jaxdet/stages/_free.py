@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import quadratic_table
+from jaxdet.floor.plane import quadratic_table
 from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array
 from jaxdet_kernels import free_floor as kernels

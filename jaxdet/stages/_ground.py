@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, floor_limits
+from jaxdet.floor.plane import depth_range, floor_limits
 from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep
 
 
@@ -17,7 +17,7 @@ def ground(
     """Keeps pixels whose depth is in range and whose height is above the step height (Eq. 5).
 
     Equals :func:`jaxdet.reference.ground`. What depends on the plane and the calibration is in
-    a table made on the host once (:func:`jaxdet.plane.floor_limits`); here each pixel is
+    a table made on the host once (:func:`jaxdet.floor.plane.floor_limits`); here each pixel is
     compared with it.
 
     Args:

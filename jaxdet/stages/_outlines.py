@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.plane import direction_table
+from jaxdet.floor.plane import direction_table
 from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
@@ -72,7 +72,7 @@ def outlines(
         count: ``(B,)`` int32, how many there are.
         cells: ``(B, R, C)``.
         floor: Right, forward and height of the cells, each ``(B, R, C)`` int32 [depth units].
-        bands: ``(65536, 2)`` int32, from :func:`jaxdet.plane.band_table`.
+        bands: ``(65536, 2)`` int32, from :func:`jaxdet.floor.plane.band_table`.
         settings: From :func:`outline_settings`.
     """
     batch, rows, columns = label.shape

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdet.config import Config
-from jaxdet.plane import ground_axes
+from jaxdet.floor.plane import ground_axes
 from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
 from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
 

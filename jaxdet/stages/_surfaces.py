@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.plane import depth_range, quadratic_table, step_table
+from jaxdet.floor.plane import depth_range, quadratic_table, step_table
 from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels

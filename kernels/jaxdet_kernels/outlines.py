@@ -177,8 +177,8 @@ def outlines(
         in_view: ``(B, R, C)``, at least partly in the colour image.
         uv_min: ``(B, R, C, 2)``, the first colour column and row of a cell [pixel].
         uv_max: The last.
-        bands: ``(65536, 2)``, see :func:`jaxdet.plane.band_table`.
-        directions: ``(90, 2)``, see :func:`jaxdet.plane.direction_table`.
+        bands: ``(65536, 2)``, see :func:`jaxdet.floor.plane.band_table`.
+        directions: ``(90, 2)``, see :func:`jaxdet.floor.plane.direction_table`.
         settings: ``(3,)``, see :class:`jaxdet.stages._outlines.OutlineSettings`.
         num_points_out: ``(B, M)``, this and those up to ``span_out`` the fields of
             :class:`jaxdet.types.Obstacles`.

@@ -1,5 +1,5 @@
 // Where a point of the camera is on the floor: right, forward and height, in whole depth units.
-// Twin of `on_floor` in jaxdet/floor_frame.py: `FLOOR_VALUES` integers a frame, as FloorFrame has
+// Twin of `on_floor` in jaxdet/floor/frame.py: `FLOOR_VALUES` integers a frame, as FloorFrame has
 // them.
 #pragma once
 #include "team.h"

@@ -6,7 +6,7 @@ follows is a sum, a product or a shift of integers.
 
 import numpy as np
 
-from jaxdet.floor_units import ANGLES, FARTHEST, SINE_BITS, SINES, SLOPE_BITS, angle_steps
+from jaxdet.floor.units import ANGLES, FARTHEST, SINE_BITS, SINES, SLOPE_BITS, angle_steps
 from jaxdet.types import Array, GroundPlane
 
 FRAME_BITS = 13
@@ -35,7 +35,7 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
         ``(B, FLOOR_VALUES)`` int32.
 
     Example:
-        >>> from jaxdet.plane import flat_plane
+        >>> from jaxdet.floor.plane import flat_plane
         >>> level = flat_plane(np.array([0.5]), np.zeros(1), np.zeros(1))
         >>> floor_frames(level, 0.001)[0].tolist()
         [8192, 0, 0, 0, 0, 8192, 0, 8192, 0, 500, 1, 0, 0]
@@ -59,7 +59,7 @@ def axes(pitch: Array, roll: Array, table: Array) -> list[Array]:
     Args:
         pitch: ``(B,)`` integer [angle steps], NumPy or JAX.
         roll: Likewise.
-        table: :data:`jaxdet.floor_units.SINES`, likewise.
+        table: :data:`jaxdet.floor.units.SINES`, likewise.
 
     Returns:
         Each ``(B,)``, or 0.
@@ -83,7 +83,7 @@ def ramp_slopes(turn: Array, table: Array) -> Array:
 
     Args:
         turn: ``(B,)`` integer, pitch against the plane [angle steps].
-        table: :data:`jaxdet.floor_units.SINES`.
+        table: :data:`jaxdet.floor.units.SINES`.
     """
     sin, cos = (table[turn + n * ANGLES] for n in (360, 450))
     return (((sin << SLOPE_BITS) // cos) + (1 << (SLOPE_BITS - FRAME_BITS - 1))) >> (

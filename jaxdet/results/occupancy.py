@@ -1,11 +1,10 @@
 """The map of a whole log: how often each cell was an obstacle's, and how often free."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-
-from jaxdet.render import MapImage
 
 CELL_M = 0.05
 """Side of a cell [m]; cells are counted from the world's origin."""
@@ -16,6 +15,21 @@ MAX_OUTLINE_CELLS = 1 << 22
 
 _SHIFT = 6
 _UNITS = 1 << _SHIFT
+
+
+class MapImage(NamedTuple):
+    """An occupancy map; row 0 is the lowest Y."""
+
+    counts: np.ndarray
+    """``(rows, columns)`` int32, outlines that cover each cell."""
+    free: np.ndarray
+    """``(rows, columns)`` int32, frames that saw it free; not known where both are 0."""
+    origin: tuple[float, float]
+    """World X and Y of the outer corner of cell (0, 0) [m]."""
+    cell_m: float
+    """Side of a cell [m]."""
+    path: np.ndarray
+    """``(F, 2)`` float64, world X and Y of the camera, in frame order [m]."""
 
 
 class OccupancyMap:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.floor_units import FloorFit, floor_fit
+from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.types import Detections, Obstacles, Scene
 
 

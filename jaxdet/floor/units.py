@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FloorConfig
-from jaxdet.plane import flat_plane
+from jaxdet.floor.plane import flat_plane
 from jaxdet.types import GroundPlane, Refusal
 
 ANGLES = 32

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.plane import flat_plane, unknown_plane
+from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
 ENOUGH = 3

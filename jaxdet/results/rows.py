@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.free_floor import FreeFloor, free_columns, free_floor, no_free_columns
 from jaxdet.errors import FrameStatus
-from jaxdet.floor_units import FloorFit
-from jaxdet.metric import distances, extents, floors, rectangles, to_world
+from jaxdet.floor.units import FloorFit
+from jaxdet.results.free_floor import FreeFloor, free_columns, free_floor, no_free_columns
+from jaxdet.results.metric import distances, extents, floors, rectangles, to_world
 from jaxdet.types import Detections, GroundPlane, Refusal
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def batch_rows(
         config: For the outlines.
 
     Returns:
-        Columns for :meth:`jaxdet.io.results.ResultWriter.add`, and the arrays behind them.
+        Columns for :meth:`jaxdet.results.writer.ResultWriter.add`, and the arrays behind them.
     """
     found = to_host(detections)
     frames = batch.frames

@@ -1,0 +1,1 @@
+"""The floor: planes on the host, integer frames and units for the kernels, a log's sample."""
