@@ -1,11 +1,19 @@
-"""What arrays must be like before kernels read them: kernels look nothing up twice."""
+"""What arrays and calibrations must be like before kernels read them.
+
+All that comes from a log, a flag or a caller passes here once; kernels check nothing again.
+"""
+
+import math
+import sys
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from jaxdet.camera import cell_side
+from jaxdet.camera import NUM_COEFFICIENTS, cell_side
 from jaxdet.config import MAX_POINTS, SurfaceConfig
 from jaxdet.errors import CalibrationError, ConfigError, InputError
-from jaxdet.types import MAX_CONTOUR, Calibration, Frames, Intrinsics
+from jaxdet.types import MAX_CONTOUR, Calibration, Distortion, Frames, Intrinsics
 
 MAX_CELL_SIDE = 128
 """Most pixels of a cell's side: sums of depths have 31 bits."""
@@ -13,14 +21,98 @@ MAX_DEPTH_COLUMNS = 4096
 """Most columns of a depth image in cells."""
 
 
-def check_frames(frames: Frames) -> None:
-    """Refuses images that are not of their cameras' sizes, and arrays of different lengths.
+FOCAL_LENGTHS = 1.0, 1e6
+"""Shortest and longest focal length [pixel]."""
+MAX_COEFFICIENT = 1e4
+"""Largest magnitude of a distortion coefficient."""
+MAX_BASELINE_M = 10.0
+"""Farthest that the depth camera may be from the colour camera."""
+DEPTH_UNITS_M = 1e-5, 0.1
+"""Smallest and largest depth unit: 16 bits of them reach from 0.65 m to 6.5 km."""
+MAX_SKEW = 1e-3
+"""How far the product of a rotation and its transpose may be from the unit matrix."""
+
+
+@lru_cache(maxsize=64)
+def check_calibration(calibration: Calibration) -> None:
+    """Refuses a calibration that no cameras have.
 
     Raises:
-        CalibrationError: A camera of the calibration has another size than its images.
-        InputError: There are not as many colour images, depth images and planes, or a plane is no
-            number.
+        CalibrationError: A size is not positive; a focal length, an optical centre, a distortion
+            coefficient, the rotation, the translation or the depth unit is no number or out of the
+            range that cameras have; a lens model is unknown.
     """
+    for name, camera in (("color", calibration.color), ("depth", calibration.depth)):
+        if camera is not None:
+            _check_camera(name, camera)
+    smallest, largest = DEPTH_UNITS_M
+    if not smallest <= calibration.depth_unit <= largest:
+        raise CalibrationError(
+            f"a depth unit of {calibration.depth_unit:g} m, but cameras have {smallest:g} to "
+            f"{largest:g}",
+            remedy="give --log.depth-unit-m",
+        )
+    motion = calibration.color_from_depth
+    if motion is None:
+        return
+    rotation = np.array(motion.rotation, np.float64)
+    rigid = rotation.size == 9 and np.isfinite(rotation).all() and np.abs(rotation).max() < 2
+    if rigid:
+        R = rotation.reshape(3, 3)
+        rigid = np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
+    remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
+    if not rigid:
+        raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)
+    distance = math.hypot(*motion.translation)
+    if len(motion.translation) != 3 or not distance <= MAX_BASELINE_M:
+        raise CalibrationError(
+            f"the depth camera is {distance:g} m from the colour camera, but at most "
+            f"{MAX_BASELINE_M:g} m are taken",
+            remedy=remedy,
+        )
+
+
+def _check_camera(name: str, camera: Intrinsics) -> None:
+    flag = f"--log.{name}-intrinsics fx fy cx cy"
+    width, height, fx, fy, cx, cy, model, coefficients = camera
+    name = "colour" if name == "color" else name
+    if min(width, height) < 1:
+        problem = f"the {name} camera has images of {width}x{height} pixels"
+        raise CalibrationError(problem, remedy="give the size of its images")
+    shortest, longest = FOCAL_LENGTHS
+    if not all(shortest <= focal <= longest for focal in (fx, fy)):
+        problem = f"the {name} camera is not calibrated (fx {fx:g}, fy {fy:g})"
+        raise CalibrationError(problem, remedy=f"give {flag}")
+    if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
+        problem = f"the optical centre ({cx:g}, {cy:g}) is far outside the {name} image"
+        raise CalibrationError(problem, remedy=f"give {flag}")
+    if model not in tuple(Distortion):
+        known = ", ".join(Distortion)
+        problem = f"the {name} camera's lens model {str(model)[:60]!a} is unknown"
+        raise CalibrationError(problem, remedy=f"it can be: {known}")
+    if len(coefficients) > NUM_COEFFICIENTS or not all(
+        abs(value) <= MAX_COEFFICIENT for value in coefficients
+    ):
+        listed = " ".join(f"{value:g}" for value in coefficients[:12])
+        raise CalibrationError(
+            f"the {name} camera's distortion coefficients {listed} are not those of a lens",
+            remedy=f"at most {NUM_COEFFICIENTS} are taken, each a number of at most "
+            f"{MAX_COEFFICIENT:g}; correct the calibration",
+        )
+
+
+def check_frames(frames: Frames) -> None:
+    """Refuses frames that kernels can't take.
+
+    Raises:
+        CalibrationError: See :func:`check_calibration`; or a camera of the calibration has another
+            size than its images.
+        InputError: Images are no arrays of uint8 and uint16; there are not as many colour images,
+            depth images and planes; or a plane is no number.
+    """
+    _check_images("colour", frames.color, "uint8", 4)
+    _check_images("depth", frames.depth, "uint16", 3)
+    check_calibration(frames.calibration)
     check_size("colour", frames.color.shape, frames.calibration.color)
     check_depth(frames.depth.shape, frames.calibration)
     rows = {"colour images": len(frames.color), "depth images": len(frames.depth)}
@@ -34,6 +126,23 @@ def check_frames(frames: Frames) -> None:
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {name}" for name, count in rows.items())
         raise InputError(f"a batch with {counts}", remedy="give one of each for every frame")
+
+
+def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
+    """Arrays of NumPy or JAX: no lists, and not what JAX's transformations trace."""
+    given = str(getattr(images, "dtype", type(images).__name__))
+    shape: Any = getattr(images, "shape", ())
+    if given != kind or len(shape) != axes or (axes == 4 and shape[-1] != 3):
+        wanted = "(B, H, W, 3)" if axes == 4 else "(B, H, W)"
+        raise InputError(
+            f"{what} images are {given} of shape {shape}", remedy=f"give {wanted} {kind}"
+        )
+    jax = sys.modules.get("jax")
+    if jax is not None and isinstance(images, jax.core.Tracer):
+        raise InputError(
+            f"{what} images are no arrays but traced",
+            remedy="give a whole batch; detect can't be called under jax.jit, jax.vmap or jax.grad",
+        )
 
 
 def check_depth(shape: tuple[int, ...], calibration: Calibration) -> None:

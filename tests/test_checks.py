@@ -1,5 +1,8 @@
 """What is refused before a kernel reads it."""
 
+import math
+import random
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +19,20 @@ from jaxdet.config import (
     SurfaceConfig,
 )
 from jaxdet.engine import Workers
-from jaxdet.errors import CalibrationError, ConfigError, InputError
+from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.results import metric
 from jaxdet.types import Calibration, Frames, Intrinsics, Keep, Labels
-from tests.scenes import assert_equal, blocks, frames, level, points, resized, small, smooth_depth
+from tests.scenes import (
+    LENSES,
+    assert_equal,
+    blocks,
+    frames,
+    level,
+    points,
+    resized,
+    small,
+    smooth_depth,
+)
 
 
 def made(batch: int = 2) -> Frames:
@@ -171,6 +184,120 @@ def test_planes_that_are_no_number(value):
     found, want = (detect(given, backend=name) for name in ("jax", "reference"))
     assert_equal(found.obstacles, want.obstacles)
     assert_equal(found.labels, want.labels)
+
+
+ANY = math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-45, 1e39, 1e308, -1e9, 1e5, 3.0
+"""Numbers that damaged calibrations hold."""
+
+
+def mutated(calibration: Calibration, rng: random.Random) -> Calibration:
+    """The calibration with one to three numbers changed, by much or by little."""
+
+    def other(value: float) -> float:
+        return rng.choice([rng.choice(ANY), value * rng.choice([-1, 0.1, 0.5, 2, 10]), value + 1])
+
+    for _ in range(rng.choice([1, 1, 2, 3])):
+        name = rng.choice(["color", "depth"])
+        camera, motion = getattr(calibration, name), calibration.color_from_depth
+        assert camera is not None and motion is not None
+        part = rng.choice([*camera._fields[2:6], "lens", "translation", "rotation", "unit"])
+        if part == "unit":
+            unit = other(calibration.depth_unit)
+            calibration = calibration._replace(depth_unit=unit)
+        elif part in ("translation", "rotation"):
+            values = list(getattr(motion, part))
+            at = rng.randrange(len(values))
+            values[at] = other(values[at])
+            motion = motion._replace(**{part: tuple(values)})
+            calibration = calibration._replace(color_from_depth=motion)
+        elif part == "lens":
+            model, lens = rng.choice(list(LENSES.values()))
+            lens = tuple(other(k) if rng.random() < 0.4 else k for k in lens)
+            camera = camera._replace(distortion=model, coefficients=lens)
+            calibration = calibration._replace(**{name: camera})
+        else:
+            camera = camera._replace(**{part: other(getattr(camera, part))})
+            calibration = calibration._replace(**{name: camera})
+    return calibration
+
+
+def test_damaged_calibrations_are_refused_or_used_alike():
+    """A number that no camera has never reaches a kernel, where it would become an index."""
+    rng, count = random.Random(1), {"refused": 0, "used": 0}
+    given = made(1)
+    for _ in range(150):
+        damaged = given._replace(calibration=mutated(given.calibration, rng))
+        try:
+            with np.errstate(all="ignore"):
+                want = detect(damaged, backend="reference")
+        except JaxdetError as error:
+            with pytest.raises(type(error), match=re.escape(str(error))):
+                detect(damaged)
+            count["refused"] += 1
+            continue
+        assert_equal(detect(damaged), want)
+        count["used"] += 1
+    assert min(count.values()) > 30
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "said"),
+    [
+        ("fx", 1e-45, "not calibrated.*--log.color-intrinsics"),
+        ("cy", math.nan, "optical centre.*--log.color-intrinsics"),
+        ("coefficients", (math.inf,), "not those of a lens"),
+        ("coefficients", (0.1,) * 9, "not those of a lens"),
+        ("distortion", "thin_prism", "'thin_prism' is unknown; it can be"),
+    ],
+)
+def test_cameras_that_do_not_exist(part, value, said):
+    given = made(1)
+    camera = given.calibration.color._replace(**{part: value})
+    with pytest.raises(CalibrationError, match=said):
+        detect(given._replace(calibration=given.calibration._replace(color=camera)))
+
+
+def test_motions_and_units_that_no_cameras_have():
+    given = made(1)
+    motion = given.calibration.color_from_depth
+    assert motion is not None
+    far = motion._replace(translation=(1e39, 0.0, 0.0))
+    mirror = motion._replace(rotation=(-1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0))
+    for part, value, said in (
+        ("color_from_depth", far, "1e.39 m from the colour camera.*--log.color-from-depth"),
+        ("color_from_depth", mirror, "rotation from depth to colour is none"),
+        ("depth_unit", 1e-9, "depth unit of 1e-09 m.*--log.depth-unit-m"),
+        ("depth_unit", math.nan, "--log.depth-unit-m"),
+    ):
+        wrong = given.calibration._replace(**{part: value})
+        with pytest.raises(CalibrationError, match=said):
+            detect(given._replace(calibration=wrong))
+
+
+@BACKENDS
+def test_images_are_arrays_of_their_kind(backend):
+    given = made(1)
+    for part, value, said in (
+        ("color", given.color.astype(np.float32), r"float32 .*give \(B, H, W, 3\) uint8"),
+        ("color", given.color[..., 0], "give"),
+        ("depth", given.depth.astype(np.int32), r"int32 .*give \(B, H, W\) uint16"),
+        ("depth", given.depth.tolist(), "list"),
+    ):
+        with pytest.raises(InputError, match=said):
+            detect(given._replace(**{part: value}), backend=backend)
+
+
+def test_detect_is_not_for_transformations():
+    import jax
+
+    given = made(2)
+
+    def of(depth):
+        return detect(given._replace(depth=depth)).has_depth
+
+    for transformed in (jax.jit(of), jax.vmap(lambda depth: of(depth[None]))):
+        with pytest.raises(InputError, match=r"whole batch; detect can't be called under jax\.jit"):
+            transformed(given.depth)
 
 
 @pytest.mark.parametrize("height", [1e4, 1e9])

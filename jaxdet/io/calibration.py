@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.checks import check_calibration
 from jaxdet.errors import CalibrationError
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.index import LogIndex
@@ -63,6 +64,10 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
         extrinsics_source = found.origin
         size = ImageSize(depth.intrinsics.width, depth.intrinsics.height)
+    try:
+        check_calibration(calibration)
+    except CalibrationError as error:
+        raise CalibrationError(error.problem, path=path, remedy=error.remedy) from error
     given = "--log.depth-unit-m" if options.depth_unit_m else "the default"
     origins.append(f"depth unit: {unit:g} m, {given}")
     warnings += _changes(index, (choice.color, choice.depth))
