@@ -9,6 +9,7 @@ import pytest
 
 from jaxdet.errors import ConfigError
 from jaxdet.results import writer
+from jaxdet.results.lists import Lists
 from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter
 
 
@@ -36,9 +37,11 @@ def frame_rows(start: int, stop: int) -> dict:
     }
 
 
-def lists(numbers: np.ndarray, dtype: type) -> list:
+def lists(numbers: np.ndarray, dtype: type) -> Lists:
     """Of each number as many, and null for every third."""
-    return [np.full(n, n, dtype) if n % 3 else None for n in numbers.tolist()]
+    null = numbers % 3 == 0
+    length = np.where(null, 0, numbers)
+    return Lists.of_lengths(np.repeat(numbers, length).astype(dtype), length, null)
 
 
 def obstacle_rows(start: int, stop: int) -> dict:

@@ -14,7 +14,7 @@ from jaxdet.io import Batch
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
 from jaxdet.results.free_floor import FreeFloor
-from jaxdet.results.rows import batch_rows
+from jaxdet.results.rows import batch_rows, row_inputs
 from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
 from tests.scenes import frames, level, small
 
@@ -54,7 +54,7 @@ def boxes() -> Batch:
 def columns(name: str, **options: Any) -> dict[str, dict]:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
-    rows = batch_rows("log", batch, batch.frames.plane, ["flags"] * 3, found, config)
+    rows = batch_rows("log", batch, batch.frames.plane, ["flags"] * 3, row_inputs(found), config)
     return {"frames": rows.frames, "obstacles": rows.obstacles}
 
 
@@ -107,7 +107,7 @@ def test_without_a_floor_there_are_no_heights() -> None:
     config = replace(config, ground=replace(config.ground, source="none"))
     given = batch.frames._replace(plane=unknown_plane(3))
     found = detect(given, config, backend="reference")
-    rows = batch_rows("log", batch, unknown_plane(3), ["none"] * 3, found, config)
+    rows = batch_rows("log", batch, unknown_plane(3), ["none"] * 3, row_inputs(found), config)
     frame, obstacle = (
         to_table(a, s) for a, s in zip((rows.frames, rows.obstacles), SCHEMAS.values(), strict=True)
     )

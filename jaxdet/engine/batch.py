@@ -10,7 +10,8 @@ from jaxdet.config import Config
 from jaxdet.engine.ground import Planes
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.render import draw_frame, write_png
-from jaxdet.results.rows import Rows, batch_rows
+from jaxdet.results.metric import rectangles
+from jaxdet.results.rows import batch_rows, row_inputs, to_host
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
@@ -112,18 +113,20 @@ class LogWork:
 
     def finish(self, started: Started) -> Done:
         """Waits for the detections and uses them."""
-        batch = started.batch
-        rows = batch_rows(self.job.name, *started, self.job.config)
+        batch, plane, sources, found = started
+        found = to_host(found)
+        given = self.job.name, batch, plane, sources
+        rows = batch_rows(*given, row_inputs(found), self.job.config)
         numbers = batch.frames.number.tolist()
         errors = [f"frame {i}: {e}" for i, e in zip(numbers, batch.errors, strict=False) if e]
-        tally = self._scorer.tally(batch, rows.detections) if self._scorer else None
+        tally = self._scorer.tally(batch, found) if self._scorer else None
         return Done(
             rows.frames,
             rows.obstacles,
             batch.frames.T_world_camera,
             rows.free_world,
             errors,
-            self._draw(started, rows),
+            self._draw(batch, found, rows.plane),
             tally,
         )
 
@@ -135,14 +138,15 @@ class LogWork:
 
         return Scorer(self.job.truth, self.job.config)
 
-    def _draw(self, started: Started, rows: Rows) -> list[str]:
-        frames = started.batch.frames._replace(plane=rows.plane)
-        drawn = []
-        for row, index in enumerate(frames.number[: len(started.batch.status)].tolist()):
+    def _draw(self, batch: "Batch", found: Detections, plane: GroundPlane) -> list[str]:
+        frames, config = batch.frames._replace(plane=plane), self.job.config
+        unit, drawn = frames.calibration.depth_unit, []
+        for row, index in enumerate(frames.number[: len(batch.status)].tolist()):
             if index in self.job.drawn and frames.valid[row]:
                 name = f"pictures/{self.job.file_name}_{index:06d}.png"
-                title, config = f"{self.job.name}   frame {index}", self.job.config
-                picture = draw_frame(frames, rows.detections, rows.corners, row, config, title)
+                title = f"{self.job.name}   frame {index}"
+                corners = rectangles(found.obstacles, unit, config.footprint)
+                picture = draw_frame(frames, found, corners, row, config, title)
                 path = self.job.folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_png(path, picture)

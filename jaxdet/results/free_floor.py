@@ -4,7 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxdet.types import FreeEnd, Scene
+from jaxdet.results.lists import Lists
+from jaxdet.types import Array, FreeEnd
 
 DROP_COLUMNS = 3
 """So many neighbouring columns of cells must show a drop."""
@@ -55,32 +56,44 @@ class FreeFloor(NamedTuple):
         return np.where(free[..., None, None], fans, np.nan)
 
 
-def free_floor(scene: Scene, depth_unit: float) -> FreeFloor:
-    """The free floor of a batch in metres, each frame computed alone."""
-    line = np.asarray(scene.free).astype(np.float64)
-    x, y = np.ascontiguousarray(line[:, :, 1, 0]), np.ascontiguousarray(line[:, :, 1, 1])
-    bearing = [np.arctan2(right, forward) for right, forward in zip(x, y, strict=True)]
-    start, stop = np.moveaxis(np.sqrt(np.sum(line * line, axis=-1)) * depth_unit, -1, 0)
-    seen = np.asarray((line != 0).any(axis=(2, 3)))
-    return FreeFloor(seen, np.stack(bearing), start, stop, np.asarray(scene.free_end, np.int8))
+def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
+    """The free floor of a batch in metres.
+
+    Args:
+        free: ``(B, C, 2, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
+        free_end: ``(B, C)`` int32, of the same.
+        depth_unit: Metres in one depth unit.
+    """
+    line = np.asarray(free)
+    near, far = (_lengths(line[:, :, i]) * depth_unit for i in (0, 1))
+    x, y = (line[:, :, 1, i].astype(np.float64) for i in (0, 1))
+    seen = (line != 0).any(axis=(2, 3))
+    return FreeFloor(seen, np.arctan2(x, y), near, far, np.asarray(free_end, np.int8))
+
+
+def _lengths(points: np.ndarray) -> np.ndarray:
+    """Of points ``(..., 2)`` from the origin, float64."""
+    x, y = (points[..., i].astype(np.float64) for i in (0, 1))
+    return np.sqrt(x * x + y * y)
 
 
 def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:
     """Columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False."""
+    used = free.seen & good[:, None]
+    length = used.sum(axis=1, dtype=np.int32)
     values = {
         "free_bearing_rad": free.bearing_rad.astype(np.float32),
         "free_from_m": free.from_m.astype(np.float32),
         "free_to_m": free.to_m.astype(np.float32),
         "free_end": free.end,
     }
-    lists = {
-        name: [a[i][free.seen[i]] if ok else None for i, ok in enumerate(good.tolist())]
-        for name, a in values.items()
+    columns: dict[str, Any] = {
+        k: Lists.of_lengths(a[used], length, ~good) for k, a in values.items()
     }
-    return lists | {"drop_m": np.where(good, free.drop_m[: good.size], np.nan).astype(np.float32)}
+    return columns | {"drop_m": np.where(good, free.drop_m, np.nan).astype(np.float32)}
 
 
 def no_free_columns(count: int) -> dict[str, Any]:
     """The same columns where no free floor is looked for."""
-    lists = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
-    return {name: [None] * count for name in lists} | {"drop_m": np.full(count, np.nan)}
+    names = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
+    return {name: Lists.nulls(count) for name in names} | {"drop_m": np.full(count, np.nan)}

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxdet.config import FootprintConfig
 from jaxdet.floor.units import FloorFit, floor_fit
-from jaxdet.types import Detections, Obstacles, Scene
+from jaxdet.types import Array, Detections, Obstacles, Scene
 
 
 class Extents(NamedTuple):
@@ -66,19 +66,60 @@ def distances(detections: Detections) -> np.ndarray:
         ``(B, M)`` float64 [depth units], to the nearest point of the contour, or without one to
         the nearest of the points A, B and C; 0 in empty slots.
     """
-    scene, obstacles = detections.scene, detections.obstacles
+    scene = detections.scene
     if scene is None:
-        points = np.stack([np.asarray(p) for p in (obstacles.a, obstacles.b, obstacles.c)], axis=-2)
-        return np.sqrt(_squared(points).min(axis=-1))
-    slots = np.arange(np.shape(scene.contour)[2])
-    used = slots < np.asarray(scene.contour_points)[..., None]
-    squared = np.where(used, _squared(np.asarray(scene.contour)), np.inf).min(axis=-1)
-    return np.sqrt(np.where(used.any(axis=-1), squared, 0.0))
+        return corner_distances(detections.obstacles)
+    found = np.zeros(np.shape(scene.contour_points))
+    used = np.nonzero(np.asarray(scene.contour_points))
+    found[used] = nearest(*contour_lines(scene.contour, scene.contour_points, *used))
+    return found
+
+
+def corner_distances(obstacles: Obstacles) -> np.ndarray:
+    """How far the nearest of A, B and C is, ``(..., )`` float64 [depth units]."""
+    squared = [_squared(np.asarray(point)) for point in (obstacles.a, obstacles.b, obstacles.c)]
+    return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
+
+
+def contour_lines(
+    contour: Array, contour_points: Array, row: np.ndarray, slot: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The contours of some obstacles without their padding, one after the other.
+
+    Args:
+        contour: ``(B, M, C, 2)`` int32, of :class:`jaxdet.types.Scene`.
+        contour_points: ``(B, M)`` int32, of the same.
+        row: ``(R,)`` the obstacles' frames.
+        slot: ``(R,)`` and their slots.
+
+    Returns:
+        ``(P, 2)`` int32 points [depth units], and ``(R,)`` int32, how many each obstacle has.
+    """
+    contour, count = np.asarray(contour), np.asarray(contour_points)[row, slot]
+    _, slots, columns, _ = contour.shape
+    shift = (row * slots + slot) * columns - (np.cumsum(count) - count)
+    points = np.repeat(shift, count) + np.arange(count.sum())
+    return contour.reshape(-1, 2)[points], count
+
+
+def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """How far the nearest point of each line is.
+
+    Args:
+        points: ``(P, 2)``, of all lines, one after the other.
+        count: ``(R,)`` integer, how many each line has.
+
+    Returns:
+        ``(R,)`` float64, 0 for lines without points.
+    """
+    squared, used = np.zeros(len(count)), count > 0
+    squared[used] = np.minimum.reduceat(_squared(points), (np.cumsum(count) - count)[used])
+    return np.sqrt(squared)
 
 
 def _squared(points: np.ndarray) -> np.ndarray:
-    """The squared length of points ``(..., 2)``."""
-    x, y = np.moveaxis(points.astype(np.float64), -1, 0)
+    """The squared length of points ``(..., 2)``, float64."""
+    x, y = points[..., 0].astype(np.float64), points[..., 1].astype(np.float64)
     return x * x + y * y
 
 

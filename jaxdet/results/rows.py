@@ -7,13 +7,59 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.errors import FrameStatus
-from jaxdet.floor.units import FloorFit
+from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.results.free_floor import FreeFloor, free_columns, free_floor, no_free_columns
-from jaxdet.results.metric import distances, extents, floors, rectangles, to_world
-from jaxdet.types import Detections, GroundPlane, Refusal
+from jaxdet.results.lists import Lists
+from jaxdet.results.metric import (
+    contour_lines,
+    corner_distances,
+    extents,
+    nearest,
+    rectangles,
+    to_world,
+)
+from jaxdet.types import Array, Detections, Frames, GroundPlane, Obstacles, Refusal
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
+
+_REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
+
+
+class SceneInputs(NamedTuple):
+    """Of :class:`jaxdet.types.Scene` what a device computes; the prior stays on the host."""
+
+    floor: Array
+    """``(B, 8)`` int32."""
+    contour: Array
+    """``(B, M, C, 2)`` int32."""
+    contour_points: Array
+    """``(B, M)`` int32."""
+    bottom_top: Array
+    """``(B, M, 2)`` int32."""
+    free: Array
+    """``(B, C, 2, 2)`` int32."""
+    free_end: Array
+    """``(B, C)`` int32."""
+
+
+class RowInputs(NamedTuple):
+    """What the rows of a batch need of its detections, NumPy or JAX arrays."""
+
+    num_features: Array
+    """``(B,)`` int32."""
+    num_kept: Array
+    """``(B,)`` int32, features that are kept."""
+    num_obstacles: Array
+    """``(B,)`` int32."""
+    overflow: Array
+    """``(B,)`` bool."""
+    has_depth: Array
+    """``(B,)`` bool."""
+    obstacles: Obstacles
+    """M slots, at least the largest of ``num_obstacles``."""
+    scene: SceneInputs | None
+    """None where obstacles are clusters of points."""
 
 
 class Rows(NamedTuple):
@@ -23,27 +69,48 @@ class Rows(NamedTuple):
     """Columns of ``frames.parquet``."""
     obstacles: dict[str, Any]
     """Columns of ``obstacles.parquet``."""
-    detections: Detections
-    """NumPy arrays."""
-    corners: np.ndarray
-    """``(B, M, 4, 2)`` float64, ground frame [m]."""
     plane: GroundPlane
-    """The floor of each frame."""
+    """The floor of each frame, ``(B,)``."""
     free_world: np.ndarray | None
     """``(n, C - 1, 4, 2)`` float64, the free floor between neighbouring columns of cells of each
     frame that is not padding, world X and Y [m]; NaN where there is none or no pose."""
 
 
-def to_host(detections: Detections) -> Detections:
-    """The detections as NumPy arrays; waits for the device."""
-    return _to_host(detections)
+def row_inputs(found: Detections, slots: int | None = None) -> RowInputs:
+    """What :func:`batch_rows` needs of detections: counts in place of features and labels.
+
+    It can run where the detections are: ``jax.jit(row_inputs, static_argnames="slots")``.
+
+    Args:
+        found: NumPy or JAX arrays.
+        slots: So many obstacle slots are kept, at least the largest ``num_obstacles``; None: all.
+    """
+    features, scene = found.features, found.scene
+
+    def few(part: Array) -> Array:
+        return part if slots is None else part[:, :slots]
+
+    shapes = None
+    if scene is not None:
+        contour, points, heights = few(scene.contour), few(scene.contour_points), scene.bottom_top
+        shapes = SceneInputs(scene.floor, contour, points, few(heights), scene.free, scene.free_end)
+    return RowInputs(
+        features.valid.sum(axis=1, dtype=np.int32),
+        features.kept.sum(axis=1, dtype=np.int32),
+        found.labels.num_obstacles,
+        features.overflow,
+        found.has_depth,
+        Obstacles(*map(few, found.obstacles)),
+        shapes,
+    )
 
 
-def _to_host(part: Any) -> Any:
+def to_host(part: Any) -> Any:
+    """Detections, or what rows need of them, as NumPy arrays; waits for the device."""
     if part is None:
         return None
     if isinstance(part, tuple):
-        return type(part)(*map(_to_host, part))
+        return type(part)(*map(to_host, part))
     return np.asarray(part)
 
 
@@ -52,71 +119,79 @@ def batch_rows(
     batch: "Batch",
     plane: GroundPlane,
     sources: Sequence[str],
-    detections: Detections,
+    inputs: RowInputs,
     config: Config,
 ) -> Rows:
     """The rows of a batch, in frame order.
 
     Args:
         log: The log's name.
-        batch: What was read; its padding gives no rows.
-        plane: The floor given to each frame, ``(B,)``; with a scene its own is used.
+        batch: What was read, with or without its images; its padding gives no rows.
+        plane: The floor given to each frame, ``(B,)``, as the detections were made with; where
+            frames show their own, that is used.
         sources: Where that comes from, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
-        detections: What was found.
+        inputs: What was found, see :func:`row_inputs`; NumPy or JAX arrays.
         config: For the outlines.
 
     Returns:
         Columns for :meth:`jaxdet.results.writer.ResultWriter.add`, and the arrays behind them.
+
+    Raises:
+        ValueError: A frame has more obstacles than there are slots.
     """
-    found = to_host(detections)
-    frames = batch.frames
-    count = len(batch.status)
-    status = np.array(
-        [
-            FrameStatus.NO_DEPTH if s is FrameStatus.OK and not has else s
-            for s, has in zip(batch.status, found.has_depth[:count].tolist(), strict=True)
-        ],
-        object,
-    )
-    good = status == FrameStatus.OK
+    count, frames = len(batch.status), batch.frames
+    found, plane = _first(inputs, count), _first(plane, count)
     unit = frames.calibration.depth_unit
-    fit = None if found.scene is None else floors(found.scene, unit)
+    status = np.array(batch.status, object)
+    blind = (status == FrameStatus.OK) & ~found.has_depth
+    good = (status == FrameStatus.OK) & found.has_depth
+    status[blind] = FrameStatus.NO_DEPTH
+    fit = free = None
+    if found.scene is not None:
+        fit = floor_fit(found.scene.floor, plane, unit)
+        free = free_floor(found.scene.free, found.scene.free_end, unit)
     plane = plane if fit is None else fit.plane
-    free = None if found.scene is None else free_floor(found.scene, unit)
-    corners = rectangles(found.obstacles, unit, config.footprint)
-    frame_columns = _frame_columns(log, batch, plane, found, good)
+    frame_columns = _frame_columns(log, frames, plane, found, good)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
     frame_columns |= free_columns(free, good) if free else no_free_columns(count)
-    obstacle_columns = _obstacle_columns(log, batch, found, plane, corners, good)
+    obstacle_columns = _obstacle_columns(log, frames, plane, found, good, config)
     world = _free_world(free, good, frames.T_world_camera)
-    return Rows(frame_columns, obstacle_columns, found, corners, plane, world)
+    return Rows(frame_columns, obstacle_columns, plane, world)
+
+
+def _first(part: Any, count: int) -> Any:
+    """The first ``count`` rows of named tuples of arrays, on the host."""
+    if part is None:
+        return None
+    if isinstance(part, tuple):
+        return type(part)(*(_first(a, count) for a in part))
+    return np.asarray(part)[:count]
 
 
 def _frame_columns(
-    log: str, batch: "Batch", plane: GroundPlane, found: Detections, good: np.ndarray
+    log: str, frames: Frames, plane: GroundPlane, found: RowInputs, good: np.ndarray
 ) -> dict[str, Any]:
     n = good.size
-    frames = batch.frames
 
     def counted(values: np.ndarray) -> np.ndarray:
-        return np.where(good, values[:n], 0).astype(np.int32)
+        return np.where(good, values, 0).astype(np.int32)
 
-    def angle(values: np.ndarray) -> np.ndarray:
-        return np.where(plane.valid, values, np.nan)[:n].astype(np.float32)
+    def known(values: np.ndarray) -> np.ndarray:
+        return np.where(plane.valid, values, np.nan).astype(np.float32)
 
     return {
         "log": np.full(n, log, object),
         "frame": frames.number[:n],
         "stamp_ns": frames.stamp_ns[:n],
         "depth_stamp_ns": np.ma.masked_less(frames.depth_stamp_ns[:n], 0),
-        "num_features": counted(found.features.valid.sum(axis=1)),
-        "num_kept": counted(found.features.kept.sum(axis=1)),
-        "num_obstacles": counted(found.labels.num_obstacles),
-        "overflow": found.features.overflow[:n] & good,
-        "camera_height_m": angle(plane.height),
-        "camera_pitch_rad": angle(plane.pitch),
-        "camera_roll_rad": angle(plane.roll),
+        "num_features": counted(found.num_features),
+        "num_kept": counted(found.num_kept),
+        "num_obstacles": counted(found.num_obstacles),
+        "overflow": found.overflow & good,
+        "camera_height_m": known(plane.height),
+        "camera_pitch_rad": known(plane.pitch),
+        "camera_roll_rad": known(plane.roll),
     }
 
 
@@ -126,11 +201,10 @@ def _floor_columns(
     """Where each frame's floor comes from, and why not from its own depth."""
     own, refused = np.zeros_like(good), np.zeros(good.size, int)
     if fit is not None and config.ground.source != "none":
-        own, refused = good & fit.own[: good.size], fit.refused[: good.size]
-    names = np.array([Refusal(number).name.lower() for number in refused.tolist()], object)
+        own, refused = good & fit.own, fit.refused
     return {
         "floor_source": np.where(own, "frame", np.array(sources, object)),
-        "floor_refused": np.ma.array(names, mask=~good | (refused == Refusal.NONE)),
+        "floor_refused": np.ma.array(_REFUSALS[refused], mask=~good | (refused == Refusal.NONE)),
     }
 
 
@@ -139,65 +213,74 @@ def _free_world(
 ) -> np.ndarray | None:
     if free is None or T_world_camera is None:
         return None
-    fans = to_world(free.fans()[: good.size], T_world_camera[: good.size])
+    fans = to_world(free.fans(), T_world_camera[: good.size])
     return np.where(good[:, None, None, None], fans, np.nan)
 
 
 def _obstacle_columns(
     log: str,
-    batch: "Batch",
-    found: Detections,
+    frames: Frames,
     plane: GroundPlane,
-    corners: np.ndarray,
+    found: RowInputs,
     good: np.ndarray,
+    config: Config,
 ) -> dict[str, Any]:
-    frames, obstacles = batch.frames, found.obstacles
-    slots = np.arange(obstacles.num_points.shape[1], dtype=np.int32)
-    used = good[:, None] & (slots < found.labels.num_obstacles[: good.size, None])
-    row, slot = np.nonzero(used)
-    box = extents(obstacles, frames.calibration.depth_unit)
+    unit, slots = frames.calibration.depth_unit, found.obstacles.num_points.shape[1]
+    if (most := found.num_obstacles.max(initial=0)) > slots:
+        raise ValueError(f"{most} obstacles in {slots} slots")
+    row, slot = np.nonzero(good[:, None] & (np.arange(slots) < found.num_obstacles[:, None]))
+    obstacles = Obstacles(*(a[row, slot] for a in found.obstacles))
+    box, corners = extents(obstacles, unit), rectangles(obstacles, unit, config.footprint)
     columns: dict[str, Any] = {
         "log": np.full(row.size, log, object),
         "frame": frames.number[row],
         "stamp_ns": frames.stamp_ns[row],
         "obstacle": slot.astype(np.int32),
-        "num_points": obstacles.num_points[row, slot],
-        "vertices": obstacles.has_vertex[row, slot].astype(np.int8),
-        "corners_ground": corners[row, slot].reshape(-1, 8).astype(np.float32),
-        "corners_world": _world_corners(corners, frames.T_world_camera)[row, slot].reshape(-1, 8),
+        "num_points": obstacles.num_points,
+        "vertices": obstacles.has_vertex.astype(np.int8),
+        "corners_ground": corners.reshape(-1, 8).astype(np.float32),
+        "corners_world": _world_corners(corners, frames.T_world_camera, row),
     }
-    columns |= _shape_columns(found, plane, row, slot, frames.calibration.depth_unit)
+    columns |= _shape_columns(obstacles, found.scene, plane.valid, row, slot, unit)
     for i, axis in enumerate("uv"):
-        columns[f"{axis}_min"] = obstacles.uv_min[row, slot, i]
-        columns[f"{axis}_max"] = obstacles.uv_max[row, slot, i]
+        columns[f"{axis}_min"] = obstacles.uv_min[:, i]
+        columns[f"{axis}_max"] = obstacles.uv_max[:, i]
     for i, axis in enumerate("xyz"):
-        columns[f"{axis}_min"] = box.minimum[row, slot, i]
-        columns[f"{axis}_max"] = box.maximum[row, slot, i]
-        columns[axis] = box.centroid[row, slot, i]
+        columns[f"{axis}_min"] = box.minimum[:, i]
+        columns[f"{axis}_max"] = box.maximum[:, i]
+        columns[axis] = box.centroid[:, i]
     return columns
 
 
 def _shape_columns(
-    found: Detections, plane: GroundPlane, row: np.ndarray, slot: np.ndarray, unit: float
+    obstacles: Obstacles,
+    scene: SceneInputs | None,
+    known: np.ndarray,
+    row: np.ndarray,
+    slot: np.ndarray,
+    unit: float,
 ) -> dict[str, Any]:
     """Distances, and of obstacles made of surfaces contours and heights above the floor."""
-    columns: dict[str, Any] = {"distance_m": (distances(found) * unit)[row, slot]}
-    if found.scene is None:
-        nothing = np.full(row.size, np.nan)
-        columns |= {"bottom_m": nothing, "top_m": nothing, "contour": [None] * row.size}
+    if scene is None:
+        distance = corner_distances(obstacles)
+        bottom = top = np.full(row.size, np.nan)
+        contours = Lists.nulls(row.size)
     else:
-        scene = found.scene
-        height = scene.bottom_top[row, slot] * unit
-        height = np.where(plane.valid[row, None], height, np.nan)
-        used = scene.contour_points[row, slot].tolist()
-        points = (scene.contour[row, slot] * unit).astype(np.float32)
-        lines = [line[:count].ravel() for line, count in zip(points, used, strict=True)]
-        columns |= {"bottom_m": height[:, 0], "top_m": height[:, 1], "contour": lines}
-    floats = ("distance_m", "bottom_m", "top_m")
-    return columns | {name: columns[name].astype(np.float32) for name in floats}
+        points, count = contour_lines(scene.contour, scene.contour_points, row, slot)
+        distance = nearest(points, count)
+        heights = np.where(known[row, None], scene.bottom_top[row, slot] * unit, np.nan)
+        bottom, top = heights.T
+        values = (points * unit).astype(np.float32).ravel()
+        contours = Lists.of_lengths(values, 2 * count, np.zeros(row.size, bool))
+    metres = {"distance_m": distance * unit, "bottom_m": bottom, "top_m": top}
+    return {k: a.astype(np.float32) for k, a in metres.items()} | {"contour": contours}
 
 
-def _world_corners(corners: np.ndarray, T_world_camera: np.ndarray | None) -> np.ndarray:
+def _world_corners(
+    corners: np.ndarray, T_world_camera: np.ndarray | None, row: np.ndarray
+) -> np.ndarray:
+    """``(R, 8)`` float32, outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world."""
     if T_world_camera is None:
-        return np.full(corners.shape, np.nan, np.float32)
-    return to_world(corners, T_world_camera).astype(np.float32)
+        return np.full((row.size, 8), np.nan, np.float32)
+    world = to_world(corners[:, None], T_world_camera[row])
+    return world.reshape(-1, 8).astype(np.float32)

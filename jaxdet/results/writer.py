@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
+from jaxdet.results.lists import Lists
 
 ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
@@ -94,7 +95,7 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     Args:
         columns: One array for each field: ``(R,)``, or ``(R, 8)`` for the corners. Nullable
             fields take a NumPy masked array, or floats with NaN, for null; fields of lists of any
-            length take R arrays, or None for null.
+            length take :class:`jaxdet.results.lists.Lists`.
         schema: :data:`FRAMES_SCHEMA` or :data:`OBSTACLES_SCHEMA`.
 
     Returns:
@@ -106,7 +107,7 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
 def _array(values: Any, field: pa.Field) -> pa.Array:
     mask = None
     if pa.types.is_list(field.type):
-        return pa.array(list(values), field.type)
+        return _lists(values, field.type)
     if field.nullable:
         mask = np.ma.getmaskarray(values)
         if np.issubdtype(np.ma.getdata(values).dtype, np.floating):
@@ -117,6 +118,12 @@ def _array(values: Any, field: pa.Field) -> pa.Array:
     flat = pa.array(np.asarray(values, np.float32).reshape(-1))
     rows = None if mask is None else pa.array(mask.any(axis=1))
     return pa.FixedSizeListArray.from_arrays(flat, type=field.type, mask=rows)
+
+
+def _lists(lists: Lists, kind: pa.ListType) -> pa.Array:
+    values = pa.array(lists.values, kind.value_type)
+    offsets, null = pa.array(lists.offsets), pa.array(lists.null)
+    return pa.ListArray.from_arrays(offsets, values, type=kind, mask=null)
 
 
 class _Table:
