@@ -73,12 +73,17 @@ def _draw_legend(image: np.ndarray, found: Detections, row: int) -> None:
     labelled = valid & (found.labels.labels[row] >= 0)
     count = int(found.labels.num_obstacles[row])
     obstacles = f"{count} obstacle" + "s" * (count != 1)
-    entries = [
-        (canvas.DROPPED, f"{int((valid & ~kept).sum())} features on the floor or out of range"),
-        (canvas.LOOSE, f"{int((valid & kept & ~labelled).sum())} kept, in no obstacle"),
-        (canvas.color_of(0), f"{int(labelled.sum())} in {obstacles}"),
-    ]
-    if found.scene is not None:
+    loose = int((valid & kept & ~labelled).sum())
+    inside = canvas.color_of(0), f"{int(labelled.sum())} in {obstacles}"
+    if found.scene is None:
+        dropped = f"{int((valid & ~kept).sum())} features on the floor or out of range"
+        entries = [
+            (canvas.DROPPED, dropped),
+            (canvas.LOOSE, f"{loose} kept, in no obstacle"),
+            inside,
+        ]
+    else:  # its features all lie above the floor
+        entries = [(canvas.LOOSE, f"{loose} features in no obstacle"), inside]
         entries += [(canvas.FREE, "free floor"), (canvas.DROP, "drop")]
     x, y = float(GAP + 8), image.shape[0] - 11.0
     for color, text in entries:
