@@ -1,8 +1,10 @@
 """The map of a log: integer counts that depend on no order."""
 
+import cv2
 import numpy as np
 import pytest
 
+from jaxdet.results.free_floor import Polygons
 from jaxdet.results.occupancy import CELL_M, OccupancyMap
 
 
@@ -43,20 +45,49 @@ def test_map_leaves_out_what_has_no_place() -> None:
     assert grid.skipped == 2
 
 
-def fan(x: float, y: float, far: float) -> np.ndarray:
+def test_outlines_count_as_each_does_alone() -> None:
+    rng = np.random.default_rng(3)
+    middle = rng.uniform(-15, 15, (60, 1, 2))
+    turn, side = rng.uniform(0, 7, (60, 1)), rng.uniform(0.0, 2.0, (60, 1, 2))
+    way = turn + np.array([0.3, 1.2, 3.4, 4.3])
+    outlines = middle + side * np.stack([np.cos(way), np.sin(way)], axis=-1)
+    outlines = outlines.reshape(60, 8).astype(np.float32)
+    together = OccupancyMap()
+    together.add(outlines)
+    expected = np.zeros((800, 800), np.int32)
+    for corners in outlines.astype(np.float64).reshape(-1, 4, 2):
+        mask = np.zeros_like(expected)
+        cells = np.rint((corners / CELL_M - 0.5 + 400) * 64).astype(np.int32)
+        expected += cv2.fillConvexPoly(mask, cells, 1, cv2.LINE_8, 6)
+    image = together.image()
+    assert image is not None and expected.max() > 1
+    left, low = np.rint(np.array(image.origin) / CELL_M).astype(int) + 400
+    rows, columns = image.counts.shape
+    np.testing.assert_array_equal(image.counts, expected[low : low + rows, left : left + columns])
+    assert image.counts.sum() == expected.sum()
+
+
+def fan(x: float, y: float, far: float) -> Polygons:
     """Two parts of one frame's free floor that share an edge, of 0.5 m and ``far``."""
     near = [[x, y], [x + 0.5, y], [x + 0.5, y + 0.5], [x, y + 0.5]]
     next_ = [[x, y + 0.5], [x + 0.5, y + 0.5], [x + far, y + 1.0], [x, y + 1.0]]
-    return np.array([near, next_, np.full((4, 2), np.nan)])
+    return Polygons(np.array([*near, *next_]), np.array([4, 4]), np.array([0, 0]))
+
+
+def joined(views: list[Polygons]) -> Polygons:
+    """The views as frames one after the other; the second has nothing free."""
+    points, corners, _ = (np.concatenate(parts) for parts in zip(*views, strict=True))
+    return Polygons(points, corners, np.repeat([0, 2, 3], 2)[: len(corners)])
 
 
 def test_free_cells_are_counted_once_a_frame_in_any_order() -> None:
-    views = np.stack([fan(0.0, 0.0, 0.5), fan(0.0, 0.0, 0.8), fan(-14.0, 13.0, 0.6)])
+    views = [fan(0.0, 0.0, 0.5), fan(0.0, 0.0, 0.8), fan(-14.0, 13.0, 0.6)]
     one, other = OccupancyMap(), OccupancyMap()
-    one.add_free(views)
+    one.add_free(joined(views))
     one.add_free(None)
+    one.add_free(Polygons(np.zeros((0, 2)), np.zeros(0, int), np.zeros(0, int)))
     for view in views[::-1]:
-        other.add_free(view[None])
+        other.add_free(view)
     a, b = one.image(), other.image()
     assert a is not None and b is not None
     np.testing.assert_array_equal(a.free, b.free)
@@ -68,8 +99,8 @@ def test_free_cells_are_counted_once_a_frame_in_any_order() -> None:
 def test_a_cell_may_be_occupied_and_free() -> None:
     grid = OccupancyMap()
     grid.add(square(0.3, 0.3))
-    grid.add_free(fan(0.0, 0.0, 0.5)[None])
-    grid.add_free(np.full((1, 3, 4, 2), 1e12))
+    near, far = fan(0.0, 0.0, 0.5), fan(1e12, 1e12, 0.5)
+    grid.add_free(joined([near, far]))
     image = grid.image()
     assert image is not None and grid.skipped == 1
     assert ((image.free > 0) & (image.counts > 0)).any()

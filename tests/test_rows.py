@@ -4,7 +4,9 @@ import hashlib
 from dataclasses import replace
 from typing import Any
 
+import jax
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from jaxdet.config import Config
@@ -16,6 +18,7 @@ from jaxdet.presets import preset
 from jaxdet.results.free_floor import FreeFloor
 from jaxdet.results.rows import batch_rows, row_inputs
 from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
+from jaxdet.types import Calibration
 from tests.scenes import frames, level, small
 
 SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
@@ -117,12 +120,57 @@ def test_without_a_floor_there_are_no_heights() -> None:
     assert obstacle["distance_m"].null_count == 0
 
 
+def tables(batch: Batch, found: Any, config: Config) -> list[pa.Table]:
+    """Both tables of a batch whose floor is known."""
+    plane = batch.frames.plane
+    assert plane is not None
+    rows = batch_rows("log", batch, plane, ["flags"] * len(batch.status), found, config)
+    parts = zip((rows.frames, rows.obstacles), SCHEMAS.values(), strict=True)
+    return [to_table(*part) for part in parts]
+
+
+def frame_of(part: Any, b: int) -> Any:
+    """Frame ``b`` of named tuples of arrays, as a batch of one."""
+    if part is None or isinstance(part, Calibration):
+        return part
+    if isinstance(part, tuple):
+        return type(part)(*(frame_of(a, b) for a in part))
+    return part[b : b + 1]
+
+
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_a_batch_is_its_frames(name: str) -> None:
+    batch, config = boxes(), preset(name)
+    found = detect(batch.frames, config, backend="reference")
+    together = tables(batch, row_inputs(found), config)
+    singles = []
+    for b in range(3):
+        one = Batch(frame_of(batch.frames, b), batch.status[b : b + 1], ("",))
+        singles.append(tables(one, row_inputs(frame_of(found, b)), config))
+    for whole, parts in zip(together, zip(*singles, strict=True), strict=True):
+        assert whole.equals(pa.concat_tables(parts).combine_chunks()) and whole.num_rows >= 2
+
+
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_inputs_can_be_made_on_the_device_of_a_few_slots(name: str) -> None:
+    batch, config = boxes(), preset(name)
+    found = detect(batch.frames, config, backend="reference")
+    whole, most = row_inputs(found), int(found.labels.num_obstacles.max())
+    few = jax.jit(row_inputs, static_argnames="slots")(found, slots=most)
+    assert few.obstacles.num_points.shape == (3, most) and few.num_features.dtype == np.int32
+    for one, other in zip(tables(batch, whole, config), tables(batch, few, config), strict=True):
+        assert one.equals(other) and one.num_rows
+    with pytest.raises(ValueError, match=f"{most} obstacles in {most - 1} slots"):
+        tables(batch, row_inputs(found, slots=most - 1), config)
+
+
 def free(to: list[float], end: list[int], start: float = 0.5) -> FreeFloor:
     """One frame, columns half a right angle apart in all, left to right."""
     n = len(to)
     bearing = np.linspace(-np.pi / 4, np.pi / 4, n)[None]
     seen = np.array([to]) > 0
-    return FreeFloor(seen, bearing, np.full((1, n), start), np.array([to]), np.array([end]))
+    way = np.where(seen, np.sin(bearing) + 1j * np.cos(bearing), 0)
+    return FreeFloor(seen, way, bearing, np.full((1, n), start), np.array([to]), np.array([end]))
 
 
 def test_a_drop_is_what_three_neighbouring_columns_show() -> None:
@@ -131,9 +179,20 @@ def test_a_drop_is_what_three_neighbouring_columns_show() -> None:
     assert np.isnan(free([1.0, 1.0], [2, 2]).drop_m[0])
 
 
-def test_fans_lie_between_columns_that_both_show_floor() -> None:
-    fans = free([2.0, 1.0, 3.0, 0.0, 2.0], [1, 1, 0, 0, 3]).fans()[0]
-    assert np.isfinite(fans).all(axis=(1, 2)).tolist() == [True, True, False, False]
-    np.testing.assert_allclose(np.linalg.norm(fans[0], axis=-1), [0.5, 1.0, 1.0, 0.5])
-    np.testing.assert_allclose(fans[0, 1], [-(0.5**0.5), 0.5**0.5])
-    assert np.isnan(free([0.5, 0.5], [1, 1]).fans()).all()
+def test_free_polygons_go_over_columns_that_show_floor() -> None:
+    found = free([2.0, 1.0, 3.0, 0.0, 2.0, 4.0], [1, 1, 0, 0, 3, 3])
+    found = FreeFloor(*(np.concatenate([a, a, a]) for a in found))
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # looks along world Y
+    T[:, 0, 3] = 0.0, np.nan, 5.0
+    polygons = found.in_world(T)
+    assert polygons.corners.tolist() == [8, 4] * 2 and polygons.frame.tolist() == [0, 0, 2, 2]
+    first, last, *others = np.split(polygons.points, np.cumsum(polygons.corners)[:-1])
+    lengths = [1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5]
+    np.testing.assert_allclose(np.linalg.norm(first, axis=1), lengths)
+    ways = found.bearing_rad[0, [0, 1, 1, 2, 2, 1, 1, 0]]
+    np.testing.assert_allclose(np.arctan2(*first.T), ways, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(last, axis=1), [2.0, 2.0, 0.5, 0.5])
+    np.testing.assert_allclose(np.concatenate(others), np.concatenate([first, last]) + [5.0, 0])
+    nothing = free([0.5, 0.5], [1, 1]).in_world(T[:1])
+    assert nothing.points.shape == (0, 2) and not nothing.frame.size

@@ -10,6 +10,7 @@ from jaxdet.config import Config
 from jaxdet.engine.ground import Planes
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.render import draw_frame, write_png
+from jaxdet.results.free_floor import Polygons
 from jaxdet.results.metric import rectangles
 from jaxdet.results.rows import batch_rows, row_inputs, to_host
 from jaxdet.types import Detections, GroundPlane
@@ -59,7 +60,7 @@ class Done(NamedTuple):
     """Columns of ``obstacles.parquet``."""
     T_world_camera: np.ndarray | None
     """``(B, 4, 4)`` float64."""
-    free_world: np.ndarray | None
+    free_world: Polygons | None
     """See :class:`jaxdet.results.rows.Rows`."""
     errors: list[str]
     """Frames that could not be used, with the reason."""

@@ -1,14 +1,27 @@
 """The free floor of a batch in metres: columns of the result table, and its place in the world."""
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.results.lists import Lists
+from jaxdet.results.metric import world_angle
 from jaxdet.types import Array, FreeEnd
 
 DROP_COLUMNS = 3
 """So many neighbouring columns of cells must show a drop."""
+
+
+class Polygons(NamedTuple):
+    """Areas of the floor, each a polygon in the world."""
+
+    points: np.ndarray
+    """``(P, 2)`` float64, world X and Y of all corners, polygon after polygon [m]."""
+    corners: np.ndarray
+    """``(Q,)`` integer, how many corners each polygon has."""
+    frame: np.ndarray
+    """``(Q,)`` integer, the frame that each belongs to, ascending."""
 
 
 class FreeFloor(NamedTuple):
@@ -16,6 +29,8 @@ class FreeFloor(NamedTuple):
 
     seen: np.ndarray
     """bool, the floor or an obstacle."""
+    way: np.ndarray
+    """complex128, unit vector to where it ends: right, and forward times 1j."""
     bearing_rad: np.ndarray
     """float64, of where it ends, clockwise from above, 0 ahead: ``arctan2(right, forward)``."""
     from_m: np.ndarray
@@ -33,27 +48,46 @@ class FreeFloor(NamedTuple):
         nearest; NaN where there are none.
         """
         to = np.where(self.end == FreeEnd.DROP, self.to_m, np.inf)
-        if to.shape[1] < DROP_COLUMNS:
+        last = to.shape[1] - DROP_COLUMNS + 1
+        if last < 1:
             return np.full(len(to), np.nan)
-        together = np.lib.stride_tricks.sliding_window_view(to, DROP_COLUMNS, axis=1).max(axis=-1)
+        together = reduce(np.maximum, (to[:, i : i + last] for i in range(DROP_COLUMNS)))
         nearest = together.min(axis=1)
         return np.where(np.isfinite(nearest), nearest, np.nan)
 
-    def fans(self) -> np.ndarray:
-        """The free floor between neighbouring columns.
+    def in_world(self, T_world_camera: np.ndarray) -> Polygons:
+        """The free floor between neighbouring columns, joined where they go on.
 
-        Returns:
-            ``(B, C - 1, 4, 2)`` float64, right and forward in the ground frame [m], free as far as
-            both columns show it; NaN where they don't, as by a column in which nothing is seen.
+        Between two columns it is free as far as both show it; a column in which nothing is seen
+        parts polygons. A frame whose pose is unknown has none.
+
+        Args:
+            T_world_camera: ``(B, 4, 4)`` float64, NaN where unknown.
         """
+        sin, cos = world_angle(T_world_camera)
+        way = self.way * (cos - 1j * sin)[:, None]
+        origin = T_world_camera[:, 0, 3] + 1j * T_world_camera[:, 1, 3]
         start = np.maximum(self.from_m[:, :-1], self.from_m[:, 1:])
         stop = np.minimum(self.to_m[:, :-1], self.to_m[:, 1:])
         free = self.seen[:, :-1] & self.seen[:, 1:] & (start < stop)
-        way = np.stack([np.sin(self.bearing_rad), np.cos(self.bearing_rad)], axis=-1)
-        left, right = way[:, :-1], way[:, 1:]
-        ends = [(left, start), (left, stop), (right, stop), (right, start)]
-        fans = np.stack([side * length[..., None] for side, length in ends], axis=-2)
-        return np.where(free[..., None, None], fans, np.nan)
+        free &= np.isfinite(origin)[:, None]
+        parts = free.sum(axis=1, dtype=np.int64)
+        frame = np.repeat(np.arange(len(parts)), parts)
+        column = np.flatnonzero(free) + frame  # of the way to the left, counted over all frames
+        left, right = way.ravel()[column], way.ravel()[column + 1]
+        start, stop = start[free], stop[free]
+
+        # Polygons go along the far edge to the right and along the near one back.
+        first = np.flatnonzero(np.diff(column, prepend=-2) != 1)
+        length = np.diff(first, append=column.size)
+        turn = np.repeat(2 * (first + first + length), length)
+        far = 2 * (np.arange(column.size) + np.repeat(first, length))
+        near = 2 * turn - far
+        points = np.empty(4 * column.size, np.complex128)
+        points[far], points[far + 1] = left * stop, right * stop
+        points[near - 1], points[near - 2] = left * start, right * start
+        points += np.repeat(origin, 4 * parts)
+        return Polygons(points.view(np.float64).reshape(-1, 2), 4 * length, frame[first])
 
 
 def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
@@ -64,31 +98,28 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
         free_end: ``(B, C)`` int32, of the same.
         depth_unit: Metres in one depth unit.
     """
-    line = np.asarray(free)
-    near, far = (_lengths(line[:, :, i]) * depth_unit for i in (0, 1))
-    x, y = (line[:, :, 1, i].astype(np.float64) for i in (0, 1))
-    seen = (line != 0).any(axis=(2, 3))
-    return FreeFloor(seen, np.arctan2(x, y), near, far, np.asarray(free_end, np.int8))
-
-
-def _lengths(points: np.ndarray) -> np.ndarray:
-    """Of points ``(..., 2)`` from the origin, float64."""
-    x, y = (points[..., i].astype(np.float64) for i in (0, 1))
-    return np.sqrt(x * x + y * y)
+    (x0, y0), (x, y) = np.ascontiguousarray(np.moveaxis(np.asarray(free), (2, 3), (0, 1)))
+    seen = (x0 | y0 | x | y) != 0
+    x0, y0, x, y = (a.astype(np.float64) for a in (x0, y0, x, y))
+    start, stop = np.sqrt(x0 * x0 + y0 * y0), np.sqrt(x * x + y * y)
+    way = (x + 1j * y) / np.where(stop, stop, 1.0)
+    end = np.asarray(free_end, np.int8)
+    return FreeFloor(seen, way, np.arctan2(x, y), start * depth_unit, stop * depth_unit, end)
 
 
 def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:
     """Columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False."""
     used = free.seen & good[:, None]
-    length = used.sum(axis=1, dtype=np.int32)
-    values = {
-        "free_bearing_rad": free.bearing_rad.astype(np.float32),
-        "free_from_m": free.from_m.astype(np.float32),
-        "free_to_m": free.to_m.astype(np.float32),
-        "free_end": free.end,
+    at, length = np.flatnonzero(used), used.sum(axis=1, dtype=np.int32)
+    kinds = {
+        "free_bearing_rad": (free.bearing_rad, np.float32),
+        "free_from_m": (free.from_m, np.float32),
+        "free_to_m": (free.to_m, np.float32),
+        "free_end": (free.end, np.int8),
     }
     columns: dict[str, Any] = {
-        k: Lists.of_lengths(a[used], length, ~good) for k, a in values.items()
+        name: Lists.of_lengths(values.ravel()[at].astype(kind), length, ~good)
+        for name, (values, kind) in kinds.items()
     }
     return columns | {"drop_m": np.where(good, free.drop_m, np.nan).astype(np.float32)}
 

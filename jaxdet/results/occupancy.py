@@ -1,10 +1,13 @@
 """The map of a whole log: how often each cell was an obstacle's, and how often free."""
 
+from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+
+from jaxdet.results.free_floor import Polygons
 
 CELL_M = 0.05
 """Side of a cell [m]; cells are counted from the world's origin."""
@@ -12,6 +15,9 @@ TILE = 256
 """Side of a tile [cell]; only tiles that something touches exist."""
 MAX_CELLS = 1 << 26
 MAX_OUTLINE_CELLS = 1 << 22
+
+Tiles = defaultdict[tuple[int, int], np.ndarray]
+"""By row and column of the tile, its counts, ``(TILE, TILE)`` int32."""
 
 _SHIFT = 6
 _UNITS = 1 << _SHIFT
@@ -41,8 +47,8 @@ class OccupancyMap:
     """
 
     def __init__(self) -> None:
-        self.tiles: dict[tuple[int, int], np.ndarray] = {}
-        self.free_tiles: dict[tuple[int, int], np.ndarray] = {}
+        self.tiles: Tiles = defaultdict(_empty_tile)
+        self.free_tiles: Tiles = defaultdict(_empty_tile)
         self.path: list[np.ndarray] = []
         self.skipped = 0
 
@@ -54,35 +60,35 @@ class OccupancyMap:
 
     def add(self, corners: np.ndarray) -> None:
         """Counts outlines ``(R, 8)`` float32, world X and Y [m]; NaN ones are left out."""
-        for polygon in corners[np.isfinite(corners).all(axis=1)].reshape(-1, 4, 2):
-            self._add_union(self.tiles, polygon[None])
+        known = corners[np.isfinite(corners).all(axis=1)].reshape(-1, 2)
+        outlines, low, size, fits = _placed(known, np.full(len(known) // 4, 4))
+        self.skipped += int((~fits).sum())
+        (used,) = np.nonzero(fits)
+        outlines = outlines.reshape(-1, 4, 2)
+        # By tile, as what is counted together should lie together.
+        tiles, tile = np.unique(low[used] // TILE @ [1 << 32, 1], return_inverse=True)
+        for number in range(len(tiles)):
+            part = used[tile == number]
+            _add_outlines(self.tiles, outlines[part], low[part], size[part])
 
-    def add_free(self, fans: np.ndarray | None) -> None:
-        """Counts free floor ``(F, n, 4, 2)``, convex, world X and Y [m]; NaN is left out.
+    def add_free(self, free: Polygons | None) -> None:
+        """Counts free floor.
 
-        A cell that several of a frame's parts cover is counted once for the frame.
+        A cell that several polygons of a frame cover is counted once for the frame.
         """
-        for parts in [] if fans is None else fans:
-            known = parts[np.isfinite(parts).all(axis=(1, 2))]
-            if len(known):
-                self._add_union(self.free_tiles, known)
-
-    def _add_union(self, tiles: dict[tuple[int, int], np.ndarray], polygons: np.ndarray) -> None:
-        """Counts the cells that any of these convex polygons ``(n, 4, 2)`` [m] covers."""
-        cells = polygons.astype(np.float64) / CELL_M - 0.5
-        low = np.floor(cells.min(axis=(0, 1))).astype(np.int64)
-        size = np.ceil(cells.max(axis=(0, 1))).astype(np.int64) - low + 1
-        if np.abs(low).max() > 1 << 30 or int(size[0]) * int(size[1]) > MAX_OUTLINE_CELLS:
-            self.skipped += 1
+        if free is None:
             return
-        mask = np.zeros((int(size[1]), int(size[0])), np.uint8)
-        for points in np.rint((cells - low) * _UNITS).astype(np.int32):
-            cv2.fillConvexPoly(mask, points, 1, cv2.LINE_8, _SHIFT)
-        first, last = low // TILE, (low + size - 1) // TILE
-        for row in range(int(first[1]), int(last[1]) + 1):
-            for column in range(int(first[0]), int(last[0]) + 1):
-                tile = tiles.setdefault((row, column), np.zeros((TILE, TILE), np.int32))
-                _add_to_tile(tile, mask, low, row, column)
+        first = np.flatnonzero(np.diff(free.frame, prepend=-1))
+        last = np.append(first[1:], len(free.frame))
+        corners = np.concatenate([[0], np.cumsum(free.corners)])
+        points, low, size, fits = _placed(free.points, corners[last] - corners[first])
+        self.skipped += int((~fits).sum())
+        polygons = np.split(points, corners[1:-1])
+        for g in np.flatnonzero(fits).tolist():
+            mask = np.zeros(size[g, ::-1], np.int32)
+            parts = polygons[first[g] : last[g]]
+            cv2.fillPoly(mask, parts, (1,), cv2.LINE_8, _SHIFT)
+            _add_to_tiles(self.free_tiles, mask, *low[g].tolist())
 
     def image(self) -> MapImage | None:
         """The map as one array, or None when nothing is on it or it would be too large."""
@@ -99,18 +105,74 @@ class OccupancyMap:
         return _cropped(MapImage(counts, free, origin, CELL_M, path))
 
 
-def _add_to_tile(
-    tile: np.ndarray, mask: np.ndarray, low: np.ndarray, row: int, column: int
-) -> None:
-    x, y = int(low[0]) - column * TILE, int(low[1]) - row * TILE
-    part = mask[max(0, -y) : TILE - y, max(0, -x) : TILE - x]
-    x, y = max(x, 0), max(y, 0)
-    tile[y : y + part.shape[0], x : x + part.shape[1]] += part
+class _Placed(NamedTuple):
+    """Groups of points, each in the smallest box of cells around it."""
+
+    points: np.ndarray
+    """``(P, 2)`` int32, from the middle of the box's first cell [``_UNITS`` to a cell]."""
+    low: np.ndarray
+    """``(G, 2)`` int64, column and row of the first cell."""
+    size: np.ndarray
+    """``(G, 2)`` int64, columns and rows."""
+    fits: np.ndarray
+    """``(G,)`` bool, it has a place on the map."""
 
 
-def _joined(
-    tiles: dict[tuple[int, int], np.ndarray], low: np.ndarray, shape: np.ndarray
-) -> np.ndarray:
+def _placed(points: np.ndarray, count: np.ndarray) -> _Placed:
+    """Points ``(P, 2)`` [m], of so many for each group, ``(G,)``."""
+    cells, start = points.T.astype(np.float64, order="C"), np.cumsum(count) - count
+    cells /= CELL_M
+    cells -= 0.5
+    low = np.floor(np.minimum.reduceat(cells, start, axis=1))
+    size = np.ceil(np.maximum.reduceat(cells, start, axis=1)) - low + 1
+    fits = (np.abs(low).max(axis=0) <= 1 << 30) & (size[0] * size[1] <= MAX_OUTLINE_CELLS)
+    low, size = np.where(fits, [low, size], 0)
+    cells -= np.repeat(low, count, axis=1)
+    cells *= _UNITS
+    if not fits.all():
+        cells[:, np.repeat(~fits, count)] = 0
+    units = np.rint(cells, out=cells).T.astype(np.int32, order="C")
+    return _Placed(units, low.T.astype(np.int64), size.T.astype(np.int64), fits)
+
+
+def _add_outlines(tiles: Tiles, outlines: np.ndarray, low: np.ndarray, size: np.ndarray) -> None:
+    """Counts convex outlines ``(R, 4, 2)`` that are near to each other; see :class:`_Placed`.
+
+    All are drawn on one sheet, their boxes one below the other.
+    """
+    below = np.cumsum(size[:, 1])
+    top = below - size[:, 1]
+    sheet = np.zeros((below[-1], size[:, 0].max()), np.uint8)
+    outlines[:, :, 1] += (top * _UNITS)[:, None]
+    for outline in outlines:
+        cv2.fillConvexPoly(sheet, outline, 1, cv2.LINE_8, _SHIFT)
+    row, column = np.divmod(np.flatnonzero(sheet.view(bool)), sheet.shape[1])
+
+    origin = low.min(axis=0)
+    width, height = (low + size).max(axis=0) - origin
+    x, y = (low - origin).T
+    line = np.repeat((y - top) * width + x, size[:, 1]) + np.arange(below[-1]) * width
+    counts = np.bincount(line[row] + column, minlength=width * height).reshape(height, width)
+    _add_to_tiles(tiles, counts, *origin.tolist())
+
+
+def _empty_tile() -> np.ndarray:
+    return np.zeros((TILE, TILE), np.int32)
+
+
+def _add_to_tiles(tiles: Tiles, counts: np.ndarray, x: int, y: int) -> None:
+    """Adds ``(rows, columns)`` of which the first is cell ``(x, y)``."""
+    rows, columns = counts.shape
+    for row in range(y // TILE, (y + rows - 1) // TILE + 1):
+        for column in range(x // TILE, (x + columns - 1) // TILE + 1):
+            top, left = row * TILE - y, column * TILE - x  # of the tile in them
+            up, aside = (top if top > 0 else 0), (left if left > 0 else 0)
+            part = counts[up : top + TILE, aside : left + TILE]
+            area = tiles[row, column][up - top : rows - top, aside - left : columns - left]
+            area += part
+
+
+def _joined(tiles: Tiles, low: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Tiles as one array, whose first tile is ``low``."""
     counts = np.zeros((int(shape[0]), int(shape[1])), np.int32)
     for (row, column), tile in tiles.items():

@@ -8,7 +8,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.units import FloorFit, floor_fit
-from jaxdet.results.free_floor import FreeFloor, free_columns, free_floor, no_free_columns
+from jaxdet.results.free_floor import Polygons, free_columns, free_floor, no_free_columns
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import (
     contour_lines,
@@ -71,9 +71,8 @@ class Rows(NamedTuple):
     """Columns of ``obstacles.parquet``."""
     plane: GroundPlane
     """The floor of each frame, ``(B,)``."""
-    free_world: np.ndarray | None
-    """``(n, C - 1, 4, 2)`` float64, the free floor between neighbouring columns of cells of each
-    frame that is not padding, world X and Y [m]; NaN where there is none or no pose."""
+    free_world: Polygons | None
+    """The free floor of each frame in the world; None without poses."""
 
 
 def row_inputs(found: Detections, slots: int | None = None) -> RowInputs:
@@ -156,7 +155,10 @@ def batch_rows(
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
     frame_columns |= free_columns(free, good) if free else no_free_columns(count)
     obstacle_columns = _obstacle_columns(log, frames, plane, found, good, config)
-    world = _free_world(free, good, frames.T_world_camera)
+    world, poses = None, frames.T_world_camera
+    if free is not None and poses is not None:
+        shown = free._replace(seen=free.seen & good[:, None])
+        world = shown.in_world(poses[:count])
     return Rows(frame_columns, obstacle_columns, plane, world)
 
 
@@ -206,15 +208,6 @@ def _floor_columns(
         "floor_source": np.where(own, "frame", np.array(sources, object)),
         "floor_refused": np.ma.array(_REFUSALS[refused], mask=~good | (refused == Refusal.NONE)),
     }
-
-
-def _free_world(
-    free: FreeFloor | None, good: np.ndarray, T_world_camera: np.ndarray | None
-) -> np.ndarray | None:
-    if free is None or T_world_camera is None:
-        return None
-    fans = to_world(free.fans(), T_world_camera[: good.size])
-    return np.where(good[:, None, None, None], fans, np.nan)
 
 
 def _obstacle_columns(
