@@ -38,6 +38,23 @@ def test_centroid_is_sum_over_points() -> None:
     np.testing.assert_array_equal(found.minimum[0, 0], np.float32([0.003, -0.006, 0.009]))
 
 
+def test_nearest_point_of_each_line() -> None:
+    points, count = np.array([[6, 8], [-3, 4], [5, 12]], np.int32), np.array([0, 2, 0, 1, 0])
+    assert metric.nearest(points, count).tolist() == [0, 5, 0, 13, 0]
+    assert metric.nearest(points[:0], count[:1]).tolist() == [0]
+    assert not metric.nearest(points[:0], count[:0]).size
+
+
+def test_contours_come_without_their_padding() -> None:
+    contour = np.arange(2 * 3 * 4 * 2, dtype=np.int32).reshape(2, 3, 4, 2)
+    used = np.array([[2, 0, 1], [4, 3, 0]], np.int32)
+    row, slot = np.array([0, 0, 1, 1]), np.array([2, 1, 0, 1])
+    points, count = metric.contour_lines(contour, used, row, slot)
+    assert count.tolist() == [1, 0, 4, 3]
+    expected = [contour[0, 2, :1], contour[1, 0], contour[1, 1, :3]]
+    np.testing.assert_array_equal(points, np.concatenate(expected))
+
+
 def test_no_vertex_extends_away_from_the_camera() -> None:
     found = corners((-300, 1000), (300, 1000), (0, 990))
     np.testing.assert_allclose(found, [[-0.3, 1], [0.3, 1], [0.3, 1.2], [-0.3, 1.2]])

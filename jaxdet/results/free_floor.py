@@ -70,7 +70,7 @@ class FreeFloor(NamedTuple):
         start = np.maximum(self.from_m[:, :-1], self.from_m[:, 1:])
         stop = np.minimum(self.to_m[:, :-1], self.to_m[:, 1:])
         free = self.seen[:, :-1] & self.seen[:, 1:] & (start < stop)
-        free &= np.isfinite(origin)[:, None]
+        free &= np.isfinite(origin + sin)[:, None]
         parts = free.sum(axis=1, dtype=np.int64)
         frame = np.repeat(np.arange(len(parts)), parts)
         column = np.flatnonzero(free) + frame  # of the way to the left, counted over all frames

@@ -19,18 +19,18 @@ class Extents(NamedTuple):
     """Boxes and centroids in the colour optical frame; empty slots are zero."""
 
     minimum: np.ndarray
-    """``(B, M, 3)`` float32, x y z [m]."""
+    """``(..., 3)`` float32, x y z [m]."""
     maximum: np.ndarray
-    """``(B, M, 3)`` float32, x y z [m]."""
+    """``(..., 3)`` float32, x y z [m]."""
     centroid: np.ndarray
-    """``(B, M, 3)`` float32, x y z [m]."""
+    """``(..., 3)`` float32, x y z [m]."""
 
 
 def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
     """The boxes and centroids of a batch of obstacles.
 
     Args:
-        obstacles: Integer outlines, ``(B, M)`` slots.
+        obstacles: Integer outlines, ``(B, M)`` slots or any others, ``(...)``.
         depth_unit: Metres in one depth unit.
 
     Returns:
@@ -76,7 +76,7 @@ def distances(detections: Detections) -> np.ndarray:
 
 
 def corner_distances(obstacles: Obstacles) -> np.ndarray:
-    """How far the nearest of A, B and C is, ``(..., )`` float64 [depth units]."""
+    """How far the nearest of A, B and C is, ``(...)`` float64 [depth units]."""
     squared = [_squared(np.asarray(point)) for point in (obstacles.a, obstacles.b, obstacles.c)]
     return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
 
@@ -141,12 +141,12 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     own line of sight is taken (to the right on that line).
 
     Args:
-        obstacles: Integer outlines, ``(B, M)`` slots.
+        obstacles: Integer outlines, ``(B, M)`` slots or any others, ``(...)``.
         depth_unit: Metres in one depth unit.
         config: The fixed extension and the margin.
 
     Returns:
-        ``(B, M, 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
+        ``(..., 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
         corner beyond B, the corner beyond A.
     """
     if np.any(obstacles.direction):
@@ -174,7 +174,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
 def _fitted_rectangles(
     obstacles: Obstacles, depth_unit: float, config: FootprintConfig
 ) -> np.ndarray:
-    """The rectangles of direction and span, margin added; ``(B, M, 4, 2)`` float64 [m]."""
+    """The rectangles of direction and span, margin added; ``(..., 4, 2)`` float64 [m]."""
     edge = np.asarray(obstacles.direction).astype(np.float64)
     length = np.sqrt(np.sum(edge * edge, axis=-1, keepdims=True))
     scale = np.where(length > 0, length, 1.0)
@@ -193,7 +193,7 @@ def _fitted_rectangles(
 
 
 def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
-    """What is added on all sides of rectangles [depth units]: float64, ``(B, M)`` or for all."""
+    """What is added on all sides of rectangles [depth units]: float64, ``(...)`` or for all."""
     margin = np.asarray(config.margin_m)
     if config.margin_per_m2:
         z = np.asarray(obstacles.xyz_min)[..., 2] * depth_unit
