@@ -62,9 +62,10 @@ def polygon(
 ) -> None:
     """A convex outline through ``points`` ``(P, 2)`` pixels, its inside at opacity ``fill``."""
     if fill > 0:
-        layer = image.copy()
+        layer = image.copy() if fill < 1 else image
         cv2.fillConvexPoly(layer, fixed(points), color, cv2.LINE_AA, _SHIFT)
-        cv2.addWeighted(layer, fill, image, 1 - fill, 0, dst=image)
+        if fill < 1:
+            cv2.addWeighted(layer, fill, image, 1 - fill, 0, dst=image)
     if width:
         cv2.polylines(image, [fixed(points)], True, color, width, cv2.LINE_AA, _SHIFT)
 
