@@ -95,11 +95,14 @@ def contour_lines(
     Returns:
         ``(P, 2)`` int32 points [depth units], and ``(R,)`` int32, how many each obstacle has.
     """
-    contour, count = np.asarray(contour), np.asarray(contour_points)[row, slot]
+    count = np.asarray(contour_points)[row, slot]
+    contour = np.ascontiguousarray(contour, np.int32)
     _, slots, columns, _ = contour.shape
-    shift = (row * slots + slot) * columns - (np.cumsum(count) - count)
-    points = np.repeat(shift, count) + np.arange(count.sum())
-    return contour.reshape(-1, 2)[points], count
+    start = (row * slots + slot) * columns - (np.cumsum(count) - count)
+    at = np.repeat(start, count)
+    at += np.arange(at.size)
+    pairs = contour.view(np.int64).ravel()  # a point is read at once
+    return pairs[at].view(np.int32).reshape(-1, 2), count
 
 
 def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
