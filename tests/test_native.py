@@ -11,7 +11,7 @@ import pytest
 from jaxdet.floor.frame import FLOOR_VALUES, FRAME_BITS
 from jaxdet.reference._cells import MARGIN
 from jaxdet.types import MAX_LABELS, MAX_SURFACES
-from jaxdet_kernels import obstacles
+from jaxdet_kernels import align, obstacles
 from jaxdet_kernels.native_source import FOLDER, native
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,6 +78,12 @@ def test_constants_agree() -> None:
     """Scratch memory is as large as the kernels take it for."""
     assert obstacles.MAX_SURFACES == MAX_SURFACES
     assert obstacles.MAX_LABELS == MAX_LABELS
+    tile = align.TILE_BLOCK, align.TILE_ROWS, align.TILE_COLUMNS
+    assert tile == tuple(
+        constant("alignment.h", name) for name in ("THREADS", "TILE_ROWS", "TILE_COLUMNS")
+    )
+    assert constant("alignment.h", "FEW") + constant("alignment.h", "WIDE") == align.SPARE
+    assert constant("projection.h", "PARAMETERS") == align.PARAMETERS
     assert constant("floor_frame.h", "VALUES") == FLOOR_VALUES
     assert constant("floor_frame.h", "BITS") == FRAME_BITS
     for header in ("floor.h", "surfaces.h", "obstacle_cells.h"):

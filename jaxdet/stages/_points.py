@@ -62,9 +62,9 @@ def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], tupl
     """The alignment's arrays and its static arguments; none for depth that is aligned already."""
     if calibration.is_aligned:
         return (), None
-    *arrays, model, fills, separable = _align.tables(calibration)
+    *arrays, model, fills = _align.tables(calibration)
     size = calibration.color.height, calibration.color.width
-    return tuple(arrays), (model, fills, separable, size)
+    return tuple(arrays), (model, fills, size)
 
 
 @partial(jax.jit, static_argnames=("align", "unit", "config"))

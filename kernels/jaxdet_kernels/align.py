@@ -1,107 +1,137 @@
-"""Stage align: depth pixels splatted into the colour image, the nearest wins.
+"""Stage align: depth pixels moved into the colour image. Twin of ``jaxdet/reference/_align.py``.
 
-Twin of ``jaxdet/reference/_align.py`` and ``_lens.py``, operation by operation. The module is
-compiled without fused multiply-add, so that every operation is rounded on its own.
-
-A key is ``depth << 16 | z`` (depth in the depth camera, z in the colour camera), so one unsigned
-minimum decides on both, whatever the order of the writes. z stays below 65535, so that no key
-equals the initial one, all bits set.
+Compiled without fused multiply-add, so that every operation is rounded on its own.
 """
 
 import warp as wp
 
 from jaxdet_kernels.native_source import native
 
-wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+wp.set_module_options(
+    {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
+)
 
 PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = 0, 1, 2, 3
 """Lens models, by number."""
 
 PARAMETERS = 26
-"""Length of ``parameters``: rotation 0-8, translation 9-11, fx fy cx cy 12-15, lens 16-23,
-largest squared slope 24, metres in a depth unit 25."""
+"""Length of ``parameters``, see ``native/projection.h``."""
 
-Box = wp.types.vector(length=5, dtype=wp.int32)
-"""Left, top, right, bottom, z."""
+TILE_BLOCK, TILE_ROWS, TILE_COLUMNS = 256, 16, 32
+"""Threads of a block on CUDA, and its tile of the depth image; see ``native/alignment.h``."""
+
+SPARE = 20
+"""Keys behind each image and line on the CPU, likewise."""
+
+
+def lines_words(height: int, width: int) -> int:
+    """Words of scratch memory of a frame on the CPU: an image of keys and 4 lines."""
+    return height * width + SPARE + 4 * (width + SPARE)
 
 
 @wp.func_native(
     native(
         "projection.h",
+        "alignment.h",
         body="""
-    const Projection::Point at = Projection{p.data, model}.point(units, x, y);
-    return wp::vec_t<3, int>(at.u, at.v, at.seen ? at.z : -1);
+#if !defined(__CUDA_ARCH__)
+    const int rows = depth.shape[1], columns = depth.shape[2];
+    const int height = depth_out.shape[1], width = depth_out.shape[2];
+    unsigned* keys = scratch_out.data + (size_t)share * scratch_out.shape[1];
+    unsigned* lines = keys + (size_t)height * width + Alignment::SPARE;
+    const size_t at = (size_t)b * height * width;
+    Alignment{depth.data + (size_t)b * rows * columns, rows, columns, corner_x.data, corner_y.data,
+              {parameters.data, model}, fills, height, width, keys}
+        .run(lines, depth_out.data + at, z_out.data + at);
+#endif
 """,
     )
 )
-def align_project(
-    units: wp.uint16, x: wp.float32, y: wp.float32, p: wp.array[wp.float32], model: int
-) -> wp.vec3i:  # pyright: ignore[reportReturnType]
-    """Colour column, row and z of a ray at a depth; z = -1 where it can't be seen."""
-
-
-@wp.func
-def align_rectangle(
-    units: wp.uint16,
-    v: int,
-    u: int,
+def _lines(
+    b: int,
+    share: int,
+    depth: wp.array3d[wp.uint16],
     corner_x: wp.array2d[wp.float32],
     corner_y: wp.array2d[wp.float32],
-    p: wp.array[wp.float32],
+    parameters: wp.array[wp.float32],
     model: int,
     fills: int,
-    height: int,
-    width: int,
-):
-    """The colour pixels that a depth pixel covers, clipped: left, top, right, bottom, z.
+    depth_out: wp.array3d[wp.uint16],
+    z_out: wp.array3d[wp.uint16],
+    scratch_out: wp.array2d[wp.uint32],
+): ...
 
-    Empty (right < left) where the pixel is not seen.
+
+@wp.kernel
+def align_lines(
+    share: int,
+    shares: int,
+    depth: wp.array3d[wp.uint16],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    model: int,
+    fills: int,
+    depth_out: wp.array3d[wp.uint16],
+    z_out: wp.array3d[wp.uint16],
+    scratch_out: wp.array2d[wp.uint32],
+):
+    """A thread a frame, ``share + shares * i``; for the CPU.
+
+    Args:
+        share: The first frame of the launch.
+        shares: How many launches there are.
+        depth: ``(B, Hd, Wd)`` [depth units], 0 = no measurement.
+        corner_x: ``(Hd + 1, Wd + 1)``, the rays of the depth pixels' corners.
+        corner_y: Likewise.
+        parameters: ``(PARAMETERS,)``.
+        model: The colour camera's lens.
+        fills: 1 where a depth pixel covers all colour pixels between its corners, else 0.
+        depth_out: ``(B, H, W)`` [depth units], 0 where nothing hits.
+        z_out: Likewise, in the colour camera.
+        scratch_out: ``(shares, lines_words(H, W))``.
     """
-    none = Box(0, 0, -1, -1, 0)
-    first = align_project(units, corner_x[v, u], corner_y[v, u], p, model)
-    if first[2] < 0:
-        return none
-    last = first
-    if fills != 0:
-        last = align_project(units, corner_x[v + 1, u + 1], corner_y[v + 1, u + 1], p, model)
-        if last[2] < 0:
-            return none
-    return Box(
-        wp.max(first[0], 0),
-        wp.max(first[1], 0),
-        wp.min(last[0], width - 1),
-        wp.min(last[1], height - 1),
-        first[2],
-    )
-
-
-@wp.kernel
-def align_splat(
-    depth: wp.array3d[wp.uint16],
-    corner_x: wp.array2d[wp.float32],
-    corner_y: wp.array2d[wp.float32],
-    parameters: wp.array[wp.float32],
-    model: int,
-    fills: int,
-    keys_out: wp.array3d[wp.uint32],
-):
-    """A thread a depth pixel, atomic minimum; for CUDA."""
-    b, v, u = wp.tid()
-    units = depth[b, v, u]
-    if units == wp.uint16(0):
-        return
-    box = align_rectangle(
-        units, v, u, corner_x, corner_y, parameters, model, fills,
-        keys_out.shape[1], keys_out.shape[2],
+    b = share + shares * wp.tid()
+    _lines(
+        b, share, depth, corner_x, corner_y, parameters, model, fills, depth_out, z_out,
+        scratch_out,
     )  # fmt: skip
-    key = (wp.uint32(units) << wp.uint32(16)) | wp.uint32(box[4])
-    for row in range(box[1], box[3] + 1):
-        for column in range(box[0], box[2] + 1):
-            wp.atomic_min(keys_out, b, row, column, key)
+
+
+@wp.func_native(
+    native(
+        "projection.h",
+        "alignment.h",
+        body="""
+#if defined(__CUDA_ARCH__)
+    const Team team(0, tile);
+    const int rows = depth.shape[1], columns = depth.shape[2];
+    const int height = keys_out.shape[1], width = keys_out.shape[2];
+    const int down = (rows + Alignment::TILE_ROWS - 1) / Alignment::TILE_ROWS;
+    const int across = (columns + Alignment::TILE_COLUMNS - 1) / Alignment::TILE_COLUMNS;
+    const int b = team.index / (down * across);
+    Alignment{depth.data + (size_t)b * rows * columns, rows, columns, corner_x.data, corner_y.data,
+              {parameters.data, model}, fills, height, width,
+              keys_out.data + (size_t)b * height * width}
+        .lower_by_tile(team, team.index % (down * across));
+#endif
+""",
+    )
+)
+def _tile(
+    tile: int,
+    depth: wp.array3d[wp.uint16],
+    corner_x: wp.array2d[wp.float32],
+    corner_y: wp.array2d[wp.float32],
+    parameters: wp.array[wp.float32],
+    model: int,
+    fills: int,
+    keys_out: wp.array3d[wp.uint32],
+): ...
 
 
 @wp.kernel
-def align_splat_rows(
+def align_tiles(
     depth: wp.array3d[wp.uint16],
     corner_x: wp.array2d[wp.float32],
     corner_y: wp.array2d[wp.float32],
@@ -110,17 +140,10 @@ def align_splat_rows(
     fills: int,
     keys_out: wp.array3d[wp.uint32],
 ):
-    """A thread a depth row without atomics; for the CPU, where Warp runs threads one by one."""
-    b, v = wp.tid()
-    for u in range(depth.shape[2]):
-        units = depth[b, v, u]
-        if units != wp.uint16(0):
-            box = align_rectangle(
-                units, v, u, corner_x, corner_y, parameters, model, fills,
-                keys_out.shape[1], keys_out.shape[2],
-            )  # fmt: skip
-            key = (wp.uint32(units) << wp.uint32(16)) | wp.uint32(box[4])
-            for row in range(box[1], box[3] + 1):
-                for column in range(box[0], box[2] + 1):
-                    if key < keys_out[b, row, column]:
-                        keys_out[b, row, column] = key
+    """A block a tile of a depth image; for CUDA.
+
+    The arguments are those of :func:`align_lines`, but ``keys_out`` ``(B, H, W)`` comes with all
+    bits set and is lowered to ``depth << 16 | z``.
+    """
+    tile, _ = wp.tid()
+    _tile(tile, depth, corner_x, corner_y, parameters, model, fills, keys_out)

@@ -4,7 +4,7 @@
 #pragma once
 
 struct Projection {
-    enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT };
+    enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
     // Rotation 0-8, translation 9-11, fx fy cx cy 12-15, lens 16-23, largest squared slope 24,
     // metres in a depth unit 25.
     const float* p;
@@ -15,16 +15,12 @@ struct Projection {
         bool seen;
     };
 
-    // Cephes `atan` for x >= 0 from the four operations alone.
-    static double arctangent(double x) {
-        double t = x, offset = 0.0;
-        if (x > 2.414213562373095) {
-            offset = 1.5707963267948966;
-            t = -1.0 / x;
-        } else if (x > 0.66) {
-            offset = 0.7853981633974483;
-            t = (x - 1.0) / (x + 1.0);
-        }
+    // Cephes `atan` for x >= 0 from the four operations alone, without a branch.
+    __attribute__((always_inline)) static double arctangent(double x) {
+        const bool large = x > 2.414213562373095, middle = !large & (x > 0.66);
+        const double offset = large ? 1.5707963267948966 : middle ? 0.7853981633974483 : 0.0;
+        const double over = large ? -1.0 : middle ? x - 1.0 : x;
+        const double t = over / (large ? x : middle ? x + 1.0 : 1.0);
         const double z = t * t;
         double above = -8.750608600031904122785e-1;
         above = above * z + -1.615753718733365076637e1;
@@ -40,7 +36,7 @@ struct Projection {
     }
 
     // Kannala-Brandt, in float64.
-    void equidistant(float& x, float& y) const {
+    __attribute__((always_inline)) void equidistant(float& x, float& y) const {
         const double wx = x, wy = y, r = root(wx * wx + wy * wy);
         const double theta = arctangent(r), t2 = theta * theta;
         double series = (double)p[18] + t2 * (double)p[19];
@@ -50,7 +46,7 @@ struct Projection {
         y = (float)(wy * scale);
     }
 
-    static double root(double x) {
+    __attribute__((always_inline)) static double root(double x) {
 #if defined(__CUDA_ARCH__)
         return __dsqrt_rn(x);
 #else
@@ -59,7 +55,7 @@ struct Projection {
     }
 
     // OpenCV's radial and tangential model.
-    void brown_conrady(float& x, float& y, float r2) const {
+    __attribute__((always_inline)) void brown_conrady(float& x, float& y, float r2) const {
         float radial = 1.0f + r2 * (p[16] + r2 * (p[17] + r2 * p[20]));
         if (model == RATIONAL)
             radial = radial / (1.0f + r2 * (p[21] + r2 * (p[22] + r2 * p[23])));
@@ -70,14 +66,11 @@ struct Projection {
         y = dy;
     }
 
-    // The pixel of the point at `units` on the ray (x, y) of the depth camera.
-    Point point(int units, float x, float y) const {
-        if (model == PINHOLE) return through(units, x, y);
-        return through(units, x, y, true);
-    }
-
-    // Without a lens that bends there is no branch.
-    Point through(int units, float x, float y, bool bends = false) const {
+    // The pixel of the point at `units` on the ray (x, y) of the depth camera; `bends` where the
+    // lens does. There is no branch but for the model, and functions are inlined, so that loops
+    // over points become vector instructions. Points that are not seen go the same way.
+    __attribute__((always_inline)) Point through(
+        int units, float x, float y, bool bends = false) const {
         const float depth = (float)units * p[25];
         const float px = depth * x, py = depth * y;
         const float cx = p[0] * px + (p[1] * py + (p[2] * depth + p[9]));
@@ -89,7 +82,7 @@ struct Projection {
         const float r2 = bx * bx + by * by;
         bool seen = ahead & (r2 <= p[24]);
         if (bends && model == EQUIDISTANT) {
-            if (seen) equidistant(bx, by);
+            equidistant(bx, by);
         } else if (bends) {
             brown_conrady(bx, by, r2);
         }
