@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from jaxdet import detect
-from jaxdet.config import ClusterConfig, Config, FeaturesConfig, GroundConfig
+from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
 from jaxdet.errors import ConfigError
 from jaxdet.presets import PRESETS, preset
+from jaxdet.stages import _detect, _points
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
 from tests.scenes import D435, IDENTITY, assert_equal, blocks, frames, level, small, smooth_depth
 
@@ -109,14 +110,30 @@ def test_unknown_names_are_errors():
         preset("unicycle")
 
 
-def test_calibration_is_not_a_compile_time_constant():
-    """Another camera of the same size must not compile the programs again."""
-    from jaxdet.stages import _align
+def other_settings(config: Config) -> Config:
+    """Other lengths in all parts."""
+    return replace(
+        config,
+        ground=replace(config.ground, min_depth_m=0.3, max_depth_m=2.5, step_height_m=0.08),
+        surface=replace(config.surface, step_m=0.04),
+        obstacle=replace(config.obstacle, lateral_gap_m=1.0, min_size_m=0.08),
+        cluster=replace(config.cluster, depth_gap_m=0.2, lateral_gap_m=0.3),
+        footprint=FootprintConfig(0.05, trim=4, near_band_per_m2=0.02, margin_m=0.01),
+    )
 
-    given = made_frames(2)
-    detect(given)
-    compiled = cast(Any, _align.align_arrays)._cache_size
+
+@pytest.mark.parametrize(
+    ("name", "program"), [("wheeled", _detect._detect), ("paper", _points._detect)]
+)
+def test_settings_and_calibration_are_no_compile_time_constants(device, name, program):
+    """Another camera of the same size and other lengths must not compile the program again."""
+    given, config = made_frames(2), PRESETS[name]
+    detect(given, config)
+    compiled = cast(Any, program)._cache_size
     before = compiled()
+    assert before
     moved = D435.color_from_depth._replace(translation=(0.02, 0.0, 0.0))
-    detect(given._replace(calibration=given.calibration._replace(color_from_depth=moved)))
+    given = given._replace(calibration=given.calibration._replace(color_from_depth=moved))
+    changed = given, other_settings(config)
+    assert_equal(detect(*changed), detect(*changed, backend="reference"))
     assert compiled() == before

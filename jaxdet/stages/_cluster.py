@@ -4,15 +4,19 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxdet.checks import check_points
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.floor.plane import depth_gap_units
-from jaxdet.stages._rank import RANK_BITS, RANK_MASK, rank
+from jaxdet.stages._teams import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
 LAST = jnp.iinfo(jnp.int32).max
+RANK_BITS = 13
+RANK_MASK = (1 << RANK_BITS) - 1
+"""A frame has at most 2^13 points; what is sorted has 19 bits."""
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
@@ -35,34 +39,37 @@ def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     Raises:
         ConfigError: N is larger.
     """
-    check_points(features.z.shape[1])
-    return labels(features, depth_unit, config.cluster)
+    points = features.z.shape[1]
+    check_points(points)
+    settings = jnp.asarray(gap_settings(config.cluster, depth_unit))
+    return labels(features, settings, most_obstacles(points, config.cluster))
 
 
-@partial(jax.jit, static_argnames=("depth_unit", "settings"))
-def labels(features: Features, depth_unit: float, settings: ClusterConfig) -> Labels:
-    """The labels of points."""
+def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
+    """What :func:`labels` takes of the configuration, ``(3,)`` int32.
+
+    The gaps in depth and sideways [depth units], and how many points are too few.
+    """
+    gaps = depth_gap_units(config, depth_unit), round(config.lateral_gap_m / depth_unit)
+    return kernel_table(np.array([*gaps, config.min_points]))
+
+
+def most_obstacles(points: int, config: ClusterConfig) -> int:
+    """``M``, as many obstacles as ``points`` points can make, at least 1."""
+    return max(1, points // (config.min_points + 1))
+
+
+@partial(jax.jit, static_argnames="most")
+def labels(features: Features, settings: jax.Array, most: int) -> Labels:
+    """The labels of points, from :func:`gap_settings` and :func:`most_obstacles`."""
     with jax.named_scope("cluster"):
-        split = partial(
-            _gap_parts,
-            depth_gap=depth_gap_units(settings, depth_unit),
-            lateral_gap=round(settings.lateral_gap_m / depth_unit),
-            min_points=settings.min_points,
-        )
+        split, number = partial(_gap_parts, settings=settings), partial(_number, most=most)
         x, z = features.x, features.z
         part = jax.vmap(split)(x, z, features.kept)
-        number = partial(_number, max_parts=x.shape[1] // (settings.min_points + 1))
         return Labels(*jax.vmap(number)(part, x, z))
 
 
-def _gap_parts(
-    x: jax.Array,
-    z: jax.Array,
-    kept: jax.Array,
-    depth_gap: int,
-    lateral_gap: int,
-    min_points: int,
-) -> jax.Array:
+def _gap_parts(x: jax.Array, z: jax.Array, kept: jax.Array, settings: jax.Array) -> jax.Array:
     """The sets of Steps 1-5 of one frame, ``(N,)`` each: a number a set, N for none.
 
     The points are ranked along both axes once. A set's points are then in order after one sort
@@ -70,8 +77,9 @@ def _gap_parts(
     quickly on every device.
     """
     n = z.shape[0]
-    by_z, z_rank = rank(z)
-    by_x, x_rank = rank(x + MAX_LATERAL)
+    depth_gap, lateral_gap, min_points = settings
+    by_z, z_rank = _rank(z)
+    by_x, x_rank = _rank(x + MAX_LATERAL)
     group = jnp.where(kept, 0, n)
     for values, order, place, gap in (
         (z, by_z, z_rank, depth_gap),
@@ -85,7 +93,22 @@ def _gap_parts(
     return group
 
 
-def _gap_sets(values: jax.Array, group: jax.Array, gap: int, min_points: int) -> jax.Array:
+def _rank(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sorts ``(N,)`` int32 values in [0, 2^19).
+
+    Returns:
+        The slots in rising order, and each slot's rank, both ``(N,)``, int32 and uint32.
+    """
+    n = values.shape[0]
+    slot = jnp.arange(n, dtype=jnp.uint32)
+    order = jnp.sort((values.astype(jnp.uint32) << RANK_BITS) | slot) & RANK_MASK
+    order = order.astype(jnp.int32)
+    return order, jnp.zeros(n, jnp.uint32).at[order].set(slot, unique_indices=True)
+
+
+def _gap_sets(
+    values: jax.Array, group: jax.Array, gap: jax.Array, min_points: jax.Array
+) -> jax.Array:
     """Numbers the runs of ``values`` without a gap, in order.
 
     Args:
@@ -108,21 +131,19 @@ def _gap_sets(values: jax.Array, group: jax.Array, gap: int, min_points: int) ->
     return jnp.where(valid & (size > min_points), jnp.cumsum(starts, dtype=jnp.int32) - 1, n)
 
 
-def _number(
-    part: jax.Array, x: jax.Array, z: jax.Array, max_parts: int
-) -> tuple[jax.Array, jax.Array]:
+def _number(part: jax.Array, x: jax.Array, z: jax.Array, most: int) -> tuple[jax.Array, jax.Array]:
     """Numbers the parts by nearest z, then smallest x.
 
     Args:
         part: ``(N,)`` int32, equal within a part; N takes no part.
         x: ``(N,)`` int32.
         z: ``(N,)`` int32.
-        max_parts: As many parts as there can be.
+        most: As many parts as there can be.
 
     Returns:
         ``labels`` ``(N,)`` int32 and their number, int32.
     """
-    n, m = part.shape[0], max(1, max_parts)
+    n, m = part.shape[0], most
     used = jnp.zeros(n, jnp.int32).at[part].set(1, mode="drop")
     index = jnp.where(
         part < n, (jnp.cumsum(used, dtype=jnp.int32) - 1)[jnp.minimum(part, n - 1)], m

@@ -1,13 +1,17 @@
 """Stage 5, footprint: segment reductions, and a sort for each axis."""
 
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
 from jaxdet.floor.plane import band_table, ground_axes
+from jaxdet.stages._cluster import most_obstacles
+from jaxdet.stages._teams import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, GroundPlane, Labels, Obstacles
 
 VALUE_BITS = 19
@@ -35,36 +39,48 @@ def footprint(
     Raises:
         ConfigError: N is larger.
     """
-    check_points(features.z.shape[1])
+    points = features.z.shape[1]
+    check_points(points)
     axes = jnp.asarray(ground_axes(plane))
-    table = bands(config.footprint, depth_unit)
-    return obstacles(features, labels, table, axes, depth_unit, config)
+    shared = tables(config.footprint, depth_unit)
+    return obstacles(features, labels, axes, shared, most_obstacles(points, config.cluster))
+
+
+class Tables(NamedTuple):
+    """What :func:`obstacles` takes of the configuration."""
+
+    bands: jax.Array
+    """``(65536, 2)`` int32, from :func:`jaxdet.floor.plane.band_table`."""
+    settings: jax.Array
+    """``(2,)`` int32: the threshold of a vertex [depth units] and ``trim``."""
 
 
 @lru_cache(maxsize=8)
-def bands(config: FootprintConfig, depth_unit: float) -> jax.Array:
-    """:func:`jaxdet.floor.plane.band_table` on the device."""
-    return jnp.asarray(band_table(config, depth_unit))
+def tables(config: FootprintConfig, depth_unit: float) -> Tables:
+    """The tables on the device."""
+    threshold = round(config.vertex_threshold_m / depth_unit)
+    settings = kernel_table(np.array([threshold, config.trim]))
+    return Tables(jnp.asarray(band_table(config, depth_unit)), jnp.asarray(settings))
 
 
-@partial(jax.jit, static_argnames=("depth_unit", "config"))
+@partial(jax.jit, static_argnames="most")
 def obstacles(
-    features: Features,
-    labels: Labels,
-    band_by_depth: jax.Array,
-    axes: jax.Array,
-    depth_unit: float,
-    config: Config,
+    features: Features, labels: Labels, axes: jax.Array, shared: Tables, most: int
 ) -> Obstacles:
-    """The obstacles, from :func:`bands` and :func:`jaxdet.floor.plane.ground_axes`."""
+    """The obstacles, ``most`` of them.
+
+    Args:
+        features: ``(B, N)`` points.
+        labels: Their obstacles.
+        axes: ``(B, 2, 3)`` int32, from :func:`jaxdet.floor.plane.ground_axes`.
+        shared: From :func:`tables`.
+        most: From :func:`jaxdet.stages._cluster.most_obstacles`.
+    """
     with jax.named_scope("footprint"):
-        threshold = round(config.footprint.vertex_threshold_m / depth_unit)
-        m = max(1, labels.labels.shape[1] // (config.cluster.min_points + 1))
-        static = {"threshold": threshold, "m": m, "trim": config.footprint.trim}
         uv = jnp.stack([features.u, features.v], axis=-1)
         xyz = jnp.stack([features.x, features.y, features.z], axis=-1)
         floor = jnp.clip(to_ground(xyz, axes), -MAX_LATERAL, MAX_LATERAL)
-        measure = partial(_measure, band_by_depth=band_by_depth, **static)
+        measure = partial(_measure, shared=shared, m=most)
         return jax.vmap(measure)(labels.labels, uv, xyz, floor)
 
 
@@ -93,12 +109,11 @@ def _measure(
     uv: jax.Array,
     xyz: jax.Array,
     floor: jax.Array,
-    band_by_depth: jax.Array,
-    threshold: int,
+    shared: Tables,
     m: int,
-    trim: int,
 ) -> Obstacles:
     """One frame: ``labels (N,)`` and points ``(N, k)`` to ``(M, ...)``."""
+    threshold, trim = shared.settings
     own = jnp.where(labels >= 0, labels, m)
 
     def reduce(operation: str, values: jax.Array, start: int) -> jax.Array:
@@ -119,7 +134,8 @@ def _measure(
         return extreme("min", jnp.where(tied, values, LAST))
 
     right, forward = floor[:, 0], floor[:, 1]
-    side, near = band_by_depth[jnp.clip(extreme("min", forward), 0, len(band_by_depth) - 1)].T
+    distance = jnp.clip(extreme("min", forward), 0, len(shared.bands) - 1)
+    side, near = shared.bands[distance].T
     passed = jnp.minimum(trim, points // TRIM_SHARE)
     a_right, b_right = _outermost(own, right, points, passed, side)
     c_forward, _ = _outermost(own, forward, points, passed, near)

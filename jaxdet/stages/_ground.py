@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdet.config import Config
+from jaxdet.config import Config, GroundConfig
 from jaxdet.floor.plane import depth_range, floor_limits
-from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Keep
+from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Intrinsics, Keep
 
 
 def ground(
@@ -41,12 +41,25 @@ def tables(
     The last plane is repeated up to a power of two, so that few shapes are compiled.
     """
     settings, unit = config.ground, calibration.depth_unit
-    limits, which = floor_limits(calibration.color, plane, settings, unit)
+    rows = np.stack([np.asarray(part, np.float64) for part in plane], axis=1)
+    different, which = np.unique(rows, axis=0, return_inverse=True)
+    planes = tuple(map(tuple, different.tolist()))
+    limits, of_planes = _limits(calibration.color, planes, settings, unit)
+    bounds = _bounds(*depth_range(settings.min_depth_m, settings.max_depth_m, unit))
+    return limits, jnp.asarray(of_planes[which.reshape(-1)]), *bounds
+
+
+@lru_cache(maxsize=8)
+def _limits(
+    camera: Intrinsics, planes: tuple[tuple[float, ...], ...], settings: GroundConfig, unit: float
+) -> tuple[jax.Array, np.ndarray]:
+    """The limits on the device, and the place there of each plane."""
+    plane = GroundPlane(*np.array(planes).T)
+    limits, which = floor_limits(camera, plane, settings, unit)
     spare = (1 << (len(limits) - 1).bit_length()) - len(limits)
     if spare:
         limits = np.concatenate([limits, np.repeat(limits[-1:], spare, axis=0)])
-    bounds = _bounds(*depth_range(settings.min_depth_m, settings.max_depth_m, unit))
-    return jnp.asarray(limits), jnp.asarray(which), *bounds
+    return jnp.asarray(limits), which
 
 
 @lru_cache(maxsize=16)

@@ -1,24 +1,25 @@
 """Obstacles made of points: the paper's method as one compiled program, for the CPU and CUDA."""
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 
-from jaxdet.config import Config
+from jaxdet.config import ClusterConfig, Config, FeaturesConfig
 from jaxdet.floor.plane import ground_axes
 from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
 from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
 
 
 class _Tables(NamedTuple):
-    """What the stages take beside the images: arrays, so that no camera compiles anew."""
+    """What the stages take beside images, in arrays: no camera or setting compiles anew."""
 
     align: tuple[jax.Array, ...]
     ground: tuple[jax.Array, ...]
     rays: _features.Rays
-    bands: jax.Array
+    gaps: jax.Array
+    footprint: _footprint.Tables
     axes: jax.Array
 
 
@@ -26,10 +27,22 @@ SPECS = cast(Any, _Tables)(
     align=_spread.WHOLE,
     ground=(_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE),
     rays=_spread.WHOLE,
-    bands=_spread.WHOLE,
+    gaps=_spread.WHOLE,
+    footprint=_spread.WHOLE,
     axes=_spread.ROWS,
 )
 """Which tables have a row for each frame."""
+
+
+class _Static(NamedTuple):
+    """What a compiled program is for."""
+
+    align: tuple[int, int, tuple[int, int]] | None
+    """The lens, whether depth pixels fill corners, and the colour image's size; None: depth is
+    aligned already."""
+    features: FeaturesConfig
+    most: int
+    """Obstacles that there is room for."""
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
@@ -46,41 +59,44 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     among, count = _spread.devices_for(frames.color), len(frames.color)
     color, depth, plane = _spread.even(frames.color, frames.depth, plane, len(among))
-    align, static = _align_tables(calibration)
+    align, lens = _align_tables(calibration)
     tables = _Tables(
         align,
         _ground.tables(plane, calibration, config),
         _features.rays(calibration.color),
-        _footprint.bands(config.footprint, unit),
+        _gaps(config.cluster, unit),
+        _footprint.tables(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
-    found = _spread.run(_detect, color, depth, tables, SPECS, static, unit, config)
+    most = _cluster.most_obstacles(config.features.max_corners, config.cluster)
+    static = _Static(lens, config.features, most)
+    found = _spread.run(_detect, color, depth, tables, SPECS, static)
     return found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
 
 
-def _align_tables(calibration: Calibration) -> tuple[tuple[jax.Array, ...], tuple | None]:
+def _align_tables(
+    calibration: Calibration,
+) -> tuple[tuple[jax.Array, ...], tuple[int, int, tuple[int, int]] | None]:
     """The alignment's arrays and its static arguments; none for depth that is aligned already."""
     if calibration.is_aligned:
         return (), None
     *arrays, model, fills = _align.tables(calibration)
-    size = calibration.color.height, calibration.color.width
-    return tuple(arrays), (model, fills, size)
+    return tuple(arrays), (model, fills, (calibration.color.height, calibration.color.width))
 
 
-@partial(jax.jit, static_argnames=("align", "unit", "config"))
-def _detect(
-    color: jax.Array,
-    depth: jax.Array,
-    tables: _Tables,
-    align: tuple | None,
-    unit: float,
-    config: Config,
-) -> Detections:
+@lru_cache(maxsize=8)
+def _gaps(config: ClusterConfig, unit: float) -> jax.Array:
+    """The gaps on the device: one array, as copies for several devices are kept by identity."""
+    return jnp.asarray(_cluster.gap_settings(config, unit))
+
+
+@partial(jax.jit, static_argnames="static")
+def _detect(color: jax.Array, depth: jax.Array, tables: _Tables, static: _Static) -> Detections:
     aligned = AlignedDepth(depth, depth)
-    if align is not None:
-        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
+    if static.align is not None:
+        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *static.align))
     keep = _ground.keep(aligned.z, *tables.ground)
-    features = _features.on_device(color, keep.z, keep.mask, tables.rays, config.features)
-    labels = _cluster.labels(features, unit, config.cluster)
-    obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
+    features = _features.on_device(color, keep.z, keep.mask, tables.rays, static.features)
+    labels = _cluster.labels(features, tables.gaps, static.most)
+    obstacles = _footprint.obstacles(features, labels, tables.axes, tables.footprint, static.most)
     return Detections(features, labels, obstacles, keep.has_depth)
