@@ -186,6 +186,36 @@ def test_twin_at_full_size(device, batch, size):
     assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
 
 
+@pytest.mark.parametrize(
+    ("lens", "depth_size", "color_size"),
+    [
+        ("plumb_bob", (639, 481), (4096, 3072)),
+        ("rational", (1280, 721), (1921, 1083)),
+        ("equidistant", (1024, 1023), (1281, 719)),
+        ("pinhole", (4096, 3072), (637, 479)),
+        ("equidistant", (4095, 33), (65, 4096)),
+    ],
+)
+def test_twin_with_large_and_odd_images(device, lens, depth_size, color_size):
+    color = with_lens(resized(D435.color, *color_size), lens)
+    calibration = Calibration(color, resized(D435.depth, *depth_size), TURNED)
+    depth = smooth_depth(1, calibration.depth)
+    depth[0, ::7, ::5] = 0
+    aligned = stages.align(depth, calibration)
+    assert np.count_nonzero(aligned.depth) > 1000
+    assert_equal(aligned, reference.align(depth, calibration))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_twin_where_the_depth_camera_has_a_lens(device, lens):
+    base = small(97, 61, 0.7)
+    calibration = base._replace(
+        color=with_lens(base.color, lens), depth=with_lens(base.depth, lens)
+    )
+    depth = noise_depth(3, calibration.depth)
+    assert_equal(stages.align(depth, calibration), reference.align(depth, calibration))
+
+
 def test_twin_without_any_measurement(device):
     depth = np.zeros((2, 60, 80), np.uint16)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))

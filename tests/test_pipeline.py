@@ -70,17 +70,18 @@ def test_a_batch_is_a_stack_of_singles(device):
         assert np.array_equal(alone.obstacles.a[0], together.obstacles.a[b])
 
 
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
 @pytest.mark.parametrize("batch", [1, 7, 512])
-def test_any_batch_equals_the_reference_twice(device, batch):
+def test_any_batch_equals_the_reference_twice(device, batch, name):
     """Made frames over and over; two runs give the same bytes."""
-    few = min(batch, 16)
+    few, config = min(batch, 16), PRESETS[name]
     given = made_frames(few)
     rows = np.arange(batch) % few
     many = frames(given.calibration, given.color[rows], given.depth[rows], plane=level(batch))
-    want = detect(given, backend="reference")
+    want = detect(given, config, backend="reference")
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
     for _ in range(2):
-        assert_equal(detect(many), want)
+        assert_equal(detect(many, config), want)
 
 
 def test_the_plane_comes_from_the_configuration_when_the_frames_have_none():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -60,16 +61,29 @@ def test_one_pixel_of_depth(width, height, units):
     assert_equal(detect(given_), detect(given_, backend="reference"))
 
 
-@pytest.mark.parametrize("lens", ["pinhole", "plumb_bob"])
-def test_full_hd(device, lens):
-    """2^20 pixels and more, which are no power of two a side."""
-    camera = with_lens(small(1920, 1080).color, lens)
-    calibration = small()._replace(color=camera)
-    depth = smooth_depth(1, calibration.depth)
-    given_ = frames(calibration, blocks(1, 1080, 1920), depth, plane=level(1, 0.3))
-    want = detect(given_, backend="reference")
-    assert want.features.kept.sum() > 500
-    assert_equal(detect(given_), want)
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+@pytest.mark.parametrize(
+    ("lens", "depth_size", "color_size", "corners"),
+    [
+        ("pinhole", (80, 60), (1920, 1080), 500),
+        ("plumb_bob", (641, 479), (1920, 1080), 500),
+        ("rational", (1280, 720), (1281, 721), 200),
+        ("equidistant", (639, 577), (4096, 3072), 500),
+        ("pinhole", (4096, 3072), (639, 481), 100),
+    ],
+)
+def test_large_images_and_lenses(device, name, lens, depth_size, color_size, corners):
+    """Up to the largest that cameras have, 2^20 pixels and more, some of them odd a side."""
+    calibration = small()._replace(
+        color=with_lens(small(*color_size).color, lens), depth=small(*depth_size).depth
+    )
+    depth = smooth_depth(1, small().depth)
+    depth = cv2.resize(depth[0], depth_size, interpolation=cv2.INTER_NEAREST)[None]
+    color = blocks(1, color_size[1], color_size[0])
+    given_, config = frames(calibration, color, depth, plane=level(1, 0.3)), PRESETS[name]
+    want = detect(given_, config, backend="reference")
+    assert want.features.kept.sum() > corners
+    assert_equal(detect(given_, config), want)
 
 
 def test_images_in_aligned_memory_are_left_alone():

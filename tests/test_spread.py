@@ -17,12 +17,13 @@ from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.stages import _upload
 from jaxdet.types import Frames
-from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
+from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
 
 
-def scene(batch: int) -> Frames:
-    calibration = small()
-    images = blocks(batch, 60, 80), smooth_depth(batch, calibration.depth)
+def scene(batch: int, lens: str = "pinhole", size: tuple[int, int] = (80, 60)) -> Frames:
+    color = with_lens(small(*size).color, lens)
+    calibration = small()._replace(color=color)
+    images = blocks(batch, color.height, color.width), smooth_depth(batch, calibration.depth)
     heights = np.linspace(0.3, 0.5, batch)
     return frames(calibration, *images, plane=level(batch)._replace(height=heights))
 
@@ -93,17 +94,44 @@ def test_a_log_through_page_locked_memory_gives_the_bytes_of_the_reference(gpus,
 
 
 @pytest.mark.gpu
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+@pytest.mark.parametrize(
+    ("batch", "lens", "size"),
+    [
+        (1, "rational", (1920, 1080)),
+        (7, "equidistant", (1281, 721)),
+        (512, "plumb_bob", (160, 120)),
+    ],
+)
+def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, lens, size):
+    given, config = scene(min(batch, 8), lens, size), PRESETS[name]
+    want = detect(given, config, backend="reference")
+    rows = np.arange(batch) % len(given.color)
+    color, depth = given.color[rows], given.depth[rows]
+    plane = jax.tree.map(lambda values: values[rows], given.plane)
+    want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
+    uploader = _upload.Uploader(color.shape, depth.shape, devices=tuple(gpus[:1]))
+    pinned = _upload.pin(color, depth)
+    for _ in range(2):
+        on_device = uploader.upload(pinned)
+        many = frames(given.calibration, *on_device, plane=plane)
+        assert_equal(detect(many, config), want)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+@pytest.mark.parametrize("lens", ["pinhole", "equidistant"])
 @pytest.mark.parametrize("batch", [1, 5, 16])
-def test_all_gpus_share_a_batch(gpus, batch):
+def test_all_gpus_share_a_batch(gpus, batch, lens, name):
     if len(gpus) < 2:
         pytest.skip(f"needs 2 GPUs, found {len(gpus)}")
-    given = scene(batch)
-    want = detect(given, backend="reference")
-    found = detect(given)
+    given, config = scene(batch, lens), PRESETS[name]
+    want = detect(given, config, backend="reference")
+    found = detect(given, config)
     assert_equal(found, want)
     if batch % len(gpus) == 0:
         assert found.features.u.devices() == set(gpus)
         uploader = _upload.Uploader(given.color.shape, given.depth.shape)
         color, depth = uploader.upload(_upload.pin(given.color, given.depth))
         assert color.devices() == set(gpus)
-        assert_equal(detect(given._replace(color=color, depth=depth)), want)
+        assert_equal(detect(given._replace(color=color, depth=depth), config), want)
