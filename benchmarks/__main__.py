@@ -63,7 +63,7 @@ class Run:
         yield from found
         times = dict(zip(points, (metrics[0].value for metrics in found), strict=True))
         yield fits_of(stage, times)
-        if stage == "pipeline" and options.device == "gpu":
+        if stage == "pipeline":
             yield module.throughput(options.seconds)
 
 

@@ -1,5 +1,6 @@
 """Stage 1, align, against librealsense and OpenCV."""
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -8,8 +9,9 @@ import numpy as np
 
 from benchmarks.run import Case, Missing, with_peer
 from benchmarks.scene import BATCH, CALIBRATIONS, inputs, repeated
-from benchmarks.sweep import DEFAULT_BATCH, Point, kind
+from benchmarks.sweep import DEFAULT_BATCH, SIZES, Point, kind
 from jaxdet import reference, stages
+from jaxdet.types import AlignedDepth, Distortion
 
 ORACLE = "install the extra oracle; the system needs libusb-1.0-0 and libudev1"
 
@@ -27,7 +29,9 @@ def cases() -> list[Case | Missing]:
             name="vs_registerDepth", peer=lambda: register_depth("640x480"), equal=False
         ),
     ]
-    for size in CALIBRATIONS:
+    lens = at(Point("lens", 0, DEFAULT_BATCH[kind()]))
+    found.append(lens._replace(name="lens.vs_pinhole", peer=_straightened("lens", lens.frames)))
+    for size in SIZES:
         name = "vs_rs_align" if size == "640x480" else f"{size}.vs_rs_align"
         found.append(
             with_peer(
@@ -50,6 +54,19 @@ def at(point: Point) -> Case:
         frames=point.batch,
         bytes_read=depth.nbytes,
     )
+
+
+def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
+    """Our alignment of the same images by cameras without a lens that bends."""
+    given = inputs(size)
+    depth = jax.device_put(repeated(given.depth, batch))
+    calibration = given.calibration
+    assert calibration.depth is not None
+    straight = calibration._replace(
+        color=calibration.color._replace(distortion=Distortion.NONE, coefficients=()),
+        depth=calibration.depth._replace(distortion=Distortion.NONE, coefficients=()),
+    )
+    return lambda: stages.align(depth, straight)
 
 
 def register_depth(size: str) -> list[np.ndarray]:

@@ -1,7 +1,7 @@
 """The whole pipeline: against the NumPy reference and a hand-written one, and its throughput."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
 from multiprocessing import get_context
@@ -24,7 +24,7 @@ from jaxdet.stages._upload import Uploader, pin
 from jaxdet.types import Detections, Frames
 
 SIZE = "640x480"
-RESIDENT_BATCH = 1024
+BATCHES = {SIZE: 1024, "1080p": 256, "lens": 512}
 """Frames of a batch on each GPU."""
 
 
@@ -41,6 +41,7 @@ def cases() -> list[Case]:
             equal=True,
         )
         found.append(case)
+    found += [_at_size(size) for size in ("1080p", "lens")]
     many = frames_of(SIZE, 16 * BATCH)
     if not on_cuda():
         one = partial(detect, many, CONFIG)
@@ -49,6 +50,21 @@ def cases() -> list[Case]:
     peer = partial(handwritten, many)
     found.append(Case("vs_handwritten", lambda: ours(many, CONFIG), 16 * BATCH, peer))
     return found
+
+
+def _at_size(size: str) -> Case:
+    """The default on a larger image or a lens; the reference takes two of the frames."""
+    frames = frames_of(size, BATCH)
+    few = frames_of(size, 2)
+    return Case(
+        name=f"{size}.reference",
+        run=lambda: detect(frames, CONFIG),
+        frames=BATCH,
+        peer=lambda: detect(few, CONFIG, backend="reference"),
+        peer_frames=2,
+        equal=True,
+        compared=lambda found: jax.tree.map(lambda values: values[:2], found),
+    )
 
 
 def on_all_cores(frames: Frames, config: Config = CONFIG) -> Detections:
@@ -103,27 +119,44 @@ def _one_frame(images: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def throughput(seconds: float) -> list[Metric]:
-    """Frames per second on all GPUs: frames resident on them, and from pinned host memory."""
+    """Frames per second of the default and the paper's setting, of 1080p and of a lens.
+
+    On GPUs all of them are used, and frames lie on them or come from pinned host memory.
+    """
+    runs = {
+        "pipeline": (SIZE, CONFIG),
+        "pipeline.paper": (SIZE, preset("paper")),
+        "pipeline.1080p": ("1080p", CONFIG),
+        "pipeline.lens": ("lens", CONFIG),
+    }
+    of_run = _on_gpus if on_cuda() else _on_cpu
+    return [
+        Metric(f"{start}.{key}", rate, "frames/s", "higher", 0.15)
+        for start, run in runs.items()
+        for key, rate in of_run(*run, seconds)
+    ]
+
+
+def _on_cpu(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
+    frames = frames_of(size, BATCH)
+    yield "fps", _frames_per_s(partial(detect, frames, config), BATCH, seconds)
+
+
+def _on_gpus(size: str, config: Config, seconds: float) -> Iterator[tuple[str, float]]:
     among = jax.local_devices()
-    frames = frames_of(SIZE, RESIDENT_BATCH * len(among))
+    frames = frames_of(size, BATCHES[size] * len(among))
     on_device = jax.device_put((frames.color, frames.depth), rows_over(tuple(among)))
     pinned = pin(frames.color, frames.depth)
     uploader = Uploader(frames.color.shape, frames.depth.shape)
-    metrics = []
-    settings = {"pipeline": CONFIG, "pipeline.paper": preset("paper")}
 
-    def step(source: Callable[[], tuple[jax.Array, jax.Array]], config: Config) -> Detections:
+    def step(source: Callable[[], tuple[jax.Array, jax.Array]]) -> Detections:
         color, depth = source()
         return detect(frames._replace(color=color, depth=depth), config)
 
     sources = {"resident": lambda: on_device, "pinned": lambda: uploader.upload(pinned)}
-    for start, config in settings.items():
-        for key, source in sources.items():
-            found, want = step(source, config), step(sources["resident"], config)
-            check_equal(key, found, want)
-            rate = _frames_per_s(partial(step, source, config), len(frames.color), seconds)
-            metrics.append(Metric(f"{start}.{key}.fps", rate, "frames/s", "higher", 0.15))
-    return metrics
+    for key, source in sources.items():
+        check_equal(key, step(source), step(sources["resident"]))
+        yield f"{key}.fps", _frames_per_s(partial(step, source), len(frames.color), seconds)
 
 
 def _frames_per_s(

@@ -21,6 +21,7 @@ from jaxdet.types import (
     AlignedDepth,
     Calibration,
     Cells,
+    Distortion,
     Extrinsics,
     Frames,
     GroundPlane,
@@ -37,6 +38,8 @@ BASELINE_M = 0.015
 COS_LAMP = 0.82
 """Of the room's lamp on the floor."""
 CONFIG = Config()
+KINECT = (0.51, -2.69, 0.0007, 0.0001, 1.55, 0.39, -2.50, 1.47)
+"""Coefficients of a rational lens, near an Azure Kinect's."""
 CALIBRATIONS = {
     "640x480": Calibration(
         Intrinsics(640, 480, 610.0, 610.0, 319.5, 239.5),
@@ -53,8 +56,20 @@ CALIBRATIONS = {
         Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5),
         Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
     ),
+    "1080p": Calibration(
+        Intrinsics(1920, 1080, 1372.0, 1372.0, 959.5, 539.5),
+        Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5),
+        Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
+    ),
+    "lens": Calibration(
+        Intrinsics(1280, 720, 608.0, 608.0, 639.5, 364.5, Distortion.RATIONAL, KINECT),
+        Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5, Distortion.RATIONAL, KINECT),
+        Extrinsics((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (BASELINE_M, 0.0, 0.0)),
+    ),
 }
-"""By the size of both images, or of the depth image and the colour image."""
+"""By the size of both images, or of the depth image and the colour image; ``1080p`` is a colour
+image of 1920x1080, ``lens`` an Azure Kinect's. Scenes are rendered as if lenses bent nothing, which
+changes what is seen at the margins and not how it is worked on."""
 
 
 class Inputs(NamedTuple):
