@@ -252,7 +252,8 @@ class Obstacles(NamedTuple):
     xyz_max: Array
     """``(B, M, 3)`` int32, camera optical frame [depth units]."""
     xyz_sum: Array
-    """``(B, M, 3)`` int32, camera optical frame [depth units]; the centroid is sum / points."""
+    """``(B, M, 3, 2)`` int32, camera optical frame [depth units]: the sum of each axis over 2^16,
+    rounded down, and what is left of it, below 2^16; the centroid is sum / points."""
     a: Array
     """``(B, M, 2)`` int32, the point to the left (of those, the nearest) [depth units]."""
     b: Array

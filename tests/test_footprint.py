@@ -39,7 +39,7 @@ def test_extent_and_points(backend):
     assert np.asarray(found.num_points)[0].tolist() == [3, 0, 0, 0]
     assert np.asarray(found.xyz_min)[0, 0].tolist() == [-300, 0, 1000]
     assert np.asarray(found.xyz_max)[0, 0].tolist() == [200, 0, 1500]
-    assert np.asarray(found.xyz_sum)[0, 0].tolist() == [-100, 0, 3900]
+    assert np.asarray(found.xyz_sum)[0, 0].tolist() == [[-1, 65436], [0, 0], [0, 3900]]
     assert np.asarray(found.uv_min)[0, 0].tolist() == [0, 0]
     assert np.asarray(found.uv_max)[0, 0].tolist() == [2, 0]
     assert np.asarray(found.a)[0, 0].tolist() == [-300, 1500]

@@ -23,7 +23,8 @@ def outline(a: tuple, b: tuple, c: tuple, has_vertex: bool = False) -> Obstacles
     count = np.ones((1, 1), np.int32)
     vertex = np.array([[has_vertex]])
     span = np.zeros((*pa.shape[:-1], 4), np.int32)
-    return Obstacles(count, uv, uv, point, point, point, pa, pb, pc, vertex, 0 * pa, span)
+    total = np.stack(np.divmod(point, 1 << 16), axis=-1)
+    return Obstacles(count, uv, uv, point, point, total, pa, pb, pc, vertex, 0 * pa, span)
 
 
 def corners(*args: Any) -> np.ndarray:

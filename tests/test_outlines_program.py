@@ -10,6 +10,7 @@ import pytest
 from jaxdet.config import Config
 from jaxdet.floor.plane import band_table, unknown_plane
 from jaxdet.reference._detect import _outlines
+from jaxdet.results.metric import extents
 from jaxdet.stages._outlines import outline_settings, outlines
 from jaxdet.types import MAX_OBSTACLES
 from tests.scenes import assert_equal, small
@@ -111,6 +112,19 @@ def test_an_obstacle_in_the_margins() -> None:
         for long_m in (0.1, 100.0):
             found = [batch.found[0]._replace(label=label, view=view)]
             assert assert_twins(Batch(grid, found), changed(long_m=long_m)) == 1
+
+
+def test_sums_beyond_32_bits() -> None:
+    """A wall at 6 m in tenths of a millimetre, over the whole picture."""
+    batch = drawn((1, 200, 220), 1, seed=6, reach=60000)
+    one, z = batch.found[0], np.full((1, 200, 220), 60000, np.int32)
+    grid = batch.grid._replace(x=-z, z=z, in_view=z > 0)
+    view = one.view._replace(x=-z[0], z=z[0], in_view=z[0] > 0)
+    wall = Batch(grid, [one._replace(label=np.zeros((200, 220), int), view=view)])
+    assert assert_twins(wall) == 1
+    measured, _ = _outlines(wall.grid, wall.found, wall.unit, SURFACES)
+    centroid = extents(measured, 0.0001).centroid[0, 0]
+    np.testing.assert_array_equal(centroid[[0, 2]], np.array([-6.0, 6.0], np.float32))
 
 
 @pytest.mark.parametrize("family", ["mixed", "queue", "corridor", "room", "tables"])

@@ -67,7 +67,7 @@ def footprint_on_floor(
     shapes = {"num_points": (m,), "has_vertex": (m,)}
     shapes |= dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction"), (m, 2))
     shapes |= {"span": (m, 4)}
-    shapes |= dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (m, 3))
+    shapes |= dict.fromkeys(("xyz_min", "xyz_max"), (m, 3)) | {"xyz_sum": (m, 3, 2)}
     out = Obstacles(**{k: np.zeros((batch, *shapes[k]), np.int32) for k in Obstacles._fields})
     bands = band_table(config, depth_unit)
     uv = np.stack([features.u, features.v], axis=-1)
@@ -78,7 +78,7 @@ def footprint_on_floor(
             out.num_points[b, label] = own.sum()
             out.uv_min[b, label], out.uv_max[b, label] = uv[b, own].min(0), uv[b, own].max(0)
             out.xyz_min[b, label], out.xyz_max[b, label] = xyz[b, own].min(0), xyz[b, own].max(0)
-            out.xyz_sum[b, label] = xyz[b, own].sum(0)
+            out.xyz_sum[b, label] = np.stack(np.divmod(xyz[b, own].sum(0, np.int64), 1 << 16), -1)
             a_b_c = _outline(floor[b, own], config.trim, bands)
             out.a[b, label], out.b[b, label], out.c[b, label] = a_b_c
             (_, d_a), (_, d_b), (_, d_c) = a_b_c

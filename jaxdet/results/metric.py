@@ -37,7 +37,7 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
         The same in metres, computed in float64 and rounded once.
     """
     points = np.maximum(np.asarray(obstacles.num_points), 1).astype(np.float64)
-    centroid = np.asarray(obstacles.xyz_sum).astype(np.float64) / points[..., None]
+    centroid = np.asarray(obstacles.xyz_sum) @ np.array([65536.0, 1.0]) / points[..., None]
     return Extents(
         *(
             (np.asarray(a).astype(np.float64) * depth_unit).astype(np.float32)

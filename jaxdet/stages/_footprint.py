@@ -120,7 +120,8 @@ def _measure(
         empty = jnp.full((m, *values.shape[1:]), start, jnp.int32)
         return getattr(empty.at[own], operation)(values, mode="drop")
 
-    points = reduce("add", jnp.ones_like(labels), 0)
+    # In 32 bits: at most MAX_POINTS coordinates of at most MAX_LATERAL.
+    points, total = reduce("add", jnp.ones_like(labels), 0), reduce("add", xyz, 0)
     some = points > 0
 
     def extreme(operation: str, values: jax.Array) -> jax.Array:
@@ -149,7 +150,7 @@ def _measure(
         uv_max=extreme("max", uv),
         xyz_min=extreme("min", xyz),
         xyz_max=extreme("max", xyz),
-        xyz_sum=reduce("add", xyz, 0),
+        xyz_sum=jnp.stack([total >> 16, total & 0xFFFF], axis=-1),
         a=a,
         b=b,
         c=jnp.stack([c_right, c_forward], axis=-1),

@@ -20,7 +20,8 @@ _outlines = TeamKernel(kernels.outlines, num_outputs=15)
 SHAPES = {
     **dict.fromkeys(("num_points", "has_vertex", "contour_points"), ()),
     **dict.fromkeys(("uv_min", "uv_max", "a", "b", "c", "direction", "bottom_top"), (2,)),
-    **dict.fromkeys(("xyz_min", "xyz_max", "xyz_sum"), (3,)),
+    **dict.fromkeys(("xyz_min", "xyz_max"), (3,)),
+    "xyz_sum": (3, 2),
     "span": (4,),
 }
 """Of each output but the contour, for one obstacle."""

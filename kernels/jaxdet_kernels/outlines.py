@@ -65,7 +65,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         measures.uv_max_out = uv_max_out.data + 2 * slot;
         measures.xyz_min_out = xyz_min_out.data + 3 * slot;
         measures.xyz_max_out = xyz_max_out.data + 3 * slot;
-        measures.xyz_sum_out = xyz_sum_out.data + 3 * slot;
+        measures.xyz_sum_out = xyz_sum_out.data + 6 * slot;
         measures.a_out = a_out.data + 2 * slot;
         measures.b_out = b_out.data + 2 * slot;
         measures.c_out = c_out.data + 2 * slot;
@@ -112,7 +112,7 @@ def _outlines(
     uv_max_out: wp.array3d[wp.int32],
     xyz_min_out: wp.array3d[wp.int32],
     xyz_max_out: wp.array3d[wp.int32],
-    xyz_sum_out: wp.array3d[wp.int32],
+    xyz_sum_out: wp.array4d[wp.int32],
     a_out: wp.array3d[wp.int32],
     b_out: wp.array3d[wp.int32],
     c_out: wp.array3d[wp.int32],
@@ -149,7 +149,7 @@ def outlines(
     uv_max_out: wp.array3d[wp.int32],
     xyz_min_out: wp.array3d[wp.int32],
     xyz_max_out: wp.array3d[wp.int32],
-    xyz_sum_out: wp.array3d[wp.int32],
+    xyz_sum_out: wp.array4d[wp.int32],
     a_out: wp.array3d[wp.int32],
     b_out: wp.array3d[wp.int32],
     c_out: wp.array3d[wp.int32],
@@ -186,7 +186,7 @@ def outlines(
         uv_max_out: Likewise.
         xyz_min_out: ``(B, M, 3)``.
         xyz_max_out: Likewise.
-        xyz_sum_out: Likewise.
+        xyz_sum_out: ``(B, M, 3, 2)``.
         a_out: ``(B, M, 2)``.
         b_out: Likewise.
         c_out: Likewise.

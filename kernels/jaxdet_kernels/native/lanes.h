@@ -28,6 +28,13 @@ struct Lanes {
         return value;
     }
 
+    long long sum(long long value) const {
+#if defined(__CUDA_ARCH__)
+        for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(0xffffffff, value, away);
+#endif
+        return value;
+    }
+
     int least(int value) const {
 #if defined(__CUDA_ARCH__)
         for (int away = 16; away; away >>= 1) {

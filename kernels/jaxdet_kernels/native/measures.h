@@ -40,7 +40,7 @@ struct Measures {
             bottom_top_out[i] = 0;
         }
         for (int i = team.rank; i < 3 * slots; i += team.size)
-            xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[i] = 0;
+            xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[2 * i] = xyz_sum_out[2 * i + 1] = 0;
     }
 
     // Measures all but the vertex, when the cells are sorted; then all threads wait.
@@ -76,20 +76,23 @@ struct Measures {
     void put_place(int number, ObstacleCells::Range range) const {
         const int most = ObstacleCells::LARGEST;
         int low[3] = {most, most, most}, high[3] = {-most, -most, -most};
-        unsigned sum[3] = {0, 0, 0};
+        long long sum[3] = {0, 0, 0};
         for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
             const int k = cells.cell[i];
             for (int j = 0; j < 3; ++j) {
                 const int value = xyz[j][k];
                 low[j] = value < low[j] ? value : low[j];
                 high[j] = value > high[j] ? value : high[j];
-                sum[j] += (unsigned)value;
+                sum[j] += value;
             }
         }
         for (int j = 0; j < 3; ++j) {
             xyz_min_out[3 * number + j] = lanes.least(low[j]);
             xyz_max_out[3 * number + j] = lanes.most(high[j]);
-            xyz_sum_out[3 * number + j] = lanes.sum((int)sum[j]);
+            const long long total = lanes.sum(sum[j]);
+            int* out = xyz_sum_out + 2 * (3 * number + j);
+            out[0] = (int)(total >> 16);
+            out[1] = (int)(total & 0xffff);
         }
         count_out[number] = range.size();
     }
