@@ -10,15 +10,19 @@ wp.set_module_options({"enable_backward": False})
 def surfaces_words(rows: int, columns: int) -> int:
     """Words of scratch memory that a team needs for frames of so many cells."""
     cells, grid = rows * columns, (rows + 2) * (columns + 16) + 16
-    return 3 * grid + 2 * cells + 2 * ((grid + 3) // 4) + 2 * rows + 2 + 1024
+    words = 1 << (-(-columns // 32) - 1).bit_length()
+    return 3 * grid + 6 * cells + 32 + 5 * rows * words
 
 
 @wp.func_native(
     native(
+        "bits.h",
         "floor_frame.h",
         "grid.h",
-        "runs.h",
+        "lanes.h",
         "scan.h",
+        "runs.h",
+        "shared_words.h",
         "creases.h",
         "surfaces.h",
         body="""

@@ -1,7 +1,9 @@
 // Creases: concave edges, where depth goes on but bends, for two things touch there.
 // Twin of `creases` in jaxdet/reference/_surfaces.py.
 #pragma once
+#include "bits.h"
 #include "grid.h"
+#include "lanes.h"
 #include "runs.h"
 #include "team.h"
 
@@ -11,169 +13,290 @@ struct Creases {
         NONE = -(1 << 26),  // in place of one where nothing is measured: far from all of them
         MOST_STEP = 1 << 16,
         MOST_LIMIT = 1 << 17,  // larger steps and limits mean the same
+        // On CUDA a warp smooths a strip of columns, of which HALO at both sides are its
+        // neighbours', down SEGMENT rows; loads of AHEAD rows or words wait together.
+        HALO = 2,
+        SEGMENT = 40,
+        AHEAD = 4
     };
     Grid grid;
     // How many cells away the bend is measured, least cells of a crease, cells it is made wider.
     int reach, least, margin;
-    // By depth: the limit of bends.
+    // By depth: the surface step, and the limit of bends.
+    const int* steps;
     const int* limits;
     // (R, C): depth, 0 = none; 1 = kept.
     const int* z;
     const unsigned char* keep;
-    // (grid): the surface steps; depths with BITS fraction bits and margins of NONE, destroyed.
-    const int* steps;
+    // (grid), with margins of NONE: smoothed depths, at first on the CPU depths with BITS fraction
+    // bits; on the CPU the same as scratch memory, and what is found of each depth in `steps`.
     int* smooth;
-    // (grid), and with margins of NONE.
     int* other;
-    // (grid), margins of 0: what is found. And the same as scratch memory.
-    unsigned char* found;
-    unsigned char* wide;
+    int* step;
+    // Results: which cells are kept. Scratch memory: what is found, and where runs start.
+    BitRows kept, found, wide;
     Runs runs;
+    int* sums;
+    int* near;
+    int most_near;
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
+    static int capped(int value, int most) { return value < most ? value : most; }
 
     // The rounded mean of the 3 x 3 neighbours that are at most two steps away. At most nine depths
     // below 2^20 are added up, so floats have them exactly, and their quotient, below 2^20 and a
     // ninth away from the next integer or more, is rounded by less than that.
-    static void smooth_row(
-        const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
-        const int* __restrict__ step, int* __restrict__ out, int lane, int n
-    ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
-            const int own = here[c], near = step[c] << (BITS + 1);
-            int total = own, count = 1;
-            const auto add = [&](int there) {
-                const bool close = apart(there, own) <= near;
-                total += close ? there : 0;
-                count += close ? 1 : 0;
-            };
-            add(up[c - 1]);
-            add(up[c]);
-            add(up[c + 1]);
-            add(here[c - 1]);
-            add(here[c + 1]);
-            add(down[c - 1]);
-            add(down[c]);
-            add(down[c + 1]);
-            const int mean = (int)((float)(total + (count >> 1)) / (float)count);
-            out[c] = own < 0 ? NONE : mean;
-        }
+    static int mean(int own, int step, int a, int b, int c, int d, int e, int f, int g, int h) {
+        const int near = step << (BITS + 1), shift = near - own;
+        int total = own, count = 1;
+        const auto add = [&](int there) {
+            const bool close = (unsigned)(there + shift) <= 2u * (unsigned)near;
+            total += close ? there : 0;
+            count += close ? 1 : 0;
+        };
+        add(a), add(b), add(c), add(d), add(e), add(f), add(g), add(h);
+        const int mean = (int)((float)(total + (count >> 1)) / (float)count);
+        return own < 0 ? (int)NONE : mean;
     }
 
-    void smoothed(const Rows& rows, const int* from, int* to) const {
-        for (int r = rows.first; r < grid.rows; r += rows.step) {
-            const int at = grid.row(r);
-            smooth_row(
-                from + at - grid.stride, from + at, from + at + grid.stride, steps + at, to + at,
-                rows.lane, grid.columns
-            );
+    static bool bends(int own, int before, int after, int most, int deep) {
+        const int b = apart(before, own), a = apart(after, own);
+        return ((a > b ? a : b) < most) & (2 * own - before - after > deep);
+    }
+
+#if defined(__CUDA_ARCH__)
+    // Three rows of three cells, the last row the newest; each lane has its own column's.
+    struct Window {
+        int left[3], own[3], right[3];
+
+        void push(int value) {
+            for (int k = 0; k < 2; ++k) {
+                left[k] = left[k + 1];
+                own[k] = own[k + 1];
+                right[k] = right[k + 1];
+            }
+            left[2] = __shfl_up_sync(0xffffffff, value, 1);
+            own[2] = value;
+            right[2] = __shfl_down_sync(0xffffffff, value, 1);
+        }
+
+        int mean(int step) const {
+            return Creases::mean(own[1], step, left[0], own[0], right[0], left[1], right[1],
+                                 left[2], own[2], right[2]);
+        }
+    };
+
+    // Both smoothings at once, down strips of columns.
+    void smoothed(const Team& team) const {
+        enum { INNER = Lanes::size - 2 * HALO };
+        const Lanes lanes(team);
+        const int strips = (grid.columns + INNER - 1) / INNER;
+        const int pieces = strips * ((grid.rows + SEGMENT - 1) / SEGMENT);
+        for (int piece = lanes.index; piece < pieces; piece += lanes.count) {
+            const int c = piece % strips * INNER + lanes.rank - HALO;
+            const bool inside = c >= 0 && c < grid.columns;
+            const bool own = inside && lanes.rank >= HALO && lanes.rank < Lanes::size - HALO;
+            const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
+            const int end = stop < grid.rows ? stop : grid.rows;
+            Window measured, once;
+            for (int k = 0; k < 3; ++k) {
+                measured.left[k] = measured.own[k] = measured.right[k] = NONE;
+                once.left[k] = once.own[k] = once.right[k] = NONE;
+            }
+            int near_last = 0, near_before = 0;
+            for (int first = begin - HALO; first < end + HALO; first += AHEAD) {
+                int depth[AHEAD], near[AHEAD];
+                for (int k = 0; k < AHEAD; ++k) {
+                    const int r = first + k;
+                    const bool there = inside && r >= 0 && r < grid.rows;
+                    depth[k] = there ? z[r * grid.columns + c] : 0;
+                }
+                for (int k = 0; k < AHEAD; ++k) near[k] = capped(steps[depth[k]], MOST_STEP);
+                for (int k = 0; k < AHEAD; ++k) {
+                    measured.push(depth[k] > 0 ? depth[k] << BITS : (int)NONE);
+                    once.push(measured.mean(near_last));
+                    const int r = first + k - HALO, twice = once.mean(near_before);
+                    if (own && r >= begin && r < end) smooth[grid.row(r) + c] = twice;
+                    near_before = near_last;
+                    near_last = near[k];
+                }
+            }
+        }
+        team.sync();
+    }
+
+    // What is kept and what bends, a word a warp.
+    void find(const Team& team) const {
+        const Lanes lanes(team);
+        const int words = found.words, count = grid.rows * words;
+        for (int i = team.rank; i < found.count(); i += team.size)
+            if (found.column(i) >= grid.columns) kept[i] = found[i] = 0;
+        for (int first = lanes.index; first < count; first += AHEAD * lanes.count) {
+            int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
+            bool on[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * lanes.count;
+                const int r = i / words, c = i % words * BitRows::WIDTH + lanes.rank;
+                const bool there = i < count && c < grid.columns;
+                const int row = there ? r : 0, column = there ? c : 0;
+                const int at = grid.row(row) + column, none = grid.row(-1);
+                const bool inside = row >= reach && row + reach < grid.rows;
+                here[k] = smooth[at];
+                before[k] = smooth[at - reach];
+                after[k] = smooth[at + reach];
+                up[k] = smooth[inside ? at - reach * grid.stride : none];
+                down[k] = smooth[inside ? at + reach * grid.stride : none];
+                d[k] = z[row * grid.columns + column];
+                on[k] = there && keep[row * grid.columns + column];
+            }
+            int near[AHEAD], limit[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                near[k] = steps[d[k]];
+                limit[k] = limits[d[k]];
+            }
+            for (int k = 0; k < AHEAD; ++k) {
+                const int most = reach * capped(near[k], MOST_STEP) << BITS;
+                const int deep = capped(limit[k], MOST_LIMIT) << (BITS + 1);
+                const bool bent = bends(here[k], before[k], after[k], most, deep) |
+                                  bends(here[k], up[k], down[k], most, deep);
+                const unsigned all = lanes.those(on[k]), crease = lanes.those(on[k] & bent);
+                const int i = first + k * lanes.count;
+                if (i >= count || lanes.rank) continue;
+                kept[found.at(i / words, i % words)] = all;
+                found[found.at(i / words, i % words)] = crease;
+            }
+        }
+        team.sync();
+    }
+#else
+    static void smooth_row(
+        const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
+        const int* __restrict__ step, int* __restrict__ out, int n
+    ) {
+        for (int c = 0; c < n; ++c)
+            out[c] = mean(here[c], step[c], up[c - 1], up[c], up[c + 1], here[c - 1], here[c + 1],
+                          down[c - 1], down[c], down[c + 1]);
+    }
+
+    void smoothed(const Team&) const {
+        const int wide = grid.stride;
+        int *from = smooth, *to = other;
+        for (int time = 0; time < 2; ++time) {
+            for (int r = 0; r < grid.rows; ++r) {
+                const int at = grid.row(r);
+                const int* here = from + at;
+                smooth_row(here - wide, here, here + wide, step + at, to + at, grid.columns);
+            }
+            from = other;
+            to = smooth;
         }
     }
 
     static void limits_of_row(
-        const int* __restrict__ limits, const int* __restrict__ z, int* __restrict__ out, int lane,
-        int n
+        const int* __restrict__ limits, const int* __restrict__ z, int* __restrict__ out, int n
     ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
-            const int limit = limits[z[c]];
-            out[c] = limit < MOST_LIMIT ? limit : MOST_LIMIT;
-        }
+        for (int c = 0; c < n; ++c) out[c] = capped(limits[z[c]], MOST_LIMIT);
     }
 
     static void bends_of_row(
         const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
         const int* __restrict__ step, const int* __restrict__ limit,
-        const unsigned char* __restrict__ keep, unsigned char* __restrict__ out, int reach,
-        int lane, int n
+        const unsigned char* __restrict__ keep, unsigned char* __restrict__ out, int reach, int n
     ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
-            const int own = here[c], most = reach * step[c] << BITS, deep = limit[c] << (BITS + 1);
-            const auto bends = [&](int before, int after) {
-                const int b = apart(before, own), a = apart(after, own);
-                return ((a > b ? a : b) < most) & (2 * own - before - after > deep);
-            };
-            out[c] = keep[c] & (bends(here[c - reach], here[c + reach]) | bends(up[c], down[c]));
+        for (int c = 0; c < n; ++c) {
+            const int most = reach * step[c] << BITS, deep = limit[c] << (BITS + 1);
+            const bool bent = bends(here[c], here[c - reach], here[c + reach], most, deep) |
+                              bends(here[c], up[c], down[c], most, deep);
+            out[c] = keep[c] & bent;
         }
     }
 
-    void bends(const Rows& rows) const {
-        for (int r = rows.first; r < grid.rows; r += rows.step) {
+    void find(const Team&) const {
+        unsigned char row[Grid::MOST_COLUMNS];
+        for (int r = 0; r < grid.rows; ++r) {
             const int at = grid.row(r), none = grid.row(-1);
             // Without a row so far above or below there is no bend.
             const bool inside = r >= reach && r + reach < grid.rows;
             const int up = inside ? at - reach * grid.stride : none;
             const int down = inside ? at + reach * grid.stride : none;
-            limits_of_row(limits, z + r * grid.columns, other + at, rows.lane, grid.columns);
-            bends_of_row(
-                smooth + up, smooth + at, smooth + down, steps + at, other + at,
-                keep + r * grid.columns, found + at, reach, rows.lane, grid.columns
-            );
+            const unsigned char* on = keep + r * grid.columns;
+            limits_of_row(limits, z + r * grid.columns, other + at, grid.columns);
+            bends_of_row(smooth + up, smooth + at, smooth + down, step + at, other + at, on, row,
+                         reach, grid.columns);
+            for (int i = found.at(r, 0); i < found.at(r + 1, 0); ++i) {
+                const int c = found.column(i);
+                kept[i] = BitRows::packed(on + c, 0, grid.columns - c);
+                found[i] = BitRows::packed(row + c, 0, grid.columns - c);
+            }
         }
     }
+#endif
 
-    // The runs of found cells in row r, each a set of its own.
-    void start_runs(int r) const {
-        const Marks marks = {found + grid.row(r), grid.columns};
-        int count = 0;
-        for (int c = marks.next(0, 1); c < marks.n; c = marks.next(c, 1)) {
-            const int begin = c;
-            while (c < marks.n && marks.row[c]) ++c;
-            runs.put(r, count, begin, c);
-            runs.start(r, count++);
-        }
-        runs.counts[r] = count;
-    }
-
-    // Takes away 8-connected components of fewer than `least` cells.
-    void without_small(const Team& team) const {
-        for (int r = team.rank; r < grid.rows; r += team.size) start_runs(r);
+    // Takes away 8-connected components of fewer than `least` cells. Ends in a sync.
+    void without_small(const Team& team) {
+        const int count = found.count(), words = found.at(1, 0);
+        for (int i = team.rank; i < count; i += team.size) wide[i] = found[i] & ~found.before(i);
         team.sync();
-        for (int r = team.rank + 1; r < grid.rows; r += team.size) runs.link_all(team, r);
+        runs.number(team, sums, near, most_near);
+        for (int i = words + team.rank; i < count; i += team.size) {
+            const int j = i - words;
+            const unsigned here = found[i], above = found[j];
+            const unsigned before = found.before(i), over = found.before(j);
+            // Where two runs meet first, and where they meet at a corner alone.
+            unsigned straight = here & above & ~(before & over);
+            unsigned left = here & ~above & over & ~before;
+            unsigned right = here & ~above & found.after(j) & ~found.after(i);
+            for (; straight; straight &= straight - 1) {
+                const int k = BitRows::first(straight);
+                runs.link(team, i, k, j, k);
+            }
+            for (; left; left &= left - 1) {
+                const int k = BitRows::first(left);
+                runs.link(team, i, k, k ? j : j - 1, (k + BitRows::WIDTH - 1) % BitRows::WIDTH);
+            }
+            for (; right; right &= right - 1) {
+                const int k = BitRows::first(right), last = BitRows::WIDTH - 1;
+                runs.link(team, i, k, k < last ? j : j + 1, (k + 1) % BitRows::WIDTH);
+            }
+        }
         team.sync();
         runs.measure(team);
-        team.sync();
-        for (int r = team.rank; r < grid.rows; r += team.size)
-            for (int i = 0; i < runs.count(r); ++i)
-                if (runs.sizes[runs.root(r, i)] < least)
-                    for (int c = runs.begin(r, i); c < runs.end(r, i); ++c)
-                        found[grid.row(r) + c] = 0;
-        team.sync();
-    }
-
-    static void join_three(
-        const unsigned char* __restrict__ a, const unsigned char* __restrict__ b,
-        const unsigned char* __restrict__ c, unsigned char* __restrict__ out, int lane, int n
-    ) {
-        for (int i = lane; i < n; i += Rows::LANES) out[i] = a[i] | b[i] | c[i];
-    }
-
-    // One cell wider in all directions.
-    void dilated(const Team& team, const Rows& rows) const {
-        for (int r = rows.first; r < grid.rows; r += rows.step) {
-            const unsigned char* row = found + grid.row(r);
-            join_three(row - 1, row, row + 1, wide + grid.row(r), rows.lane, grid.columns);
-        }
-        team.sync();
-        for (int r = rows.first; r < grid.rows; r += rows.step) {
-            const unsigned char* row = wide + grid.row(r);
-            join_three(
-                row - grid.stride, row, row + grid.stride, found + grid.row(r), rows.lane,
-                grid.columns
-            );
+        for (int i = team.rank; i < count; i += team.size) {
+            unsigned large = 0;
+            for (unsigned rest = found[i]; rest;) {
+                const unsigned cells = runs.next(i, &rest);
+                const int root = runs.sets.find(runs.at(i, BitRows::first(cells)));
+                if (runs.sizes[root] >= least) large |= cells;
+            }
+            found[i] = large;
         }
         team.sync();
     }
 
-    // All threads must call it, after a sync; `found` may be read at once, kept or not.
-    void run(const Team& team) const {
-        const Rows rows(team);
-        smoothed(rows, smooth, other);
+    // One cell wider in all directions, into `to`. Ends in a sync.
+    void dilate(const Team& team, const BitRows& from, const BitRows& to) const {
+        const int count = from.count(), words = from.at(1, 0);
+        const auto wider = [&](int i) { return from[i] | from.before(i) | from.after(i); };
+        for (int i = team.rank; i < count; i += team.size) {
+            unsigned all = wider(i);
+            if (i >= words) all |= wider(i - words);
+            if (i + words < count) all |= wider(i + words);
+            to[i] = all;
+        }
         team.sync();
-        smoothed(rows, other, smooth);
-        team.sync();
-        bends(rows);
-        team.sync();
+    }
+
+    // Creases, kept or not. All threads must call it, after a sync; ends in one.
+    BitRows run(const Team& team) {
+        smoothed(team);
+        find(team);
         without_small(team);
-        for (int i = 0; i < margin; ++i) dilated(team, rows);
+        for (int k = 0; k < margin; ++k) {
+            dilate(team, found, wide);
+            const BitRows other = found;
+            found = wide;
+            wide = other;
+        }
+        return found;
     }
 };

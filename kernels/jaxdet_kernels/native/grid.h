@@ -19,7 +19,7 @@ struct Rows {
 // above and below and PAD more columns at both sides. The columns right of a row are those left of
 // the next one.
 struct Grid {
-    enum { PAD = 16 };
+    enum { PAD = 16, MOST_COLUMNS = 512 };
     int rows, columns, stride, size;
 
     Grid(int rows, int columns)

@@ -9,6 +9,7 @@
 #include "team.h"
 
 struct Lanes {
+    // With compute capability 8.0 a warp's sum, minimum or maximum of integers is one instruction.
 #if defined(__CUDA_ARCH__)
     enum { size = 32 };
     int rank, index, count;
@@ -22,7 +23,9 @@ struct Lanes {
 #endif
 
     int sum(int value) const {
-#if defined(__CUDA_ARCH__)
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+        return __reduce_add_sync(0xffffffff, value);
+#elif defined(__CUDA_ARCH__)
         for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(0xffffffff, value, away);
 #endif
         return value;
@@ -36,7 +39,9 @@ struct Lanes {
     }
 
     int least(int value) const {
-#if defined(__CUDA_ARCH__)
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+        return __reduce_min_sync(0xffffffff, value);
+#elif defined(__CUDA_ARCH__)
         for (int away = 16; away; away >>= 1) {
             const int other = __shfl_xor_sync(0xffffffff, value, away);
             value = other < value ? other : value;
@@ -65,19 +70,33 @@ struct Lanes {
         return value;
     }
 
+    // The sum of the values of the lanes up to this one.
+    int sum_up_to(int value) const {
+#if defined(__CUDA_ARCH__)
+        for (int away = 1; away < size; away <<= 1) {
+            const int other = __shfl_up_sync(0xffffffff, value, away);
+            if (rank >= away) value += other;
+        }
+#endif
+        return value;
+    }
+
+    // Bit k says so for lane k; all lanes must ask.
+    unsigned those(bool mine) const {
+#if defined(__CUDA_ARCH__)
+        return __ballot_sync(0xffffffff, mine);
+#else
+        return mine;
+#endif
+    }
+
     // Each of the n values becomes the sum of those before it, and the one after them that of all.
     // Returns that of all. The lanes of one warp ask; others see the sums after a sync of their team.
     int run_up(int* values, int n) const {
         int before = 0;
         for (int start = 0; start <= n; start += size) {
             const int i = start + rank, own = i < n ? values[i] : 0;
-            int up_to = own;
-#if defined(__CUDA_ARCH__)
-            for (int away = 1; away < size; away <<= 1) {
-                const int other = __shfl_up_sync(0xffffffff, up_to, away);
-                if (rank >= away) up_to += other;
-            }
-#endif
+            const int up_to = sum_up_to(own);
             if (i <= n) values[i] = before + up_to - own;
 #if defined(__CUDA_ARCH__)
             before += __shfl_sync(0xffffffff, up_to, size - 1);

@@ -1,25 +1,24 @@
 // Connected components of the cells of a frame, made of runs: cells of a row that hang together.
 #pragma once
-#include "grid.h"
+#include "bits.h"
+#include "scan.h"
 #include "team.h"
 
-// Union-find over cells, by their index r C + c. A root is the smallest cell of its set; roots are
-// joined by compare-and-swap, which only ever hangs a root below a smaller cell.
+// Union-find. A root is the smallest member of its set; roots are joined by compare-and-swap, which
+// only ever hangs a root below a smaller one.
 struct LinkedSets {
     int* parent;
 
-    void start(int cell) const { parent[cell] = cell; }
-
-    int find(int cell) const {
+    int find(int one) const {
         volatile int* up = parent;
-        int above = up[cell];
-        while (above != cell) {
+        int above = up[one];
+        while (above != one) {
             const int next = up[above];
-            up[cell] = next;
-            cell = above;
+            up[one] = next;
+            one = above;
             above = next;
         }
-        return cell;
+        return one;
     }
 
     void link(const Team& team, int one, int two) const {
@@ -33,89 +32,56 @@ struct LinkedSets {
     }
 };
 
-// A row of bytes, whose bits say something of each cell; 7 more after it may be read.
-struct Marks {
-    const unsigned char* row;
-    int n;
-
-    // The first cell from c on that has this bit, n if none has. Eight are looked at at once.
-    int next(int c, int bit) const {
-        const unsigned long long each = 0x0101010101010101ull * (unsigned)bit;
-        for (; c < n; c += 8) {
-            unsigned long long eight = 0;
-            for (int i = 0; i < 8; ++i) eight |= (unsigned long long)row[c + i] << (8 * i);
-            eight &= each;
-            if (!eight) continue;
-#if defined(__CUDA_ARCH__)
-            c += (__ffsll((long long)eight) - 1) / 8;
-#else
-            c += __builtin_ctzll(eight) / 8;
-#endif
-            return c < n ? c : n;
-        }
-        return n;
-    }
-};
-
-// The runs of each row, from left to right, and the sets that they are linked to. A thread makes
-// and links the runs of a row; threads may do so for all rows at once.
+// The runs of all rows, numbered from the upper left, and the sets that they are linked to.
 struct Runs {
-    int rows, columns;
-    // (R C): in each row its runs, `begin | end << 16`.
-    int* runs;
-    // (R): how many there are.
-    int* counts;
-    LinkedSets sets;
-    // (R C): by the root, the cells of a set.
-    int* sizes;
+    BitRows on, starts;  // cells of runs, and which of them a run begins with
+    int* before;         // how many runs begin before each word
+    LinkedSets sets;     // of runs
+    int* sizes;          // by the root, the cells of a set
 
-    int cell(int r, int c) const { return r * columns + c; }
-    int count(int r) const { return counts[r]; }
-    int begin(int r, int i) const { return runs[r * columns + i] & 0xffff; }
-    int end(int r, int i) const { return runs[r * columns + i] >> 16; }
-    int root(int r, int i) const { return sets.find(cell(r, begin(r, i))); }
-
-    // The i-th run of a row.
-    void put(int r, int i, int begin, int end) const {
-        runs[r * columns + i] = begin | end << 16;
+    // Numbers the runs, each a set of its own; ends in a sync. All threads must call it, after a
+    // sync. `near` has room for the sets of `most` runs and is used where that is enough.
+    int number(const Team& team, int* sums, int* near, int most) {
+        for (int i = team.rank; i < starts.count(); i += team.size)
+            before[i] = BitRows::ones(starts[i]);
+        team.sync();
+        const int count = PrefixSum::run(team, before, starts.count(), sums);
+        if (count <= most) sets.parent = near;
+        for (int run = team.rank; run < count; run += team.size) {
+            sets.parent[run] = run;
+            sizes[run] = 0;
+        }
+        team.sync();
+        return count;
     }
 
-    // Makes it a set of its own.
-    void start(int r, int i) const {
-        const int first = cell(r, begin(r, i));
-        sets.start(first);
-        sizes[first] = 0;
+    // The run of bit k of word i.
+    int at(int i, int k) const {
+        return before[i] + BitRows::ones(starts[i] & ((2u << k) - 1)) - 1;
     }
 
-    // Adds the cells of all runs to the sizes of their sets, which may be read after a sync.
+    // The cells of one run in word i, and these taken off `rest`, which is `on[i]` at first.
+    unsigned next(int i, unsigned* rest) const {
+        const unsigned low = *rest & -*rest, up_to = low | (low - 1);
+        const unsigned stop = (~on[i] | starts[i]) & ~up_to;
+        const unsigned cells = ((stop & -stop) - 1) & ~(low - 1);
+        *rest &= ~cells;
+        return cells;
+    }
+
+    // Links the runs of two cells, of bits k and l.
+    void link(const Team& team, int i, int k, int j, int l) const {
+        sets.link(team, at(i, k), at(j, l));
+    }
+
+    // Adds up the sizes of the sets; ends in a sync.
     void measure(const Team& team) const {
-        const Rows of(team);
-        for (int r = of.first; r < rows; r += of.step)
-            for (int i = of.lane; i < count(r); i += Rows::LANES)
-                team.add(sizes + root(r, i), end(r, i) - begin(r, i));
-    }
-
-    // Links the runs of a row with those above it that share a column with them, or one more at
-    // both sides (8-connected).
-    void link_all(const Team& team, int r) const {
-        for (int i = 0, j = 0; i < count(r) && j < count(r - 1);) {
-            const int stop = end(r, i), above = end(r - 1, j);
-            if (begin(r, i) <= above && begin(r - 1, j) <= stop)
-                sets.link(team, cell(r, begin(r, i)), cell(r - 1, begin(r - 1, j)));
-            stop < above ? ++i : ++j;
-        }
-    }
-
-    // Links the runs of a row with those above it where a cell of theirs has the bit `up` set.
-    void link_marked(const Team& team, int r, const unsigned char* marks, int up) const {
-        for (int i = 0, j = 0; i < count(r) && j < count(r - 1);) {
-            const int left = begin(r, i), over = begin(r - 1, j);
-            const int stop = end(r, i), above = end(r - 1, j);
-            const int until = stop < above ? stop : above;
-            int c = left > over ? left : over;
-            while (c < until && !(marks[c] & up)) ++c;
-            if (c < until) sets.link(team, cell(r, left), cell(r - 1, over));
-            stop < above ? ++i : ++j;
-        }
+        for (int i = team.rank; i < on.count(); i += team.size)
+            for (unsigned rest = on[i]; rest;) {
+                const unsigned cells = next(i, &rest);
+                const int root = sets.find(at(i, BitRows::first(cells)));
+                team.add(sizes + root, BitRows::ones(cells));
+            }
+        team.sync();
     }
 };

@@ -1,26 +1,32 @@
 // Prefix sums of a team.
 #pragma once
-#include "team.h"
+#include "lanes.h"
 
 struct PrefixSum {
-    // Words of scratch memory: one for each thread of the largest team.
-    enum { WORDS = 1024 };
+    // Words of scratch memory: one for each warp of the largest team.
+    enum { WORDS = 32 };
 
     // Each of the n values becomes the sum of those before it. All threads must call it, after a
-    // sync. Returns the sum of all; the values may be read at once.
-    static int run(const Team& team, int* values, int n, int* scratch) {
+    // sync. Returns the sum of all; ends in a sync.
+    static int run(const Team& team, int* values, int n, [[maybe_unused]] int* scratch) {
         const int share = (n + team.size - 1) / team.size;
         const int begin = share * team.rank < n ? share * team.rank : n;
         const int end = begin + share < n ? begin + share : n;
-        int own = 0;
+        int own = 0, before = 0, total = 0;
         for (int i = begin; i < end; ++i) own += values[i];
-        scratch[team.rank] = own;
+#if defined(__CUDA_ARCH__)
+        const Lanes lanes(team);
+        const int up_to = lanes.sum_up_to(own);
+        if (lanes.rank == Lanes::size - 1) scratch[lanes.index] = up_to;
         team.sync();
-        int before = 0, total = 0;
-        for (int t = 0; t < team.size; ++t) {
-            if (t < team.rank) before += scratch[t];
-            total += scratch[t];
+        for (int warp = 0; warp < lanes.count; ++warp) {
+            if (warp < lanes.index) before += scratch[warp];
+            total += scratch[warp];
         }
+        before += up_to - own;
+#else
+        total = own;
+#endif
         for (int i = begin; i < end; ++i) {
             const int value = values[i];
             values[i] = before;

@@ -1,11 +1,14 @@
 // The cells of a frame on the floor, and the surfaces that they make.
 // Twin of `_surfaces` in jaxdet/reference/_detect.py and of jaxdet/reference/_surfaces.py.
 #pragma once
+#include "bits.h"
 #include "creases.h"
 #include "floor_frame.h"
 #include "grid.h"
+#include "lanes.h"
 #include "runs.h"
 #include "scan.h"
+#include "shared_words.h"
 #include "team.h"
 
 struct Surfaces {
@@ -13,13 +16,10 @@ struct Surfaces {
         MOST = 512,  // labels from here on become -1
         MARGIN = 8,  // this part of the columns at each side is the image's margin
         UNSEEN = 0x7fffffff,
+        AHEAD = 4,  // on CUDA loads of so many cells wait together
     };
     // Where each setting is.
     enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, SETTINGS };
-    // Of a cell: it has a label or can be linked, a run begins or ends before it, it is linked with
-    // the one above.
-    enum { ON = 1, EDGE = 2, UP = 4 };
-
     int rows, columns;
     // (R, C): the frame's cells, z = 0: none.
     const int* x;
@@ -44,73 +44,108 @@ struct Surfaces {
     // The words of scratch memory of a team: `surfaces_words` in surfaces.py.
     struct Parts {
         Grid grid;
-        // (grid) each: smoothed depths, then linked depths, then labels; what more there is.
+        // (grid) each: smoothed depths; on the CPU what more there is of single cells.
         int* depth;
         int* other;
         int* step;
-        // (R C): runs, and sizes by root.
-        int* runs;
+        // By run; of surfaces, by the run that is their root: the cells, the first one, the top, and
+        // 2 for each of its lowest cells that have floor below them, less 3 for each steep one.
+        int* parent;
+        int* label;
         int* sizes;
-        // (grid) each.
-        unsigned char* found;
-        unsigned char* wide;
-        // (R) each.
-        int* counts;
-        int* firsts;
-        // How many cells have no label, in turn.
-        int* left;
-        int* sums;
-
-        Parts(int rows, int columns, int* scratch) : grid(rows, columns) {
-            const int cells = rows * columns, bytes = (grid.size + 3) / 4;
-            depth = scratch;
-            other = depth + grid.size;
-            step = other + grid.size;
-            runs = step + grid.size;
-            sizes = runs + cells;
-            found = (unsigned char*)(sizes + cells);
-            wide = (unsigned char*)(sizes + cells + bytes);
-            counts = sizes + cells + 2 * bytes;
-            firsts = counts + rows;
-            left = firsts + rows;
-            sums = left + 2;
-        }
-    };
-
-    // What is known of each surface, by its root.
-    struct Known {
-        // Its first cell; its top, then its number; 2 for each of its lowest cells that have floor
-        // below them, less 3 for each steep one.
         int* first;
         int* top;
         int* level;
-        // Whether it has such cells, one inside of the margins or one at the image's lower edge.
-        unsigned char* certain;
+        int* sums;
+        // Planes of bits, how many runs begin before each word of one, and room for sets; in
+        // shared memory if they fit.
+        BitRows kept, on, starts, up;
+        int* before;
+        int* near;
+        int most_near;
+
+        Parts(int rows, int columns, int* scratch)
+            : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
+            const int cells = rows * columns;
+            depth = scratch;
+            other = depth + grid.size;
+            step = other + grid.size;
+            parent = step + grid.size;
+            label = parent + cells;
+            sizes = label + cells;
+            first = sizes + cells;
+            top = first + cells;
+            level = top + cells;
+            sums = level + cells;
+            before = sums + PrefixSum::WORDS;
+            near = parent;
+            most_near = 0;
+            const int count = kept.count();
+#if defined(__CUDA_ARCH__)
+            if (5 * count <= SharedWords::COUNT) {
+                before = SharedWords::begin();
+                near = before + 5 * count;
+                most_near = SharedWords::COUNT - 5 * count;
+            }
+#endif
+            kept.bits = (unsigned*)(before + count);
+            on.bits = kept.bits + count;
+            starts.bits = on.bits + count;
+            up.bits = starts.bits + count;
+        }
     };
 
+#if defined(__CUDA_ARCH__)
+    // Everything that is known of single cells.
+    void start(const Team& team, const Parts& in) const {
+        const FloorFrame frame(floor);
+        const int cells = rows * columns, nearest = settings[NEAREST], farthest = settings[FARTHEST];
+        in.grid.frame(team, in.depth, Creases::NONE);
+        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+            int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int there = i + k * team.size;
+                at[k] = there < cells ? there : i;
+                a[k] = x[at[k]], b[k] = y[at[k]], d[k] = z[at[k]];
+            }
+            for (int k = 0; k < AHEAD; ++k) rise[k] = rises[d[k]];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int ahead = frame.forward(a[k], b[k], d[k]);
+                int high = frame.level(a[k], b[k], d[k]);
+                if (frame.has_ramp()) high -= frame.rise(ahead);
+                const bool above = high > rise[k];
+                right[at[k]] = frame.right(a[k], b[k], d[k]);
+                forward[at[k]] = ahead;
+                height[at[k]] = high;
+                keep[at[k]] = (d[k] >= nearest) & (d[k] <= farthest) & above;
+                low[at[k]] = (d[k] > 0) & !above;
+            }
+        }
+        team.sync();
+    }
+#else
     // Where the cells of a row are on the floor.
     static void place_row(
         const FloorFrame& frame, const int* __restrict__ x, const int* __restrict__ y,
         const int* __restrict__ z, int* __restrict__ right, int* __restrict__ forward,
-        int* __restrict__ height, int lane, int n
+        int* __restrict__ height, int n
     ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
+        for (int c = 0; c < n; ++c) {
             right[c] = frame.right(x[c], y[c], z[c]);
             forward[c] = frame.forward(x[c], y[c], z[c]);
             height[c] = frame.level(x[c], y[c], z[c]);
         }
         if (frame.has_ramp())
-            for (int c = lane; c < n; c += Rows::LANES) height[c] -= frame.rise(forward[c]);
+            for (int c = 0; c < n; ++c) height[c] -= frame.rise(forward[c]);
     }
 
     // Table entries by depth, at most Creases::MOST_STEP, and heights.
     static void look_up_row(
         const int* __restrict__ steps, const int* __restrict__ rises, const int* __restrict__ z,
-        int* __restrict__ step, int* __restrict__ rise, int lane, int n
+        int* __restrict__ step, int* __restrict__ rise, int n
     ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
-            const int near = steps[z[c]];
-            step[c] = near < Creases::MOST_STEP ? near : Creases::MOST_STEP;
+        for (int c = 0; c < n; ++c) {
+            step[c] = Creases::capped(steps[z[c]], Creases::MOST_STEP);
             rise[c] = rises[z[c]];
         }
     }
@@ -118,9 +153,9 @@ struct Surfaces {
     static void keep_row(
         const int* __restrict__ z, const int* __restrict__ height, const int* __restrict__ rise,
         unsigned char* __restrict__ keep, unsigned char* __restrict__ low, int* __restrict__ depth,
-        int nearest, int farthest, int lane, int n
+        int nearest, int farthest, int n
     ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
+        for (int c = 0; c < n; ++c) {
             const int d = z[c];
             const bool above = height[c] > rise[c];
             keep[c] = (d >= nearest) & (d <= farthest) & above;
@@ -131,291 +166,387 @@ struct Surfaces {
 
     // Everything that is known of single cells.
     void start(const Team& team, const Parts& in) const {
-        const Rows rows_of(team);
         const FloorFrame frame(floor);
         in.grid.frame(team, in.depth, Creases::NONE);
         in.grid.frame(team, in.other, Creases::NONE);
-        in.grid.frame(team, in.step, 0);
-        in.grid.frame(team, in.found, (unsigned char)0);
-        in.grid.frame(team, in.wide, (unsigned char)0);
-        for (int r = rows_of.first; r < rows; r += rows_of.step) {
-            const int k = r * columns, at = in.grid.row(r), lane = rows_of.lane;
-            place_row(
-                frame, x + k, y + k, z + k, right + k, forward + k, height + k, lane, columns
-            );
-            look_up_row(steps, rises, z + k, in.step + at, in.other + at, lane, columns);
+        for (int r = 0; r < rows; ++r) {
+            const int k = r * columns, at = in.grid.row(r);
+            place_row(frame, x + k, y + k, z + k, right + k, forward + k, height + k, columns);
+            look_up_row(steps, rises, z + k, in.step + at, in.other + at, columns);
             keep_row(
                 z + k, height + k, in.other + at, keep + k, low + k, in.depth + at,
-                settings[NEAREST], settings[FARTHEST], lane, columns
+                settings[NEAREST], settings[FARTHEST], columns
             );
         }
     }
+#endif
 
-    static void linked_row(
-        const int* __restrict__ z, const unsigned char* __restrict__ keep,
-        const unsigned char* __restrict__ crease, int* __restrict__ depth, int lane, int n
-    ) {
-        for (int c = lane; c < n; c += Rows::LANES)
-            depth[c] = keep[c] > crease[c] ? z[c] : (int)Creases::NONE;
+    static bool is_near(int z_one, int z_other, int step_one, int step_other) {
+        return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
+    // Where runs of linked cells start, and which cells are linked with the one above.
+#if defined(__CUDA_ARCH__)
+    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
+        enum { FEW = 2 };
+        const Lanes lanes(team);
+        const int words = on.words, count = rows * words;
+        for (int first = lanes.index; first < count; first += FEW * lanes.count) {
+            int here[FEW], before[FEW], above[FEW];
+            for (int k = 0; k < FEW; ++k) {
+                const int i = first + k * lanes.count;
+                const int r = i / words, c = i % words * BitRows::WIDTH + lanes.rank;
+                const bool there = i < count && c < columns;
+                const int at = there ? r * columns + c : 0;
+                here[k] = z[at];
+                before[k] = z[at > 0 ? at - 1 : 0];
+                above[k] = z[at < columns ? 0 : at - columns];
+            }
+            int step[FEW], step_before[FEW], step_above[FEW];
+            for (int k = 0; k < FEW; ++k) {
+                step[k] = steps[here[k]];
+                step_before[k] = steps[before[k]];
+                step_above[k] = steps[above[k]];
+            }
+            for (int k = 0; k < FEW; ++k) {
+                const int i = first + k * lanes.count;
+                if (i >= count) break;
+                const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
+                const bool below = is_near(here[k], above[k], step[k], step_above[k]);
+                const unsigned goes_on = lanes.those(beside), linked = lanes.those(below);
+                if (lanes.rank) continue;
+                const int j = on.at(i / words, i % words);
+                starts[j] = on[j] & ~(on.before(j) & goes_on);
+                up[j] = on[j] & on.above(j) & linked;
+            }
+        }
+        team.sync();
+    }
+#else
     static void links_of_row(
-        const int* __restrict__ above, const int* __restrict__ here,
-        const int* __restrict__ step_above, const int* __restrict__ step,
-        unsigned char* __restrict__ out, int lane, int n
+        const int* __restrict__ z, const int* __restrict__ above, const int* __restrict__ step,
+        const int* __restrict__ step_above, unsigned char* __restrict__ out, int first, int n
     ) {
-        for (int c = lane; c < n; c += Rows::LANES) {
-            const int own = here[c], near = step[c];
-            const bool on = own >= 0;
-            const auto links = [&](int there, int other) {
-                return on & (Creases::apart(own, there) <= (near < other ? near : other));
-            };
-            const bool edge = (on | (here[c - 1] >= 0)) & !links(here[c - 1], step[c - 1]);
-            out[c] = on * ON + edge * EDGE + links(above[c], step_above[c]) * UP;
-        }
+        for (int c = first; c < n; ++c)
+            out[c] = is_near(z[c], z[c - 1], step[c], step[c - 1]) |
+                     is_near(z[c], above[c], step[c], step_above[c]) << 1;
     }
 
-    // The runs of row r: from each edge to the next, where cells are ON.
-    void put_runs(const Runs& runs, const unsigned char* row, int r) const {
-        const Marks marks = {row, columns};
-        int count = 0;
-        for (int c = marks.next(0, EDGE); c < columns;) {
-            const int begin = c;
-            c = marks.next(c + 1, EDGE);
-            if (row[begin] & ON) runs.put(r, count++, begin, c);
+    void find_links(const Team&, const BitRows& on, const BitRows& starts, const BitRows& up,
+                    const Parts& in) const {
+        unsigned char row[Grid::MOST_COLUMNS];
+        for (int r = 0; r < rows; ++r) {
+            const int at = in.grid.row(r), over = r ? r - 1 : 0, at_over = in.grid.row(over);
+            const int *own = z + r * columns, *above = z + over * columns;
+            row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
+            links_of_row(own, above, in.step + at, in.step + at_over, row, 1, columns);
+            for (int i = on.at(r, 0); i < on.at(r + 1, 0); ++i) {
+                const int c = on.column(i);
+                const unsigned goes_on = BitRows::packed(row + c, 0, columns - c);
+                const unsigned linked = BitRows::packed(row + c, 1, columns - c);
+                starts[i] = on[i] & ~(on.before(i) & goes_on);
+                up[i] = on[i] & on.above(i) & linked;
+            }
         }
-        runs.counts[r] = count;
     }
+#endif
 
-    // Writes -1 before the i-th run of a row, from the run before on, and `value` in it.
-    static void fill_run(const Runs& runs, int* out, int r, int i, int value) {
-        int c = i ? runs.end(r, i - 1) : 0;
-        for (const int begin = runs.begin(r, i); c < begin; ++c) out[c] = -1;
-        for (const int end = runs.end(r, i); c < end; ++c) out[c] = value;
-    }
-
-    // Writes -1 after the last run of a row.
-    void fill_rest(const Runs& runs, int* out, int r) const {
-        const int count = runs.count(r);
-        for (int c = count ? runs.end(r, count - 1) : 0; c < columns; ++c) out[c] = -1;
-    }
-
-    // Labels of the linked cells: the smallest cell of their component, -1 where that is small.
-    void label(const Team& team, const Parts& in, const Runs& runs) const {
-        const Rows rows_of(team);
-        const int stride = in.grid.stride;
-        for (int r = rows_of.first; r < rows; r += rows_of.step) {
-            const int k = r * columns, at = in.grid.row(r);
-            linked_row(z + k, keep + k, in.found + at, in.depth + at, rows_of.lane, columns);
+    // Labels of the linked cells: the root of their component, -1 where that is small. Returns how
+    // many runs there are; `has` becomes which cells have a label. Ends in a sync.
+    int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
+        const BitRows &on = runs.on, &starts = runs.starts;
+        const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
+        const int all = runs.number(team, in.sums, in.near, in.most_near);
+        for (int i = words + team.rank; i < count; i += team.size) {
+            const int j = i - words;
+            // Where two runs meet first.
+            unsigned meet = up[i] & ~(up.before(i) & ~starts[i] & ~starts[j]);
+            for (; meet; meet &= meet - 1) {
+                const int k = BitRows::first(meet);
+                runs.link(team, i, k, j, k);
+            }
         }
-        team.sync();
-        for (int r = rows_of.first; r < rows; r += rows_of.step) {
-            const int at = in.grid.row(r);
-            links_of_row(
-                in.depth + at - stride, in.depth + at, in.step + at - stride, in.step + at,
-                in.wide + at, rows_of.lane, columns
-            );
-        }
-        team.sync();
-        for (int r = team.rank; r < rows; r += team.size) {
-            put_runs(runs, in.wide + in.grid.row(r), r);
-            for (int i = 0; i < runs.count(r); ++i) runs.start(r, i);
-        }
-        team.sync();
-        for (int r = team.rank + 1; r < rows; r += team.size)
-            runs.link_marked(team, r, in.wide + in.grid.row(r), UP);
         team.sync();
         runs.measure(team);
-        team.sync();
-        const int least = settings[MIN_CELLS];
-        for (int r = rows_of.first; r < rows; r += rows_of.step) {
-            int* const out = in.depth + in.grid.row(r);
-            for (int i = rows_of.lane; i < runs.count(r); i += Rows::LANES) {
-                const int root = runs.root(r, i);
-                fill_run(runs, out, r, i, runs.sizes[root] < least ? -1 : root);
-            }
-            if (rows_of.lane == 0) fill_rest(runs, out, r);
+        for (int run = team.rank; run < all; run += team.size) {
+            const int root = runs.sets.find(run);
+            in.label[run] = runs.sizes[root] < least ? -1 : root;
+            in.first[run] = UNSEEN;
+            in.top[run] = -1;
+            in.level[run] = 0;
         }
         team.sync();
+#if defined(__CUDA_ARCH__)
+        const Lanes lanes(team);
+        const int used = on.words, cells = rows * used;
+        for (int first = lanes.index; first < cells; first += AHEAD * lanes.count) {
+            int own[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * lanes.count, j = on.at(i / used, i % used);
+                const bool there = i < cells && on[j] >> lanes.rank & 1;
+                own[k] = there ? in.label[runs.at(j, lanes.rank)] : -1;
+            }
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * lanes.count;
+                if (i >= cells) break;
+                const int c = i % used * BitRows::WIDTH + lanes.rank;
+                if (c < columns) label_out[i / used * columns + c] = own[k];
+                const unsigned those = lanes.those(own[k] >= 0);
+                if (lanes.rank == 0) has[on.at(i / used, i % used)] = those;
+            }
+        }
+#else
+        for (int i = 0; i < count; ++i) {
+            const int first = on.column(i);
+            const int n = columns - first < BitRows::WIDTH ? columns - first : (int)BitRows::WIDTH;
+            int* out = label_out + on.row(i) * columns + first;
+            for (int c = 0; c < n; ++c) out[c] = -1;
+            unsigned those = 0;
+            for (unsigned rest = on[i]; rest;) {
+                const unsigned part = runs.next(i, &rest);
+                const int begin = BitRows::first(part), own = in.label[runs.at(i, begin)];
+                if (own < 0) continue;
+                those |= part;
+                const int end = begin + BitRows::ones(part);
+                for (int c = begin; c < end; ++c) out[c] = own;
+            }
+            has[i] = those;
+        }
+#endif
+        team.sync();
+        return all;
     }
 
-    // Kept cells without a label take that of the neighbour nearest in depth, ring by ring. In a
-    // list, a cell is `r << 9 | c`.
-    void give_back(const Team& team, const Parts& in) const {
-        const Grid& grid = in.grid;
-        int* const label = in.depth;
-        int* const taken = in.runs;
-        int* list = in.other;
-        int* next = in.sizes;
-        if (team.rank == 0) in.left[0] = 0;
-        team.sync();
-        for (int r = team.rank; r < rows; r += team.size) {
-            const unsigned char* kept = keep + r * columns;
-            const int* own = label + grid.row(r);
-            int free = 0;
-            for (int c = 0; c < columns; ++c) free += kept[c] & (own[c] < 0);
-            if (!free) continue;
-            int* out = list + team.add(in.left, free);
-            for (int c = 0; c < columns; ++c)
-                if (kept[c] & (own[c] < 0)) *out++ = r << 9 | c;
-        }
-        team.sync();
+    // Kept cells without a label take that of the neighbour nearest in depth, ring by ring. Labels
+    // of a round are looked at in the next: `has` says which are there. Ends in a sync.
+    void give_back(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
+        const Lanes lanes(team);
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
         for (int round = 0; round < rounds; ++round) {
-            const int count = in.left[round & 1];
-            if (count == 0) break;
-            if (team.rank == 0) in.left[~round & 1] = 0;
-            for (int i = team.rank; i < count; i += team.size) taken[i] = nearest_of(in, list[i]);
-            team.sync();
-            for (int i = team.rank; i < count; i += team.size) {
-                const int r = list[i] >> 9, c = list[i] & 511;
-                if (taken[i] >= 0)
-                    label[grid.row(r) + c] = taken[i];
-                else
-                    next[team.add(in.left + (~round & 1), 1)] = list[i];
+            bool some = false;
+            for (int i = lanes.index; i < has.count(); i += lanes.count) {
+                const unsigned before = has.before(i), after = has.after(i);
+                const unsigned above = has.above(i), below = has.below(i);
+                unsigned free = kept[i] & ~has[i] & (before | after | above | below);
+                unsigned taken = 0;
+                if (free) {
+                    const int at = has.row(i) * columns + has.column(i);
+#if defined(__CUDA_ARCH__)
+                    const int k = lanes.rank;
+                    const bool own = free >> k & 1 && take(at + k, before >> k & 1, after >> k & 1,
+                                                           above >> k & 1, below >> k & 1);
+                    taken = lanes.those(own);
+#else
+                    for (; free; free &= free - 1) {
+                        const int k = BitRows::first(free);
+                        const bool own = take(at + k, before >> k & 1, after >> k & 1,
+                                              above >> k & 1, below >> k & 1);
+                        taken |= (unsigned)own << k;
+                    }
+#endif
+                    some |= taken != 0;
+                }
+                if (lanes.rank == 0) next[i] = has[i] | taken;
             }
-            team.sync();
-            if (in.left[~round & 1] == count) break;
-            int* const list_before = list;
-            list = next;
-            next = list_before;
+            if (!team.any(some)) break;
+            const BitRows other = has;
+            has = next;
+            next = other;
         }
     }
 
-    // The label of the neighbour that is nearest in depth within the step, -1 where none is; of as
-    // near ones the left, right, upper, lower one.
-    int nearest_of(const Parts& in, int cell) const {
-        const int r = cell >> 9, c = cell & 511, at = in.grid.row(r) + c;
-        const int* const depth = z + r * columns + c;
-        const int* const label = in.depth + at;
-        int best = in.step[at] + 1, taken = -1;
-        const auto look = [&](int there, int step) {
-            if (label[there] < 0) return;
-            const int apart = Creases::apart(depth[step], depth[0]);
+    // Gives a cell the label of the neighbour that is nearest in depth within the step, of as near
+    // ones the left, right, upper, lower one; whether there is one.
+    bool take(int cell, bool left, bool right, bool upper, bool lower) const {
+        const int depth = z[cell];
+        int best = steps[depth] + 1, from = -1;
+        const auto look = [&](bool has, int there) {
+            if (!has) return;
+            const int apart = Creases::apart(z[there], depth);
             if (apart >= best) return;
             best = apart;
-            taken = label[there];
+            from = there;
         };
-        look(-1, -1);
-        look(1, 1);
-        look(-in.grid.stride, -columns);
-        look(in.grid.stride, columns);
-        return taken;
+        look(left, cell - 1);
+        look(right, cell + 1);
+        look(upper, cell - columns);
+        look(lower, cell + columns);
+        if (from >= 0) label_out[cell] = label_out[from];
+        return from >= 0;
     }
 
-    static void edges_of_row(
-        const int* __restrict__ label, unsigned char* __restrict__ out, int lane, int n
-    ) {
-        for (int c = lane; c < n; c += Rows::LANES)
-            out[c] = (label[c] >= 0) * ON + ((label[c] != label[c - 1]) | (c == 0)) * EDGE;
-    }
-
-    // Adds up what is known of the surfaces from the run begin .. end of row r.
+    // What is known of each surface by its root; `certain` has one for those with a lowest cell that
+    // has floor below it, a cell inside of the margins or one at the image's lower edge.
     void look_at(
-        const Team& team, const Known& known, int label, int r, int begin, int end
+        const Team& team, const Parts& in, int label, int first, int top, int level, bool sure
     ) const {
-        const int k = r * columns, margin = columns / MARGIN;
-        int top = -1, pairs = 0, steep = 0;
-        for (int c = begin; c < end; ++c)
-            top = height[k + c] > top ? height[k + c] : top;
-        if (r + 1 < rows)
-            for (int c = begin; c < end; ++c) {
-                const int rises = height[k + c] - height[k + c + columns];
-                const int goes = forward[k + c] - forward[k + c + columns];
-                const bool outer = (c < margin) | (c >= columns - margin);
-                const int lowest = low[k + c + columns];
-                pairs += lowest;
-                steep += lowest & ((outer ? rises : 3 * rises) > goes);
+        team.least(in.first + label, first);
+        team.most(in.top + label, top);
+        if (level) team.add(in.level + label, level);
+        if (sure) in.sizes[label] = 1;
+    }
+
+    // Ends in a sync.
+    void look(const Team& team, const Parts& in, int runs) const {
+        const int margin = columns / MARGIN;
+        int* const certain = in.sizes;
+        for (int run = team.rank; run < runs; run += team.size) certain[run] = 0;
+        team.sync();
+#if defined(__CUDA_ARCH__)
+        enum { FEW = 2 };
+        const Lanes lanes(team);
+        const int words = in.on.words, count = rows * words;
+        for (int first = lanes.index; first < count; first += FEW * lanes.count) {
+            int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
+            bool lowest[FEW];
+            for (int k = 0; k < FEW; ++k) {
+                const int i = first + k * lanes.count, r = i / words;
+                const int c = i % words * BitRows::WIDTH + lanes.rank, at = r * columns + c;
+                const bool there = i < count && c < columns, over = there && r + 1 < rows;
+                const int here = there ? at : 0, below = over ? at + columns : 0;
+                l[k] = there ? label_out[here] : -1;
+                h[k] = height[here], f[k] = forward[here];
+                h_below[k] = height[below], f_below[k] = forward[below];
+                lowest[k] = over && low[below];
             }
-        team.least(known.first + label, k + begin);
-        team.most(known.top + label, top);
-        if (pairs) team.add(known.level + label, 2 * pairs - 3 * steep);
-        if (pairs || r + 1 == rows || (begin < columns - margin && end > margin))
-            known.certain[label] = 1;
+            for (int k = 0; k < FEW; ++k) {
+                const int i = first + k * lanes.count, r = i / words;
+                const int c = i % words * BitRows::WIDTH + lanes.rank;
+                const bool outer = (c < margin) | (c >= columns - margin);
+                const int rises = h[k] - h_below[k];
+                const bool steep = (outer ? rises : 3 * rises) > f[k] - f_below[k];
+                const int level = lowest[k] ? steep ? -1 : 2 : 0;
+                const bool sure = lowest[k] || r + 1 == rows || !outer;
+                // One label after the other.
+                for (unsigned rest = lanes.those(l[k] >= 0); rest;) {
+                    const int leader = BitRows::first(rest);
+                    const int label = __shfl_sync(0xffffffff, l[k], leader);
+                    const bool own = l[k] == label;
+                    const unsigned those = lanes.those(own);
+                    const int top = lanes.most(own && h[k] > -1 ? h[k] : -1);
+                    const int sum = lanes.sum(own ? level : 0);
+                    const bool certain_here = lanes.those(own && sure);
+                    if (lanes.rank == leader)
+                        look_at(team, in, label, r * columns + c, top, sum, certain_here);
+                    rest &= ~those;
+                }
+            }
+        }
+#else
+        for (int r = 0; r < rows; ++r) {
+            const int* label = label_out + r * columns;
+            for (int begin = 0, end; begin < columns; begin = end) {
+                const int own = label[begin], k = r * columns;
+                end = begin + 1;
+                while (end < columns && label[end] == own) ++end;
+                if (own < 0) continue;
+                int top = -1, pairs = 0, steep = 0;
+                for (int c = begin; c < end; ++c) top = height[k + c] > top ? height[k + c] : top;
+                if (r + 1 < rows)
+                    for (int c = begin; c < end; ++c) {
+                        const int rises = height[k + c] - height[k + c + columns];
+                        const int goes = forward[k + c] - forward[k + c + columns];
+                        const bool outer = (c < margin) | (c >= columns - margin);
+                        const int lowest = low[k + c + columns];
+                        pairs += lowest;
+                        steep += lowest & ((outer ? rises : 3 * rises) > goes);
+                    }
+                const bool inner = begin < columns - margin && end > margin;
+                look_at(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
+                        pairs || r + 1 == rows || inner);
+            }
+        }
+#endif
+        team.sync();
     }
 
     // Whether a surface is floor that the sensor bends up.
-    bool is_bent(const Known& known, int label) const {
-        const bool flat = known.level[label] > 0 || !known.certain[label];
-        return flat && known.top[label] <= settings[BENT];
+    bool is_bent(const Parts& in, int label) const {
+        const bool flat = in.level[label] > 0 || !in.sizes[label];
+        return flat && in.top[label] <= settings[BENT];
     }
 
     // Numbers the surfaces in the order of their first cells, but for bent floor.
-    void number(const Team& team, const Parts& in, const Runs& runs) const {
-        const Rows rows_of(team);
-        const Known known = {in.sizes, in.other, in.step, in.wide};
-        const int* const label = in.depth;
-        const auto label_of = [&](int r, int i) {
-            return label[in.grid.row(r) + runs.begin(r, i)];
+    void number(const Team& team, const Parts& in, const Runs& runs, int all) const {
+        const BitRows& firsts = runs.starts;
+        const int cells = rows * columns;
+        const auto is_surface = [&](int run) { return in.label[run] == run; };
+        const auto word_of = [&](int cell) {
+            return firsts.at(cell / columns, cell % columns / BitRows::WIDTH);
         };
-        for (int r = rows_of.first; r < rows; r += rows_of.step) {
-            const int at = in.grid.row(r);
-            edges_of_row(label + at, in.found + at, rows_of.lane, columns);
-        }
+        const auto bit_of = [&](int cell) { return 1u << cell % columns % BitRows::WIDTH; };
+        for (int i = team.rank; i < firsts.count(); i += team.size) firsts[i] = 0;
         team.sync();
-        for (int r = team.rank; r < rows; r += team.size) {
-            put_runs(runs, in.found + in.grid.row(r), r);
-            for (int i = 0; i < runs.count(r); ++i) {
-                const int own = label_of(r, i);
-                known.first[own] = UNSEEN;
-                known.top[own] = -1;
-                known.level[own] = 0;
-                known.certain[own] = 0;
-            }
-        }
+        for (int run = team.rank; run < all; run += team.size)
+            if (is_surface(run) && !is_bent(in, run))
+                team.set((int*)firsts.bits + word_of(in.first[run]), (int)bit_of(in.first[run]));
         team.sync();
-        for (int r = rows_of.first; r < rows; r += rows_of.step)
-            for (int i = rows_of.lane; i < runs.count(r); i += Rows::LANES)
-                look_at(team, known, label_of(r, i), r, runs.begin(r, i), runs.end(r, i));
+        for (int i = team.rank; i < firsts.count(); i += team.size)
+            runs.before[i] = BitRows::ones(firsts[i]);
         team.sync();
-        for (int r = team.rank; r < rows; r += team.size) {
-            int firsts = 0;
-            for (int i = 0; i < runs.count(r); ++i) {
-                const int own = label_of(r, i);
-                const bool first = known.first[own] == runs.cell(r, runs.begin(r, i));
-                firsts += first && !is_bent(known, own);
-            }
-            in.firsts[r] = firsts;
-        }
-        team.sync();
-        const int count = PrefixSum::run(team, in.firsts, rows, in.sums);
+        const int count = PrefixSum::run(team, runs.before, firsts.count(), in.sums);
         if (team.rank == 0) *count_out = count;
-        for (int r = team.rank; r < rows; r += team.size) {
-            int number = in.firsts[r];
-            for (int i = 0; i < runs.count(r); ++i) {
-                const int own = label_of(r, i);
-                if (known.first[own] != runs.cell(r, runs.begin(r, i))) continue;
-                known.top[own] = is_bent(known, own) ? -1 : number++;
-            }
+        int* const numbers = in.level;
+        for (int run = team.rank; run < all; run += team.size) {
+            if (!is_surface(run)) continue;
+            const int i = word_of(in.first[run]);
+            const unsigned bit = bit_of(in.first[run]);
+            const bool bent = is_bent(in, run);
+            numbers[run] = bent ? -1 : runs.before[i] + BitRows::ones(firsts[i] & (bit - 1));
         }
         team.sync();
-        for (int r = rows_of.first; r < rows; r += rows_of.step) {
-            int* const out = label_out + r * columns;
-            for (int i = rows_of.lane; i < runs.count(r); i += Rows::LANES) {
-                const int number = known.top[label_of(r, i)];
-                fill_run(runs, out, r, i, number < MOST ? number : -1);
-                if (number >= 0) continue;
-                for (int c = runs.begin(r, i); c < runs.end(r, i); ++c) keep[r * columns + c] = 0;
+#if defined(__CUDA_ARCH__)
+        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+            int own[AHEAD], number[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                own[k] = at < cells ? label_out[at] : -1;
             }
-            if (rows_of.lane == 0) fill_rest(runs, out, r);
+            for (int k = 0; k < AHEAD; ++k) number[k] = own[k] < 0 ? -1 : numbers[own[k]];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int at = i + k * team.size;
+                if (at >= cells) break;
+                label_out[at] = number[k] < MOST ? number[k] : -1;
+                if (own[k] >= 0 && number[k] < 0) keep[at] = 0;
+            }
         }
+#else
+        for (int i = 0; i < cells; ++i) {
+            const int own = label_out[i];
+            if (own < 0) continue;
+            const int number = numbers[own];
+            label_out[i] = number < MOST ? number : -1;
+            if (number < 0) keep[i] = 0;
+        }
+#endif
+        team.sync();
     }
 
     // All threads of the team must call it.
     void run(const Team& team) const {
         const Parts in(rows, columns, scratch);
+        const BitRows &kept = in.kept, &on = in.on, &starts = in.starts, &up = in.up;
         start(team, in);
-        team.sync();
-        // The sets are done with `other` when the next are started.
-        const Runs runs = {rows, columns, in.runs, in.counts, {in.other}, in.sizes};
-        const Creases creases = {
+        Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
-            limits, z, keep, in.step, in.depth, in.other, in.found, in.wide, runs,
+            steps, limits, z, keep, in.depth, in.other, in.step, kept, starts, up,
+            {starts, up, in.before, {in.parent}, in.sizes}, in.sums, in.near, in.most_near,
         };
-        creases.run(team);
-        label(team, in, runs);
-        give_back(team, in);
-        number(team, in, runs);
+        const BitRows crease = creases.run(team);
+        for (int i = team.rank; i < on.count(); i += team.size) {
+            on[i] = kept[i] & ~crease[i];
+            if (on.column(i) >= columns) starts[i] = up[i] = 0;
+        }
         team.sync();
+#if defined(__CUDA_ARCH__)
+        find_links(team, on, starts, up);
+#else
+        find_links(team, on, starts, up, in);
+#endif
+        Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
+        const int all = label(team, in, runs, up, up);
+        give_back(team, kept, up, on);
+        look(team, in, all);
+        number(team, in, runs, all);
     }
 };
