@@ -27,13 +27,14 @@ def scratch_words(rows: int, columns: int) -> int:
     words += [pairs, pairs // 2, (pairs // 2 + 3) // 4]
     words += 2 * [cells + slots] + 3 * [cells]
     words += [labels + 1, *(3 * [19 * labels]), *(3 * [labels])]
-    words += [2 * labels, labels, 6 * labels, 2 * labels, 5]
+    words += [2 * labels, labels, 6 * labels, 2 * labels, 6] + 4 * [cells]
     return sum(-(-one // 16) * 16 for one in words)
 
 
 @wp.func_native(
     native(
         "lanes.h",
+        "listed.h",
         "shared_words.h",
         "extents.h",
         "contours.h",

@@ -2,10 +2,11 @@
 // Twin of `contours` in jaxdet/reference/_outlines.py for grids of at most MAX_CONTOUR columns.
 #pragma once
 #include "lanes.h"
+#include "listed.h"
 
 struct Contours {
     typedef unsigned long long Key;
-    enum { ROW_BITS = 9, AHEAD = 4 };
+    enum { ROW_BITS = 9 };
     int count, rows, columns;
     const int *right, *forward;            // of each cell
     const int *column_low, *column_high;   // of each label
@@ -30,43 +31,14 @@ struct Contours {
         return (Key)(r * r + f * f) << ROW_BITS | row;
     }
 
-    // From the cells of a frame. Ends in a sync.
-    void find(const Team& team, const int* label) const {
+    // From the listed cells. Ends in a sync.
+    void find(const Team& team, const Listed& listed) const {
         clear(team);
-#if defined(__CUDA_ARCH__)
-        // Down the columns, AHEAD cells at a time: their loads wait together.
-        for (int c = team.rank; c < columns; c += team.size) {
-            int known = -1;
-            Key best = ~0ull;
-            for (int row = 0; row < rows; row += AHEAD) {
-                int l[AHEAD], r[AHEAD], f[AHEAD];
-                for (int k = 0; k < AHEAD; ++k) {
-                    const bool inside = row + k < rows;
-                    const int i = inside ? (row + k) * columns + c : c;
-                    l[k] = inside ? label[i] : -1;
-                    r[k] = right[i];
-                    f[k] = forward[i];
-                }
-                for (int k = 0; k < AHEAD; ++k) {
-                    if (l[k] != known) {
-                        if (known >= 0) team.least(&at(known, c), best);
-                        known = l[k];
-                        best = ~0ull;
-                    }
-                    const Key own = key(row + k, r[k], f[k]);
-                    best = own < best ? own : best;
-                }
-            }
-            if (known >= 0) team.least(&at(known, c), best);
+        const int all = *listed.count;
+        for (int i = team.rank; i < all; i += team.size) {
+            const int row = listed.cell[i] / columns, c = listed.cell[i] - row * columns;
+            team.least(&at(listed.label[i], c), key(row, listed.right[i], listed.forward[i]));
         }
-#else
-        for (int row = 0; row < rows; ++row) {
-            for (int c = 0; c < columns; ++c) {
-                const int i = row * columns + c, l = label[i];
-                if (l >= 0) team.least(&at(l, c), key(row, right[i], forward[i]));
-            }
-        }
-#endif
         team.sync();
     }
 

@@ -2,10 +2,11 @@
 // Twin of `extents` in jaxdet/reference/_view.py.
 #pragma once
 #include "lanes.h"
+#include "listed.h"
 #include "shared_words.h"
 
 struct Extents {
-    enum { TRIM = 20, SUMS = 2, LEAST = 10, FIELDS = 19, KNOWN = 15, AHEAD = 2, NONE = 1 << 30 };
+    enum { TRIM = 20, SUMS = 2, LEAST = 10, FIELDS = 19, KNOWN = 15, NONE = 1 << 30 };
     int slots, *words;
     // Each of `slots` labels. `first` is the first cell in row-major order; `low` and `high` are the
     // extremes, `left`, `right`, `near` and `far` those of `right` and `forward` but for a
@@ -40,110 +41,84 @@ struct Extents {
         team.sync();
     }
 
-    // Everything but the trimmed extremes, from the cells. Ends in a sync.
+    // Everything but the trimmed extremes, from the listed cells. Ends in a sync.
     void measure(
-        const Team& team, int count, const int* label, int rows, int columns, const int* at_x,
-        const int* at_z, const int* at_right, const int* at_forward, const int* at_height,
-        const unsigned char* in_view
+        const Team& team, int count, const Listed& listed, int wide, const int* x, const int* z,
+        const int* height, const unsigned char* in_view
     ) const {
         clear(team, count);
+        const int all = *listed.count;
 #if defined(__CUDA_ARCH__)
-        // Down the columns, AHEAD cells at a time: their loads wait together.
-        for (int column = team.rank; column < columns; column += team.size) {
-            Run run(-1, 0, 0);
-            for (int row = 0; row < rows; row += AHEAD) {
-                int l[AHEAD], x[AHEAD], z[AHEAD], r[AHEAD], f[AHEAD], h[AHEAD], seen[AHEAD];
-                for (int k = 0; k < AHEAD; ++k) {
-                    const int i = row + k < rows ? (row + k) * columns + column : column;
-                    l[k] = row + k < rows ? label[i] : -1;
-                    x[k] = at_x[i], z[k] = at_z[i];
-                    r[k] = at_right[i], f[k] = at_forward[i], h[k] = at_height[i];
-                    seen[k] = in_view[i];
-                }
-                for (int k = 0; k < AHEAD; ++k) {
-                    if (l[k] != run.label) {
-                        const int last = row + k - 1;
-                        if (run.label >= 0) add(team, run, run.begin, last, column, column);
-                        run = Run(l[k], (row + k) * columns + column, row + k);
-                    }
-                    run.take(x[k], z[k], r[k], f[k], h[k], seen[k]);
-                }
+        const Lanes lanes(team);
+        for (int first = lanes.index * Lanes::size; first < all; first += lanes.count * Lanes::size) {
+            const int i = first + lanes.rank < all ? first + lanes.rank : all - 1;
+            const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
+            const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
+            const bool seen = in_view[k];
+            const int row = k / wide, column = k % wide;
+            // One label after the other; lane n adds what is known by the name n.
+            for (unsigned rest = lanes.those(first + lanes.rank < all); rest;) {
+                const int l = __shfl_sync(0xffffffff, label, __ffs(rest) - 1);
+                const bool own = label == l && first + lanes.rank < all;
+                const unsigned those = lanes.those(own);
+                rest &= ~those;
+                const auto least = [&](int value) { return lanes.least(own ? value : (int)NONE); };
+                const auto most = [&](int value) { return lanes.most(own ? value : -(int)NONE); };
+                const int found[KNOWN] = {
+                    __popc(those), __popc(lanes.those(own && seen)), least(k), least(row),
+                    least(column), least(r), least(f), least(h), least(z_here), least(x_here),
+                    most(row), most(column), most(r), most(f), most(h),
+                };
+                int mine = 0;
+                for (int n = 0; n < KNOWN; ++n) mine = lanes.rank == n ? found[n] : mine;
+                add(team, l, lanes.rank, mine);
             }
-            if (run.label >= 0) add(team, run, run.begin, rows - 1, column, column);
         }
 #else
-        for (int row = 0; row < rows; ++row) {
-            const int* own = label + row * columns;
-            for (int c = 0, end; c < columns; c = end) {
-                const int l = own[c];
-                end = c + 1;
-                while (end < columns && own[end] == l) ++end;
-                if (l < 0) continue;
-                Run run(l, row * columns + c, c);
-                for (int n = 0; n < end - c; ++n) {
-                    const int i = run.first + n;
-                    run.take(at_x[i], at_z[i], at_right[i], at_forward[i], at_height[i], in_view[i]);
-                }
-                add(team, run, row, row, c, end - 1);
+        for (int i = 0; i < all;) {
+            const int l = listed.label[i], from = listed.cell[i], row = from / wide;
+            int found[KNOWN] = {0, 0, from, row, from - row * wide, NONE, NONE, NONE, NONE, NONE,
+                                row, 0, -NONE, -NONE, -NONE};
+            const auto least = [&](int n, int value) { found[n] = value < found[n] ? value : found[n]; };
+            const auto most = [&](int n, int value) { found[n] = value > found[n] ? value : found[n]; };
+            const int end = (row + 1) * wide - from, left = all - i < end ? all - i : end;
+            // Cells of a row that follow each other.
+            int n = 0;
+            for (; n < left && listed.label[i + n] == l && listed.cell[i + n] == from + n; ++n) {
+                const int k = from + n;
+                found[1] += in_view[k];
+                least(5, listed.right[i + n]);
+                least(6, listed.forward[i + n]);
+                least(7, height[k]);
+                least(8, z[k]);
+                least(9, x[k]);
+                most(12, listed.right[i + n]);
+                most(13, listed.forward[i + n]);
+                most(14, height[k]);
             }
+            found[0] = n;
+            found[11] = found[4] + n - 1;
+            for (int k = 0; k < KNOWN; ++k) add(team, l, k, found[k]);
+            i += n;
         }
 #endif
         team.sync();
     }
 
-    // Cells of one label in a line.
-    struct Run {
-        int label, first, begin, size, seen, x, z, r0, f0, h0, r1, f1, h1;
-
-        // `first`: its first cell; `begin`: where that is in the line.
-        Run(int label, int first, int begin)
-            : label(label), first(first), begin(begin), size(0), seen(0), x(NONE), z(NONE), r0(NONE),
-              f0(NONE), h0(NONE), r1(-NONE), f1(-NONE), h1(-NONE) {}
-
-        void take(int x_here, int z_here, int r, int f, int h, int shown) {
-            x = x_here < x ? x_here : x;
-            z = z_here < z ? z_here : z;
-            r0 = r < r0 ? r : r0;
-            r1 = r > r1 ? r : r1;
-            f0 = f < f0 ? f : f0;
-            f1 = f > f1 ? f : f1;
-            h0 = h < h0 ? h : h0;
-            h1 = h > h1 ? h : h1;
-            seen += shown;
-            ++size;
-        }
-    };
-
-    void add(const Team& team, const Run& run, int row0, int row1, int column0, int column1) const {
-        const int l = run.label;
-        team.add(cells + l, run.size);
-        team.add(shown + l, run.seen);
-        team.least(first + l, run.first);
-        team.least(row_low + l, row0);
-        team.most(row_high + l, row1);
-        team.least(column_low + l, column0);
-        team.most(column_high + l, column1);
-        team.least(right_low + l, run.r0);
-        team.most(right_high + l, run.r1);
-        team.least(forward_low + l, run.f0);
-        team.most(forward_high + l, run.f1);
-        team.least(bottom + l, run.h0);
-        team.most(top + l, run.h1);
-        team.least(nearest + l, run.z);
-        team.least(leftmost + l, run.x);
+    // The k-th of what is known of a label, from a part of its cells.
+    void add(const Team& team, int l, int k, int value) const {
+        int* place = words + k * slots + l;
+        if (k < SUMS) team.add(place, value);
+        else if (k < LEAST) team.least(place, value);
+        else if (k < KNOWN) team.most(place, value);
     }
 
     // The same, from those of parts: part `l` belongs to `whole[l]`. Ends in a sync.
     void join(const Team& team, int count, const Extents& parts, int of, const int* whole) const {
         clear(team, count);
         for (int l = team.rank; l < of; l += team.size) {
-            for (int k = 0; k < KNOWN; ++k) {
-                const int value = parts.words[k * parts.slots + l];
-                int* place = words + k * slots + whole[l];
-                if (k < SUMS) team.add(place, value);
-                else if (k < LEAST) team.least(place, value);
-                else team.most(place, value);
-            }
+            for (int k = 0; k < KNOWN; ++k)
+                add(team, whole[l], k, parts.words[k * parts.slots + l]);
         }
         team.sync();
     }
@@ -151,9 +126,9 @@ struct Extents {
 
 // The k-th smallest and the k-th largest value of each label, by histograms of ever narrower ranges.
 struct Trimmed {
-    enum { BITS = 7, BUCKETS = 1 << BITS, STATE = 6, AHEAD = 4 };
-    int count, rows, columns;
-    const int *label, *value;  // of each cell
+    enum { BITS = 7, BUCKETS = 1 << BITS, STATE = 6 };
+    int count, all;
+    const int *label, *value;  // of each of all listed cells
     // Of each label: how many cells it has, its extremes, and how many cells to pass over at either
     // end; where that is 0 the results are the extremes.
     const int *cells, *low, *high, *over;
@@ -194,8 +169,7 @@ struct Trimmed {
         for (int ends = 1; team.any(open); ends = 2) {
             clear(team);
             team.sync();
-            if (ends == 1) fill(team);
-            else fill_ends(team);
+            fill(team, ends == 2);
             team.sync();
             for (int i = lanes.index; i < 2 * count; i += lanes.count) {
                 const int l = i >> 1, end = i & 1;
@@ -255,96 +229,15 @@ struct Trimmed {
         }
     }
 
-#if defined(__CUDA_ARCH__)
-    // Cells of a column that follow each other in one bucket.
-    struct Pending {
-        int *place, count;
-
-        void add(const Team& team, int* next) {
-            if (next != place) {
-                end(team);
-                place = next;
-                count = 0;
-            }
-            ++count;
-        }
-        void end(const Team& team) const {
-            if (place) team.add(place, count);
-        }
-    };
-
-    // Down the columns, AHEAD cells at a time: their loads wait together.
-    void fill(const Team& team) const { fill_columns(team, false); }
-    void fill_ends(const Team& team) const { fill_columns(team, true); }
-
-    void fill_columns(const Team& team, bool ends) const {
-        for (int c = team.rank; c < columns; c += team.size) {
-            Pending one = {nullptr, 0}, two = {nullptr, 0};
-            int known = -1, from = 0, to = 0, width = -1, range = 31;
-            for (int row = 0; row < rows; row += AHEAD) {
-                int l[AHEAD], at[AHEAD];
-                for (int k = 0; k < AHEAD; ++k) {
-                    const int i = row + k < rows ? (row + k) * columns + c : c;
-                    l[k] = row + k < rows ? label[i] : -1;
-                    at[k] = value[i];
-                }
-                for (int k = 0; k < AHEAD; ++k) {
-                    if (l[k] != known) {
-                        known = l[k];
-                        width = known < 0 ? -1 : bits(known);
-                        if (width >= 0) {
-                            from = begin(known)[0];
-                            to = begin(known)[1];
-                            range = ends ? span(known) : 31;
-                        }
-                    }
-                    if (width < 0) continue;
-                    const unsigned a = at[k] - from, b = at[k] - to;
-                    if (a >> range == 0) one.add(team, histogram(known, 0) + (a >> width));
-                    if (ends && b >> range == 0) two.add(team, histogram(known, 1) + (b >> width));
-                }
-            }
-            one.end(team);
-            two.end(team);
+    // Counts the cells in the buckets, of the second end too if `ends`.
+    void fill(const Team& team, bool ends) const {
+        for (int i = team.rank; i < all; i += team.size) {
+            const int l = label[i], width = bits(l), at = value[i];
+            if (width < 0) continue;
+            const int range = ends ? span(l) : 31;
+            const unsigned a = at - begin(l)[0], b = at - begin(l)[1];
+            if (a >> range == 0) team.add(histogram(l, 0) + (a >> width), 1);
+            if (ends && b >> range == 0) team.add(histogram(l, 1) + (b >> width), 1);
         }
     }
-#else
-    void fill(const Team& team) const {
-        for (int row = 0; row < rows; ++row) {
-            const int* line = label + row * columns;
-            for (int c = 0, end; c < columns; c = end) {
-                const int start = row * columns + c, l = line[c];
-                end = c + 1;
-                while (end < columns && line[end] == l) ++end;
-                if (l < 0 || bits(l) < 0) continue;
-                const int from = begin(l)[0], width = bits(l);
-                int* own = histogram(l, 0);
-                for (int n = 0; n < end - c; ++n) {
-                    team.add(own + ((value[start + n] - from) >> width), 1);
-                }
-            }
-        }
-    }
-
-    void fill_ends(const Team& team) const {
-        for (int row = 0; row < rows; ++row) {
-            const int* line = label + row * columns;
-            for (int c = 0, end; c < columns; c = end) {
-                const int start = row * columns + c, l = line[c];
-                end = c + 1;
-                while (end < columns && line[end] == l) ++end;
-                if (l < 0 || bits(l) < 0) continue;
-                const int from = begin(l)[0], to = begin(l)[1], width = bits(l), range = span(l);
-                int* own = histogram(l, 0);
-                for (int n = 0; n < end - c; ++n) {
-                    const int at = value[start + n];
-                    const unsigned a = at - from, b = at - to;
-                    if (a >> range && b >> range) continue;
-                    if (a >> range == 0) team.add(own + (a >> width), 1);
-                    if (b >> range == 0) team.add(own + BUCKETS + (b >> width), 1);
-                }
-            }
-        }
-    }
-#endif
 };

@@ -61,28 +61,38 @@ struct Facing {
         Run ring[RING];
         int runs = 0, frees = 0, label = -1, first = 0, before = 0;
         int z_first = 0, z = 0, nearest = 0, farthest = 0;
-        int ahead[AHEAD];
-        for (int k = 0; k <= length; ++k) {
-            if (k % AHEAD == 0) {
-                for (int n = 0; n < AHEAD; ++n) ahead[n] = k + n < length ? cell[(k + n) * step] : 0;
+        for (int start = 0; start <= length; start += AHEAD) {
+            int ahead[AHEAD], between = label, free = 0;
+            for (int n = 0; n < AHEAD; ++n)
+                ahead[n] = start + n < length ? cell[(start + n) * step] : 0;
+            for (int n = 0; n < AHEAD; ++n) {
+                between &= Packed(ahead[n]).label();
+                free += Packed(ahead[n]).free();
             }
-            const Packed at(ahead[0]);
-            for (int n = 1; n < AHEAD; ++n) ahead[n - 1] = ahead[n];
-            if (at.label() != label) {
-                if (label >= 0) {
-                    ring[runs % RING] = {label, first, k - 1, before, frees, z_first, z, nearest, farthest,
-                                         false};
-                    meet(team, ring, runs++, place);
+            // Mostly there is no surface.
+            if (between == -1) {
+                frees += free;
+                continue;
+            }
+            for (int n = 0; n < AHEAD && start + n <= length; ++n) {
+                const Packed at(ahead[n]);
+                const int k = start + n;
+                if (at.label() != label) {
+                    if (label >= 0) {
+                        ring[runs % RING] = {label, first, k - 1, before, frees, z_first, z, nearest,
+                                             farthest, false};
+                        meet(team, ring, runs++, place);
+                    }
+                    label = at.label();
+                    first = k;
+                    before = frees;
+                    z_first = nearest = farthest = at.z();
                 }
-                label = at.label();
-                first = k;
-                before = frees;
-                z_first = nearest = farthest = at.z();
+                z = at.z();
+                nearest = z < nearest ? z : nearest;
+                farthest = z > farthest ? z : farthest;
+                frees += at.free();
             }
-            z = at.z();
-            nearest = z < nearest ? z : nearest;
-            farthest = z > farthest ? z : farthest;
-            frees += at.free();
         }
     }
 #else

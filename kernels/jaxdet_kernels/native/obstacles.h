@@ -2,6 +2,7 @@
 #pragma once
 #include "contraction.h"
 #include "evidence.h"
+#include "listed.h"
 #include "pieces.h"
 #include "straight_parts.h"
 
@@ -21,7 +22,7 @@ struct Obstacles {
     typedef unsigned long long Key;
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3, AHEAD = 8 };
     // Places of `counts`.
-    enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, COUNTS };
+    enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
     // The order of `settings`, as `Settings` in jaxdet/stages/_obstacles.py has it.
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
@@ -41,6 +42,7 @@ struct Obstacles {
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *packed, *across, *line_x, *line_y, *line_column, *start;
     unsigned char* near;
+    Listed listed;  // with their label as it changes: surface, whole surface, part of an obstacle
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *state, *counts, *parts, *part_of;
 
@@ -78,6 +80,8 @@ struct Obstacles {
         state = store.words(Trimmed::STATE * labels);
         parts = store.words(2 * labels);
         counts = store.words(COUNTS);
+        listed = {counts + LISTED, store.words(cells), store.words(cells), store.words(cells),
+                  store.words(cells)};
         part_of = (int*)of_surfaces;
     }
 
@@ -89,14 +93,11 @@ struct Obstacles {
             *total = 0;
         }
         team.sync();
-        int most = -1;
-        for (int i = team.rank; i < cells; i += team.size) most = surface[i] > most ? surface[i] : most;
-        team.most(counts + SURFACES, most + 1);
-        team.sync();
+        listed.take(team, cells, surface, right, forward, counts + SURFACES);
         join_pieces(team);
         pack(team);
         const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
-        contours.find(team, label);
+        contours.find(team, listed);
         contours.list(team);
         find_evidence(team, contours);
         const Contraction contraction = {counts[WHOLE], between, best, turns, group};
@@ -112,17 +113,17 @@ struct Obstacles {
                 start, line_x, line_y, line_column};
     }
 
-    void measure(const Team& team, const Extents& known, int count, const int* of) const {
-        known.measure(team, count, of, rows, columns, x, z, right, forward, height, in_view);
+    void measure(const Team& team, const Extents& known, int count) const {
+        known.measure(team, count, listed, columns, x, z, height, in_view);
     }
 
     // The trimmed extremes of a value, of labels with `over` set.
     void trim(
-        const Team& team, const Extents& known, int count, const int* of, const int* value,
-        const int* low, const int* high, int* least, int* most
+        const Team& team, const Extents& known, int count, const int* value, const int* low,
+        const int* high, int* least, int* most
     ) const {
-        const Trimmed trimmed = {count, rows, columns, of, value, known.cells, low, high, over, least,
-                                 most, state, (int*)pairs};
+        const Trimmed trimmed = {count, *listed.count, listed.label, value, known.cells, low, high,
+                                 over, least, most, state, (int*)pairs};
         trimmed.run(team);
     }
 
@@ -142,8 +143,8 @@ struct Obstacles {
     }
 
     // The width, once `over` is set.
-    void measure_width(const Team& team, const Extents& known, int count, const int* of) const {
-        trim(team, known, count, of, right, known.right_low, known.right_high, known.left,
+    void measure_width(const Team& team, const Extents& known, int count) const {
+        trim(team, known, count, listed.right, known.right_low, known.right_high, known.left,
              known.right);
     }
 
@@ -159,8 +160,8 @@ struct Obstacles {
     // The surfaces without the small ones: `number` of each, and `whole`.
     void join_pieces(const Team& team) const {
         const int count = counts[SURFACES];
-        measure(team, first, count, surface);
-        if (team.any(width_decides(team, first, count))) measure_width(team, first, count, surface);
+        measure(team, first, count);
+        if (team.any(width_decides(team, first, count))) measure_width(team, first, count);
         bool some = false;
         for (int l = team.rank; l < count; l += team.size) {
             small[l] = !is_large(first, l) || first.rows_of(l) < THINNEST ||
@@ -169,7 +170,7 @@ struct Obstacles {
             some |= small[l];
         }
         if (team.any(some)) {
-            const Pieces pieces = {count, rows, columns, settings[CONTACT], surface, z, small,
+            const Pieces pieces = {count, rows, columns, settings[CONTACT], listed, surface, z, small,
                                    (int*)pairs, spare, group};
             pieces.run(team);
         }
@@ -183,8 +184,11 @@ struct Obstacles {
         return to[from & ~none] | none;
     }
 
-    // The label of each cell, and all that rows and columns are looked through for in one word.
+    // The listed cells' whole surfaces, no label for all cells yet, and all that rows and columns
+    // are looked through for in one word.
     void pack(const Team& team) const {
+        for (int i = team.rank; i < *listed.count; i += team.size)
+            listed.label[i] = number[listed.label[i]];
 #if defined(__CUDA_ARCH__)
         // The loads of some cells wait together.
         const int cells = rows * columns;
@@ -199,15 +203,14 @@ struct Obstacles {
             for (int k = 0; k < AHEAD; ++k) {
                 const int at = i + k * team.size;
                 if (at >= cells) break;
-                label[at] = l[k];
+                label[at] = -1;
                 packed[at] = word[k] | Packed(l[k], 0, 0).word;
             }
         }
 #else
         for (int i = 0; i < rows * columns; ++i) {
-            const int l = mapped(surface[i], number);
-            label[i] = l;
-            packed[i] = Packed(l, free[i], z[i]).word;
+            label[i] = -1;
+            packed[i] = Packed(mapped(surface[i], number), free[i], z[i]).word;
         }
 #endif
         team.sync();
@@ -228,9 +231,8 @@ struct Obstacles {
     void find_evidence(const Team& team, const Contours& contours) const {
         const int count = counts[WHOLE], gap = settings[GAP];
         for (int l = team.rank; l < count; l += team.size) over[l] = whole.cells[l] / Extents::TRIM;
-        trim(team, whole, count, label, right, whole.right_low, whole.right_high, whole.left,
-             whole.right);
-        trim(team, whole, count, label, forward, whole.forward_low, whole.forward_high, whole.near,
+        measure_width(team, whole, count);
+        trim(team, whole, count, listed.forward, whole.forward_low, whole.forward_high, whole.near,
              whole.far);
         team.sync();
         const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
@@ -289,18 +291,14 @@ struct Obstacles {
         team.sync();
         if (counts[PARTS] == groups) return;
         name(team);
-        measure(team, last, counts[PARTS], label);
+        measure(team, last, counts[PARTS]);
     }
 
-    // From the surface of each cell to the part of an obstacle. Ends in a sync.
+    // From the whole surface of each listed cell to the part of an obstacle. Ends in a sync.
     void name(const Team& team) const {
-        for (int row = 0; row < rows; ++row) {
-            for (int c = team.rank; c < columns; c += team.size) {
-                int& own = label[row * columns + c];
-                if (own < 0) continue;
-                const int g = number[own];
-                own = parts[g] ? part_of[g * columns + c] : g;
-            }
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int g = number[listed.label[i]];
+            listed.label[i] = parts[g] ? part_of[g * columns + listed.cell[i] % columns] : g;
         }
         team.sync();
     }
@@ -320,7 +318,7 @@ struct Obstacles {
             name(team);
             named = true;
         }
-        if (named) measure_width(team, last, count, label);
+        if (named) measure_width(team, last, count);
         for (int l = team.rank; l < count; l += team.size) {
             small[l] = !(is_large(last, l) && last.shown[l] >= settings[MIN_CELLS] &&
                          last.nearest[l] <= settings[FARTHEST]);
@@ -337,23 +335,9 @@ struct Obstacles {
         team.sync();
         for (int l = team.rank; l < wholes; l += team.size) group[l] = spare[number[l]];
         team.sync();
-        const int cells = rows * columns, *to = named ? spare : group;
-#if defined(__CUDA_ARCH__)
-        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
-            int own[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int at = i + k * team.size;
-                own[k] = at < cells ? label[at] : -1;
-            }
-            for (int k = 0; k < AHEAD; ++k) own[k] = mapped(own[k], to);
-            for (int k = 0; k < AHEAD; ++k) {
-                const int at = i + k * team.size;
-                if (at < cells) label[at] = own[k];
-            }
-        }
-#else
-        for (int i = 0; i < cells; ++i) label[i] = mapped(label[i], to);
-#endif
+        const int* to = named ? spare : group;
+        for (int i = team.rank; i < *listed.count; i += team.size)
+            label[listed.cell[i]] = to[listed.label[i]];
         team.sync();
     }
 

@@ -2,12 +2,14 @@
 // Twin of `whole_surfaces` in jaxdet/reference/_obstacles.py.
 #pragma once
 #include "lanes.h"
+#include "listed.h"
 #include "numbering.h"
 
 struct Pieces {
-    enum { REACH = 2, AHEAD = 4 };
+    enum { REACH = 2 };
     int count, rows, columns, step;
-    const int *label, *z;
+    const Listed& listed;
+    const int *label, *z;  // of each cell
     const int* small;        // of each surface
     int *touching, *joined;  // scratch: `count` words for each surface; a word a surface
     int* group;              // result: the smallest surface of each one's group
@@ -39,64 +41,25 @@ struct Pieces {
         join(team);
     }
 
-    void meet(const Team& team, int a, int b, int step_in_z) const {
-        if (b < 0 || step_in_z > step || step_in_z < -step) return;
-        if (small[a]) team.add(touching + a * count + b, 1);
-        if (small[b]) team.add(touching + b * count + a, 1);
-    }
-
-    void differ(const Team& team, int here, int there, const int* depth, int away) const {
-        if (there >= 0 && there != here && (small[here] || small[there])) {
-            meet(team, here, there, depth[away] - depth[0]);
-        }
-    }
-
     // How many cells of small surfaces touch which surface, in the next cell or the one after it.
     void touch(const Team& team) const {
-#if defined(__CUDA_ARCH__)
-        // Down the columns, AHEAD cells at a time: their loads wait together.
-        for (int c = team.rank; c < columns; c += team.size) {
-            const int one = c + 1 < columns ? 1 : 0, two = c + 2 < columns ? 2 : 0;
-            for (int row = 0; row < rows; row += AHEAD) {
-                int below[AHEAD + REACH], beside[AHEAD], next[AHEAD];
-                for (int k = 0; k < AHEAD + REACH; ++k) {
-                    below[k] = row + k < rows ? label[(row + k) * columns + c] : -1;
-                }
-                for (int k = 0; k < AHEAD; ++k) {
-                    const int i = (row + k < rows ? row + k : row) * columns + c;
-                    beside[k] = label[i + one];
-                    next[k] = label[i + two];
-                }
-                for (int k = 0; k < AHEAD; ++k) {
-                    const int here = below[k];
-                    if (here < 0) continue;
-                    const int* depth = z + (row + k) * columns + c;
-                    differ(team, here, beside[k], depth, one);
-                    differ(team, here, below[k + 1], depth, columns);
-                    differ(team, here, next[k], depth, two);
-                    differ(team, here, below[k + 2], depth, 2 * columns);
-                }
+        const int all = *listed.count;
+        for (int i = team.rank; i < all; i += team.size) {
+            const int a = listed.label[i], k = listed.cell[i];
+            const int row = k / columns, c = k - row * columns;
+            const auto meet = [&](bool inside, int there) {
+                const int b = inside ? label[there] : -1;
+                if (b < 0 || b == a || !(small[a] || small[b])) return;
+                const int apart = z[there] - z[k];
+                if (apart > step || apart < -step) return;
+                if (small[a]) team.add(touching + a * count + b, 1);
+                if (small[b]) team.add(touching + b * count + a, 1);
+            };
+            for (int away = 1; away <= REACH; ++away) {
+                meet(c + away < columns, k + away);
+                meet(row + away < rows, k + away * columns);
             }
         }
-#else
-        for (int row = 0; row < rows; ++row) {
-            const int* own = label + row * columns;
-            const int* depth = z + row * columns;
-            for (int c = team.rank; c < columns; c += team.size) {
-                const int l = own[c];
-                if (l < 0) continue;
-                for (int away = 1; away <= REACH; ++away) {
-                    const int down = away * columns;
-                    if (c + away < columns && own[c + away] != l) {
-                        meet(team, l, own[c + away], depth[c + away] - depth[c]);
-                    }
-                    if (row + away < rows && own[c + down] != l) {
-                        meet(team, l, own[c + down], depth[c + down] - depth[c]);
-                    }
-                }
-            }
-        }
-#endif
     }
 
     // Connected components: labels fall to the smallest until none does. Ends in a sync.
