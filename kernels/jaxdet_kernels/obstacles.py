@@ -28,12 +28,19 @@ def scratch_words(rows: int, columns: int) -> int:
     words += 2 * [cells + slots] + 3 * [cells]
     words += [labels + 1, *(3 * [19 * labels]), *(3 * [labels])]
     words += [2 * labels, labels, 6 * labels, 2 * labels, 6] + 4 * [cells]
+    words += [2 * (rows * _words(columns) + columns * _words(rows))]
     return sum(-(-one // 16) * 16 for one in words)
+
+
+def _words(cells: int) -> int:
+    """Words of a row of bits, a power of two."""
+    return 1 << (-(-cells // 32) - 1).bit_length()
 
 
 @wp.func_native(
     native(
         "lanes.h",
+        "bits.h",
         "listed.h",
         "shared_words.h",
         "extents.h",

@@ -56,4 +56,29 @@ struct BitRows {
             for (int k = 0; k < n; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
         return word;
     }
+
+    // Columns as rows: bit r of word w of row c of `out` is that of column c in row 32 w + r.
+    void turn(const Team& team, const BitRows& out) const {
+        for (int block = team.rank; block < words * out.words; block += team.size) {
+            const int w = block % words, top = block / words * WIDTH;
+            unsigned a[WIDTH];
+            for (int k = 0; k < WIDTH; ++k) a[k] = top + k < rows ? bits[at(top + k, w)] : 0;
+            // Hacker's Delight, 2nd edition, 7-3, with the lowest bit first.
+            unsigned mask = 0x0000ffff;
+            for (int half = WIDTH / 2; half; half >>= 1, mask ^= mask << half)
+                for (int k = 0; k < WIDTH; k = (k + half + 1) & ~half) {
+                    const unsigned swapped = (a[k] >> half ^ a[k + half]) & mask;
+                    a[k] ^= swapped << half;
+                    a[k + half] ^= swapped;
+                }
+            for (int k = 0; k < WIDTH && w * WIDTH + k < out.rows; ++k)
+                out.bits[out.at(w * WIDTH + k, top / WIDTH)] = a[k];
+        }
+    }
+
+    // Words that no cell belongs to become 0.
+    void clear_rest(const Team& team) const {
+        for (int i = team.rank; i < count(); i += team.size)
+            if (column(i) >= words * WIDTH) bits[i] = 0;
+    }
 };

@@ -129,8 +129,8 @@ struct Creases {
     void find(const Team& team) const {
         const Lanes lanes(team);
         const int words = found.words, count = grid.rows * words;
-        for (int i = team.rank; i < found.count(); i += team.size)
-            if (found.column(i) >= grid.columns) kept[i] = found[i] = 0;
+        kept.clear_rest(team);
+        found.clear_rest(team);
         for (int first = lanes.index; first < count; first += AHEAD * lanes.count) {
             int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
             bool on[AHEAD];

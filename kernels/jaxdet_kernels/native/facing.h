@@ -1,20 +1,18 @@
 // How surfaces face each other along lines. Twin of `facing` in jaxdet/reference/_evidence.py.
 #pragma once
+#include "bits.h"
 #include "team.h"
 
-// What a cell is, in one word.
+// The surface of a cell and its depth, in one word.
 struct Packed {
-    enum { DEPTH_BITS = 20, FREE = 1 << DEPTH_BITS, LABEL_SHIFT = DEPTH_BITS + 1 };
-
+    enum { DEPTH_BITS = 20 };
     int word;
 
     explicit Packed(int word) : word(word) {}
-    Packed(int label, int free, int z)
-        : word((label + 1) << LABEL_SHIFT | (free != 0) << DEPTH_BITS | z) {}
+    Packed(int label, int z) : word(label << DEPTH_BITS | z) {}
 
-    int label() const { return (word >> LABEL_SHIFT) - 1; }
-    int free() const { return word >> DEPTH_BITS & 1; }
-    int z() const { return word & (FREE - 1); }
+    int label() const { return word >> DEPTH_BITS; }
+    int z() const { return word & ((1 << DEPTH_BITS) - 1); }
 };
 
 // Two surfaces, and their place in lists of all pairs.
@@ -39,99 +37,61 @@ struct Facing {
         int label, first, last, before, after, z_first, z_last, nearest, farthest;
         bool repeated;
     };
-    // Lines of packed cells: `stride` from one to the next, `step` from cell to cell.
-    const int* cells;
-    int lines, length, stride, step;
-    const int* along;  // place along the line, of each cell of the frame
-    int along_stride, along_step;
+    // Lines of cells: which have a surface and which are free; packed, those that have one, `stride`
+    // from a line to the next, `step` from cell to cell; and their place along the line.
+    BitRows has, free;
+    const int *cells, *along;
+    int stride, step;
     bool in_rows;
     int gap;
     const unsigned char* near;  // of each pair: whether it matters
     Sum* sums;                  // of each pair SUMS, zero before
 
     void run(const Team& team) const {
-        for (int line = team.rank; line < lines; line += team.size) {
-            walk(team, cells + line * stride, along + line * along_stride);
-        }
+        for (int line = team.rank; line < has.rows; line += team.size)
+            walk(team, line, cells + line * stride, along + line * stride);
     }
 
-#if defined(__CUDA_ARCH__)
     // AHEAD cells at a time: their loads wait together.
-    void walk(const Team& team, const int* cell, const int* place) const {
-        Run ring[RING];
-        int runs = 0, frees = 0, label = -1, first = 0, before = 0;
-        int z_first = 0, z = 0, nearest = 0, farthest = 0;
-        for (int start = 0; start <= length; start += AHEAD) {
-            int ahead[AHEAD], between = label, free = 0;
-            for (int n = 0; n < AHEAD; ++n)
-                ahead[n] = start + n < length ? cell[(start + n) * step] : 0;
-            for (int n = 0; n < AHEAD; ++n) {
-                between &= Packed(ahead[n]).label();
-                free += Packed(ahead[n]).free();
-            }
-            // Mostly there is no surface.
-            if (between == -1) {
-                frees += free;
-                continue;
-            }
-            for (int n = 0; n < AHEAD && start + n <= length; ++n) {
-                const Packed at(ahead[n]);
-                const int k = start + n;
-                if (at.label() != label) {
-                    if (label >= 0) {
-                        ring[runs % RING] = {label, first, k - 1, before, frees, z_first, z, nearest,
-                                             farthest, false};
-                        meet(team, ring, runs++, place);
-                    }
-                    label = at.label();
-                    first = k;
-                    before = frees;
-                    z_first = nearest = farthest = at.z();
-                }
-                z = at.z();
-                nearest = z < nearest ? z : nearest;
-                farthest = z > farthest ? z : farthest;
-                frees += at.free();
-            }
-        }
-    }
-#else
-    void walk(const Team& team, const int* cell, const int* place) const {
-        Run ring[RING];
+    void walk(const Team& team, int line, const int* cell, const int* place) const {
+        Run ring[RING], run = {-1, 0, -2, 0, 0, 0, 0, 0, 0, false};
         int runs = 0, frees = 0;
-        for (int k = 0; k < length;) {
-            Packed at(cell[k * step]);
-            const int label = at.label();
-            if (label < 0) {
-                frees += at.free();
-                ++k;
-                continue;
+        for (int i = has.at(line, 0); i < has.at(line + 1, 0); ++i) {
+            const unsigned all = has[i], open = free[i];
+            const auto frees_before = [&](unsigned bit) {
+                return frees + BitRows::ones(open & (bit - 1));
+            };
+            for (int start = 0; all >> start; start += AHEAD) {
+                const unsigned some = all >> start & ((1 << AHEAD) - 1);
+                const int first = has.column(i) + start;
+                int word[AHEAD];
+                for (int n = 0; n < AHEAD; ++n) word[n] = some >> n & 1 ? cell[(first + n) * step] : 0;
+                for (int n = 0; n < AHEAD; ++n) {
+                    if (!(some >> n & 1)) continue;
+                    const Packed at(word[n]);
+                    const int k = first + n, label = at.label(), z = at.z();
+                    const unsigned bit = 1u << (start + n);
+                    if (k != run.last + 1 || label != run.label) {
+                        if (run.label >= 0) {
+                            ring[runs % RING] = run;
+                            meet(team, ring, runs++, place);
+                        }
+                        run = {label, k, k, frees_before(bit), 0, z, z, z, z, false};
+                    }
+                    run.last = k;
+                    run.after = frees_before(bit) + ((open & bit) != 0);
+                    run.z_last = z;
+                    run.nearest = z < run.nearest ? z : run.nearest;
+                    run.farthest = z > run.farthest ? z : run.farthest;
+                }
+                if (start + AHEAD == BitRows::WIDTH) break;
             }
-            Run& run = ring[runs % RING];
-            run.label = label;
-            run.first = k;
-            run.before = frees;
-            int z = at.z(), nearest = z, farthest = z;
-            run.z_first = z;
-            for (;;) {
-                frees += at.free();
-                if (++k == length) break;
-                at = Packed(cell[k * step]);
-                if (at.label() != label) break;
-                z = at.z();
-                nearest = z < nearest ? z : nearest;
-                farthest = z > farthest ? z : farthest;
-            }
-            run.last = k - 1;
-            run.after = frees;
-            run.z_last = z;
-            run.nearest = nearest;
-            run.farthest = farthest;
-            run.repeated = false;
-            meet(team, ring, runs++, place);
+            frees += BitRows::ones(open);
         }
+        if (run.label < 0) return;
+        ring[runs % RING] = run;
+        meet(team, ring, runs, place);
     }
-#endif
 
     // A new run and those before it, of which neither's label may lie between.
     void meet(const Team& team, Run* ring, int index, const int* place) const {
@@ -167,7 +127,7 @@ struct Facing {
         }
         team.add(own + ROWS, seen | (Sum)hidden << 2 * COUNT_BITS);
         if (through) return;
-        const int apart = place[right.first * along_step] - place[left.last * along_step];
+        const int apart = place[right.first * step] - place[left.last * step];
         const int slope = (apart < 0 ? -apart : apart) / SLOPE;
         const bool agree = (hidden || hole) && high - low <= gap + slope;
         team.add(own + STEPS, (Sum)agree | (Sum)(high - low) << STEP_SHIFT);

@@ -1,49 +1,75 @@
 // The cells of a frame that have a label, one after the other: mostly a small part of all.
 #pragma once
+#include "bits.h"
 #include "lanes.h"
 
 struct Listed {
     enum { AHEAD = 4 };
     int* count;
     // Of each: which cell it is, its label, and where it is on the floor. Cells of a row follow each
-    // other; on CUDA, groups of AHEAD by 32 cells lie in any order.
+    // other; on CUDA, groups of AHEAD words of them lie in any order.
     int *cell, *label, *right, *forward;
 
-    // Takes all cells whose label is not negative; `most` becomes at least the largest label and
-    // one. `count` and `most` are 0 before. Ends in a sync.
+    // Takes all cells whose label is not negative. Of all cells `has` says which these are, `open`
+    // which are free, and `out` is their label; `most` becomes at least the largest label and one.
+    // `count` and `most` are 0 before. Ends in a sync.
     void take(
-        const Team& team, int cells, const int* labels, const int* at_right, const int* at_forward,
+        const Team& team, const int* labels, const unsigned char* free, const int* at_right,
+        const int* at_forward, int columns, const BitRows& has, const BitRows& open, int* out,
         int* most
     ) const {
         int largest = -1;
+        has.clear_rest(team);
+        open.clear_rest(team);
 #if defined(__CUDA_ARCH__)
-        enum { GROUP = AHEAD * Lanes::size };
         const Lanes lanes(team);
-        for (int first = lanes.index * GROUP; first < cells; first += lanes.count * GROUP) {
-            int own[AHEAD], before[AHEAD], found[AHEAD], sum = 0, start = 0;
+        const int words = has.words, all = has.rows * words;
+        for (int first = lanes.index * AHEAD; first < all; first += lanes.count * AHEAD) {
+            int own[AHEAD], from[AHEAD], before[AHEAD], found, sum = 0, start = 0;
+            bool seen[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * Lanes::size + lanes.rank;
-                own[k] = i < cells ? labels[i] : -1;
+                const int i = first + k, c = i % words * BitRows::WIDTH + lanes.rank;
+                from[k] = i < all && c < columns ? i / words * columns + c : -1;
+                own[k] = from[k] < 0 ? -1 : labels[from[k]];
+                seen[k] = from[k] >= 0 && free[from[k]];
             }
             for (int k = 0; k < AHEAD; ++k) {
-                before[k] = sum + lanes.before(own[k] >= 0, found + k);
-                sum += found[k];
+                const unsigned those = lanes.those(own[k] >= 0), frees = lanes.those(seen[k]);
+                before[k] = sum + lanes.before(own[k] >= 0, &found);
+                sum += found;
+                if (from[k] >= 0) out[from[k]] = own[k];
+                const int i = has.at((first + k) / words, (first + k) % words);
+                if (lanes.rank || first + k >= all) continue;
+                has[i] = those;
+                open[i] = frees;
             }
             if (sum == 0) continue;
             if (lanes.rank == 0) start = team.add(count, sum);
             start = __shfl_sync(0xffffffff, start, 0);
             for (int k = 0; k < AHEAD; ++k) {
                 if (own[k] < 0) continue;
-                put(start + before[k], first + k * Lanes::size + lanes.rank, own[k], at_right, at_forward);
+                put(start + before[k], from[k], own[k], at_right, at_forward);
                 largest = own[k] > largest ? own[k] : largest;
             }
         }
 #else
         int n = 0;
-        for (int i = 0; i < cells; ++i) {
-            if (labels[i] < 0) continue;
-            put(n++, i, labels[i], at_right, at_forward);
-            largest = labels[i] > largest ? labels[i] : largest;
+        for (int i = 0; i < has.count(); ++i) {
+            const int from = has.row(i) * columns + has.column(i), left = columns - has.column(i);
+            const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
+            if (wide <= 0) continue;
+            unsigned those = 0;
+            for (int k = 0; k < wide; ++k) {
+                those |= (unsigned)(labels[from + k] >= 0) << k;
+                out[from + k] = labels[from + k];
+            }
+            has[i] = those;
+            open[i] = BitRows::packed(free + from, 0, wide);
+            for (; those; those &= those - 1) {
+                const int at = from + BitRows::first(those), own = labels[at];
+                put(n++, at, own, at_right, at_forward);
+                largest = own > largest ? own : largest;
+            }
         }
         *count = n;
 #endif

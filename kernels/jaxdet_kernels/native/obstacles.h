@@ -1,5 +1,6 @@
 // Obstacles from surfaces. Twin of `obstacles` in jaxdet/reference/_obstacles.py.
 #pragma once
+#include "bits.h"
 #include "contraction.h"
 #include "evidence.h"
 #include "listed.h"
@@ -20,7 +21,7 @@ struct Store {
 
 struct Obstacles {
     typedef unsigned long long Key;
-    enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3, AHEAD = 8 };
+    enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
     // Places of `counts`.
     enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
     // The order of `settings`, as `Settings` in jaxdet/stages/_obstacles.py has it.
@@ -40,8 +41,9 @@ struct Obstacles {
     // pairs, and the nearest cells of obstacles' contours.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
-    int *between, *list, *packed, *across, *line_x, *line_y, *line_column, *start;
+    int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near;
+    int* bits;
     Listed listed;  // with their label as it changes: surface, whole surface, part of an obstacle
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *state, *counts, *parts, *part_of;
@@ -64,7 +66,7 @@ struct Obstacles {
         list = store.words(all / 2);
         near = (unsigned char*)store.words((all / 2 + 3) / 4);
         packed = store.words(cells + slots);
-        across = store.words(cells + slots);
+        stack = store.words(cells + slots);
         line_x = store.words(cells);
         line_y = store.words(cells);
         line_column = store.words(cells);
@@ -82,18 +84,19 @@ struct Obstacles {
         counts = store.words(COUNTS);
         listed = {counts + LISTED, store.words(cells), store.words(cells), store.words(cells),
                   store.words(cells)};
+        bits = store.words(2 * (rows_bits().count() + columns_bits().count()));
         part_of = (int*)of_surfaces;
     }
 
     // Ends in a sync.
     void run(const Team& team) const {
-        const int cells = rows * columns;
         if (team.rank == 0) {
             for (int k = 0; k < COUNTS; ++k) counts[k] = 0;
             *total = 0;
         }
         team.sync();
-        listed.take(team, cells, surface, right, forward, counts + SURFACES);
+        listed.take(team, surface, free, right, forward, columns, bits_of(0), bits_of(1), label,
+                    counts + SURFACES);
         join_pieces(team);
         pack(team);
         const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
@@ -178,53 +181,29 @@ struct Obstacles {
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
-    // Where a label leads; -1 stays, without a branch.
-    int mapped(int from, const int* to) const {
-        const int none = from >> 31;
-        return to[from & ~none] | none;
+    // Which cells have a surface (0) and which are free (1), by rows and by columns.
+    BitRows rows_bits() const { return BitRows(rows, columns, nullptr); }
+    BitRows columns_bits() const { return BitRows(columns, rows, nullptr); }
+    BitRows bits_of(int k) const {
+        return BitRows(rows, columns, bits + k * rows_bits().count());
+    }
+    BitRows turned(int k) const {
+        const int* after = bits + 2 * rows_bits().count();
+        return BitRows(columns, rows, (int*)after + k * columns_bits().count());
     }
 
-    // The listed cells' whole surfaces, no label for all cells yet, and all that rows and columns
-    // are looked through for in one word.
+    // The listed cells' whole surfaces, and with their depths, packed, where they are.
     void pack(const Team& team) const {
-        for (int i = team.rank; i < *listed.count; i += team.size)
-            listed.label[i] = number[listed.label[i]];
-#if defined(__CUDA_ARCH__)
-        // The loads of some cells wait together.
-        const int cells = rows * columns;
-        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
-            int l[AHEAD], word[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int at = i + k * team.size, there = at < cells ? at : i;
-                l[k] = surface[there];
-                word[k] = Packed(-1, free[there], z[there]).word;
-            }
-            for (int k = 0; k < AHEAD; ++k) l[k] = mapped(l[k], number);
-            for (int k = 0; k < AHEAD; ++k) {
-                const int at = i + k * team.size;
-                if (at >= cells) break;
-                label[at] = -1;
-                packed[at] = word[k] | Packed(l[k], 0, 0).word;
-            }
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int own = number[listed.label[i]], k = listed.cell[i];
+            listed.label[i] = own;
+            packed[k] = Packed(own, z[k]).word;
         }
-#else
-        for (int i = 0; i < rows * columns; ++i) {
-            label[i] = -1;
-            packed[i] = Packed(mapped(surface[i], number), free[i], z[i]).word;
+        for (int k = 0; k < 2; ++k) {
+            turned(k).clear_rest(team);
+            bits_of(k).turn(team, turned(k));
         }
-#endif
         team.sync();
-#if !defined(__CUDA_ARCH__)
-        enum { TILE = 16 };
-        for (int row = 0; row < rows; row += TILE) {
-            const int high = rows - row < TILE ? rows - row : (int)TILE;
-            for (int c = 0; c < columns; ++c) {
-                const int* from = packed + row * columns + c;
-                int* to = across + c * rows + row;
-                for (int k = 0; k < high; ++k) to[k] = from[k * columns];
-            }
-        }
-#endif
     }
 
     // The evidence between all pairs of surfaces.
@@ -238,16 +217,9 @@ struct Obstacles {
         const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
                                    whole, contours, trees, near, pairs, list, counts + NEAR, between};
         evidence.find_near(team);
-        const Facing in_rows = {packed, rows, columns, columns, 1, x, columns, 1, true, gap, near,
-                                pairs};
+        const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
         in_rows.run(team);
-#if defined(__CUDA_ARCH__)
-        const Facing in_columns = {packed, columns, rows, 1, columns, y, 1, columns, false, gap, near,
-                                   pairs};
-#else
-        const Facing in_columns = {across, columns, rows, rows, 1, y, 1, columns, false, gap, near,
-                                   pairs};
-#endif
+        const Facing in_columns = {turned(0), turned(1), packed, y, 1, columns, false, gap, near, pairs};
         in_columns.run(team);
         team.sync();
         evidence.run(team);
@@ -306,7 +278,7 @@ struct Obstacles {
     StraightParts straight_parts(const Lanes& lanes, int g) const {
         const int begin = start[g];
         return {lanes, line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
-                settings[SIDE], settings[SIDE], across + begin + g, packed + begin + g};
+                settings[SIDE], settings[SIDE], stack + begin + g, packed + begin + g};
     }
 
     // Obstacles by distance; what is too small or too far is none.

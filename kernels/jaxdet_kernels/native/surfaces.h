@@ -533,11 +533,10 @@ struct Surfaces {
             {starts, up, in.before, {in.parent}, in.sizes}, in.sums, in.near, in.most_near,
         };
         const BitRows crease = creases.run(team);
-        for (int i = team.rank; i < on.count(); i += team.size) {
-            on[i] = kept[i] & ~crease[i];
-            if (on.column(i) >= columns) starts[i] = up[i] = 0;
-        }
+        for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
+        starts.clear_rest(team);
+        up.clear_rest(team);
 #if defined(__CUDA_ARCH__)
         find_links(team, on, starts, up);
 #else
