@@ -24,13 +24,15 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
     """
     chunks = -(-columns // CHUNK)
     by_slot = 2 * columns + 3 * DIRECTIONS + chunks + 2 + 2 * PARTS
-    words = slots * by_slot + 1 + 4 * rows * columns
+    words = slots * by_slot + 2 + 8 * rows * columns
     return words + words % 2
 
 
 @wp.func_native(
     native(
         "lanes.h",
+        "bits.h",
+        "listed.h",
         "obstacle_cells.h",
         "ranks.h",
         "measures.h",

@@ -47,9 +47,15 @@ struct Facing {
     const unsigned char* near;  // of each pair: whether it matters
     Sum* sums;                  // of each pair SUMS, zero before
 
-    void run(const Team& team) const {
-        for (int line = team.rank; line < has.rows; line += team.size)
-            walk(team, line, cells + line * stride, along + line * stride);
+    // All lines of two directions.
+    static void run(const Team& team, const Facing& one, const Facing& other) {
+        const int all = one.has.rows + other.has.rows;
+        for (int i = team.rank; i < all; i += team.size) {
+            const bool first = i < one.has.rows;
+            const Facing& own = first ? one : other;
+            const int line = first ? i : i - one.has.rows;
+            own.walk(team, line, own.cells + line * own.stride, own.along + line * own.stride);
+        }
     }
 
     // AHEAD cells at a time: their loads wait together.

@@ -12,7 +12,8 @@ struct FreeFloor {
         // Columns on both sides of one that drops, more than half of which must drop too.
         BESIDE = 10,
         LARGEST = 0x7fffffff,
-        DEPTHS = 65536
+        DEPTHS = 65536,
+        AHEAD = 8  // on CUDA the loads of so many cells wait together
     };
 
     // What is known of a column while one goes up its cells.
@@ -49,20 +50,36 @@ struct FreeFloor {
     }
 
     void run() const {
-        find_obstacles();
 #if defined(__CUDA_ARCH__)
         // A column a thread.
         for (int c = team.rank; c < columns; c += team.size) {
-            Column column = start(c);
-            for (int row = rows - 1; row >= 0 && !column.ended; --row) follow(column, row, c);
+            Column column = nearest_of(c);
+            for (int bottom = rows - 1; bottom >= 0 && !column.ended; bottom -= AHEAD) {
+                int ahead[AHEAD], high[AHEAD], depth[AHEAD], bow[AHEAD], drop[AHEAD];
+                bool on[AHEAD];
+                for (int n = 0; n < AHEAD; ++n) {
+                    const int k = (bottom > n ? bottom - n : 0) * columns + c;
+                    on[n] = bottom >= n && low[k];
+                    ahead[n] = forward[k], high[n] = height[k], depth[n] = z[k];
+                }
+                for (int n = 0; n < AHEAD; ++n) bow[n] = bows[depth[n]], drop[n] = drops[depth[n]];
+                for (int n = 0; n < AHEAD && !column.ended; ++n)
+                    if (on[n] && ahead[n] < column.limit && depth[n] <= far && high[n] >= -bow[n])
+                        follow(column, bottom - n, c, ahead[n], high[n], drop[n]);
+            }
             put(column, c);
         }
 #else
         // Row by row, as the cells lie in memory.
-        for (int c = 0; c < columns; ++c) state[c] = start(c);
+        find_obstacles();
+        for (int c = 0; c < columns; ++c) state[c] = start(limit[c], nearest[c]);
         for (int row = rows - 1; row >= 0; --row)
-            for (int c = 0; c < columns; ++c)
-                if (!state[c].ended) follow(state[c], row, c);
+            for (int c = 0; c < columns; ++c) {
+                const int k = row * columns + c;
+                if (!low[k] || state[c].ended || forward[k] >= state[c].limit) continue;
+                if (z[k] <= far && height[k] >= -bows[z[k]])
+                    follow(state[c], row, c, forward[k], height[k], drops[z[k]]);
+            }
         for (int c = 0; c < columns; ++c) put(state[c], c);
 #endif
         team.sync();
@@ -75,10 +92,34 @@ struct FreeFloor {
         team.sync();
     }
 
-    // The nearest obstacle of each column, of equal ones the uppermost; a thread a column, and
-    // row by row.
+    // A column before one goes up its cells; its nearest obstacle's distance, and row or -1.
+    Column start(int distance, int row) const {
+        return {row >= 0 ? distance : far, row, -1, -1, 0, 0, 0, -1};
+    }
+
+    // The nearest obstacle of each column, of equal ones the uppermost.
+#if defined(__CUDA_ARCH__)
+    Column nearest_of(int c) const {
+        int distance = LARGEST, found = -1;
+        for (int top = 0; top < rows; top += AHEAD) {
+            int own[AHEAD], ahead[AHEAD];
+            for (int n = 0; n < AHEAD; ++n) {
+                const int row = top + n;
+                own[n] = row < rows ? label[row * columns + c] : -1;
+            }
+            for (int n = 0; n < AHEAD; ++n)
+                ahead[n] = own[n] >= 0 ? forward[(top + n) * columns + c] : (int)LARGEST;
+            for (int n = 0; n < AHEAD; ++n) {
+                if (ahead[n] >= distance) continue;
+                distance = ahead[n];
+                found = top + n;
+            }
+        }
+        return start(distance, found);
+    }
+#else
     void find_obstacles() const {
-        for (int c = team.rank; c < columns; c += team.size) {
+        for (int c = 0; c < columns; ++c) {
             limit[c] = LARGEST;
             nearest[c] = -1;
         }
@@ -86,37 +127,30 @@ struct FreeFloor {
         int *__restrict limits = limit, *__restrict rows_of = nearest;
         for (int row = 0; row < rows; ++row) {
             const int *own = label + row * wide, *ahead = forward + row * wide;
-            for (int c = team.rank; c < wide; c += team.size) {
+            for (int c = 0; c < wide; ++c) {
                 const bool nearer = (own[c] >= 0) & (ahead[c] < limits[c]);
                 limits[c] = nearer ? ahead[c] : limits[c];
                 rows_of[c] = nearer ? row : rows_of[c];
             }
         }
     }
+#endif
 
-    Column start(int c) const {
-        return {nearest[c] >= 0 ? limit[c] : far, nearest[c], -1, -1, 0, 0, 0, -1};
-    }
-
-    // Goes on with the floor, from the bottom row up.
-    void follow(Column& column, int row, int c) const {
-        const int k = row * columns + c;
-        if (!low[k]) return;
-        const int ahead = forward[k];
-        if (ahead >= column.limit || z[k] > far || height[k] < -bows[z[k]]) return;
+    // Goes on with a cell that may be floor, from the bottom row up.
+    void follow(Column& column, int row, int c, int ahead, int high, int drop) const {
         if (column.first < 0) {
             column.first = row;
         } else if (ahead - column.forward > gap) {
             column.ended = 1;
             return;
-        } else if (column.height - height[k] > drops[z[k]]) {
+        } else if (column.height - high > drop) {
             if (column.falls < 0) column.falls = falls_after(column, c);
             column.ended = column.falls;
             return;
         }
         column.last = row;
         column.forward = ahead;
-        column.height = height[k];
+        column.height = high;
         column.falls = -1;
     }
 

@@ -10,9 +10,9 @@ struct Listed {
     // other; on CUDA, groups of AHEAD words of them lie in any order.
     int *cell, *label, *right, *forward;
 
-    // Takes all cells whose label is not negative. Of all cells `has` says which these are, `open`
-    // which are free, and `out` is their label; `most` becomes at least the largest label and one.
-    // `count` and `most` are 0 before. Ends in a sync.
+    // Takes all cells with a label. Of all cells `has` says which these are, `open` which are free,
+    // and `out` is their label; `most` becomes at least the largest label and one. `count` and
+    // `most` are 0 before. Ends in a sync.
     void take(
         const Team& team, const int* labels, const unsigned char* free, const int* at_right,
         const int* at_forward, int columns, const BitRows& has, const BitRows& open, int* out,
@@ -74,6 +74,43 @@ struct Listed {
         *count = n;
 #endif
         if (largest >= 0) team.most(most, largest + 1);
+        team.sync();
+    }
+
+    // The same for the labels 0 .. limit - 1 of `cells` cells, and no more than that.
+    void take(
+        const Team& team, int cells, const int* labels, int limit, const int* at_right,
+        const int* at_forward
+    ) const {
+#if defined(__CUDA_ARCH__)
+        enum { GROUP = AHEAD * Lanes::size };
+        const Lanes lanes(team);
+        for (int first = lanes.index * GROUP; first < cells; first += lanes.count * GROUP) {
+            int own[AHEAD], before[AHEAD], found, sum = 0, start = 0;
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * Lanes::size + lanes.rank;
+                own[k] = i < cells ? labels[i] : -1;
+            }
+            for (int k = 0; k < AHEAD; ++k) {
+                if (own[k] >= limit) own[k] = -1;
+                before[k] = sum + lanes.before(own[k] >= 0, &found);
+                sum += found;
+            }
+            if (sum == 0) continue;
+            if (lanes.rank == 0) start = team.add(count, sum);
+            start = __shfl_sync(0xffffffff, start, 0);
+            for (int k = 0; k < AHEAD; ++k) {
+                if (own[k] < 0) continue;
+                const int from = first + k * Lanes::size + lanes.rank;
+                put(start + before[k], from, own[k], at_right, at_forward);
+            }
+        }
+#else
+        int n = 0;
+        for (int i = 0; i < cells; ++i)
+            if (labels[i] >= 0 && labels[i] < limit) put(n++, i, labels[i], at_right, at_forward);
+        *count = n;
+#endif
         team.sync();
     }
 

@@ -5,13 +5,13 @@
 // any order: what is made of them is a sum, a minimum, a maximum or a median.
 #pragma once
 #include "lanes.h"
+#include "listed.h"
 
 struct ObstacleCells {
     enum { SHOWN_AT_MARGIN, SHOWN_INSIDE, HIDDEN_INSIDE, HIDDEN_AT_MARGIN, PARTS };
     enum {
         // This part of the columns at each side is the image's margin.
         MARGIN = 8,
-        AHEAD = 4,
         LARGEST = 0x7fffffff
     };
 
@@ -26,6 +26,7 @@ struct ObstacleCells {
     int margin;  // columns of it at a side
     const int *label, *right, *forward;
     const bool* in_view;
+    Listed listed;  // those of obstacles
     // By obstacle and part, and one more.
     int* starts;
     int* filled;
@@ -42,6 +43,8 @@ struct ObstacleCells {
         cell = filled + PARTS * slots;
         right_of = cell + cells;
         forward_of = right_of + cells;
+        int* more = forward_of + cells;
+        listed = {more, more + 1, more + 1 + cells, more + 1 + 2 * cells, more + 1 + 3 * cells};
     }
 
     bool at_margin(int column) const {
@@ -58,24 +61,13 @@ struct ObstacleCells {
     // Before the cells are counted; then all threads wait.
     void clear() const {
         for (int i = team.rank; i < PARTS * count; i += team.size) filled[i] = 0;
+        if (team.rank == 0) *listed.count = 0;
     }
 
-    // Cells of one obstacle and part, one after the other.
-    struct Run {
-        int place, size;
-    };
-
-    // Counts a cell of an obstacle: it goes on with a run, or the run is counted and one begins.
-    void note(Run& run, int own) const {
-        if (own != run.place) {
-            end(run);
-            run = {own, 0};
-        }
-        ++run.size;
-    }
-
-    void end(Run run) const {
-        if (run.size) team.add(filled + run.place, run.size);
+    // The obstacle and part of a listed cell.
+    int place_of(int i) const {
+        const int k = listed.cell[i];
+        return place(listed.label[i], in_view[k], k % columns);
     }
 
     // By one thread, after all cells are counted; then all threads wait.
@@ -91,55 +83,12 @@ struct ObstacleCells {
 
     // Puts the cells in order; then all threads wait.
     void sort() const {
-#if defined(__CUDA_ARCH__)
-        // Down the columns, AHEAD cells at a time: their loads wait together.
-        for (int c = team.rank; c < columns; c += team.size) {
-            for (int first = c; first < cells; first += AHEAD * columns) {
-                int own[AHEAD], at[AHEAD], x[AHEAD], y[AHEAD];
-                bool same = true;
-                for (int n = 0; n < AHEAD; ++n) {
-                    const int k = first + n * columns, there = k < cells ? k : first;
-                    const int number = k < cells ? label[there] : -1;
-                    const bool has = number >= 0 && number < count;
-                    own[n] = place(number, in_view[there], c);
-                    own[n] = has ? own[n] : -1;
-                    x[n] = right[there];
-                    y[n] = forward[there];
-                    same &= own[n] == own[0];
-                }
-                if (same) {
-                    if (own[0] < 0) continue;
-                    const int place = team.add(filled + own[0], AHEAD);
-                    for (int n = 0; n < AHEAD; ++n) at[n] = place + n;
-                } else {
-                    for (int n = 0; n < AHEAD; ++n) {
-                        if (own[n] >= 0) at[n] = team.add(filled + own[n], 1);
-                    }
-                }
-                for (int n = 0; n < AHEAD; ++n) {
-                    if (own[n] < 0) continue;
-                    cell[at[n]] = first + n * columns;
-                    right_of[at[n]] = x[n];
-                    forward_of[at[n]] = y[n];
-                }
-            }
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int at = team.count(filled + place_of(i));
+            cell[at] = listed.cell[i];
+            right_of[at] = listed.right[i];
+            forward_of[at] = listed.forward[i];
         }
-#else
-        Run run = {0, filled[0]};  // the part that the last cell went to, and its end
-        for (int k = 0, c = 0; k < cells; ++k, c = c + 1 < columns ? c + 1 : 0) {
-            const int number = label[k];
-            if (number < 0 || number >= count) continue;
-            const int own = place(number, in_view[k], c);
-            if (own != run.place) {
-                filled[run.place] = run.size;
-                run = {own, filled[own]};
-            }
-            const int i = run.size++;
-            cell[i] = k;
-            right_of[i] = right[k];
-            forward_of[i] = forward[k];
-        }
-#endif
     }
 
     Range all(int number) const { return parts(number, SHOWN_AT_MARGIN, PARTS); }

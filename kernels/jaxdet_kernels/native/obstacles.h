@@ -210,17 +210,18 @@ struct Obstacles {
     void find_evidence(const Team& team, const Contours& contours) const {
         const int count = counts[WHOLE], gap = settings[GAP];
         for (int l = team.rank; l < count; l += team.size) over[l] = whole.cells[l] / Extents::TRIM;
-        measure_width(team, whole, count);
-        trim(team, whole, count, listed.forward, whole.forward_low, whole.forward_high, whole.near,
-             whole.far);
+        for (int ahead = 0; ahead < 2; ++ahead)
+            trim(team, whole, count, ahead ? listed.forward : listed.right,
+                 ahead ? whole.forward_low : whole.right_low,
+                 ahead ? whole.forward_high : whole.right_high, ahead ? whole.near : whole.left,
+                 ahead ? whole.far : whole.right);
         team.sync();
         const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
                                    whole, contours, trees, near, pairs, list, counts + NEAR, between};
         evidence.find_near(team);
         const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
-        in_rows.run(team);
         const Facing in_columns = {turned(0), turned(1), packed, y, 1, columns, false, gap, near, pairs};
-        in_columns.run(team);
+        Facing::run(team, in_rows, in_columns);
         team.sync();
         evidence.run(team);
     }

@@ -61,6 +61,7 @@ struct Outlines {
         measures.clear(slots);
         cells.clear();
         team.sync();
+        cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
         look();
         team.sync();
         if (team.rank == 0) cells.order();
@@ -80,11 +81,12 @@ struct Outlines {
 
     void clear() const {
         const Team& team = cells.team;
-        const int used = cells.count * cells.columns, points = 2 * slots * capacity;
+        const int used = cells.count * cells.columns, points = slots * capacity;
         const unsigned long long none = ~0ull;
+        unsigned long long* const pairs = (unsigned long long*)contour_out;
         for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
         for (int i = team.rank; i < 2 * cells.count; i += team.size) margins[i] = 0;
-        for (int i = team.rank; i < points; i += team.size) contour_out[i] = 0;
+        for (int i = team.rank; i < points; i += team.size) pairs[i] = 0;
         for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
         for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
         for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
@@ -93,46 +95,13 @@ struct Outlines {
     // Counts the cells of each obstacle and finds the nearest in each column.
     void look() const {
         const Team& team = cells.team;
-        ObstacleCells::Run run = {0, 0};
-#if defined(__CUDA_ARCH__)
-        // Down the columns, AHEAD cells at a time: their loads wait together.
-        enum { AHEAD = ObstacleCells::AHEAD };
-        for (int c = team.rank; c < cells.columns; c += team.size) {
-            int known = -1;
-            unsigned long long best = ~0ull;
-            for (int first = c; first < cells.cells; first += AHEAD * cells.columns) {
-                int number[AHEAD], x[AHEAD], y[AHEAD];
-                bool shown[AHEAD];
-                for (int n = 0; n < AHEAD; ++n) {
-                    const int k = first + n * cells.columns, there = k < cells.cells ? k : first;
-                    number[n] = k < cells.cells ? cells.label[there] : -1;
-                    x[n] = cells.right[there];
-                    y[n] = cells.forward[there];
-                    shown[n] = cells.in_view[there];
-                }
-                for (int n = 0; n < AHEAD; ++n) {
-                    if (number[n] != known) {
-                        if (known >= 0) team.least(nearest + known * cells.columns + c, best);
-                        known = number[n] < cells.count ? number[n] : -1;
-                        best = ~0ull;
-                    }
-                    if (known < 0) continue;
-                    cells.note(run, cells.place(known, shown[n], c));
-                    const unsigned long long own = key(first + n * cells.columns, x[n], y[n]);
-                    best = own < best ? own : best;
-                }
-            }
-            if (known >= 0) team.least(nearest + known * cells.columns + c, best);
+        const Listed& listed = cells.listed;
+        for (int i = team.rank; i < *listed.count; i += team.size) {
+            const int k = listed.cell[i];
+            team.count(cells.filled + cells.place_of(i));
+            team.least(nearest + listed.label[i] * cells.columns + k % cells.columns,
+                       key(k, listed.right[i], listed.forward[i]));
         }
-#else
-        for (int k = 0, c = 0; k < cells.cells; ++k, c = c + 1 < cells.columns ? c + 1 : 0) {
-            const int number = cells.label[k];
-            if (number < 0 || number >= cells.count) continue;
-            cells.note(run, cells.place(number, cells.in_view[k], c));
-            team.least(nearest + number * cells.columns + c, key(k, cells.right[k], cells.forward[k]));
-        }
-#endif
-        cells.end(run);
     }
 
     // What the cells of a column are compared by: the squared distance, then the number.
