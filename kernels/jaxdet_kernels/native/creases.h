@@ -16,7 +16,7 @@ struct Creases {
         // On CUDA a warp smooths a strip of columns, of which HALO at both sides are its
         // neighbours', down SEGMENT rows; loads of AHEAD rows or words wait together.
         HALO = 2,
-        SEGMENT = 40,
+        SEGMENT = 24,
         AHEAD = 4
     };
     Grid grid;
@@ -25,15 +25,14 @@ struct Creases {
     // By depth: the surface step, and the limit of bends.
     const int* steps;
     const int* limits;
-    // (R, C): depth, 0 = none; 1 = kept.
+    // (R, C): depth, 0 = none.
     const int* z;
-    const unsigned char* keep;
     // (grid), with margins of NONE: smoothed depths, at first on the CPU depths with BITS fraction
     // bits; on the CPU the same as scratch memory, and what is found of each depth in `steps`.
     int* smooth;
     int* other;
     int* step;
-    // Results: which cells are kept. Scratch memory: what is found, and where runs start.
+    // Which cells are kept. Scratch memory: what is found, and where runs start.
     BitRows kept, found, wide;
     Runs runs;
     int* sums;
@@ -86,7 +85,18 @@ struct Creases {
         }
     };
 
-    // Both smoothings at once, down strips of columns.
+    // Whether a cell is kept at most `reach` cells away from some; all lanes ask.
+    bool is_used(const Lanes& lanes, int top, int bottom, int left, int right) const {
+        const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
+        const int to = (right + reach) / BitRows::WIDTH;
+        const int last = bottom + reach < grid.rows ? bottom + reach : grid.rows;
+        unsigned some = 0;
+        for (int r = (top < reach ? 0 : top - reach) + lanes.rank; r < last; r += Lanes::size)
+            for (int w = from; w <= to && w < kept.words; ++w) some |= kept[kept.at(r, w)];
+        return lanes.those(some != 0);
+    }
+
+    // Both smoothings at once, down strips of columns, where they are used.
     void smoothed(const Team& team) const {
         enum { INNER = Lanes::size - 2 * HALO };
         const Lanes lanes(team);
@@ -97,7 +107,8 @@ struct Creases {
             const bool inside = c >= 0 && c < grid.columns;
             const bool own = inside && lanes.rank >= HALO && lanes.rank < Lanes::size - HALO;
             const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
-            const int end = stop < grid.rows ? stop : grid.rows;
+            const int end = stop < grid.rows ? stop : grid.rows, left = piece % strips * INNER;
+            if (!is_used(lanes, begin, end, left, left + INNER - 1)) continue;
             Window measured, once;
             for (int k = 0; k < 3; ++k) {
                 measured.left[k] = measured.own[k] = measured.right[k] = NONE;
@@ -125,20 +136,19 @@ struct Creases {
         team.sync();
     }
 
-    // What is kept and what bends, a word a warp.
+    // What bends, a word a warp.
     void find(const Team& team) const {
         const Lanes lanes(team);
         const int words = found.words, count = grid.rows * words;
-        kept.clear_rest(team);
         found.clear_rest(team);
         for (int first = lanes.index; first < count; first += AHEAD * lanes.count) {
             int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
             bool on[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * lanes.count;
+                const int i = first + k * lanes.count < count ? first + k * lanes.count : first;
                 const int r = i / words, c = i % words * BitRows::WIDTH + lanes.rank;
-                const bool there = i < count && c < grid.columns;
-                const int row = there ? r : 0, column = there ? c : 0;
+                on[k] = kept[kept.at(r, i % words)] >> lanes.rank & 1;
+                const int row = on[k] ? r : 0, column = on[k] ? c : 0;
                 const int at = grid.row(row) + column, none = grid.row(-1);
                 const bool inside = row >= reach && row + reach < grid.rows;
                 here[k] = smooth[at];
@@ -147,7 +157,6 @@ struct Creases {
                 up[k] = smooth[inside ? at - reach * grid.stride : none];
                 down[k] = smooth[inside ? at + reach * grid.stride : none];
                 d[k] = z[row * grid.columns + column];
-                on[k] = there && keep[row * grid.columns + column];
             }
             int near[AHEAD], limit[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
@@ -155,15 +164,13 @@ struct Creases {
                 limit[k] = limits[d[k]];
             }
             for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * lanes.count;
                 const int most = reach * capped(near[k], MOST_STEP) << BITS;
                 const int deep = capped(limit[k], MOST_LIMIT) << (BITS + 1);
                 const bool bent = bends(here[k], before[k], after[k], most, deep) |
                                   bends(here[k], up[k], down[k], most, deep);
-                const unsigned all = lanes.those(on[k]), crease = lanes.those(on[k] & bent);
-                const int i = first + k * lanes.count;
-                if (i >= count || lanes.rank) continue;
-                kept[found.at(i / words, i % words)] = all;
-                found[found.at(i / words, i % words)] = crease;
+                const unsigned crease = lanes.those(on[k] & bent);
+                if (i < count && lanes.rank == 0) found[found.at(i / words, i % words)] = crease;
             }
         }
         team.sync();
@@ -178,56 +185,80 @@ struct Creases {
                           down[c - 1], down[c], down[c + 1]);
     }
 
-    void smoothed(const Team&) const {
-        const int wide = grid.stride;
-        int *from = smooth, *to = other;
-        for (int time = 0; time < 2; ++time) {
-            for (int r = 0; r < grid.rows; ++r) {
-                const int at = grid.row(r);
-                const int* here = from + at;
-                smooth_row(here - wide, here, here + wide, step + at, to + at, grid.columns);
-            }
-            from = other;
-            to = smooth;
+    // Words of each row, a bit a word: those of `rows` and as many rows around, and the words beside.
+    void widen(const unsigned* words, int around, unsigned* out) const {
+        for (int r = 0; r < grid.rows; ++r) {
+            const int first = r < around ? 0 : r - around;
+            unsigned all = 0;
+            for (int k = first; k <= r + around && k < grid.rows; ++k) all |= words[k];
+            out[r] = (all | all << 1 | all >> 1) & ((1u << kept.words) - 1);
         }
     }
 
-    static void limits_of_row(
-        const int* __restrict__ limits, const int* __restrict__ z, int* __restrict__ out, int n
-    ) {
-        for (int c = 0; c < n; ++c) out[c] = capped(limits[z[c]], MOST_LIMIT);
+    // The columns from the first word that is set to the first that is not; these are taken off.
+    int next(unsigned* words, int* begin) const {
+        const int first = BitRows::first(*words), end = first + BitRows::first(~(*words >> first));
+        *words &= ~0u << end;
+        *begin = first * BitRows::WIDTH;
+        return (end * BitRows::WIDTH < grid.columns ? end * BitRows::WIDTH : grid.columns) - *begin;
+    }
+
+    // Where it is used.
+    void smoothed(const Team&) const {
+        unsigned some[Grid::MOST_COLUMNS], twice[Grid::MOST_COLUMNS], once[Grid::MOST_COLUMNS];
+        for (int r = 0; r < grid.rows; ++r) {
+            some[r] = 0;
+            for (int w = 0; w < kept.words; ++w) some[r] |= (unsigned)(kept[kept.at(r, w)] != 0) << w;
+        }
+        widen(some, reach, twice);
+        widen(twice, 1, once);
+        const int wide = grid.stride;
+        int c;
+        for (int r = 0; r < grid.rows; ++r)
+            for (unsigned words = once[r]; words;) {
+                const int n = next(&words, &c), at = grid.row(r) + c;
+                const int* depths = z + r * grid.columns + c;
+                for (int k = 0; k < n; ++k) step[at + k] = capped(steps[depths[k]], MOST_STEP);
+                const int* here = smooth + at;
+                smooth_row(here - wide, here, here + wide, step + at, other + at, n);
+            }
+        for (int r = 0; r < grid.rows; ++r)
+            for (unsigned words = twice[r]; words;) {
+                const int n = next(&words, &c), at = grid.row(r) + c;
+                const int* here = other + at;
+                smooth_row(here - wide, here, here + wide, step + at, smooth + at, n);
+            }
     }
 
     static void bends_of_row(
         const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
         const int* __restrict__ step, const int* __restrict__ limit,
-        const unsigned char* __restrict__ keep, unsigned char* __restrict__ out, int reach, int n
+        unsigned char* __restrict__ out, int reach, int n
     ) {
         for (int c = 0; c < n; ++c) {
             const int most = reach * step[c] << BITS, deep = limit[c] << (BITS + 1);
-            const bool bent = bends(here[c], here[c - reach], here[c + reach], most, deep) |
-                              bends(here[c], up[c], down[c], most, deep);
-            out[c] = keep[c] & bent;
+            out[c] = bends(here[c], here[c - reach], here[c + reach], most, deep) |
+                     bends(here[c], up[c], down[c], most, deep);
         }
     }
 
     void find(const Team&) const {
-        unsigned char row[Grid::MOST_COLUMNS];
-        for (int r = 0; r < grid.rows; ++r) {
-            const int at = grid.row(r), none = grid.row(-1);
+        unsigned char bent[BitRows::WIDTH];
+        int limit[BitRows::WIDTH];
+        for (int i = 0; i < found.count(); ++i) {
+            found[i] = 0;
+            if (!kept[i]) continue;
+            const int r = found.row(i), c = found.column(i), left = grid.columns - c;
+            const int n = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
+            const int at = grid.row(r) + c, none = grid.row(-1) + c;
             // Without a row so far above or below there is no bend.
             const bool inside = r >= reach && r + reach < grid.rows;
             const int up = inside ? at - reach * grid.stride : none;
             const int down = inside ? at + reach * grid.stride : none;
-            const unsigned char* on = keep + r * grid.columns;
-            limits_of_row(limits, z + r * grid.columns, other + at, grid.columns);
-            bends_of_row(smooth + up, smooth + at, smooth + down, step + at, other + at, on, row,
-                         reach, grid.columns);
-            for (int i = found.at(r, 0); i < found.at(r + 1, 0); ++i) {
-                const int c = found.column(i);
-                kept[i] = BitRows::packed(on + c, 0, grid.columns - c);
-                found[i] = BitRows::packed(row + c, 0, grid.columns - c);
-            }
+            const int* depths = z + r * grid.columns + c;
+            for (int k = 0; k < n; ++k) limit[k] = capped(limits[depths[k]], MOST_LIMIT);
+            bends_of_row(smooth + up, smooth + at, smooth + down, step + at, limit, bent, reach, n);
+            found[i] = BitRows::packed(bent, 0, n) & kept[i];
         }
     }
 #endif

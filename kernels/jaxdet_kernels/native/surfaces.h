@@ -99,25 +99,34 @@ struct Surfaces {
     // Everything that is known of single cells.
     void start(const Team& team, const Parts& in) const {
         const FloorFrame frame(floor);
-        const int cells = rows * columns, nearest = settings[NEAREST], farthest = settings[FARTHEST];
+        const Lanes lanes(team);
+        const int words = in.kept.words, all = rows * words;
+        const int nearest = settings[NEAREST], farthest = settings[FARTHEST];
         in.grid.frame(team, in.depth, Creases::NONE);
-        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
+        in.kept.clear_rest(team);
+        for (int first = lanes.index * AHEAD; first < all; first += lanes.count * AHEAD) {
             int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int there = i + k * team.size;
-                at[k] = there < cells ? there : i;
-                a[k] = x[at[k]], b[k] = y[at[k]], d[k] = z[at[k]];
+                const int i = first + k, c = i % words * BitRows::WIDTH + lanes.rank;
+                at[k] = i < all && c < columns ? i / words * columns + c : -1;
+                const int there = at[k] < 0 ? 0 : at[k];
+                a[k] = x[there], b[k] = y[there], d[k] = z[there];
             }
             for (int k = 0; k < AHEAD; ++k) rise[k] = rises[d[k]];
             for (int k = 0; k < AHEAD; ++k) {
                 const int ahead = frame.forward(a[k], b[k], d[k]);
                 int high = frame.level(a[k], b[k], d[k]);
                 if (frame.has_ramp()) high -= frame.rise(ahead);
-                const bool above = high > rise[k];
+                const bool above = high > rise[k], there = at[k] >= 0;
+                const bool on = there & (d[k] >= nearest) & (d[k] <= farthest) & above;
+                const unsigned those = lanes.those(on);
+                const int i = first + k;
+                if (lanes.rank == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
+                if (!there) continue;
                 right[at[k]] = frame.right(a[k], b[k], d[k]);
                 forward[at[k]] = ahead;
                 height[at[k]] = high;
-                keep[at[k]] = (d[k] >= nearest) & (d[k] <= farthest) & above;
+                keep[at[k]] = on;
                 low[at[k]] = (d[k] > 0) & !above;
             }
         }
@@ -139,17 +148,6 @@ struct Surfaces {
             for (int c = 0; c < n; ++c) height[c] -= frame.rise(forward[c]);
     }
 
-    // Table entries by depth, at most Creases::MOST_STEP, and heights.
-    static void look_up_row(
-        const int* __restrict__ steps, const int* __restrict__ rises, const int* __restrict__ z,
-        int* __restrict__ step, int* __restrict__ rise, int n
-    ) {
-        for (int c = 0; c < n; ++c) {
-            step[c] = Creases::capped(steps[z[c]], Creases::MOST_STEP);
-            rise[c] = rises[z[c]];
-        }
-    }
-
     static void keep_row(
         const int* __restrict__ z, const int* __restrict__ height, const int* __restrict__ rise,
         unsigned char* __restrict__ keep, unsigned char* __restrict__ low, int* __restrict__ depth,
@@ -167,16 +165,21 @@ struct Surfaces {
     // Everything that is known of single cells.
     void start(const Team& team, const Parts& in) const {
         const FloorFrame frame(floor);
+        int rise[Grid::MOST_COLUMNS];
         in.grid.frame(team, in.depth, Creases::NONE);
         in.grid.frame(team, in.other, Creases::NONE);
         for (int r = 0; r < rows; ++r) {
             const int k = r * columns, at = in.grid.row(r);
             place_row(frame, x + k, y + k, z + k, right + k, forward + k, height + k, columns);
-            look_up_row(steps, rises, z + k, in.step + at, in.other + at, columns);
+            for (int c = 0; c < columns; ++c) rise[c] = rises[z[k + c]];
             keep_row(
-                z + k, height + k, in.other + at, keep + k, low + k, in.depth + at,
-                settings[NEAREST], settings[FARTHEST], columns
+                z + k, height + k, rise, keep + k, low + k, in.depth + at, settings[NEAREST],
+                settings[FARTHEST], columns
             );
+            for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
+                const int c = in.kept.column(i);
+                in.kept[i] = BitRows::packed(keep + k + c, 0, columns - c);
+            }
         }
     }
 #endif
@@ -192,6 +195,13 @@ struct Surfaces {
         const Lanes lanes(team);
         const int words = on.words, count = rows * words;
         for (int first = lanes.index; first < count; first += FEW * lanes.count) {
+            unsigned some = 0;
+            for (int k = 0; k < FEW; ++k) {
+                const int i = first + k * lanes.count, j = on.at(i / words, i % words);
+                if (i < count) some |= on[j];
+                if (i < count && lanes.rank == 0) starts[j] = up[j] = 0;
+            }
+            if (!some) continue;
             int here[FEW], before[FEW], above[FEW];
             for (int k = 0; k < FEW; ++k) {
                 const int i = first + k * lanes.count;
@@ -318,8 +328,9 @@ struct Surfaces {
     }
 
     // Kept cells without a label take that of the neighbour nearest in depth, ring by ring. Labels
-    // of a round are looked at in the next: `has` says which are there. Ends in a sync.
-    void give_back(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
+    // of a round are looked at in the next: `has` says which are there. Returns which cells have one
+    // in the end; ends in a sync.
+    BitRows give_back(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
         const Lanes lanes(team);
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
         for (int round = 0; round < rounds; ++round) {
@@ -353,6 +364,7 @@ struct Surfaces {
             has = next;
             next = other;
         }
+        return has;
     }
 
     // Gives a cell the label of the neighbour that is nearest in depth within the step, of as near
@@ -387,7 +399,7 @@ struct Surfaces {
     }
 
     // Ends in a sync.
-    void look(const Team& team, const Parts& in, int runs) const {
+    void look(const Team& team, const Parts& in, int runs, const BitRows& has) const {
         const int margin = columns / MARGIN;
         int* const certain = in.sizes;
         for (int run = team.rank; run < runs; run += team.size) certain[run] = 0;
@@ -395,8 +407,14 @@ struct Surfaces {
 #if defined(__CUDA_ARCH__)
         enum { FEW = 2 };
         const Lanes lanes(team);
-        const int words = in.on.words, count = rows * words;
+        const int words = has.words, count = rows * words;
         for (int first = lanes.index; first < count; first += FEW * lanes.count) {
+            unsigned some = 0;
+            for (int k = 0; k < FEW; ++k) {
+                const int i = first + k * lanes.count;
+                if (i < count) some |= has[has.at(i / words, i % words)];
+            }
+            if (!some) continue;
             int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
             bool lowest[FEW];
             for (int k = 0; k < FEW; ++k) {
@@ -433,13 +451,16 @@ struct Surfaces {
             }
         }
 #else
-        for (int r = 0; r < rows; ++r) {
-            const int* label = label_out + r * columns;
-            for (int begin = 0, end; begin < columns; begin = end) {
-                const int own = label[begin], k = r * columns;
-                end = begin + 1;
-                while (end < columns && label[end] == own) ++end;
-                if (own < 0) continue;
+        for (int i = 0; i < has.count(); ++i) {
+            const int r = has.row(i), k = r * columns;
+            const int* label = label_out + k + has.column(i);
+            for (unsigned rest = has[i]; rest;) {
+                // Cells of one label that follow each other.
+                const int first = BitRows::first(rest), own = label[first];
+                int next = first;
+                for (; next < BitRows::WIDTH && rest >> next & 1 && label[next] == own; ++next)
+                    rest &= ~(1u << next);
+                const int begin = has.column(i) + first, end = has.column(i) + next;
                 int top = -1, pairs = 0, steep = 0;
                 for (int c = begin; c < end; ++c) top = height[k + c] > top ? height[k + c] : top;
                 if (r + 1 < rows)
@@ -467,9 +488,10 @@ struct Surfaces {
     }
 
     // Numbers the surfaces in the order of their first cells, but for bent floor.
-    void number(const Team& team, const Parts& in, const Runs& runs, int all) const {
+    void number(
+        const Team& team, const Parts& in, const Runs& runs, int all, const BitRows& has
+    ) const {
         const BitRows& firsts = runs.starts;
-        const int cells = rows * columns;
         const auto is_surface = [&](int run) { return in.label[run] == run; };
         const auto word_of = [&](int cell) {
             return firsts.at(cell / columns, cell % columns / BitRows::WIDTH);
@@ -495,30 +517,17 @@ struct Surfaces {
             numbers[run] = bent ? -1 : runs.before[i] + BitRows::ones(firsts[i] & (bit - 1));
         }
         team.sync();
-#if defined(__CUDA_ARCH__)
-        for (int i = team.rank; i < cells; i += AHEAD * team.size) {
-            int own[AHEAD], number[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int at = i + k * team.size;
-                own[k] = at < cells ? label_out[at] : -1;
-            }
-            for (int k = 0; k < AHEAD; ++k) number[k] = own[k] < 0 ? -1 : numbers[own[k]];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int at = i + k * team.size;
-                if (at >= cells) break;
-                label_out[at] = number[k] < MOST ? number[k] : -1;
-                if (own[k] >= 0 && number[k] < 0) keep[at] = 0;
+        const Lanes lanes(team);
+        for (int i = lanes.index; i < has.count(); i += lanes.count) {
+            if (!has[i]) continue;
+            const int first = has.row(i) * columns + has.column(i);
+            for (int k = lanes.rank; k < BitRows::WIDTH; k += Lanes::size) {
+                if (!(has[i] >> k & 1)) continue;
+                const int number = numbers[label_out[first + k]];
+                label_out[first + k] = number < MOST ? number : -1;
+                if (number < 0) keep[first + k] = 0;
             }
         }
-#else
-        for (int i = 0; i < cells; ++i) {
-            const int own = label_out[i];
-            if (own < 0) continue;
-            const int number = numbers[own];
-            label_out[i] = number < MOST ? number : -1;
-            if (number < 0) keep[i] = 0;
-        }
-#endif
         team.sync();
     }
 
@@ -529,7 +538,7 @@ struct Surfaces {
         start(team, in);
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
-            steps, limits, z, keep, in.depth, in.other, in.step, kept, starts, up,
+            steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
             {starts, up, in.before, {in.parent}, in.sizes}, in.sums, in.near, in.most_near,
         };
         const BitRows crease = creases.run(team);
@@ -544,8 +553,8 @@ struct Surfaces {
 #endif
         Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
         const int all = label(team, in, runs, up, up);
-        give_back(team, kept, up, on);
-        look(team, in, all);
-        number(team, in, runs, all);
+        const BitRows has = give_back(team, kept, up, on);
+        look(team, in, all, has);
+        number(team, in, runs, all, has);
     }
 };
