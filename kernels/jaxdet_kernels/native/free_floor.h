@@ -13,7 +13,7 @@ struct FreeFloor {
         BESIDE = 10,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
-        AHEAD = 8  // on CUDA the loads of so many cells wait together
+        AHEAD = 4  // on CUDA the loads of so many cells wait together
     };
 
     // What is known of a column while one goes up its cells.
