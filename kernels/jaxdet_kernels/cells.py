@@ -89,7 +89,7 @@ def cells(
         near: By depth, how far from a cell's median its depths count [depth units].
         rays: ``(3, R, C)``, the cells' rays in the colour camera, ``RAY_BITS`` fraction bits.
         offset: ``(3,)``, the depth camera there [depth units].
-        corner_x: ``(Hd + 1, Wd + 1)``, the rays of the depth pixels' corners; not read if aligned.
+        corner_x: ``(R + 1, C + 1)``, the rays of the cells' corners; not read if aligned.
         corner_y: Likewise.
         parameters: Of the alignment, likewise.
         last: ``(2,)``, the last column and row of the colour image.

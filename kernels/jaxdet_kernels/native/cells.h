@@ -12,7 +12,7 @@ struct CellGrid {
     const int* near;                // By depth, see `CellDepth`.
     const int* rays;                // (3, rows, columns), RAY_BITS fraction bits.
     const int* offset;              // (3)
-    const float *corner_x, *corner_y;  // (height + 1, width + 1)
+    const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
     Projection projection;
     const int* last;                // The colour image's last column and row.
     bool aligned;
@@ -55,37 +55,63 @@ struct CellGrid {
 
     // Corner 0 or 1 of a cell whose depth is d; `bends` where the lens does.
     Projection::Point corner(int row, int column, int d, int which, bool bends) const {
-        const int v = (row + which) * side, u = (column + which) * side;
-        if (aligned) return {u - which, v - which, d, true};
-        const long long at = (long long)v * (width + 1) + u;
+        if (aligned) return {(column + which) * side - which, (row + which) * side - which, d, true};
+        const int at = (row + which) * (columns + 1) + column + which;
         return projection.through(d, corner_x[at], corner_y[at], bends);
+    }
+
+#if !defined(__CUDA_ARCH__)
+    // Of a row of cells.
+    void depths(int row, CellRow& beside, int* d) const {
+        enum { LANES = CellRow::LANES };
+        if (side > CellRow::MOST_SIDE || columns < LANES) {
+            for (int column = 0; column < columns; ++column) d[column] = cell(row, column).depth();
+            return;
+        }
+        for (int start = 0; start < columns; start += LANES) {
+            // The last ones are found again where they don't fill the lanes.
+            const int from = start < columns - LANES ? start : columns - LANES;
+            const unsigned short* first = cell(row, from).first;
+            switch (side) {
+                case 1: beside.run(first, width, 1, d + from); break;
+                case 2: beside.run(first, width, 2, d + from); break;
+                case 3: beside.run(first, width, 3, d + from); break;
+                case 4: beside.run(first, width, 4, d + from); break;
+                case 5: beside.run(first, width, 5, d + from); break;
+                default: beside.run(first, width, side, d + from);
+            }
+        }
     }
 
     // Of a row of cells.
     void boxes(int row, const int* d) const {
         const bool bends = projection.model != Projection::PINHOLE;
-        if (!aligned && !bends) {
-            int u[2][MOST_COLUMNS], v[2][MOST_COLUMNS], seen[2][MOST_COLUMNS];
-            for (int which = 0; which < 2; ++which) {
-                const long long at = (long long)(row + which) * side * (width + 1) + which * side;
-                const float *x = corner_x + at, *y = corner_y + at;
-                for (int column = 0; column < columns; ++column) {
-                    const Projection::Point there =
-                        projection.through(d[column], x[column * side], y[column * side]);
-                    u[which][column] = there.u;
-                    v[which][column] = there.v;
-                    seen[which][column] = there.seen;
-                }
-            }
+        if (aligned || bends) {
             for (int column = 0; column < columns; ++column)
-                box(row * columns + column, {u[0][column], v[0][column], 0, seen[0][column] != 0},
-                    {u[1][column], v[1][column], 0, seen[1][column] != 0});
+                box(row * columns + column, corner(row, column, d[column], 0, bends),
+                    corner(row, column, d[column], 1, bends));
             return;
         }
+        // Of a copy that nothing else is written to, so that the loops have no loads but the rays'.
+        float own[Projection::PARAMETERS];
+        for (int i = 0; i < Projection::PARAMETERS; ++i) own[i] = projection.p[i];
+        const Projection pinhole{own, Projection::PINHOLE};
+        int u[2][MOST_COLUMNS], v[2][MOST_COLUMNS], seen[2][MOST_COLUMNS];
+        for (int which = 0; which < 2; ++which) {
+            const int at = (row + which) * (columns + 1) + which;
+            const float *x = corner_x + at, *y = corner_y + at;
+            for (int column = 0; column < columns; ++column) {
+                const Projection::Point there = pinhole.through(d[column], x[column], y[column]);
+                u[which][column] = there.u;
+                v[which][column] = there.v;
+                seen[which][column] = there.seen;
+            }
+        }
         for (int column = 0; column < columns; ++column)
-            box(row * columns + column, corner(row, column, d[column], 0, bends),
-                corner(row, column, d[column], 1, bends));
+            box(row * columns + column, {u[0][column], v[0][column], 0, seen[0][column] != 0},
+                {u[1][column], v[1][column], 0, seen[1][column] != 0});
     }
+#endif
 
     void run(const Team& team) const {
 #if defined(__CUDA_ARCH__)
@@ -98,43 +124,10 @@ struct CellGrid {
         }
 #else
         (void)team;
-        // Row by row: the pixels of a column of the image first, then the columns of a cell.
-        int count[MOST_COLUMNS], sum[MOST_COLUMNS], low[MOST_COLUMNS], high[MOST_COLUMNS];
         int d[MOST_COLUMNS];
-        const int used = columns * side;
+        CellRow beside(near);
         for (int row = 0; row < rows; ++row) {
-            const unsigned short* line = depth + (long long)row * side * width;
-            for (int u = 0; u < used; ++u) {
-                const int value = line[u];
-                count[u] = value != 0;
-                sum[u] = high[u] = value;
-                low[u] = value ? value : 65536;
-            }
-            for (int v = 1; v < side; ++v) {
-                line += width;
-                for (int u = 0; u < used; ++u) {
-                    const int value = line[u], measured = value ? value : 65536;
-                    count[u] += value != 0;
-                    sum[u] += value;
-                    high[u] = value > high[u] ? value : high[u];
-                    low[u] = measured < low[u] ? measured : low[u];
-                }
-            }
-            for (int column = 0; column < columns; ++column) {
-                CellDepth::Pixels all{0, 0, 65536, 0};
-                for (int u = column * side; u < (column + 1) * side; ++u) {
-                    all.count += count[u];
-                    all.sum += sum[u];
-                    all.low = low[u] < all.low ? low[u] : all.low;
-                    all.high = high[u] > all.high ? high[u] : all.high;
-                }
-                cell(row, column).keep_near(all);
-                // Those of this cell and of the ones before are read no more.
-                count[column] = all.count;
-                sum[column] = all.sum;
-            }
-            for (int column = 0; column < columns; ++column)
-                d[column] = CellDepth::mean(sum[column], count[column]);
+            depths(row, beside, d);
             for (int column = 0; column < columns; ++column) place(row, column, d[column]);
             boxes(row, d);
         }
