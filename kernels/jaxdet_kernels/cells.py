@@ -13,6 +13,7 @@ wp.set_module_options(
 
 
 @native_kernel(
+    "lanes.h",
     "cell_depth.h",
     "projection.h",
     "cells.h",

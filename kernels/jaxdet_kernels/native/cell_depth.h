@@ -78,32 +78,29 @@ struct CellDepth {
     // For a side known when this is compiled, at most SMALL: the values stay in registers.
     __forceinline__ int depth_of_small(int known) const {
         const int all = known * known;
-        int value[SMALL * SMALL];
+        int value[SMALL * SMALL], sorted[SMALL * SMALL];
+#pragma unroll
         for (int v = 0; v < known; ++v)
+#pragma unroll
             for (int u = 0; u < known; ++u) value[v * known + u] = first[v * stride + u];
-        int count = 0, sum = 0, low = 65536, high = 0;
+        int count = 0, sum = 0, high = 0;
+#pragma unroll
         for (int i = 0; i < all; ++i) {
             count += value[i] != 0;
             sum += value[i];
-            low = value[i] && value[i] < low ? value[i] : low;
             high = value[i] > high ? value[i] : high;
+            sorted[i] = value[i] ? value[i] : 65536;
         }
         if (2 * count < all || !count) return 0;
-        if (high - low > near[low]) {
-            // As many are below the median as come before it, or fewer, and of its equals one has
-            // its place.
+        sort(sorted, all);
+        if (high - sorted[0] > near[sorted[0]]) {
             const int place = (count - 1) / 2;
             int median = 0;
-            for (int i = 0; i < all; ++i) {
-                int below = 0, up_to = 0;
-                for (int j = 0; j < all; ++j) {
-                    below += value[j] && value[j] < value[i];
-                    up_to += value[j] && value[j] <= value[i];
-                }
-                if (below <= place && place < up_to) median = value[i];
-            }
+#pragma unroll
+            for (int i = 0; i < all; ++i) median = i == place ? sorted[i] : median;
             const int reach = near[median];
             count = sum = 0;
+#pragma unroll
             for (int i = 0; i < all; ++i) {
                 const int apart = value[i] < median ? median - value[i] : value[i] - median;
                 const bool counts = value[i] && apart <= reach;
@@ -112,6 +109,24 @@ struct CellDepth {
             }
         }
         return (2 * sum + count) / (2 * count);
+    }
+
+    // Batcher's odd-even merge sort; all its loops have a fixed length.
+    __forceinline__ void sort(int* values, int all) const {
+#pragma unroll
+        for (int m = 0; m < 4; ++m)
+#pragma unroll
+            for (int n = 0; n < 4; ++n)
+#pragma unroll
+                for (int i = 0; i < SMALL * SMALL; ++i) {
+                    if (n > m) continue;
+                    const int part = 1 << m, apart = 1 << (m - n), k = i - (n ? apart : 0);
+                    if (i + apart >= all || k < 0 || (k & apart)) continue;
+                    if (i / (2 * part) != (i + apart) / (2 * part)) continue;
+                    const int one = values[i], other = values[i + apart];
+                    values[i] = min(one, other);
+                    values[i + apart] = max(one, other);
+                }
     }
 #endif
 

@@ -3,6 +3,7 @@
 #pragma once
 #include "team.h"
 #include "cell_depth.h"
+#include "lanes.h"
 #include "projection.h"
 
 struct CellGrid {
@@ -28,12 +29,23 @@ struct CellGrid {
         return ((ray >> 10) * d + (((ray & 1023) * d) >> 10) + 512) >> 10;
     }
 
-    void place(int row, int column, int d) const {
-        const int k = row * columns + column, all = rows * columns;
-        const int z = along(rays[2 * all + k], d) + offset[2];
+    // A cell's ray.
+    struct Ray {
+        int x, y, z;
+    };
+
+    Ray ray(int k) const {
+        const int all = rows * columns;
+        return {rays[k], rays[all + k], rays[2 * all + k]};
+    }
+
+    void place(int k, const Ray& ray, int d) const {
+        const int z = along(ray.z, d) + offset[2];
         const int seen = -(int)(d > 0 && z > 0);
-        x_out[k] = (along(rays[k], d) + offset[0]) & seen;
-        y_out[k] = (along(rays[all + k], d) + offset[1]) & seen;
+        const int x = (along(ray.x, d) + offset[0]) & seen;
+        const int y = (along(ray.y, d) + offset[1]) & seen;
+        x_out[k] = x;
+        y_out[k] = y;
         z_out[k] = (z < 65535 ? z : 65535) & seen;
     }
 
@@ -53,11 +65,25 @@ struct CellGrid {
         in_view_out[k] = inside;
     }
 
-    // Corner 0 or 1 of a cell whose depth is d; `bends` where the lens does.
-    Projection::Point corner(int row, int column, int d, int which, bool bends) const {
-        if (aligned) return {(column + which) * side - which, (row + which) * side - which, d, true};
-        const int at = (row + which) * (columns + 1) + column + which;
-        return projection.through(d, corner_x[at], corner_y[at], bends);
+    // The rays of the corners of a cell in the depth camera.
+    struct Corners {
+        float x[2], y[2];
+    };
+
+    Corners corners(int row, int column) const {
+        if (aligned) return {{0.0f, 0.0f}, {0.0f, 0.0f}};
+        const int one = row * (columns + 1) + column, two = one + columns + 2;
+        return {{corner_x[one], corner_x[two]}, {corner_y[one], corner_y[two]}};
+    }
+
+    // The box of a cell whose depth is d; `bends` where the lens does.
+    void box(int row, int column, const Corners& at, int d, bool bends) const {
+        const int k = row * columns + column, u = column * side, v = row * side;
+        if (aligned)
+            box(k, {u, v, d, true}, {u + side - 1, v + side - 1, d, true});
+        else
+            box(k, projection.through(d, at.x[0], at.y[0], bends),
+                projection.through(d, at.x[1], at.y[1], bends));
     }
 
 #if !defined(__CUDA_ARCH__)
@@ -88,8 +114,7 @@ struct CellGrid {
         const bool bends = projection.model != Projection::PINHOLE;
         if (aligned || bends) {
             for (int column = 0; column < columns; ++column)
-                box(row * columns + column, corner(row, column, d[column], 0, bends),
-                    corner(row, column, d[column], 1, bends));
+                box(row, column, corners(row, column), d[column], bends);
             return;
         }
         // Of a copy that nothing else is written to, so that the loops have no loads but the rays'.
@@ -115,20 +140,28 @@ struct CellGrid {
 
     void run(const Team& team) const {
 #if defined(__CUDA_ARCH__)
-        for (int k = team.rank; k < rows * columns; k += team.size) {
-            const int row = k / columns, column = k - row * columns;
-            const int d = cell(row, column).depth();
-            const bool bends = projection.model != Projection::PINHOLE;
-            place(row, column, d);
-            box(k, corner(row, column, d, 0, bends), corner(row, column, d, 1, bends));
-        }
+        const bool bends = projection.model != Projection::PINHOLE;
+        const Lanes lanes(team);
+        for (int row = lanes.index; row < rows; row += lanes.count)
+            for (int column = lanes.rank; column < columns; column += Lanes::size) {
+                const int k = row * columns + column;
+                // All that is known before the depth is asked for first: it arrives at once.
+                const Ray towards = ray(k);
+                const Corners at = corners(row, column);
+                const int d = cell(row, column).depth();
+                place(k, towards, d);
+                box(row, column, at, d, bends);
+            }
 #else
         (void)team;
         int d[MOST_COLUMNS];
         CellRow beside(near);
         for (int row = 0; row < rows; ++row) {
             depths(row, beside, d);
-            for (int column = 0; column < columns; ++column) place(row, column, d[column]);
+            for (int column = 0; column < columns; ++column) {
+                const int k = row * columns + column;
+                place(k, ray(k), d[column]);
+            }
             boxes(row, d);
         }
 #endif
