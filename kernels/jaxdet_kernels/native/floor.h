@@ -198,12 +198,7 @@ struct Floor {
         team.sync();
         if (team.rank == 0) all[0] = guess;
         const int count = 1 + search.near_planes(team, guess, told, all + 1);
-        Crew crew(team);
-        for (int n = crew.index(); n < count; n += crew.count()) {
-            const int score = search.score(crew, all[n]);
-            if (crew.rank() == 0) votes[n] = score;
-        }
-        team.sync();
+        search.score(team, all, count, votes);
         int best = 0, first = -1;
         for (int n = 0; n < count; n++) {
             if (votes[n] > votes[best]) best = n;
@@ -274,30 +269,34 @@ struct Floor {
     // A plane refined on all cells, or on those before its ramp, and the ramp on those after.
     void refine(Crew& crew, FloorPlane& plane, FloorHinge& hinge) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
-        FloorRefine refined = {angles, settings, known ? &prior : nullptr, weights};
-        if (!hinge.turn) {
-            plane = refined.run(crew, plane, all, 0, 1, 5);
-            return;
-        }
         const FloorRamps ramp = ramps();
-        const FloorPlane steep = ramp.steeper(plane, hinge);
-        const FloorDirection forward = angles.forward(plane);
-        for (int i = team.rank; i < all.count; i += team.size) {
-            const int x = all.x[i], y = all.y[i], z = all.z[i];
-            const bool beyond = forward.along(x, y, z) >= hinge.start;
-            const int n = team.count(counts + (beyond ? BEYOND : BEFORE));
-            const int k = beyond ? most - 1 - n : n;
-            parts[k] = x;
-            parts[most + k] = y;
-            parts[2 * most + k] = z;
+        FloorPlane side[2] = {plane, plane};
+        FloorCells seen[2] = {all, all};
+        if (hinge.turn) {
+            side[1] = ramp.steeper(plane, hinge);
+            const FloorDirection forward = angles.forward(plane);
+            for (int i = team.rank; i < all.count; i += team.size) {
+                const int x = all.x[i], y = all.y[i], z = all.z[i];
+                const bool beyond = forward.along(x, y, z) >= hinge.start;
+                const int n = team.count(counts + (beyond ? BEYOND : BEFORE));
+                const int k = beyond ? most - 1 - n : n;
+                parts[k] = x;
+                parts[most + k] = y;
+                parts[2 * most + k] = z;
+            }
+            team.sync();
+            seen[0] = of(parts, most, 0, counts[BEFORE]);
+            seen[1] = of(parts, most, most - counts[BEYOND], counts[BEYOND]);
         }
-        team.sync();
-        const int before = counts[BEFORE], beyond = counts[BEYOND];
-        plane = refined.run(crew, plane, of(parts, most, 0, before), 0, 1, 5);
-        refined.prior = &steep;
-        const FloorPlane other =
-            refined.run(crew, steep, of(parts, most, most - beyond, beyond), 0, 1, 5);
-        const FloorHinge ahead = ramp.crossing(plane, other);
+        // One call, so that it is compiled once.
+        for (int n = 0; n <= (hinge.turn != 0); n++) {
+            const FloorPlane start = side[n];
+            const FloorPlane* given = n ? &start : known ? &prior : nullptr;
+            side[n] = FloorRefine{angles, settings, given, weights}.run(crew, start, seen[n], 0, 1, 5);
+        }
+        plane = side[0];
+        if (!hinge.turn) return;
+        const FloorHinge ahead = ramp.crossing(plane, side[1]);
         if (is_ahead(ahead)) hinge = ahead;
     }
 

@@ -123,11 +123,13 @@ struct FloorRefine {
     // Some rounds with a rough tolerance, a fine and a sharp one.
     FloorPlane run(Crew& crew, FloorPlane plane, const FloorCells& cells, int rough, int fine,
                    int sharp) const {
-        const int rounds[3] = {rough, fine, sharp};
-        for (int k = 0; k < 3; k++) {
+        // One loop, so that a round is compiled once.
+        for (int k = 0, n = 0; k < 3;) {
             const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
-            for (int n = 0; n < rounds[k]; n++)
-                if (!round(crew, plane, cells, slack[0], slack[1])) break;
+            const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
+            const bool more = n < rounds && round(crew, plane, cells, slack[0], slack[1]);
+            n = more ? n + 1 : 0;
+            k += !more;
         }
         return plane;
     }
