@@ -15,6 +15,10 @@ from jaxdet.stages._threads import FrameKernel, shares_of
 MOST_TEAMS = 528
 """Blocks of a launch on CUDA, four for each multiprocessor of the largest device there is."""
 
+SCRATCH_SHARE = 8
+"""Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
+teams work where theirs is larger."""
+
 LIMIT = 1 << 30
 """Of a setting or of an entry of a table: no length is longer."""
 
@@ -64,9 +68,15 @@ class TeamKernel:
             return tuple(self._by_cores(*arguments, frames=teams, output_dims=dims(teams)))
 
         def by_blocks() -> Sequence[jax.Array]:
-            teams = min(batch, MOST_TEAMS)
+            teams = min(batch, MOST_TEAMS, max(_scratch_bytes() // (4 * max(scratch, 1)), 1))
             size = (teams * self._width,)
             found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims(teams))
             return tuple(found)[:-1]
 
         return jax.lax.platform_dependent(cpu=by_cores, cuda=by_blocks)
+
+
+def _scratch_bytes() -> int:
+    """What all teams of a launch may take on the default device."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    return stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
