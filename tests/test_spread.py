@@ -44,7 +44,7 @@ def test_two_devices_equal_the_reference(name, batch):
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
 def test_batches_of_all_sizes_are_compiled_for_few(name):
-    program = {"wheeled": _detect._detect, "paper": _points._detect}[name]
+    program: Any = {"wheeled": _detect._detect, "paper": _points._detect}[name]
     given, config = scene(5), PRESETS[name]
     want = detect(given, config, backend="reference")
     program.clear_cache()

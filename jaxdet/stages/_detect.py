@@ -83,7 +83,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         config: The method.
 
     Returns:
-        What the reference finds, still being computed perhaps.
+        What the reference finds, still being computed perhaps, see :func:`_spread.in_parts`.
 
     Raises:
         ConfigError: The kernels don't take images or grids of this size.
