@@ -53,9 +53,9 @@ class _Tables(NamedTuple):
 class _Given(NamedTuple):
     """What is known of each frame's floor."""
 
-    prior: jax.Array
+    prior: Array
     """``(B, 4)`` int32, see :func:`jaxdet.floor.units.prior_units`."""
-    frame: jax.Array
+    frame: Array
     """``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
 
 
@@ -96,8 +96,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     scale = Scale(unit, config.floor.noise_per_m)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
-        rows = prior_units(known, scale), floor_frames(known, unit)
-        given = _Given(*map(jnp.asarray, rows))
+        given = _Given(prior_units(known, scale), floor_frames(known, unit))
         return _spread.run(_detect, *images, (tables, given), SPECS, static)
 
     found = _spread.in_parts(run, (frames.color, frames.depth), plane)
@@ -214,7 +213,7 @@ def _points(
     return points, Labels(labels, jnp.minimum(count, MAX_OBSTACLES))
 
 
-def _frame(found: jax.Array, given: jax.Array) -> jax.Array:
+def _frame(found: jax.Array, given: Array) -> jax.Array:
     """The floor frames of frames: their own floor, or where that was refused the one given."""
     table = jnp.asarray(SINES, jnp.int32)
     pitch, roll, height, start, turn, _, _, refused = found.T
