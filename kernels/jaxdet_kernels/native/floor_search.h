@@ -418,9 +418,8 @@ struct FloorSearch {
         team.sync();
     }
 
-    // Up to NEAR_PLANES planes near a guess, and how many; `prior` may be null.
-    int near_planes(const Team& team, FloorPlane guess, const FloorPlane* prior,
-                    FloorPlane* planes) const {
+    // Up to NEAR_PLANES planes near a guess, which is the prior or not, and how many.
+    int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
         coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
         FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
         lattice.rings = RINGS;
@@ -445,7 +444,8 @@ struct FloorSearch {
         count += 2;
         team.sync();
         Crew crew(team);
-        const FloorRefine refine = {angles, settings, prior, weights + crew.index() * cells.count};
+        const FloorRefine refine = {angles, settings, guess, is_prior,
+                                    weights + crew.index() * cells.count};
         for (int n = crew.index(); n < count; n += crew.count()) {
             const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
             const FloorPlane plane = refine.run(crew, planes[n], some, 2, 2, 1);
@@ -482,7 +482,8 @@ struct FloorSearch {
             team.sync();
         }
         Crew crew(team);
-        const FloorRefine refine = {angles, settings, nullptr, weights + crew.index() * cells.count};
+        const FloorRefine refine = {angles, settings, {0, 0, 0}, false,
+                                    weights + crew.index() * cells.count};
         for (int n = crew.index(); n < WINNERS; n += crew.count()) {
             const FloorPlane plane = refine.run(crew, planes[n], cells, 2, 2, 0);
             if (crew.rank() == 0) planes[n] = plane;
