@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import lru_cache
+from hashlib import blake2b
 from inspect import get_annotations
 from threading import Lock, get_native_id
 from typing import Any
@@ -64,7 +65,7 @@ class FrameKernel:
         self._outputs = [*in_out_argnames, *list(types)[inputs : len(types) - num_kept]]
         self._kept = {name: np.empty(0, np.uint8) for name in list(types)[len(types) - num_kept :]}
         self._name = f"{kernel.func.__module__}.{kernel.func.__qualname__}"
-        self._calls: list[_Call] = []
+        self._calls: dict[int, _Call] = {}
         _xla.register(self._name, self._run)
 
     def __call__(
@@ -92,8 +93,9 @@ class FrameKernel:
         ]
         order = list(arrays)
         aliases = {order.index(k): i for i, k in enumerate(self._outputs) if k in arrays}
-        number = len(self._calls)
-        self._calls.append(_Call(frames, shares_of(frames), scalars, shapes, order + self._outputs))
+        call = _Call(frames, shares_of(frames), scalars, shapes, order + self._outputs)
+        number = call.number
+        self._calls.setdefault(number, call)
         return _xla.called(self._name, number, list(arrays.values()), results, aliases)
 
     def _run(self, number: int, addresses: Sequence[int]) -> None:
@@ -148,6 +150,12 @@ class _Call:
     """Of each argument, in the launches' parameters."""
     launches: list[Any] = field(default_factory=list)
     """One for each share, once they are recorded."""
+
+    @property
+    def number(self) -> int:
+        """Of equal calls alike in all processes: programs are kept on disk with it."""
+        what = repr((self.frames, self.shares, self.scalars, self.shapes, self.order))
+        return int.from_bytes(blake2b(what.encode(), digest_size=7).digest(), "big")
 
 
 _lock = Lock()

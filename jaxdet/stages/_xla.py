@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import numpy as np
 
 _SIZE, _POINTER, _INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
 _HEAD = [("struct_size", _SIZE), ("extension", _POINTER)]
@@ -131,10 +132,10 @@ def called(
 
     Args:
         name: Registered.
-        number: For the function there.
+        number: For the function there, 64 bits.
         arguments: Arrays.
         results: Their shapes and types.
         aliases: By argument, the result that takes its memory.
     """
     call = jax.ffi.ffi_call(name, results, input_output_aliases=aliases)
-    return call(*arguments, number=number)
+    return call(*arguments, number=np.int64(number))
