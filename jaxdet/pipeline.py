@@ -60,7 +60,8 @@ def detect(
 
     Returns:
         Features, labels and obstacles of each frame, see :class:`jaxdet.types.Detections`; with
-        ``jax`` they are JAX arrays, perhaps still being computed.
+        ``jax`` they are JAX arrays, perhaps still being computed, or on the CPU NumPy arrays of
+        batches that are worked on in parts: of more than 12 MiB of images.
 
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.

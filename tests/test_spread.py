@@ -13,10 +13,11 @@ from jaxdet import detect, engine
 from jaxdet.config import Config
 from jaxdet.engine import local
 from jaxdet.io import LogOptions, find_logs
+from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.stages import _upload
-from jaxdet.types import Frames
+from jaxdet.stages import _detect, _points, _spread, _upload
+from jaxdet.types import Frames, GroundPlane
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
 
 
@@ -39,6 +40,40 @@ def test_two_devices_equal_the_reference(name, batch):
         shards = found.features.u.addressable_shards
         assert [shard.data.shape[0] for shard in shards] == [1, 1]
         assert [shard.device for shard in shards] == jax.devices("cpu")
+
+
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_batches_of_all_sizes_are_compiled_for_few(name):
+    program: Any = {"wheeled": _detect._detect, "paper": _points._detect}[name]
+    given, config = scene(5), PRESETS[name]
+    want = detect(given, config, backend="reference")
+    program.clear_cache()
+    with jax.default_device(jax.devices("cpu")[0]):
+        for batch in range(5, 0, -1):
+            some = jax.tree.map(lambda a, batch=batch: a[:batch], want)
+            assert_equal(detect(first(given, batch), config), some)
+    assert program._cache_size() == 4  # 8, 4, 2 and 1
+
+
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+@pytest.mark.parametrize("devices", [1, 2])
+def test_a_batch_in_parts_equals_the_whole(name, devices, monkeypatch):
+    given, config = scene(7), PRESETS[name]
+    frame = given.color[0].nbytes + given.depth[0].nbytes
+    monkeypatch.setattr(_spread, "PART_BYTES", 3 * frame)  # two frames a device
+    chosen = jax.devices("cpu")[0] if devices == 1 else None
+    with jax.default_device(chosen):
+        found = detect(given, config)
+        fit = find_floors(given, config)
+    assert_equal(found, detect(given, config, backend="reference"))
+    assert_equal(fit, find_floors(given, config, backend="reference"))
+
+
+def first(given: Frames, count: int) -> Frames:
+    """The first frames of a batch."""
+    fields = {k: a[:count] for k, a in given._asdict().items() if isinstance(a, np.ndarray)}
+    plane = None if given.plane is None else GroundPlane(*(a[:count] for a in given.plane))
+    return given._replace(**fields, plane=plane)
 
 
 def runs(path: Path, output: Path, ways: list[tuple[Any, int]]) -> None:

@@ -64,7 +64,7 @@ def test_each_share_has_a_thread_of_its_own(threads, monkeypatch):
     monkeypatch.setattr(wp.Launch, "launch", waits)
     depth = noise_depth(5, small().depth)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
-    assert len(names) == (threads if threads > 1 else 0)
+    assert len(names) == threads
 
 
 def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):

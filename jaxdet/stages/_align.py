@@ -21,7 +21,7 @@ _MODELS = {
     Distortion.EQUIDISTANT: kernels.EQUIDISTANT,
 }
 
-_lines = FrameKernel(kernels.align_lines, num_outputs=3)
+_lines = FrameKernel(kernels.align_lines, num_outputs=3, num_kept=1)
 _tiles = wp.jax_kernel(
     kernels.align_tiles, in_out_argnames=["keys_out"], block_dim=kernels.TILE_BLOCK
 )
@@ -73,7 +73,7 @@ def align_arrays(
             scratch = shares_of(frames), kernels.lines_words(*size)
             arguments = depth, x, y, parameters, model, fills
             dims = {**images, "scratch_out": scratch}
-            found, z, _ = _lines(*arguments, frames=frames, output_dims=dims)
+            found, z = _lines(*arguments, frames=frames, output_dims=dims)
             return found, z
 
         def by_tiles() -> tuple[jax.Array, jax.Array]:

@@ -56,7 +56,10 @@ def tables(calibration: Calibration, config: SurfaceConfig) -> tuple[Tables, Sta
         none, parameters = jnp.zeros((1, 1), jnp.float32), jnp.zeros(PARAMETERS, jnp.float32)
         return Tables(near, rays, offset, none, none, parameters, last), Static(side, 0, 1)
     x, y, parameters, model, *_ = _align.tables(calibration)
-    return Tables(near, rays, offset, x, y, parameters, last), Static(side, model, 0)
+    corners = tuple(slice(0, count * side + 1, side) for count in rays.shape[1:])
+    return Tables(near, rays, offset, x[corners], y[corners], parameters, last), Static(
+        side, model, 0
+    )
 
 
 def cells(depth: jax.Array, arrays: Tables, static: Static) -> Cells:

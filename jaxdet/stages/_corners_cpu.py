@@ -8,8 +8,10 @@ from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet_kernels import features_canny_lines as canny_kernels
 from jaxdet_kernels import features_select_lines as select_kernels
 
-_edges = FrameKernel(canny_kernels.canny_lines, num_outputs=3)
-_corners = FrameKernel(select_kernels.corners_lines, num_outputs=6, in_out_argnames=["strength"])
+_edges = FrameKernel(canny_kernels.canny_lines, num_outputs=3, num_kept=2)
+_corners = FrameKernel(
+    select_kernels.corners_lines, num_outputs=6, in_out_argnames=["strength"], num_kept=2
+)
 
 
 def edges(color: jax.Array, low: int, high: int) -> jax.Array:
@@ -17,7 +19,7 @@ def edges(color: jax.Array, low: int, high: int) -> jax.Array:
     batch, height, width, _ = color.shape
     words = 2 * -(-width // 64)
     rows = dict.fromkeys(("candidates_out", "strong_out"), (shares_of(batch), height, words))
-    found, _, _ = _edges(
+    (found,) = _edges(
         color,
         low,
         high,
@@ -46,7 +48,7 @@ def strongest_corners(
     shares = shares_of(batch)
     strengths = shares, height, 32 * edge.shape[2] + 32
     slots = (batch, config.max_corners)
-    _, u, v, found, _, _ = _corners(
+    _, u, v, found = _corners(
         edge,
         mask,
         int(config.use_mask),

@@ -1,7 +1,7 @@
 """The whole method as one compiled program, for the CPU and CUDA."""
 
 from functools import lru_cache, partial
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -53,9 +53,9 @@ class _Tables(NamedTuple):
 class _Given(NamedTuple):
     """What is known of each frame's floor."""
 
-    prior: jax.Array
+    prior: Array
     """``(B, 4)`` int32, see :func:`jaxdet.floor.units.prior_units`."""
-    frame: jax.Array
+    frame: Array
     """``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
 
 
@@ -83,7 +83,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         config: The method.
 
     Returns:
-        What the reference finds, still being computed perhaps.
+        What the reference finds, still being computed perhaps, see :func:`_spread.in_parts`.
 
     Raises:
         ConfigError: The kernels don't take images or grids of this size.
@@ -91,14 +91,15 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     _features.check_kernels_size(frames.calibration.color)
     if config.cluster.points:
         return clusters(frames, plane, config)
-    calibration, unit, count = frames.calibration, frames.calibration.depth_unit, len(frames.color)
-    tables, static = _tables(calibration, config)
-    among = _spread.devices_for(frames.color)
-    color, depth, prior = _spread.even(frames.color, frames.depth, plane, len(among))
+    tables, static = _tables(frames.calibration, config)
+    unit = frames.calibration.depth_unit
     scale = Scale(unit, config.floor.noise_per_m)
-    given = _Given(*map(jnp.asarray, (prior_units(prior, scale), floor_frames(prior, unit))))
-    found = _spread.run(_detect, color, depth, (tables, given), SPECS, static)
-    found = found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
+
+    def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
+        given = _Given(prior_units(known, scale), floor_frames(known, unit))
+        return _spread.run(_detect, *images, (tables, given), SPECS, static)
+
+    found = _spread.in_parts(run, (frames.color, frames.depth), plane)
     return found._replace(scene=found.scene._replace(prior=plane))
 
 
@@ -106,8 +107,13 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
     """Equals :func:`jaxdet.reference.find_floors`."""
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     tables, static = _tables(calibration, config)
-    units = jnp.asarray(prior_units(prior, Scale(unit, config.floor.noise_per_m)))
-    found = _find_floors(jax.device_put(frames.depth), tables, units, static)
+    scale = Scale(unit, config.floor.noise_per_m)
+
+    def run(images: tuple[Any, ...], known: GroundPlane) -> jax.Array:
+        units = jnp.asarray(prior_units(known, scale))
+        return _find_floors(jax.device_put(*images), tables, units, static)
+
+    found = _spread.in_parts(run, (frames.depth,), prior)
     return floor_fit(np.asarray(found), prior, unit)
 
 
@@ -207,7 +213,7 @@ def _points(
     return points, Labels(labels, jnp.minimum(count, MAX_OBSTACLES))
 
 
-def _frame(found: jax.Array, given: jax.Array) -> jax.Array:
+def _frame(found: jax.Array, given: Array) -> jax.Array:
     """The floor frames of frames: their own floor, or where that was refused the one given."""
     table = jnp.asarray(SINES, jnp.int32)
     pitch, roll, height, start, turn, _, _, refused = found.T

@@ -57,21 +57,22 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
     """
     calibration, unit = frames.calibration, frames.calibration.depth_unit
-    among, count = _spread.devices_for(frames.color), len(frames.color)
-    color, depth, plane = _spread.even(frames.color, frames.depth, plane, len(among))
     align, lens = _align_tables(calibration)
-    tables = _Tables(
-        align,
-        _ground.tables(plane, calibration, config),
-        _features.rays(calibration.color),
-        _gaps(config.cluster, unit),
-        _footprint.tables(config.footprint, unit),
-        jnp.asarray(ground_axes(plane)),
-    )
     most = _cluster.most_obstacles(config.features.max_corners, config.cluster)
     static = _Static(lens, config.features, most)
-    found = _spread.run(_detect, color, depth, tables, SPECS, static)
-    return found if len(color) == count else jax.tree.map(lambda rows: rows[:count], found)
+
+    def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
+        tables = _Tables(
+            align,
+            _ground.tables(known, calibration, config),
+            _features.rays(calibration.color),
+            _gaps(config.cluster, unit),
+            _footprint.tables(config.footprint, unit),
+            jnp.asarray(ground_axes(known)),
+        )
+        return _spread.run(_detect, *images, tables, SPECS, static)
+
+    return _spread.in_parts(run, (frames.color, frames.depth), plane)
 
 
 def _align_tables(

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxdet.stages._device import on_cuda
 from jaxdet.types import GroundPlane
 
 ROWS = PartitionSpec("frames")
@@ -16,6 +17,9 @@ ROWS = PartitionSpec("frames")
 WHOLE = PartitionSpec()
 """An array that every device needs."""
 _COPIES = 256
+PART_BYTES = 12 << 20
+"""Of images that the CPU works on together, 8 frames of 640x480: temporaries of that size are
+memory that the process keeps, and larger ones come from the system as fresh pages at every call."""
 
 Devices = tuple[jax.Device, ...]
 
@@ -37,17 +41,61 @@ def rows_over(among: Devices) -> NamedSharding:
     return NamedSharding(_mesh(among), ROWS)
 
 
-def even(color: Any, depth: Any, plane: GroundPlane, parts: int) -> tuple[Any, Any, GroundPlane]:
-    """Host images and planes with rows added, until they make equal parts."""
-    missing = -len(color) % parts
-    if not missing:
-        return color, depth, plane
+def in_parts(
+    run: Callable[[tuple[Any, ...], GroundPlane], Any], images: tuple[Any, ...], plane: GroundPlane
+) -> Any:
+    """What a program finds in a batch of any size, while it is compiled for few sizes.
 
-    def padded(rows: np.ndarray, mode: Any) -> np.ndarray:
-        return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode=mode)
+    A batch is worked on as a whole, on the CPU in parts of at most ``PART_BYTES`` of images a
+    device. Images on the host get frames without depth added, until their number is a power of
+    two times the devices; what is found in those is left out.
 
-    plane = GroundPlane(*(padded(np.asarray(values), "edge") for values in plane))
-    return padded(color, "constant"), padded(depth, "constant"), plane
+    Args:
+        run: Gets images and planes, and returns a tree of arrays with a row for each frame.
+        images: Of each kind ``(B, ...)``, ``B`` at least 1.
+        plane: ``B`` planes.
+
+    Returns:
+        The tree for all ``B`` frames: what ``run`` returned, where that needed nothing; of a batch
+        in several parts, NumPy arrays.
+    """
+    count, parts = len(images[0]), len(devices_for(images[0]))
+    size = _part_size(images, parts)
+    found = []
+    for start in range(0, count, size):
+        rows = slice(start, start + size)
+        some = tuple(image[rows] if size < count else image for image in images)
+        planes = GroundPlane(*(np.asarray(values)[rows] for values in plane))
+        number = len(some[0])
+        missing = 0 if isinstance(some[0], jax.Array) else _bucket(number, parts) - number
+        if missing:
+            some = tuple(_padded(image, missing, "constant") for image in some)
+            planes = GroundPlane(*(_padded(values, missing, "edge") for values in planes))
+        part = run(some, planes)
+        if missing:
+            part = jax.tree.map(lambda values, number=number: values[:number], part)
+        if size < count:
+            part = jax.tree.map(np.asarray, part)  # and its memory is free for the next
+        found.append(part)
+    return found[0] if len(found) == 1 else jax.tree.map(lambda *a: np.concatenate(a), *found)
+
+
+def _part_size(images: tuple[Any, ...], parts: int) -> int:
+    """The most frames that are worked on together."""
+    count = len(images[0])
+    if on_cuda():
+        return count
+    frame = sum(image.nbytes for image in images) // count
+    return parts << max(PART_BYTES // frame, 1).bit_length() - 1
+
+
+def _bucket(count: int, parts: int) -> int:
+    """The size that batches of so many frames are padded to."""
+    return parts << (-(-count // parts) - 1).bit_length()
+
+
+def _padded(rows: np.ndarray, missing: int, mode: Any) -> np.ndarray:
+    return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode=mode)
 
 
 def run(
@@ -57,7 +105,7 @@ def run(
 
     Args:
         program: Jitted; no frame may depend on another.
-        color: ``(B, ...)`` images; ``B`` makes equal parts, see :func:`even`.
+        color: ``(B, ...)`` images; ``B`` makes equal parts, see :func:`in_parts`.
         depth: ``(B, ...)`` images.
         tables: A tree of further arrays.
         specs: The same tree, or the upper part of it, with ``ROWS`` or ``WHOLE`` at each end.

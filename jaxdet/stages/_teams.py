@@ -15,6 +15,10 @@ from jaxdet.stages._threads import FrameKernel, shares_of
 MOST_TEAMS = 528
 """Blocks of a launch on CUDA, four for each multiprocessor of the largest device there is."""
 
+SCRATCH_SHARE = 8
+"""Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
+teams work where theirs is larger."""
+
 LIMIT = 1 << 30
 """Of a setting or of an entry of a table: no length is longer."""
 
@@ -40,7 +44,7 @@ class TeamKernel:
             width: Threads of a team on CUDA.
         """
         count = num_outputs + 1
-        self._by_cores = FrameKernel(kernel, num_outputs=count)
+        self._by_cores = FrameKernel(kernel, num_outputs=count, num_kept=1)
         self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=width)
         self._width = width
 
@@ -56,24 +60,23 @@ class TeamKernel:
             scratch: 32-bit words of scratch memory of a team; it begins at 16 bytes.
         """
 
-        def run(teams: int, launch: Any) -> Sequence[jax.Array]:
-            dims = {**shapes, "scratch_out": (teams, 4 * max(-(-scratch // 4), 1))}
-            return tuple(launch(dims))[:-1]
+        def dims(teams: int) -> dict[str, tuple[int, ...]]:
+            return {**shapes, "scratch_out": (teams, 4 * max(-(-scratch // 4), 1))}
 
         def by_cores() -> Sequence[jax.Array]:
             teams = shares_of(batch)
-            return run(
-                teams,
-                lambda dims: self._by_cores(*arguments, frames=teams, output_dims=dims),
-            )
+            return tuple(self._by_cores(*arguments, frames=teams, output_dims=dims(teams)))
 
         def by_blocks() -> Sequence[jax.Array]:
-            teams = min(batch, MOST_TEAMS)
-            return run(
-                teams,
-                lambda dims: self._by_blocks(
-                    0, teams, *arguments, launch_dims=(teams * self._width,), output_dims=dims
-                ),
-            )
+            teams = min(batch, MOST_TEAMS, max(_scratch_bytes() // (4 * max(scratch, 1)), 1))
+            size = (teams * self._width,)
+            found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims(teams))
+            return tuple(found)[:-1]
 
         return jax.lax.platform_dependent(cpu=by_cores, cuda=by_blocks)
+
+
+def _scratch_bytes() -> int:
+    """What all teams of a launch may take on the default device."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    return stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE

@@ -5,18 +5,23 @@ the frames of a batch are shared out, and each core launches the kernel for its 
 thread for the first, a thread each for the others.
 """
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
 from functools import lru_cache
-from inspect import Parameter, Signature, get_annotations
+from hashlib import blake2b
+from inspect import get_annotations
 from threading import Lock, get_native_id
 from typing import Any
 
 import jax
+import numpy as np
 import warp as wp
 
 from jaxdet.cores import cores
+from jaxdet.stages import _xla
 
 
 def threads() -> int:
@@ -37,71 +42,148 @@ class FrameKernel:
     frame ``share + shares * i``, and writes to nothing that another share uses.
     """
 
-    def __init__(self, kernel: Any, num_outputs: int, in_out_argnames: Sequence[str] = ()) -> None:
-        form = {"num_outputs": num_outputs, "in_out_argnames": list(in_out_argnames)}
-        self._alone = wp.jax_kernel(kernel, **form)
-        self._shared = wp.jax_callable(_on_all_cores(kernel), **form)
+    def __init__(
+        self,
+        kernel: Any,
+        num_outputs: int,
+        in_out_argnames: Sequence[str] = (),
+        num_kept: int = 0,
+    ) -> None:
+        """Registers the kernel with XLA.
+
+        Args:
+            kernel: Its inputs come first, then its outputs.
+            num_outputs: With inputs that are outputs too, and those that are kept.
+            in_out_argnames: Inputs that the kernel writes to and returns; the first outputs.
+            num_kept: The last so many outputs are scratch memory: the kernel's own, from one call
+                to the next, so that no call gets fresh pages of the system. They are not returned.
+        """
+        types = get_annotations(kernel.func, eval_str=True)
+        del types["share"], types["shares"]
+        inputs = len(types) + len(in_out_argnames) - num_outputs
+        self._kernel, self._types, self._inputs = kernel, types, list(types)[:inputs]
+        self._outputs = [*in_out_argnames, *list(types)[inputs : len(types) - num_kept]]
+        self._kept = {name: np.empty(0, np.uint8) for name in list(types)[len(types) - num_kept :]}
+        self._name = f"{kernel.func.__module__}.{kernel.func.__qualname__}"
+        self._calls: dict[int, _Call] = {}
+        _xla.register(self._name, self._run)
 
     def __call__(
         self, *arguments: Any, frames: int, output_dims: Mapping[Any, tuple[int, ...]]
     ) -> Sequence[jax.Array]:
-        """The kernel's outputs.
+        """The kernel's outputs but for those that are kept.
 
         Args:
             arguments: The kernel's inputs after ``share`` and ``shares``.
             frames: ``B``.
             output_dims: The shape of each output.
+
+        Raises:
+            TypeError: An array has not the type or the number of axes that the kernel takes.
         """
-        shares = shares_of(frames)
-        if shares < 2:
-            return self._alone(0, 1, *arguments, launch_dims=(frames,), output_dims=output_dims)
-        return self._shared(frames, shares, *arguments, output_dims=output_dims)
+        given = dict(zip(self._inputs, arguments, strict=True))
+        arrays = {name: value for name, value in given.items() if np.ndim(value)}
+        for name, value in arrays.items():
+            _check(name, value, self._types[name])
+        shapes = {**{name: np.shape(value) for name, value in arrays.items()}, **output_dims}
+        scalars = {name: value for name, value in given.items() if name not in arrays}
+        results = [
+            jax.ShapeDtypeStruct(shapes[name], wp.dtype_to_jax(self._types[name].dtype))
+            for name in self._outputs
+        ]
+        order = list(arrays)
+        aliases = {order.index(k): i for i, k in enumerate(self._outputs) if k in arrays}
+        call = _Call(frames, shares_of(frames), scalars, shapes, order + self._outputs)
+        number = call.number
+        self._calls.setdefault(number, call)
+        return _xla.called(self._name, number, list(arrays.values()), results, aliases)
+
+    def _run(self, number: int, addresses: Sequence[int]) -> None:
+        call = self._calls[number]
+        with _lock:
+            if not call.launches:
+                self._prepare(call)
+            kept = {name: self._memory(name, call.shapes[name]) for name in self._kept}
+            for name, address in [*zip(call.order, addresses, strict=True), *kept.items()]:
+                index = call.index[name]
+                for launch in call.launches:
+                    launch.params[index].data = address
+            _on_all_cores([launch.launch for launch in call.launches])
+
+    def _prepare(self, call: "_Call") -> None:
+        """Records the launches of a call; to set all of their arguments anew takes longer."""
+        values = {
+            name: call.scalars[name]
+            if name in call.scalars
+            else wp.array(ptr=64, dtype=of.dtype, shape=call.shapes[name], device="cpu")
+            for name, of in self._types.items()
+        }
+        # The first parameter is the launch's own.
+        call.index.update({name: 3 + i for i, name in enumerate(values)})
+        for share in range(call.shares):
+            given, frames = [share, call.shares, *values.values()], call.frames - share
+            threads = -(-frames // call.shares)
+            call.launches.append(
+                wp.launch(self._kernel, threads, given, device="cpu", record_cmd=True)
+            )
+
+    def _memory(self, name: str, shape: tuple[int, ...]) -> int:
+        """The address of memory that is kept, as much as was ever asked for; at 64 bytes."""
+        size = 64 + math.prod(shape) * wp.types.type_size_in_bytes(self._types[name].dtype)
+        if self._kept[name].nbytes < size:
+            self._kept[name] = np.empty(size, np.uint8)
+        address = self._kept[name].ctypes.data
+        return address + -address % 64
 
 
-def _on_all_cores(kernel: Any) -> Callable[..., None]:
-    """A function for ``wp.jax_callable`` with the kernel's arguments but ``share``."""
-    launches: list[Any] = []  # recorded: to set arguments anew takes a third of the time
-    lock = Lock()
+@dataclass(frozen=True)
+class _Call:
+    """A kernel's call in a program."""
 
-    def ready(share: int, frames: int, arguments: Sequence[Any]) -> wp.Launch:
-        given = [share, *arguments]
-        if share == len(launches):
-            launches.append(wp.launch(kernel, frames, given, device="cpu", record_cmd=True))
-        launch = launches[share]
-        launch.set_dim(frames)
-        for index, value in enumerate(given):
-            launch.set_param_at_index(index, value)
-        return launch
+    frames: int
+    shares: int
+    scalars: dict[str, Any]
+    shapes: dict[str, tuple[int, ...]]
+    order: list[str]
+    """Of the addresses that XLA gives."""
+    index: dict[str, int] = field(default_factory=dict)
+    """Of each argument, in the launches' parameters."""
+    launches: list[Any] = field(default_factory=list)
+    """One for each share, once they are recorded."""
 
-    def on_all_cores(frames: int, shares: int, *arguments: Any) -> None:
-        with lock:
-            own, *others = [
-                ready(share, -(-(frames - share) // shares), (shares, *arguments)).launch
-                for share in range(shares)
-            ]
-            crew, started = _crew(), []
-            try:
-                for thread, launch in zip(crew.threads, others, strict=False):
-                    started.append(thread.start(launch))
-                crew.place_caller()
-                own()
-            finally:
-                wait(started)  # they use the arguments' memory
-        for launch in started:
-            launch.result()
-
-    return _typed_as(on_all_cores, kernel.func)
+    @property
+    def number(self) -> int:
+        """Of equal calls alike in all processes: programs are kept on disk with it."""
+        what = repr((self.frames, self.shares, self.scalars, self.shapes, self.order))
+        return int.from_bytes(blake2b(what.encode(), digest_size=7).digest(), "big")
 
 
-def _typed_as(function: Callable[..., None], kernel: Callable[..., Any]) -> Callable[..., None]:
-    """Gives a function the names and types that Warp reads off a kernel's own."""
-    types = {"frames": int, **get_annotations(kernel, eval_str=True)}
-    del types["share"]
-    parameters = [Parameter(name, Parameter.POSITIONAL_OR_KEYWORD) for name in types]
-    function.__signature__ = Signature(parameters)
-    function.__annotations__ = types
-    function.__module__, function.__qualname__ = kernel.__module__, f"{kernel.__qualname__}_shared"
-    return function
+_lock = Lock()
+"""One kernel runs at a time, on all cores."""
+
+
+def _check(name: str, value: Any, of: Any) -> None:
+    wanted = jax.numpy.dtype(wp.dtype_to_jax(of.dtype)), of.ndim
+    if (value.dtype, value.ndim) != wanted:
+        raise TypeError(f"{name} is {value.dtype} of {value.ndim} axes, not {wanted}")
+
+
+def _on_all_cores(work: Sequence[Callable[[], None]]) -> None:
+    """Does the first in this thread and the others in threads of their own, at the same time."""
+    own, *others = work
+    if not others:
+        own()
+        return
+    crew, started = _crew(), []
+    try:
+        for thread, other in zip(crew.threads, others, strict=False):
+            started.append(thread.start(other))
+        crew.place_caller()
+        own()
+    finally:
+        wait(started)  # they use the arguments' memory
+    for other in started:
+        other.result()
 
 
 class _Thread:

@@ -5,19 +5,19 @@ Twin of ``jaxdet/reference/_cells.py``. Compiled without fused multiply-add, as 
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options(
     {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
 )
 
 
-@wp.func_native(
-    native(
-        "cell_depth.h",
-        "projection.h",
-        "cells.h",
-        body="""
+@native_kernel(
+    "lanes.h",
+    "cell_depth.h",
+    "projection.h",
+    "cells.h",
+    body="""
     const Team team(tid, share);
     const int height = depth.shape[1], width = depth.shape[2];
     const int rows = z_out.shape[1], columns = z_out.shape[2];
@@ -31,34 +31,9 @@ wp.set_module_options(
             .run(team);
     }
 """,
-    )
 )
-def _cells(
-    tid: int,
-    share: int,
-    shares: int,
-    depth: wp.array3d[wp.uint16],
-    near: wp.array[wp.int32],
-    rays: wp.array3d[wp.int32],
-    offset: wp.array[wp.int32],
-    corner_x: wp.array2d[wp.float32],
-    corner_y: wp.array2d[wp.float32],
-    parameters: wp.array[wp.float32],
-    last: wp.array[wp.int32],
-    side: int,
-    model: int,
-    aligned: int,
-    x_out: wp.array3d[wp.int32],
-    y_out: wp.array3d[wp.int32],
-    z_out: wp.array3d[wp.int32],
-    uv_min_out: wp.array4d[wp.int32],
-    uv_max_out: wp.array4d[wp.int32],
-    in_view_out: wp.array3d[wp.bool],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def cells(
+    tid: int,
     share: int,
     shares: int,
     depth: wp.array3d[wp.uint16],
@@ -83,13 +58,14 @@ def cells(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         depth: ``(B, Hd, Wd)`` [depth units], 0 = no measurement.
         near: By depth, how far from a cell's median its depths count [depth units].
         rays: ``(3, R, C)``, the cells' rays in the colour camera, ``RAY_BITS`` fraction bits.
         offset: ``(3,)``, the depth camera there [depth units].
-        corner_x: ``(Hd + 1, Wd + 1)``, the rays of the depth pixels' corners; not read if aligned.
+        corner_x: ``(R + 1, C + 1)``, the rays of the cells' corners; not read if aligned.
         corner_y: Likewise.
         parameters: Of the alignment, likewise.
         last: ``(2,)``, the last column and row of the colour image.
@@ -104,7 +80,3 @@ def cells(
         in_view_out: ``(B, R, C)``.
         scratch_out: Not used.
     """
-    _cells(
-        wp.tid(), share, shares, depth, near, rays, offset, corner_x, corner_y, parameters, last,
-        side, model, aligned, x_out, y_out, z_out, uv_min_out, uv_max_out, in_view_out,
-    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -43,15 +43,14 @@ def floor_scratch_words(
     return words + words % 2
 
 
-@wp.func_native(
-    native(
-        "crew.h",
-        "lanes.h",
-        "floor_planes.h",
-        "floor_search.h",
-        "floor_ramp.h",
-        "floor.h",
-        body="""
+@native_kernel(
+    "crew.h",
+    "lanes.h",
+    "floor_planes.h",
+    "floor_search.h",
+    "floor_ramp.h",
+    "floor.h",
+    body="""
     const Team team(tid, share);
     const int batch = z.shape[0], rows = z.shape[1], columns = z.shape[2], cells = rows * columns;
     int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
@@ -68,25 +67,10 @@ def floor_scratch_words(
                   found_out.data + b * Floor::RESULTS);
     }
 """,
-    )
+    launch_bounds=(WIDTH, _BLOCKS),
 )
-def _floor(
-    tid: int,
-    share: int,
-    shares: int,
-    x: wp.array3d[wp.int32],
-    y: wp.array3d[wp.int32],
-    z: wp.array3d[wp.int32],
-    prior: wp.array2d[wp.int32],
-    settings: wp.array[wp.int32],
-    sines: wp.array[wp.int32],
-    found_out: wp.array2d[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(WIDTH, _BLOCKS))
 def floor(
+    tid: int,
     share: int,
     shares: int,
     x: wp.array3d[wp.int32],
@@ -101,6 +85,7 @@ def floor(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         x: ``(B, R, C)``, colour optical frame [depth units].
@@ -113,4 +98,3 @@ def floor(
             (turn 0 = none), cells on it, all cells, refusal.
         scratch_out: ``(teams, words)``, see :func:`floor_scratch_words`.
     """
-    _floor(wp.tid(), share, shares, x, y, z, prior, settings, sines, found_out, scratch_out)

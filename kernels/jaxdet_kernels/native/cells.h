@@ -3,6 +3,7 @@
 #pragma once
 #include "team.h"
 #include "cell_depth.h"
+#include "lanes.h"
 #include "projection.h"
 
 struct CellGrid {
@@ -12,7 +13,7 @@ struct CellGrid {
     const int* near;                // By depth, see `CellDepth`.
     const int* rays;                // (3, rows, columns), RAY_BITS fraction bits.
     const int* offset;              // (3)
-    const float *corner_x, *corner_y;  // (height + 1, width + 1)
+    const float *corner_x, *corner_y;  // (rows + 1, columns + 1)
     Projection projection;
     const int* last;                // The colour image's last column and row.
     bool aligned;
@@ -28,12 +29,23 @@ struct CellGrid {
         return ((ray >> 10) * d + (((ray & 1023) * d) >> 10) + 512) >> 10;
     }
 
-    void place(int row, int column, int d) const {
-        const int k = row * columns + column, all = rows * columns;
-        const int z = along(rays[2 * all + k], d) + offset[2];
+    // A cell's ray.
+    struct Ray {
+        int x, y, z;
+    };
+
+    Ray ray(int k) const {
+        const int all = rows * columns;
+        return {rays[k], rays[all + k], rays[2 * all + k]};
+    }
+
+    void place(int k, const Ray& ray, int d) const {
+        const int z = along(ray.z, d) + offset[2];
         const int seen = -(int)(d > 0 && z > 0);
-        x_out[k] = (along(rays[k], d) + offset[0]) & seen;
-        y_out[k] = (along(rays[all + k], d) + offset[1]) & seen;
+        const int x = (along(ray.x, d) + offset[0]) & seen;
+        const int y = (along(ray.y, d) + offset[1]) & seen;
+        x_out[k] = x;
+        y_out[k] = y;
         z_out[k] = (z < 65535 ? z : 65535) & seen;
     }
 
@@ -53,89 +65,103 @@ struct CellGrid {
         in_view_out[k] = inside;
     }
 
-    // Corner 0 or 1 of a cell whose depth is d; `bends` where the lens does.
-    Projection::Point corner(int row, int column, int d, int which, bool bends) const {
-        const int v = (row + which) * side, u = (column + which) * side;
-        if (aligned) return {u - which, v - which, d, true};
-        const long long at = (long long)v * (width + 1) + u;
-        return projection.through(d, corner_x[at], corner_y[at], bends);
+    // The rays of the corners of a cell in the depth camera.
+    struct Corners {
+        float x[2], y[2];
+    };
+
+    Corners corners(int row, int column) const {
+        if (aligned) return {{0.0f, 0.0f}, {0.0f, 0.0f}};
+        const int one = row * (columns + 1) + column, two = one + columns + 2;
+        return {{corner_x[one], corner_x[two]}, {corner_y[one], corner_y[two]}};
+    }
+
+    // The box of a cell whose depth is d; `bends` where the lens does.
+    void box(int row, int column, const Corners& at, int d, bool bends) const {
+        const int k = row * columns + column, u = column * side, v = row * side;
+        if (aligned)
+            box(k, {u, v, d, true}, {u + side - 1, v + side - 1, d, true});
+        else
+            box(k, projection.through(d, at.x[0], at.y[0], bends),
+                projection.through(d, at.x[1], at.y[1], bends));
+    }
+
+#if !defined(__CUDA_ARCH__)
+    // Of a row of cells.
+    void depths(int row, CellRow& beside, int* d) const {
+        enum { LANES = CellRow::LANES };
+        if (side > CellRow::MOST_SIDE || columns < LANES) {
+            for (int column = 0; column < columns; ++column) d[column] = cell(row, column).depth();
+            return;
+        }
+        for (int start = 0; start < columns; start += LANES) {
+            // The last ones are found again where they don't fill the lanes.
+            const int from = start < columns - LANES ? start : columns - LANES;
+            const unsigned short* first = cell(row, from).first;
+            switch (side) {
+                case 1: beside.run(first, width, 1, d + from); break;
+                case 2: beside.run(first, width, 2, d + from); break;
+                case 3: beside.run(first, width, 3, d + from); break;
+                case 4: beside.run(first, width, 4, d + from); break;
+                case 5: beside.run(first, width, 5, d + from); break;
+                default: beside.run(first, width, side, d + from);
+            }
+        }
     }
 
     // Of a row of cells.
     void boxes(int row, const int* d) const {
         const bool bends = projection.model != Projection::PINHOLE;
-        if (!aligned && !bends) {
-            int u[2][MOST_COLUMNS], v[2][MOST_COLUMNS], seen[2][MOST_COLUMNS];
-            for (int which = 0; which < 2; ++which) {
-                const long long at = (long long)(row + which) * side * (width + 1) + which * side;
-                const float *x = corner_x + at, *y = corner_y + at;
-                for (int column = 0; column < columns; ++column) {
-                    const Projection::Point there =
-                        projection.through(d[column], x[column * side], y[column * side]);
-                    u[which][column] = there.u;
-                    v[which][column] = there.v;
-                    seen[which][column] = there.seen;
-                }
-            }
+        if (aligned || bends) {
             for (int column = 0; column < columns; ++column)
-                box(row * columns + column, {u[0][column], v[0][column], 0, seen[0][column] != 0},
-                    {u[1][column], v[1][column], 0, seen[1][column] != 0});
+                box(row, column, corners(row, column), d[column], bends);
             return;
         }
+        // Of a copy that nothing else is written to, so that the loops have no loads but the rays'.
+        float own[Projection::PARAMETERS];
+        for (int i = 0; i < Projection::PARAMETERS; ++i) own[i] = projection.p[i];
+        const Projection pinhole{own, Projection::PINHOLE};
+        int u[2][MOST_COLUMNS], v[2][MOST_COLUMNS], seen[2][MOST_COLUMNS];
+        for (int which = 0; which < 2; ++which) {
+            const int at = (row + which) * (columns + 1) + which;
+            const float *x = corner_x + at, *y = corner_y + at;
+            for (int column = 0; column < columns; ++column) {
+                const Projection::Point there = pinhole.through(d[column], x[column], y[column]);
+                u[which][column] = there.u;
+                v[which][column] = there.v;
+                seen[which][column] = there.seen;
+            }
+        }
         for (int column = 0; column < columns; ++column)
-            box(row * columns + column, corner(row, column, d[column], 0, bends),
-                corner(row, column, d[column], 1, bends));
+            box(row * columns + column, {u[0][column], v[0][column], 0, seen[0][column] != 0},
+                {u[1][column], v[1][column], 0, seen[1][column] != 0});
     }
+#endif
 
     void run(const Team& team) const {
 #if defined(__CUDA_ARCH__)
-        for (int k = team.rank; k < rows * columns; k += team.size) {
-            const int row = k / columns, column = k - row * columns;
-            const int d = cell(row, column).depth();
-            const bool bends = projection.model != Projection::PINHOLE;
-            place(row, column, d);
-            box(k, corner(row, column, d, 0, bends), corner(row, column, d, 1, bends));
-        }
+        const bool bends = projection.model != Projection::PINHOLE;
+        const Lanes lanes(team);
+        for (int row = lanes.index; row < rows; row += lanes.count)
+            for (int column = lanes.rank; column < columns; column += Lanes::size) {
+                const int k = row * columns + column;
+                // All that is known before the depth is asked for first: it arrives at once.
+                const Ray towards = ray(k);
+                const Corners at = corners(row, column);
+                const int d = cell(row, column).depth();
+                place(k, towards, d);
+                box(row, column, at, d, bends);
+            }
 #else
         (void)team;
-        // Row by row: the pixels of a column of the image first, then the columns of a cell.
-        int count[MOST_COLUMNS], sum[MOST_COLUMNS], low[MOST_COLUMNS], high[MOST_COLUMNS];
         int d[MOST_COLUMNS];
-        const int used = columns * side;
+        CellRow beside(near);
         for (int row = 0; row < rows; ++row) {
-            const unsigned short* line = depth + (long long)row * side * width;
-            for (int u = 0; u < used; ++u) {
-                const int value = line[u];
-                count[u] = value != 0;
-                sum[u] = high[u] = value;
-                low[u] = value ? value : 65536;
-            }
-            for (int v = 1; v < side; ++v) {
-                line += width;
-                for (int u = 0; u < used; ++u) {
-                    const int value = line[u], measured = value ? value : 65536;
-                    count[u] += value != 0;
-                    sum[u] += value;
-                    high[u] = value > high[u] ? value : high[u];
-                    low[u] = measured < low[u] ? measured : low[u];
-                }
-            }
+            depths(row, beside, d);
             for (int column = 0; column < columns; ++column) {
-                CellDepth::Pixels all{0, 0, 65536, 0};
-                for (int u = column * side; u < (column + 1) * side; ++u) {
-                    all.count += count[u];
-                    all.sum += sum[u];
-                    all.low = low[u] < all.low ? low[u] : all.low;
-                    all.high = high[u] > all.high ? high[u] : all.high;
-                }
-                cell(row, column).keep_near(all);
-                // Those of this cell and of the ones before are read no more.
-                count[column] = all.count;
-                sum[column] = all.sum;
+                const int k = row * columns + column;
+                place(k, ray(k), d[column]);
             }
-            for (int column = 0; column < columns; ++column)
-                d[column] = CellDepth::mean(sum[column], count[column]);
-            for (int column = 0; column < columns; ++column) place(row, column, d[column]);
             boxes(row, d);
         }
 #endif

@@ -51,13 +51,14 @@ struct Floor {
         const int r = part(rows_in, stride), c = part(columns_in, stride);
         most = r * c;
         most_few = ((r + 1) / 2) * ((c + 1) / 2);
-        int* at = scratch;
+        int *at = scratch, *quick = fast;
         room = fast ? SHARED : 0;
         const auto always = [&](int words) {
-            int*& from = words <= room ? fast : at;
-            int* const place = from;
-            room -= words <= room ? words : 0;
-            from += words;
+            const bool fits = words <= room;
+            int* const place = fits ? quick : at;
+            quick += fits ? words : 0;
+            room -= fits ? words : 0;
+            at += fits ? 0 : words;
             return place;
         };
         sums = (unsigned long long*)always(Crew::words(team));
@@ -69,7 +70,7 @@ struct Floor {
         bound = always(PLANES);
         rows = always(FloorRamps::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
         const auto now = [&](int words) {
-            int* const place = words <= room ? fast : at;
+            int* const place = words <= room ? quick : at;
             at += words <= room ? 0 : words;
             return place;
         };
@@ -86,7 +87,7 @@ struct Floor {
         places = now(4 * most_few);
         const int crews = (team.size + Crew::WARP - 1) / Crew::WARP * most_few;
         weights = now(crews > most ? crews : most);
-        copies = room ? fast : at;
+        copies = room ? quick : at;
         at += room ? 0 : FloorVotes::COPIES * FloorSearch::most_bins(settings);
         // Votes of a search and the profile of a plane follow each other.
         lattice = table = at;
@@ -193,17 +194,11 @@ struct Floor {
                                     slack,  weights,  keys,   lattice, copies, room};
         FloorPlane* all = (FloorPlane*)planes;
         FloorPlane* different = all + PLANES;
-        const FloorPlane* told = known ? &prior : nullptr;
         const FloorPlane guess = known ? prior : search.any_plane(team, different, votes);
         team.sync();
         if (team.rank == 0) all[0] = guess;
-        const int count = 1 + search.near_planes(team, guess, told, all + 1);
-        Crew crew(team);
-        for (int n = crew.index(); n < count; n += crew.count()) {
-            const int score = search.score(crew, all[n]);
-            if (crew.rank() == 0) votes[n] = score;
-        }
-        team.sync();
+        const int count = 1 + search.near_planes(team, guess, known, all + 1);
+        search.score(team, all, count, votes);
         int best = 0, first = -1;
         for (int n = 0; n < count; n++) {
             if (votes[n] > votes[best]) best = n;
@@ -274,30 +269,40 @@ struct Floor {
     // A plane refined on all cells, or on those before its ramp, and the ramp on those after.
     void refine(Crew& crew, FloorPlane& plane, FloorHinge& hinge) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
-        FloorRefine refined = {angles, settings, known ? &prior : nullptr, weights};
-        if (!hinge.turn) {
-            plane = refined.run(crew, plane, all, 0, 1, 5);
-            return;
-        }
         const FloorRamps ramp = ramps();
-        const FloorPlane steep = ramp.steeper(plane, hinge);
-        const FloorDirection forward = angles.forward(plane);
-        for (int i = team.rank; i < all.count; i += team.size) {
-            const int x = all.x[i], y = all.y[i], z = all.z[i];
-            const bool beyond = forward.along(x, y, z) >= hinge.start;
-            const int n = team.count(counts + (beyond ? BEYOND : BEFORE));
-            const int k = beyond ? most - 1 - n : n;
-            parts[k] = x;
-            parts[most + k] = y;
-            parts[2 * most + k] = z;
+        FloorPlane steep = plane;
+        int before = all.count, beyond = 0;
+        if (hinge.turn) {
+            steep = ramp.steeper(plane, hinge);
+            const FloorDirection forward = angles.forward(plane);
+            for (int i = team.rank; i < all.count; i += team.size) {
+                const int x = all.x[i], y = all.y[i], z = all.z[i];
+                const bool is_beyond = forward.along(x, y, z) >= hinge.start;
+                const int n = team.count(counts + (is_beyond ? BEYOND : BEFORE));
+                const int k = is_beyond ? most - 1 - n : n;
+                parts[k] = x;
+                parts[most + k] = y;
+                parts[2 * most + k] = z;
+            }
+            team.sync();
+            before = counts[BEFORE];
+            beyond = counts[BEYOND];
         }
-        team.sync();
-        const int before = counts[BEFORE], beyond = counts[BEYOND];
-        plane = refined.run(crew, plane, of(parts, most, 0, before), 0, 1, 5);
-        refined.prior = &steep;
-        const FloorPlane other =
-            refined.run(crew, steep, of(parts, most, most - beyond, beyond), 0, 1, 5);
-        const FloorHinge ahead = ramp.crossing(plane, other);
+        // One call, so that it is compiled once.
+        for (int n = 0; n <= (hinge.turn != 0); n++) {
+            const FloorPlane start = n ? steep : plane;
+            const FloorRefine refined = {angles, settings, n ? steep : prior, n || known, weights};
+            const FloorPlane found = refined.run(
+                crew, start,
+                of(hinge.turn ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
+                5);
+            if (n)
+                steep = found;
+            else
+                plane = found;
+        }
+        if (!hinge.turn) return;
+        const FloorHinge ahead = ramp.crossing(plane, steep);
         if (is_ahead(ahead)) hinge = ahead;
     }
 

@@ -115,19 +115,22 @@ struct FloorRefine {
     enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
     FloorAngles angles;
     const int* settings;
-    // What is known of the angles, or null.
-    const FloorPlane* prior;
+    // What is known of the angles, if anything. By value: what has an address stays in memory.
+    FloorPlane prior;
+    bool is_given;
     // A word for each cell, the crew's own.
     int* weights;
 
     // Some rounds with a rough tolerance, a fine and a sharp one.
     FloorPlane run(Crew& crew, FloorPlane plane, const FloorCells& cells, int rough, int fine,
                    int sharp) const {
-        const int rounds[3] = {rough, fine, sharp};
-        for (int k = 0; k < 3; k++) {
+        // One loop, so that a round is compiled once.
+        for (int k = 0, n = 0; k < 3;) {
             const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
-            for (int n = 0; n < rounds[k]; n++)
-                if (!round(crew, plane, cells, slack[0], slack[1])) break;
+            const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
+            const bool more = n < rounds && round(crew, plane, cells, slack[0], slack[1]);
+            n = more ? n + 1 : 0;
+            k += !more;
         }
         return plane;
     }
@@ -222,9 +225,9 @@ struct FloorRefine {
         long long te = sums[8] - t * we - e * wt + t * e * total;
         long long se = sums[9] - s * we - e * ws + s * e * total;
         long long ahead = 0, aside = 0;
-        if (prior) {
-            const long long across = (long long)(prior->roll - plane.roll) * angles.cosine(plane.pitch);
-            ahead = prior->pitch - plane.pitch;
+        if (is_given) {
+            const long long across = (long long)(prior.roll - plane.roll) * angles.cosine(plane.pitch);
+            ahead = prior.pitch - plane.pitch;
             aside = angles.rounded(across, 1 << FloorAngles::SINE_BITS);
         }
         te -= angles.rounded(ridge * (ahead * (1 << lever)), FloorAngles::RADIAN);

@@ -288,23 +288,27 @@ struct FloorRamps {
     // than `least` or the ramp is not seen.
     bool hinge(const Team& team, int least, FloorHinge& found, int& votes) const {
         count(team);
-        limits(team, coarse());
-        if (team.rank == 0) *key = ~0ull;
-        team.sync();
-        best(team, 0, 0, STARTS, 0, 0, 2 * TURNS, 0, coarse(), -0x7fffffff);
-        const int rough = (int)(*key & 0xffffffffu);
-        const int start0 = start_of(rough / (2 * TURNS), 0, 0);
-        const int turn0 = turn_of(rough % (2 * TURNS), 0, 0, 2 * TURNS, 0);
-        const int step = settings[FloorSetting::START_STEP], sign = turn0 < 0 ? -1 : 1;
-        const int size = turn0 < 0 ? -turn0 : turn0;
-        limits(team, fine());
-        if (team.rank == 0) *key = ~0ull;
-        team.sync();
-        best(team, start0, step, FINE, size, FINE_TURN, FINE, sign, fine(), least);
-        if (*key == ~0ull) return false;
-        const int m = (int)(*key & 0xffffffffu);
-        votes = votes_of(*key);
-        found = {start0 + (m / FINE - AROUND) * step, turn_of(m % FINE, size, FINE_TURN, FINE, sign)};
+        // The rough lattice and then the finer one around its best ramp.
+        int start0 = 0, turn0 = 0;
+        for (int fine_one = 0; fine_one < 2; fine_one++) {
+            const int* slack = fine_one ? fine() : coarse();
+            const int starts = fine_one ? FINE : STARTS, turns = fine_one ? FINE : 2 * TURNS;
+            const int start_step = fine_one ? settings[FloorSetting::START_STEP] : 0;
+            const int turn_step = fine_one ? FINE_TURN : 0;
+            const int sign = !fine_one ? 0 : turn0 < 0 ? -1 : 1, size = turn0 < 0 ? -turn0 : turn0;
+            limits(team, slack);
+            if (team.rank == 0) *key = ~0ull;
+            team.sync();
+            best(team, start0, start_step, starts, size, turn_step, turns, sign, slack,
+                 fine_one ? least : -0x7fffffff);
+            if (*key == ~0ull) return false;
+            const int m = (int)(*key & 0xffffffffu);
+            votes = votes_of(*key);
+            found.start = start_of(m / turns, start0, start_step);
+            found.turn = turn_of(m % turns, size, turn_step, turns, sign);
+            start0 = found.start;
+            turn0 = found.turn;
+        }
         return is_seen(team, found, fine());
     }
 
@@ -362,12 +366,13 @@ struct FloorRamps {
         }
         const long long least = 100LL * most_alone + (long long)MIN_GAIN * cells.count;
         const int needed = (int)angles.quotient(least, 100) + 1;
-        int best_plane = -1, best_votes = -0x7fffffff;
+        int best_plane = -1, best_votes = -0x7fffffff, sorted = count - 1;
         for (int n = 0; n < count; n++) {
             if (bound[n] < needed || bound[n] <= best_votes) continue;
             FloorHinge found = {0, 0};
             int votes = 0;
-            sort(team, planes[n]);
+            if (n != sorted) sort(team, planes[n]);
+            sorted = n;
             if (hinge(team, needed > best_votes ? needed : best_votes + 1, found, votes)) {
                 best_votes = votes;
                 best_plane = n;

@@ -393,25 +393,33 @@ struct FloorSearch {
         return lattice;
     }
 
-    int score(Crew& crew, FloorPlane plane) const {
-        const FloorDirection down = angles.down(plane);
-        const int* set = settings;
-        const FloorSlack slack(set[FloorSetting::FINE_BASE], set[FloorSetting::FINE_PER_Z],
-                               set[FloorSetting::NOISE], plane.height);
-        const FloorScore each{};
-        const int height = plane.height, last = cells.count, step = crew.size();
-        const int *xs = cells.x, *ys = cells.y, *zs = cells.z;
-        int sum = 0;
-        for (int i = crew.rank(); i < last; i += step)
-            sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, slack.at(zs[i]));
-        long long total[1] = {sum};
-        crew.sum(total, 1);
-        return (int)total[0];
+    // The votes for each of some planes. Crews take parts of the cells, so that none waits for one
+    // that has a plane more.
+    void score(const Team& team, const FloorPlane* planes, int count, int* votes) const {
+        for (int n = team.rank; n < count; n += team.size) votes[n] = 0;
+        team.sync();
+        const Lanes lanes(team);
+        const int *xs = cells.x, *ys = cells.y, *zs = cells.z, parts = lanes.count;
+        for (int unit = lanes.index; unit < count * parts; unit += lanes.count) {
+            const int n = unit / parts, part = unit - n * parts;
+            const FloorPlane plane = planes[n];
+            const FloorDirection down = angles.down(plane);
+            const FloorSlack fine(settings[FloorSetting::FINE_BASE],
+                                  settings[FloorSetting::FINE_PER_Z],
+                                  settings[FloorSetting::NOISE], plane.height);
+            const FloorScore each{};
+            const int height = plane.height, to = cells.count * (part + 1) / parts;
+            int sum = 0;
+            for (int i = cells.count * part / parts + lanes.rank; i < to; i += Lanes::size)
+                sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
+            sum = lanes.sum(sum);
+            if (lanes.rank == 0) team.add(votes + n, sum);
+        }
+        team.sync();
     }
 
-    // Up to NEAR_PLANES planes near a guess, and how many; `prior` may be null.
-    int near_planes(const Team& team, FloorPlane guess, const FloorPlane* prior,
-                    FloorPlane* planes) const {
+    // Up to NEAR_PLANES planes near a guess, which is the prior or not, and how many.
+    int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
         coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
         FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
         lattice.rings = RINGS;
@@ -436,7 +444,8 @@ struct FloorSearch {
         count += 2;
         team.sync();
         Crew crew(team);
-        const FloorRefine refine = {angles, settings, prior, weights + crew.index() * cells.count};
+        const FloorRefine refine = {angles, settings, guess, is_prior,
+                                    weights + crew.index() * cells.count};
         for (int n = crew.index(); n < count; n += crew.count()) {
             const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
             const FloorPlane plane = refine.run(crew, planes[n], some, 2, 2, 1);
@@ -473,16 +482,14 @@ struct FloorSearch {
             team.sync();
         }
         Crew crew(team);
-        const FloorRefine refine = {angles, settings, nullptr, weights + crew.index() * cells.count};
+        const FloorRefine refine = {angles, settings, {0, 0, 0}, false,
+                                    weights + crew.index() * cells.count};
         for (int n = crew.index(); n < WINNERS; n += crew.count()) {
             const FloorPlane plane = refine.run(crew, planes[n], cells, 2, 2, 0);
-            const int votes = score(crew, plane);
-            if (crew.rank() == 0) {
-                planes[n] = plane;
-                scores[n] = votes;
-            }
+            if (crew.rank() == 0) planes[n] = plane;
         }
         team.sync();
+        score(team, planes, WINNERS, scores);
         int best = 0;
         for (int n = 1; n < WINNERS; n++)
             if (scores[n] > scores[best]) best = n;
