@@ -18,6 +18,7 @@ class _Tables(NamedTuple):
     align: tuple[jax.Array, ...]
     ground: tuple[jax.Array, ...]
     rays: _features.Rays
+    corners: jax.Array
     bands: jax.Array
     axes: jax.Array
 
@@ -26,6 +27,7 @@ SPECS = cast(Any, _Tables)(
     align=_spread.WHOLE,
     ground=(_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE),
     rays=_spread.WHOLE,
+    corners=_spread.WHOLE,
     bands=_spread.WHOLE,
     axes=_spread.ROWS,
 )
@@ -51,6 +53,7 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         align,
         _ground.tables(plane, calibration, config),
         _features.rays(calibration.color),
+        jnp.asarray(_features.corner_settings(config.features)),
         _footprint.bands(config.footprint, unit),
         jnp.asarray(ground_axes(plane)),
     )
@@ -80,7 +83,9 @@ def _detect(
     if align is not None:
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *align))
     keep = _ground.keep(aligned.z, *tables.ground)
-    features = _features.on_device(color, keep.z, keep.mask, tables.rays, config.features)
+    features = _features.on_device(
+        color, keep.z, keep.mask, tables.rays, tables.corners, config.features.max_corners
+    )
     labels = _cluster.labels(features, unit, config.cluster)
     obstacles = _footprint.obstacles(features, labels, tables.bands, tables.axes, unit, config)
     return Detections(features, labels, obstacles, keep.has_depth)
