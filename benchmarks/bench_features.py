@@ -114,8 +114,9 @@ def _on_cells() -> Case:
     camera, config = given.calibration, CONFIG.ground
     far = depth_range(config.min_depth_m, config.max_depth_m, camera.depth_unit)[1]
     keep = seen.of("keep", seen.surfaces) & seen.cells.in_view & (seen.cells.z <= far)
+    label = np.zeros(keep.shape, np.int32)
     arguments = jax.device_put(
-        (given.color, seen.cells, keep, rays(camera.color), corner_settings(CORNERS))
+        (given.color, seen.cells, keep, label, rays(camera.color), corner_settings(CORNERS))
     )
     program = jax.jit(corners_on_cells, static_argnames="slots")
 

@@ -47,7 +47,10 @@ def test_corners(size: tuple[int, int], use_mask: bool, is_aligned: bool, device
     run = jax.jit(_cover.corners_on_cells, static_argnames="slots")
     rays = _features.rays(color)
     settings = corner_settings(config)
-    points, found = run(image, grid, keep, rays, settings, slots=config.max_corners)
+    label = np.random.default_rng(0).integers(-1, 9, grid.z.shape).astype(np.int32)
+    points, found, labels = run(image, grid, keep, label, rays, settings, slots=config.max_corners)
     assert expected.kept.sum() > 20
     assert_equal(Features(*(np.asarray(a) for a in points)), expected)
     np.testing.assert_array_equal(found, cell)
+    own = np.take_along_axis(label.reshape(len(depth), -1), np.maximum(cell, 0), axis=1)
+    np.testing.assert_array_equal(labels, np.where(cell >= 0, own, -1))

@@ -189,9 +189,9 @@ def _points(
     batch = len(color)
     keep = surfaces.keep & grid.in_view
     near = keep & (grid.z <= shared.depth_range[1])
-    corners, cell = corners_on_cells(color, grid, near, shared.rays, shared.corners, static.slots)
-    of_corners = jnp.take_along_axis(label.reshape(batch, -1), jnp.maximum(cell, 0), axis=1)
-    of_corners = jnp.where(corners.kept, of_corners, -1)
+    corners, _, of_corners = corners_on_cells(
+        color, grid, near, label, shared.rays, shared.corners, static.slots
+    )
 
     few = jax.tree.map(lambda a: a[SAMPLED_CELLS], grid)
     kept, (u, v) = keep[SAMPLED_CELLS], jnp.moveaxis(few.middle, -1, 0)

@@ -10,6 +10,10 @@ from jaxdet_kernels.native_source import native
 wp.set_module_options({"enable_backward": False})
 
 
+TILE = 8
+"""Rows and columns of a tile of ``native/cover.h``."""
+
+
 def mask_scratch(cells: int) -> int:
     """Words of scratch memory that :func:`cover_mask` takes."""
     return 1 + cells
@@ -17,7 +21,7 @@ def mask_scratch(cells: int) -> int:
 
 def cover_scratch(cells: int, height: int, width: int, slots: int) -> int:
     """Words of scratch memory that :func:`cover_corners` takes."""
-    return 3 * slots + height * (2 * -(-width // 64) + 1) + mask_scratch(cells)
+    return 3 * slots + -(-height // TILE) * -(-width // TILE) + mask_scratch(cells)
 
 
 _COVER = """
@@ -139,13 +143,18 @@ def cover_mask(
     native(
         "pixel_bits.h",
         "cover.h",
-        body=_COVER
+        body="""
+    const int height = ray_x.shape[0], width = ray_x.shape[1];
+"""
+        + _COVER
         + """
         const int slots = u.shape[1];
         const size_t at = (size_t)b * slots;
         CoveredCorners{cover, count.data[b] < slots ? count.data[b] : slots, slots,
                        u.data + at, v.data + at,
-                       scratch, cell_out.data + at}.run();
+                       scratch, label.data + i, ray_x.data, ray_y.data, cell_out.data + at,
+                       label_out.data + at, x_out.data + at, y_out.data + at,
+                       z_out.data + at}.run();
         team.sync();
     }
 """,
@@ -159,12 +168,17 @@ def _cover_corners(
     z: wp.array3d[wp.int32],
     uv_min: wp.array4d[wp.int32],
     uv_max: wp.array4d[wp.int32],
+    label: wp.array3d[wp.int32],
+    ray_x: wp.array2d[wp.int32],
+    ray_y: wp.array2d[wp.int32],
     u: wp.array2d[wp.int32],
     v: wp.array2d[wp.int32],
     count: wp.array[wp.int32],
-    height: int,
-    width: int,
     cell_out: wp.array2d[wp.int32],
+    label_out: wp.array2d[wp.int32],
+    x_out: wp.array2d[wp.int32],
+    y_out: wp.array2d[wp.int32],
+    z_out: wp.array2d[wp.int32],
     scratch_out: wp.array2d[wp.int32],
 ): ...
 
@@ -177,12 +191,17 @@ def cover_corners(
     z: wp.array3d[wp.int32],
     uv_min: wp.array4d[wp.int32],
     uv_max: wp.array4d[wp.int32],
+    label: wp.array3d[wp.int32],
+    ray_x: wp.array2d[wp.int32],
+    ray_y: wp.array2d[wp.int32],
     u: wp.array2d[wp.int32],
     v: wp.array2d[wp.int32],
     count: wp.array[wp.int32],
-    height: int,
-    width: int,
     cell_out: wp.array2d[wp.int32],
+    label_out: wp.array2d[wp.int32],
+    x_out: wp.array2d[wp.int32],
+    y_out: wp.array2d[wp.int32],
+    z_out: wp.array2d[wp.int32],
     scratch_out: wp.array2d[wp.int32],
 ):
     """A team of threads takes frames ``share, share + shares, ...``.
@@ -194,16 +213,21 @@ def cover_corners(
         z: ``(B, R, C)`` [depth units].
         uv_min: ``(B, R, C, 2)``, first colour column and row.
         uv_max: Last.
+        label: ``(B, R, C)``.
+        ray_x: ``(H, W)``, of the colour camera, see :func:`jaxdet.camera.fixed_rays`.
+        ray_y: Likewise.
         u: ``(B, N)``, the corners' columns.
         v: Rows.
         count: ``(B,)``, how many corners are used, or more than N.
-        height: Of the colour image.
-        width: Likewise.
         cell_out: ``(B, N)``, the nearest cell over each corner, of equally near ones the first; -1
             where there is none.
+        label_out: Its label, or -1.
+        x_out: The corners' coordinates [depth units], or 0.
+        y_out: Likewise.
+        z_out: Likewise.
         scratch_out: ``(teams, cover_scratch)``.
     """
     _cover_corners(
-        wp.tid(), share, shares, keep, z, uv_min, uv_max, u, v, count, height, width,
-        cell_out, scratch_out,
+        wp.tid(), share, shares, keep, z, uv_min, uv_max, label, ray_x, ray_y, u, v, count,
+        cell_out, label_out, x_out, y_out, z_out, scratch_out,
     )  # fmt: skip

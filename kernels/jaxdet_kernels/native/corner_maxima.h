@@ -38,9 +38,10 @@ struct CornerMaxima {
         Word summed[3][BLOCK_WORDS];       // The blocks that have them.
         float most[3][ROW], least[3][ROW]; // The strengths' intervals.
         Word blocks[3][BLOCK_WORDS];       // The blocks that have strengths.
-        Word spread[5][WORDS];             // Edges, two pixels wider left and right; row y at y % 5.
-        Word wide[3][WORDS];               // The mask, a pixel wider left and right.
-        Word none[WORDS];
+        // Rows of bits, word w at w + 1: the mask, edges, and where edges left and right differ.
+        Word mask[WORDS + 2], edge[4][WORDS + 2], sides[4][WORDS + 2], none[WORDS + 2];
+        // Where dx and dy may not be 0, and the mask, each a pixel wider left and right.
+        Word across[3][WORDS], along[3][WORDS], wide[3][WORDS];
         CornerColumn::State exact[MAX_SIZE];
         float exact_sums[EXACT][MAX_SIZE]; // The last of each column's, row y at y % EXACT.
     };
@@ -61,16 +62,18 @@ struct CornerMaxima {
             for (int i = 0; i < n * 64 + 3 * LANES && i < ROW; ++i)
                 rows.most[k][i] = rows.least[k][i] = 0.0f;
         }
-        for (int w = 0; w < n; ++w) rows.none[w] = 0;
+        for (int w = 0; w < n + 2; ++w) rows.none[w] = rows.mask[w] = 0;
+        for (int k = 0; k < 4; ++k)
+            rows.edge[k][0] = rows.edge[k][n + 1] = rows.sides[k][0] = rows.sides[k][n + 1] = 0;
         for (int x = 0; x < width; ++x) rows.exact[x].row = -1;
-        for (int y = 0; y < 2; ++y) spread(rows, y);
-        widen(rows, 0);
+        for (int y = 0; y < 2; ++y) read(rows, y);
+        look(rows, 0);
         float strongest = 0.0f;
         int count = 0;
         for (int y = 0; y <= height; ++y) {
             if (y < height) {
-                if (y + 2 < height) spread(rows, y + 2);
-                if (y + 1 < height) widen(rows, y + 1);
+                if (y + 2 < height) read(rows, y + 2);
+                if (y + 1 < height) look(rows, y + 1);
                 measure(rows, y, &strongest);
             }
             if (y > 1 && y < height) count = search(rows, y - 1, share(strongest), count);
@@ -90,29 +93,45 @@ struct CornerMaxima {
         return value;
     }
 
-    void spread(Rows& rows, int y) const {
-        const Word* row = edge_row(y);
-        Word* out = rows.spread[y % 5];
+    void read(Rows& rows, int y) const {
         const int n = words();
-        for (int w = 0; w < n; ++w) {
-            const Word own = row[w], left = w > 0 ? row[w - 1] : 0;
-            const Word right = w + 1 < n ? row[w + 1] : 0;
-            out[w] = own | own << 1 | own >> 1 | own << 2 | own >> 2
-                | left >> 62 | left >> 63 | right << 62 | right << 63;
-        }
+        Word* __restrict__ edge = rows.edge[y % 4];
+        Word* __restrict__ sides = rows.sides[y % 4];
+        for (int w = 0; w < n; ++w) edge[w + 1] = edge_row(y)[w];
+        for (int w = 1; w <= n; ++w)
+            sides[w] = (edge[w] << 1 | edge[w - 1] >> 63) ^ (edge[w] >> 1 | edge[w + 1] << 63);
     }
 
-    void widen(Rows& rows, int y) const {
-        Word* out = rows.wide[y % 3];
-        const int n = words();
-        for (int w = 0; w < n; ++w) {
-            const Word own = may(y, w), left = w > 0 ? may(y, w - 1) : 0;
-            out[w] = own | own << 1 | own >> 1 | left >> 63
-                | (w + 1 < n ? may(y, w + 1) << 63 : 0);
+    // Finds where row y may have a corner: pixels of an edge differ in both directions near it.
+    // Beside the image they do not, as it is mirrored there, but it does no harm to say so.
+    void look(Rows& rows, int y) const {
+        const int n = words(), up = y > 0 ? y - 1 : y, down = y + 1 < height ? y + 1 : y;
+        const Word *a = rows.sides[up % 4], *o = rows.sides[y % 4], *b = rows.sides[down % 4];
+        const Word* above = y > 0 ? rows.edge[up % 4] : rows.none;
+        const Word* below = y + 1 < height ? rows.edge[down % 4] : rows.none;
+        for (int w = 0; w < n; ++w) rows.mask[w + 1] = may(y, w);
+        Word* __restrict__ across = rows.across[y % 3];
+        Word* __restrict__ along = rows.along[y % 3];
+        Word* __restrict__ wide = rows.wide[y % 3];
+        for (int w = 1; w <= n; ++w) {
+            const Word left = a[w - 1] | o[w - 1] | b[w - 1], right = a[w + 1] | o[w + 1] | b[w + 1];
+            across[w - 1] = wider(left, a[w] | o[w] | b[w], right);
         }
+        // A window has three columns.
+        for (int w = 1; w <= n; ++w) {
+            const Word left = above[w - 1] ^ below[w - 1], right = above[w + 1] ^ below[w + 1];
+            const Word own = above[w] ^ below[w];
+            along[w - 1] = wider(left, own, right) | own << 2 | own >> 2 | left >> 62 | right << 62;
+        }
+        for (int w = 1; w <= n; ++w)
+            wide[w - 1] = wider(rows.mask[w - 1], rows.mask[w], rows.mask[w + 1]);
     }
 
-    // The strengths of row y in the blocks that are near an edge and an allowed pixel.
+    static Word wider(Word left, Word own, Word right) {
+        return own | own << 1 | own >> 1 | left >> 63 | right << 63;
+    }
+
+    // The strengths of row y, in the blocks that may have one above 0 next to an allowed pixel.
     void measure(Rows& rows, int y, float* strongest) const {
         const int slot = y % 3, n = words();
         // Rows y - 1 .. y + 1 have sums, or get them where needed; y + 1 takes the place of y - 2.
@@ -129,15 +148,13 @@ struct CornerMaxima {
                     rows.most[slot][k] = rows.least[slot][k] = 0.0f;
             }
         clear(rows.blocks[slot]);
-        const Word *near[5], *wide[3];
-        for (int k = 0; k < 5; ++k)
-            near[k] = y + k >= 2 && y + k - 2 < height ? rows.spread[(y + k - 2) % 5] : rows.none;
-        for (int k = 0; k < 3; ++k)
-            wide[k] = y + k >= 1 && y + k - 1 < height ? rows.wide[(y + k - 1) % 3] : rows.none;
+        const int up = y > 0 ? y - 1 : y, down = y + 1 < height ? y + 1 : y;
+        const Word *x0 = rows.across[up % 3], *x1 = rows.across[slot], *x2 = rows.across[down % 3];
+        const Word *y0 = rows.along[up % 3], *y1 = rows.along[slot], *y2 = rows.along[down % 3];
+        const Word *m0 = rows.wide[up % 3], *m1 = rows.wide[slot], *m2 = rows.wide[down % 3];
         int done = 0;  // Blocks up to here.
         for (int w = 0; w < n; ++w) {
-            Word here = (near[0][w] | near[1][w] | near[2][w] | near[3][w] | near[4][w])
-                & (wide[0][w] | wide[1][w] | wide[2][w]);
+            Word here = (x0[w] | x1[w] | x2[w]) & (y0[w] | y1[w] | y2[w]) & (m0[w] | m1[w] | m2[w]);
             if (w == n - 1 && width % 64) here &= (1ull << width % 64) - 1;
             while (true) {
                 // What is left of the word, but for columns of blocks that are done.

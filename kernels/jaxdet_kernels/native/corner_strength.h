@@ -83,6 +83,7 @@ struct CornerColumn {
         double running;   // The sum of these two, as rounding left it.
         double oldest, older;  // Sums of three columns in the rows row - 1 and row.
         int row;          // The next whose sum is asked for.
+        unsigned near;    // Its five columns, and those of the row below, 5 bits each.
     };
 
     // Columns x - 2 .. x + 2 of a row; rows are mirrored, columns where a product needs it.
@@ -131,17 +132,23 @@ struct CornerColumn {
 
     State start() const {
         const double above = row_sum(-1), own = row_sum(0);
-        return {above + own, above, own, 0};
+        return {above + own, above, own, 0, five(0) | five(1) << 5};
     }
 
     // The sum of dx dy around row state.row, which moves on to the next, of that of row + 1.
     static float add(State* state, double newest) {
         const double total = state->running + newest;
-        *state = {total - state->oldest, state->older, newest, state->row + 1};
+        *state = {total - state->oldest, state->older, newest, state->row + 1, state->near};
         return (float)total;
     }
 
-    float next(State* state) const { return add(state, row_sum(state->row + 1)); }
+    float next(State* state) const {
+        const int row = state->row + 1;
+        if (row == height) return add(state, row_sum(row));
+        const unsigned above = state->near & 31, own = state->near >> 5, below = five(row + 1);
+        state->near = own | below << 5;
+        return add(state, row_sum(above, own, below));
+    }
 
     // The strength of row y's pixel, of its sum of dx dy.
     float strength(int y, float xy) const {

@@ -53,51 +53,62 @@ struct Cover {
     }
 };
 
+// Corners are listed by square tiles of the image; a cell's box asks those that it overlaps.
 struct CoveredCorners {
     Cover cover;
     int count, slots;         // Corners, and what there is room for.
     const int *u, *v;         // (slots)
-    int* words;               // Scratch: 2 slots, bits of the image, a list for each row.
-    int* cell_out;            // (slots), the nearest cell over each, of equal ones the first; -1.
+    int* words;               // Scratch: 3 slots, and the tiles.
+    const int* label;         // (cells)
+    const int *ray_x, *ray_y; // (height, width), fixed point of RAY_BITS.
+    // (slots), of each corner: the nearest cell over it, of equal ones the first, and its label, or
+    // -1; its depth and coordinates x and y, or 0.
+    int *cell_out, *label_out, *x_out, *y_out, *z_out;
 
-    enum { CELL_BITS = 18 };
+    enum { CELL_BITS = 18, TILE = 8, RAY_BITS = 20 };
 
     void run() const {
         const Team& team = cover.team;
-        const int rows = cover.height, across = PixelBits::words(cover.width);
+        const int across = (cover.width + TILE - 1) / TILE;
+        const int tiles = (cover.height + TILE - 1) / TILE * across;
         // Keys depth << CELL_BITS | cell come first, for they have 64 bits.
         unsigned long long* nearest = (unsigned long long*)words;
-        int* bits = words + 2 * slots;
-        int* first = bits + rows * across;
-        int* next = first + rows;
+        int *next = words + 2 * slots, *first = next + slots;
         const unsigned long long nothing = ~0ull;
-        for (int i = team.rank; i < rows * across; i += team.size) bits[i] = 0;
-        for (int i = team.rank; i < rows; i += team.size) first[i] = -1;
+        for (int i = team.rank; i < tiles; i += team.size) first[i] = -1;
         for (int i = team.rank; i < slots; i += team.size) nearest[i] = nothing;
         cover.gather();
-        for (int i = team.rank; i < count; i += team.size) {
-            team.set(&bits[v[i] * across + u[i] / 32], 1 << (u[i] & 31));
-            next[i] = team.swap(&first[v[i]], i);
-        }
+        for (int i = team.rank; i < count; i += team.size)
+            next[i] = team.swap(&first[v[i] / TILE * across + u[i] / TILE], i);
         team.sync();
         for (int k = team.rank; k < *cover.list; k += team.size) {
             const int cell = cover.list[1 + k];
             const Cover::Box at = cover.box(cell);
+            if (at.left > at.right || at.top > at.bottom) continue;
             const unsigned long long key =
                 (unsigned long long)cover.z[cell] << CELL_BITS | (unsigned)cell;
-            for (int w = at.left / 32; w <= at.right / 32 && at.left <= at.right; ++w) {
-                const int part = (int)PixelBits::part(w, at.left, at.right);
-                for (int row = at.top; row <= at.bottom; ++row) {
-                    if (!(bits[row * across + w] & part)) continue;
-                    for (int i = first[row]; i >= 0; i = next[i])
-                        if (at.left <= u[i] && u[i] <= at.right) team.least(&nearest[i], key);
-                }
-            }
+            for (int row = at.top / TILE; row <= at.bottom / TILE; ++row)
+                for (int column = at.left / TILE; column <= at.right / TILE; ++column)
+                    for (int i = first[row * across + column]; i >= 0; i = next[i])
+                        if (at.left <= u[i] && u[i] <= at.right && at.top <= v[i] &&
+                            v[i] <= at.bottom)
+                            team.least(&nearest[i], key);
         }
         team.sync();
-        for (int i = team.rank; i < slots; i += team.size)
-            cell_out[i] = nearest[i] == nothing
-                              ? -1
-                              : (int)(nearest[i] & ((1ull << CELL_BITS) - 1));
+        for (int i = team.rank; i < slots; i += team.size) {
+            const bool is_covered = nearest[i] != nothing;
+            const int cell = (int)(nearest[i] & ((1ull << CELL_BITS) - 1));
+            const int z = is_covered ? cover.z[cell] : 0, pixel = v[i] * cover.width + u[i];
+            cell_out[i] = is_covered ? cell : -1;
+            label_out[i] = is_covered ? label[cell] : -1;
+            x_out[i] = is_covered ? lateral(ray_x[pixel], z) : 0;
+            y_out[i] = is_covered ? lateral(ray_y[pixel], z) : 0;
+            z_out[i] = z;
+        }
+    }
+
+    // As in jaxdet/reference/_features.py.
+    static int lateral(int ray, int z) {
+        return (int)(((long long)ray * z + (1 << (RAY_BITS - 1))) >> RAY_BITS);
     }
 };
