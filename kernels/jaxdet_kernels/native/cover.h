@@ -33,7 +33,7 @@ struct Cover {
             const bool is_whole = first >= 0 && first + 8 <= cells;
             if (is_whole && *(const Eight*)(keep + first) == 0) continue;
             for (int cell = first < 0 ? 0 : first; cell < first + 8 && cell < cells; ++cell)
-                if (keep[cell]) list[1 + team.add(list, 1)] = cell;
+                if (keep[cell]) list[1 + team.count(list)] = cell;
         }
         team.sync();
     }
