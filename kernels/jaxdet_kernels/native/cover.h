@@ -89,10 +89,11 @@ struct CoveredCorners {
                 (unsigned long long)cover.z[cell] << CELL_BITS | (unsigned)cell;
             for (int row = at.top / TILE; row <= at.bottom / TILE; ++row)
                 for (int column = at.left / TILE; column <= at.right / TILE; ++column)
-                    for (int i = first[row * across + column]; i >= 0; i = next[i])
-                        if (at.left <= u[i] && u[i] <= at.right && at.top <= v[i] &&
-                            v[i] <= at.bottom)
-                            team.least(&nearest[i], key);
+                    for (int i = first[row * across + column]; i >= 0; i = next[i]) {
+                        const bool is_under = (at.left <= u[i]) & (u[i] <= at.right) &
+                            (at.top <= v[i]) & (v[i] <= at.bottom);
+                        if (is_under) team.least(&nearest[i], key);
+                    }
         }
         team.sync();
         for (int i = team.rank; i < slots; i += team.size) {
