@@ -16,7 +16,7 @@
 //   column's sum, at most 2^-54 for each of two operations a row, are less than 2^-33. So the true
 //   sum is within 2^-33 of the integers' one. The eigenvalue falls as that sum's size rises, as all
 //   roundings keep the order. If it is the same at both ends of the interval, it is exact.
-// - Else, for about one pixel in forty near edges, `CornerColumn` repeats the reference's sum.
+// - Else, for a few pixels in a hundred near edges, `CornerColumn` repeats the reference's sum.
 #pragma once
 #include "pixel_bits.h"
 
