@@ -16,6 +16,7 @@ from benchmarks.sweep import DEFAULT_BATCH, Point, kind
 from jaxdet import reference, stages
 from jaxdet.floor.plane import depth_range
 from jaxdet.reference._cells import cover
+from jaxdet.stages._corners import corner_settings
 from jaxdet.stages._cover import corners_on_cells
 from jaxdet.stages._features import rays
 from jaxdet.types import Features, Keep
@@ -113,8 +114,11 @@ def _on_cells() -> Case:
     camera, config = given.calibration, CONFIG.ground
     far = depth_range(config.min_depth_m, config.max_depth_m, camera.depth_unit)[1]
     keep = seen.of("keep", seen.surfaces) & seen.cells.in_view & (seen.cells.z <= far)
-    arguments = jax.device_put((given.color, seen.cells, keep, rays(camera.color)))
-    program = jax.jit(corners_on_cells, static_argnames="config")
+    label = np.zeros(keep.shape, np.int32)
+    arguments = jax.device_put(
+        (given.color, seen.cells, keep, label, rays(camera.color), corner_settings(CORNERS))
+    )
+    program = jax.jit(corners_on_cells, static_argnames="slots")
 
     def peer() -> Features:
         over = cover(seen.cells, keep, camera.color)
@@ -124,7 +128,7 @@ def _on_cells() -> Case:
 
     return Case(
         name="on_cells.vs_reference",
-        run=lambda: program(*arguments, config=CORNERS),
+        run=lambda: program(*arguments, slots=CORNERS.max_corners),
         frames=BATCH,
         peer=peer,
         equal=True,

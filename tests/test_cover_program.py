@@ -11,6 +11,7 @@ from jaxdet import reference
 from jaxdet.config import FeaturesConfig, SurfaceConfig
 from jaxdet.reference._cells import cover
 from jaxdet.stages import _cover, _features
+from jaxdet.stages._corners import corner_settings
 from jaxdet.types import Calibration, Features, Keep
 from tests.scenes import assert_equal, blocks, noise_depth, small, smooth_depth
 
@@ -43,9 +44,13 @@ def test_corners(size: tuple[int, int], use_mask: bool, is_aligned: bool, device
     expected = reference.features(image, Keep(mask, z, mask.any(axis=(1, 2))), calibration, config)
     cell = np.where(expected.valid, over[frame, expected.v, expected.u], -1)
 
-    run = jax.jit(_cover.corners_on_cells, static_argnames="config")
+    run = jax.jit(_cover.corners_on_cells, static_argnames="slots")
     rays = _features.rays(color)
-    points, found = run(image, grid, keep, rays, config=config)
+    settings = corner_settings(config)
+    label = np.random.default_rng(0).integers(-1, 9, grid.z.shape).astype(np.int32)
+    points, found, labels = run(image, grid, keep, label, rays, settings, slots=config.max_corners)
     assert expected.kept.sum() > 20
     assert_equal(Features(*(np.asarray(a) for a in points)), expected)
     np.testing.assert_array_equal(found, cell)
+    own = np.take_along_axis(label.reshape(len(depth), -1), np.maximum(cell, 0), axis=1)
+    np.testing.assert_array_equal(labels, np.where(cell >= 0, own, -1))

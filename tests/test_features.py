@@ -1,6 +1,7 @@
 """features: against OpenCV on many images, by hand, and the twin."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from jaxdet.reference._canny import canny, grey
 from jaxdet.reference._corners import min_eigenvalue, strongest_corners
 from jaxdet.reference._features import lateral
 from jaxdet.stages._features import lateral as lateral_twin
+from jaxdet.stages._features import on_device
 from jaxdet.types import Calibration, Distortion, Keep
 from tests.scenes import D435_COLOR, assert_equal, blocks, recorded_colors, resized
 
@@ -194,6 +196,26 @@ def test_twin(device, name, width):
     want = reference.features(*given_)
     assert want.valid[:2].any()
     assert_equal(stages.features(*given_), want)
+
+
+def test_settings_compile_nothing_anew():
+    color, z = blocks(1, 60, 80), np.full((1, 60, 80), 900, np.uint16)
+    keep = Keep(np.indices(z.shape).sum(0) % 97 > 30, z, np.ones(1, bool))
+    calibration = Calibration(resized(D435_COLOR, 80, 60))
+    compiled = cast(Any, on_device)._cache_size
+    before, found = compiled(), []
+    for changes in (
+        {},
+        {"canny_low": 20.0, "canny_high": 400.0},
+        {"quality_level": 0.3},
+        {"min_distance": 9.5},
+        {"use_mask": False},
+    ):
+        given_ = color, keep, calibration, corners_only(max_corners=300, **changes)
+        found.append(stages.features(*given_))
+        assert_equal(found[-1], reference.features(*given_))
+    assert len({np.asarray(each.valid).sum() for each in found}) == len(found)
+    assert compiled() == before + 1
 
 
 @given(

@@ -79,23 +79,34 @@ def compare(grey: np.ndarray, mask: np.ndarray, config: FeaturesConfig) -> None:
         assert_equal(stages.features(color, keep, calibration, config), want)
 
 
-def test_sums_of_squares_lose_nothing_but_residues():
-    """Why columns without edges hold no corner, whatever was above them.
+def test_sums_of_products_are_whole_numbers_but_for_residues():
+    """Why strengths can be told from the pixels around, see ``native/corner_strength.h``.
 
-    The squares of gradients of all 512 windows are either multiples of 2^-31, whose sums are exact
-    in float64, or so small that adding them to such a sum does not change it.
+    The products of gradients of all 512 windows are either multiples of 2^-31, whose sums are exact
+    in float64 and in integers, or residues. Those of squares are so small that adding them to such
+    a sum does not change it; nine of the others, and what rounding makes of them in a column of
+    4096 rows, are less than a quarter of 2^-31.
     """
     windows = (np.arange(512)[:, None] >> np.arange(9) & 1).astype(np.uint8) * 255
     canvas = np.zeros((512 * 5, 5), np.uint8)
     canvas.reshape(512, 5, 5)[:, 1:4, 1:4] = windows.reshape(512, 3, 3)
-    for gradient in _scaled_sobel(canvas, 1.0 / (4 * 3 * 255)):
-        squares = (gradient * gradient).astype(np.float64).reshape(512, 5, 5)[:, 2, 2]
+    dx, dy = (
+        gradient.reshape(512, 5, 5)[:, 2, 2] for gradient in _scaled_sobel(canvas, 1.0 / 3060)
+    )
+    xx, xy, yy = (np.abs(product).astype(np.float64) for product in (dx * dx, dx * dy, dy * dy))
+    for products in (xx, xy, yy):
+        large = products >= 2.0**-31
+        assert np.all(products[large] * 2.0**31 % 1 == 0)
+        assert np.all(products[large] >= 2.0**-8)
+        assert 9 * products.max() < 1.0001
+    for squares in (xx, yy):
         large = squares >= 2.0**-31
-        assert np.all(squares[large] * 2.0**31 % 1 == 0)
-        assert np.all(squares[large] >= 2.0**-8)
         assert np.all(squares[~large] * 2.0**68 % 1 == 0)
         assert np.all(squares[~large] <= 2.0**-66)
         assert np.all(squares[large] + 8 * 2.0**-66 == squares[large])
+    residue = xy[xy < 2.0**-31].max()
+    assert residue > 0
+    assert 9 * residue + 2 * 4096 * 2.0**-54 < 2.0**-33
 
 
 @pytest.mark.parametrize("name", SETTINGS)

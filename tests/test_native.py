@@ -6,13 +6,20 @@ import subprocess
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from jaxdet.camera import RAY_BITS
+from jaxdet.config import FeaturesConfig
 from jaxdet.floor.frame import FLOOR_VALUES, FRAME_BITS
+from jaxdet.reference import features
 from jaxdet.reference._cells import MARGIN
-from jaxdet.types import MAX_LABELS, MAX_SURFACES
-from jaxdet_kernels import align, obstacles
+from jaxdet.stages._corners import corner_settings
+from jaxdet.types import MAX_LABELS, MAX_SURFACES, Calibration, Keep
+from jaxdet_kernels import align, cover, obstacles
+from jaxdet_kernels import features as corners
 from jaxdet_kernels.native_source import FOLDER, native
+from tests.scenes import D435_COLOR, resized
 
 ROOT = Path(__file__).resolve().parents[1]
 HEADERS = sorted(path.name for path in FOLDER.iterdir())
@@ -36,6 +43,48 @@ def test_each_header_compiles_alone(header):
 @pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
 def test_a_name_that_is_not_declared_is_found():
     assert "missing" in faults('#include "team.h"\nint wrong(Team t) { return t.missing; }\n')
+
+
+SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+CORNERS = {"cpu": ["-O1", "-g", "-Wno-psabi", *SANITIZED], "cuda": ["-O2", "-DSIMT"]}
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
+@pytest.mark.parametrize("target", CORNERS)
+def test_corners_of_both_sources(tmp_path, target):
+    """The CPU's under sanitizers, CUDA's with threads that take turns (``tests/simt.h``)."""
+    program = tmp_path / "corners"
+    flags = ["-std=c++17", "-ffp-contract=off", "-Wno-unknown-pragmas", *CORNERS[target]]
+    source = str(ROOT / "tests/corners_main.cpp")
+    command = [str(COMPILER), *flags, "-I", str(FOLDER), source, "-o", str(program)]
+    built = subprocess.run(command, capture_output=True, text=True)
+    if "cannot find" in built.stderr and "san" in built.stderr:
+        pytest.skip("no sanitizers on this machine")
+    assert built.returncode == 0, built.stderr
+    rng, distances = np.random.default_rng(0), (0.0, 1.0, 3.0, 1000.0)
+    sizes = [(3, 3), (5, 4), (31, 33), (14, 64), (29, 65), (57, 127), (70, 211), (6, 2100)]
+    for trial, (height, width) in enumerate(sizes * (2 if target == "cpu" else 1)):
+        levels = (2, 5, 256)[trial % 3]
+        grey = rng.integers(0, levels, (height, width)) * (255 // (levels - 1))
+        grey = grey.repeat(3, 0).repeat(2, 1)[:height, :width] if trial % 2 else grey
+        color = np.repeat(grey[..., None], 3, axis=-1).astype(np.uint8)
+        mask = rng.random((height, width)) < (1.0, 0.3)[trial % 2]
+        slots, quality = (40, 1024, 5)[trial % 3], (0.01, 1e-9)[trial % 2]
+        config = FeaturesConfig(
+            max_corners=slots, quality_level=quality, min_distance=distances[trial % 4]
+        )
+        case = tmp_path / "case"
+        numbers = np.array([height, width, slots, *corner_settings(config)], np.int32)
+        case.write_bytes(numbers.tobytes() + color.tobytes() + mask.tobytes())
+        run = subprocess.run([str(program), str(case)], capture_output=True, text=True)
+        assert (run.returncode, run.stderr) == (0, "")
+        keep = Keep(mask[None], np.ones((1, height, width), np.uint16), np.ones(1, bool))
+        camera = Calibration(resized(D435_COLOR, width, height))
+        want = features(color[None], keep, camera, config)
+        found = np.array(run.stdout.split(), int)
+        assert min(found[0], slots) == want.valid.sum()
+        assert (found[0] > slots) == want.overflow[0]
+        np.testing.assert_array_equal(found[1:].reshape(-1, 2), np.c_[want.u[0], want.v[0]])
 
 
 def test_headers_lie_in_the_wheel():
@@ -86,5 +135,15 @@ def test_constants_agree() -> None:
     assert constant("projection.h", "PARAMETERS") == align.PARAMETERS
     assert constant("floor_frame.h", "VALUES") == FLOOR_VALUES
     assert constant("floor_frame.h", "BITS") == FRAME_BITS
+    assert constant("cover.h", "TILE") == cover.TILE
+    assert constant("cover.h", "RAY_BITS") == RAY_BITS
+    for header in ("canny.h", "corner_maxima.h", "corner_selection.h"):
+        assert constant(header, "MAX_SIZE") == corners.MAX_SIZE
+    assert constant("hysteresis.h", "MAX_HEIGHT") == corners.MAX_SIZE
+    for name in ("SUPPRESS_ROWS", "SUPPRESS_COLUMNS", "SUPPRESS_THREADS"):
+        assert constant("canny.h", name.removeprefix("SUPPRESS_")) == getattr(corners, name)
+    assert corners.MAXIMA_COLUMNS == 32 - 4
+    assert corners.MAXIMA_ROWS == 32 - 6
+    assert constant("corner_selection.h", "THREADS") == corners.SELECT_THREADS
     for header in ("floor.h", "surfaces.h", "obstacle_cells.h"):
         assert constant(header, "MARGIN") == MARGIN

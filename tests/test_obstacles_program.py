@@ -174,7 +174,9 @@ def test_too_large_a_grid() -> None:
 # twin
 
 
-@pytest.mark.parametrize(("rows", "columns", "things"), [(37, 61, 25), (60, 83, 60), (7, 9, 6), (64, 96, 30)])
+@pytest.mark.parametrize(
+    ("rows", "columns", "things"), [(37, 61, 25), (60, 83, 60), (7, 9, 6), (64, 96, 30)]
+)
 def test_painted(rows: int, columns: int, things: int) -> None:
     several = [painted(seed, rows, columns, things) for seed in range(24)]
     assert len(set(assert_twin(several))) > 1

@@ -1,6 +1,7 @@
 """The one program of the device: depth that is aligned already, borders of the image, repeats."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -9,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxdet import detect
-from jaxdet.config import Config, GroundConfig
+from jaxdet.config import Config, FeaturesConfig, GroundConfig
 from jaxdet.presets import PRESETS
+from jaxdet.stages import _detect
 from jaxdet.types import Calibration, Frames
 from tests.scenes import (
     assert_equal,
@@ -46,6 +48,16 @@ def test_depth_that_is_aligned_already(device, size, lens, name):
     assert not want.has_depth[0]
     for _ in range(2):
         assert_equal(detect(*given_), want)
+
+
+def test_settings_of_features_compile_nothing_anew():
+    compiled, given_ = cast(Any, _detect._detect)._cache_size, aligned_frames(1, 80, 60)
+    detect(given_)
+    before = compiled()
+    features = FeaturesConfig(9.0, 70.0, quality_level=0.2, min_distance=8.0, use_mask=False)
+    config = replace(Config(), features=features)
+    assert_equal(detect(given_, config), detect(given_, config, backend="reference"))
+    assert compiled() == before
 
 
 @given(st.sampled_from([1, 15, 40]), st.sampled_from([1, 16, 33]), st.integers(0, 65535))

@@ -97,7 +97,16 @@ def planes(rng: np.random.Generator, batch: int) -> GroundPlane:
 # made
 
 
-SHAPES = [(1, 1, 1), (1, 7, 2), (4, 53, 71), (3, 5, 512), (2, 512, 9), (5, 33, 47), (2, 40, 96), (2, 32, 64)]
+SHAPES = [
+    (1, 1, 1),
+    (1, 7, 2),
+    (4, 53, 71),
+    (3, 5, 512),
+    (2, 512, 9),
+    (5, 33, 47),
+    (2, 40, 96),
+    (2, 32, 64),
+]
 
 
 @pytest.mark.parametrize("shape", SHAPES)

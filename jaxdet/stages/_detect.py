@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.affinity import affinity
-from jaxdet.config import Config, FeaturesConfig, FloorConfig
+from jaxdet.config import Config, FloorConfig
 from jaxdet.floor.frame import axes, floor_frames, ramp_slopes
 from jaxdet.floor.plane import band_table, depth_range
 from jaxdet.floor.units import SINES, FloorFit, Scale, floor_fit, prior_units
@@ -38,6 +38,7 @@ class _Tables(NamedTuple):
 
     cells: _cells.Tables
     rays: _features.Rays
+    corners: Array
     floor: Array
     surfaces: surface_stage.SurfaceTables
     surface: Array
@@ -67,7 +68,7 @@ class _Static(NamedTuple):
     """What a compiled program is for."""
 
     cells: _cells.Static
-    features: FeaturesConfig
+    slots: int
     floor: FloorConfig
     unit: float
 
@@ -129,6 +130,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     made = _Tables(
         cells,
         _features.rays(calibration.color),
+        _features.corner_settings(config.features),
         _floor.floor_settings(rows * columns, config.floor, unit).array(),
         surface_stage.surface_tables(calibration, config),
         surface_stage.surface_settings(config, unit),
@@ -143,7 +145,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     made = jax.tree.map(jnp.asarray, made)
     # Of the floor's configuration only this says how much memory is needed.
     sizes = FloorConfig(max_cells=config.floor.max_cells)
-    return made, _Static(static, config.features, sizes, unit)
+    return made, _Static(static, config.features.max_corners, sizes, unit)
 
 
 @partial(jax.jit, static_argnames="static")
@@ -193,9 +195,9 @@ def _points(
     batch = len(color)
     keep = surfaces.keep & grid.in_view
     near = keep & (grid.z <= shared.depth_range[1])
-    corners, cell = corners_on_cells(color, grid, near, shared.rays, static.features)
-    of_corners = jnp.take_along_axis(label.reshape(batch, -1), jnp.maximum(cell, 0), axis=1)
-    of_corners = jnp.where(corners.kept, of_corners, -1)
+    corners, _, of_corners = corners_on_cells(
+        color, grid, near, label, shared.rays, shared.corners, static.slots
+    )
 
     few = jax.tree.map(lambda a: a[SAMPLED_CELLS], grid)
     kept, (u, v) = keep[SAMPLED_CELLS], jnp.moveaxis(few.middle, -1, 0)

@@ -10,9 +10,9 @@ from jaxdet.camera import fixed_rays
 from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.errors import ConfigError
-from jaxdet.stages import _corners_cpu, _corners_cuda
+from jaxdet.stages._corners import corner_settings, mask_bits, strongest_corners
 from jaxdet.types import Array, Calibration, Features, Intrinsics, Keep
-from jaxdet_kernels.features_canny_lines import MAX_SIZE
+from jaxdet_kernels.features import MAX_SIZE
 
 
 class Rays(NamedTuple):
@@ -57,7 +57,8 @@ def features(
     for what, images in (("colour", color), ("mask", keep.mask)):
         check_size(what, images.shape, calibration.color)
     arrays = rays(calibration.color)
-    return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, config)
+    settings = jnp.asarray(corner_settings(config))
+    return on_device(jnp.asarray(color), keep.z, keep.mask, arrays, settings, config.max_corners)
 
 
 def check_kernels_size(camera: Intrinsics) -> None:
@@ -74,40 +75,19 @@ def check_kernels_size(camera: Intrinsics) -> None:
         )
 
 
-@partial(jax.jit, static_argnames="config")
+@partial(jax.jit, static_argnames="slots")
 def on_device(
     color: jax.Array,
     z: jax.Array,
     keep: jax.Array,
     arrays: Rays,
-    config: FeaturesConfig,
+    settings: jax.Array,
+    slots: int,
 ) -> Features:
-    """The features, from :func:`rays`."""
+    """The features, from :func:`rays` and :func:`~jaxdet.stages._corners.corner_settings`."""
     with jax.named_scope("features"):
-        return _look_up(*strongest_corners(color, keep, config), z, keep, arrays)
-
-
-def strongest_corners(
-    color: jax.Array, keep: jax.Array, config: FeaturesConfig
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The strongest corners of the Canny edge images, as the reference selects them.
-
-    Args:
-        color: ``(B, H, W, 3)`` uint8, RGB.
-        keep: ``(B, H, W)`` bool, where corners may be if the configuration uses a mask.
-        config: Canny's bounds and the corner selection, static.
-
-    Returns:
-        Columns and rows ``(B, N)`` int32, strongest first, zero in empty slots, and how many
-        corners qualify ``(B,)`` int32, perhaps more than there are slots.
-    """
-
-    def by_blocks(color: jax.Array, keep: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        mask = keep if config.use_mask else jnp.ones_like(keep)
-        return _corners_cuda.strongest_corners(color, mask, config)
-
-    by_lines = partial(_corners_cpu.strongest_corners, config=config)
-    return jax.lax.platform_dependent(color, keep, cpu=by_lines, cuda=by_blocks)
+        found = strongest_corners(color, mask_bits(keep), settings, slots)
+        return _look_up(*found, z, keep, arrays)
 
 
 def _look_up(

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxdet.config import ClusterConfig, Config, FeaturesConfig
 from jaxdet.floor.plane import ground_axes
 from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
+from jaxdet.stages._corners import corner_settings
 from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
 
 
@@ -18,6 +19,7 @@ class _Tables(NamedTuple):
     align: tuple[jax.Array, ...]
     ground: tuple[jax.Array, ...]
     rays: _features.Rays
+    corners: jax.Array
     gaps: jax.Array
     footprint: _footprint.Tables
     axes: jax.Array
@@ -27,6 +29,7 @@ SPECS = cast(Any, _Tables)(
     align=_spread.WHOLE,
     ground=(_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE),
     rays=_spread.WHOLE,
+    corners=_spread.WHOLE,
     gaps=_spread.WHOLE,
     footprint=_spread.WHOLE,
     axes=_spread.ROWS,
@@ -40,7 +43,8 @@ class _Static(NamedTuple):
     align: tuple[int, int, tuple[int, int]] | None
     """The lens, whether depth pixels fill corners, and the colour image's size; None: depth is
     aligned already."""
-    features: FeaturesConfig
+    slots: int
+    """Of corners."""
     most: int
     """Obstacles that there is room for."""
 
@@ -59,13 +63,14 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     align, lens = _align_tables(calibration)
     most = _cluster.most_obstacles(config.features.max_corners, config.cluster)
-    static = _Static(lens, config.features, most)
+    static = _Static(lens, config.features.max_corners, most)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         tables = _Tables(
             align,
             _ground.tables(known, calibration, config),
             _features.rays(calibration.color),
+            _corners(config.features),
             _gaps(config.cluster, unit),
             _footprint.tables(config.footprint, unit),
             jnp.asarray(ground_axes(known)),
@@ -86,6 +91,12 @@ def _align_tables(
 
 
 @lru_cache(maxsize=8)
+def _corners(config: FeaturesConfig) -> jax.Array:
+    """The settings of corners on the device, see :func:`_gaps`."""
+    return jnp.asarray(corner_settings(config))
+
+
+@lru_cache(maxsize=8)
 def _gaps(config: ClusterConfig, unit: float) -> jax.Array:
     """The gaps on the device: one array, as copies for several devices are kept by identity."""
     return jnp.asarray(_cluster.gap_settings(config, unit))
@@ -97,7 +108,9 @@ def _detect(color: jax.Array, depth: jax.Array, tables: _Tables, static: _Static
     if static.align is not None:
         aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *static.align))
     keep = _ground.keep(aligned.z, *tables.ground)
-    features = _features.on_device(color, keep.z, keep.mask, tables.rays, static.features)
+    features = _features.on_device(
+        color, keep.z, keep.mask, tables.rays, tables.corners, static.slots
+    )
     labels = _cluster.labels(features, tables.gaps, static.most)
     obstacles = _footprint.obstacles(features, labels, tables.axes, tables.footprint, static.most)
     return Detections(features, labels, obstacles, keep.has_depth)

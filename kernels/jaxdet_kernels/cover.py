@@ -1,4 +1,7 @@
-"""Colour pixels under kept cells, and corners on them. Twin of ``cover`` in the reference."""
+"""Masks of the colour image as bits, and corners on cells. Twin of ``cover`` in the reference.
+
+Bits are laid out as ``native/pixel_bits.h`` says: ``words`` 32-bit words a row, an even number.
+"""
 
 import warp as wp
 
@@ -7,27 +10,84 @@ from jaxdet_kernels.native_source import native
 wp.set_module_options({"enable_backward": False})
 
 
-def cover_scratch(height: int, width: int, slots: int) -> int:
+TILE = 8
+"""Rows and columns of a tile of ``native/cover.h``."""
+
+
+def mask_scratch(cells: int) -> int:
+    """Words of scratch memory that :func:`cover_mask` takes."""
+    return 1 + cells
+
+
+def cover_scratch(cells: int, height: int, width: int, slots: int) -> int:
     """Words of scratch memory that :func:`cover_corners` takes."""
-    return 3 * slots + height * (-(-width // 32) + 1)
+    return 3 * slots + -(-height // TILE) * -(-width // TILE) + mask_scratch(cells)
 
 
 _COVER = """
     const Team team(tid, share);
     const int cells = z.shape[1] * z.shape[2];
+    int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
     for (int b = team.index; b < z.shape[0]; b += shares) {
         const size_t i = (size_t)b * cells;
         const Cover cover{team, height, width, cells, keep.data + i, z.data + i,
-                          uv_min.data + 2 * i, uv_max.data + 2 * i};
+                          uv_min.data + 2 * i, uv_max.data + 2 * i,
+                          scratch + scratch_out.shape[1] - 1 - cells};
 """
 
 
 @wp.func_native(
     native(
+        "vectors.h",
+        "pixel_bits.h",
+        "mask_bits.h",
+        body="""
+    const Team team(tid, share);
+    const int height = mask.shape[1], width = mask.shape[2];
+    const size_t words = (size_t)height * PixelBits::words(width);
+    for (int b = team.index; b < mask.shape[0]; b += shares)
+        MaskBits{team, height, width, mask.data + (size_t)b * height * width,
+                 bits_out.data + b * words}.run();
+""",
+    )
+)
+def _mask_bits(
+    tid: int,
+    share: int,
+    shares: int,
+    mask: wp.array3d[wp.bool],
+    bits_out: wp.array3d[wp.uint32],
+): ...
+
+
+@wp.kernel
+def mask_bits(
+    share: int,
+    shares: int,
+    mask: wp.array3d[wp.bool],
+    bits_out: wp.array3d[wp.uint32],
+    scratch_out: wp.array2d[wp.int32],
+):
+    """A team of threads takes frames ``share, share + shares, ...``.
+
+    Args:
+        share: The first of them, of the launch.
+        shares: How many teams there are in all.
+        mask: ``(B, H, W)``.
+        bits_out: ``(B, H, words)``.
+        scratch_out: Not used.
+    """
+    _mask_bits(wp.tid(), share, shares, mask, bits_out)
+
+
+@wp.func_native(
+    native(
+        "pixel_bits.h",
         "cover.h",
         body=_COVER
         + """
-        cover.paint(mask_out.data + (size_t)b * height * width);
+        cover.paint(mask_out.data + (size_t)b * height * PixelBits::words(width));
+        team.sync();
     }
 """,
     )
@@ -42,7 +102,8 @@ def _cover_mask(
     uv_max: wp.array4d[wp.int32],
     height: int,
     width: int,
-    mask_out: wp.array3d[wp.bool],
+    mask_out: wp.array3d[wp.uint32],
+    scratch_out: wp.array2d[wp.int32],
 ): ...
 
 
@@ -54,7 +115,9 @@ def cover_mask(
     z: wp.array3d[wp.int32],
     uv_min: wp.array4d[wp.int32],
     uv_max: wp.array4d[wp.int32],
-    mask_out: wp.array3d[wp.bool],
+    height: int,
+    width: int,
+    mask_out: wp.array3d[wp.uint32],
     scratch_out: wp.array2d[wp.int32],
 ):
     """A team of threads takes frames ``share, share + shares, ...``.
@@ -66,26 +129,32 @@ def cover_mask(
         z: ``(B, R, C)`` [depth units].
         uv_min: ``(B, R, C, 2)``, first colour column and row.
         uv_max: Last.
-        mask_out: ``(B, H, W)``, under a kept cell.
-        scratch_out: Not used.
+        height: Of the colour image.
+        width: Likewise.
+        mask_out: ``(B, H, words)``, under a kept cell.
+        scratch_out: ``(teams, mask_scratch)``.
     """
     _cover_mask(
-        wp.tid(), share, shares, keep, z, uv_min, uv_max,
-        mask_out.shape[1], mask_out.shape[2], mask_out,
-    )  # fmt: skip
+        wp.tid(), share, shares, keep, z, uv_min, uv_max, height, width, mask_out, scratch_out
+    )
 
 
 @wp.func_native(
     native(
+        "pixel_bits.h",
         "cover.h",
-        body=_COVER
+        body="""
+    const int height = ray_x.shape[0], width = ray_x.shape[1];
+"""
+        + _COVER
         + """
         const int slots = u.shape[1];
         const size_t at = (size_t)b * slots;
         CoveredCorners{cover, count.data[b] < slots ? count.data[b] : slots, slots,
                        u.data + at, v.data + at,
-                       scratch_out.data + (size_t)team.index * scratch_out.shape[1],
-                       cell_out.data + at}.run();
+                       scratch, label.data + i, ray_x.data, ray_y.data, cell_out.data + at,
+                       label_out.data + at, x_out.data + at, y_out.data + at,
+                       z_out.data + at}.run();
         team.sync();
     }
 """,
@@ -99,12 +168,17 @@ def _cover_corners(
     z: wp.array3d[wp.int32],
     uv_min: wp.array4d[wp.int32],
     uv_max: wp.array4d[wp.int32],
+    label: wp.array3d[wp.int32],
+    ray_x: wp.array2d[wp.int32],
+    ray_y: wp.array2d[wp.int32],
     u: wp.array2d[wp.int32],
     v: wp.array2d[wp.int32],
     count: wp.array[wp.int32],
-    height: int,
-    width: int,
     cell_out: wp.array2d[wp.int32],
+    label_out: wp.array2d[wp.int32],
+    x_out: wp.array2d[wp.int32],
+    y_out: wp.array2d[wp.int32],
+    z_out: wp.array2d[wp.int32],
     scratch_out: wp.array2d[wp.int32],
 ): ...
 
@@ -117,12 +191,17 @@ def cover_corners(
     z: wp.array3d[wp.int32],
     uv_min: wp.array4d[wp.int32],
     uv_max: wp.array4d[wp.int32],
+    label: wp.array3d[wp.int32],
+    ray_x: wp.array2d[wp.int32],
+    ray_y: wp.array2d[wp.int32],
     u: wp.array2d[wp.int32],
     v: wp.array2d[wp.int32],
     count: wp.array[wp.int32],
-    height: int,
-    width: int,
     cell_out: wp.array2d[wp.int32],
+    label_out: wp.array2d[wp.int32],
+    x_out: wp.array2d[wp.int32],
+    y_out: wp.array2d[wp.int32],
+    z_out: wp.array2d[wp.int32],
     scratch_out: wp.array2d[wp.int32],
 ):
     """A team of threads takes frames ``share, share + shares, ...``.
@@ -134,16 +213,21 @@ def cover_corners(
         z: ``(B, R, C)`` [depth units].
         uv_min: ``(B, R, C, 2)``, first colour column and row.
         uv_max: Last.
+        label: ``(B, R, C)``.
+        ray_x: ``(H, W)``, of the colour camera, see :func:`jaxdet.camera.fixed_rays`.
+        ray_y: Likewise.
         u: ``(B, N)``, the corners' columns.
         v: Rows.
         count: ``(B,)``, how many corners are used, or more than N.
-        height: Of the colour image.
-        width: Likewise.
         cell_out: ``(B, N)``, the nearest cell over each corner, of equally near ones the first; -1
             where there is none.
+        label_out: Its label, or -1.
+        x_out: The corners' coordinates [depth units], or 0.
+        y_out: Likewise.
+        z_out: Likewise.
         scratch_out: ``(teams, cover_scratch)``.
     """
     _cover_corners(
-        wp.tid(), share, shares, keep, z, uv_min, uv_max, u, v, count, height, width,
-        cell_out, scratch_out,
+        wp.tid(), share, shares, keep, z, uv_min, uv_max, label, ray_x, ray_y, u, v, count,
+        cell_out, label_out, x_out, y_out, z_out, scratch_out,
     )  # fmt: skip

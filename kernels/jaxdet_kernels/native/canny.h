@@ -1,0 +1,303 @@
+// Canny's grey conversion, gradients and non-maximum suppression. Twin of
+// jaxdet/reference/_canny.py: all in integers. Output are two images of bits (pixel_bits.h): weak
+// edges above the lower bound, and those of them above the higher one. hysteresis.h joins them.
+#pragma once
+#include "pixel_bits.h"
+#include "vectors.h"
+
+// Weights of colours, and tan(22.5 degrees), with 15 fraction bits.
+struct CannyWeights {
+    enum { RED = 9798, GREEN = 19235, BLUE = 3735, TAN22 = 13573, BITS = 15 };
+};
+
+#if !defined(__CUDA_ARCH__)
+// A frame on the CPU, a few rows at a time in vectors of 16-bit integers: colours are read once and
+// nothing but bits is written.
+struct CannySuppress {
+    enum { MAX_SIZE = 4096, BEFORE = 32, RING = MAX_SIZE + 128, STEP = Vectors::SHORTS };
+    typedef Vectors::Shorts Shorts;
+
+    const unsigned char* color;     // (height, width, 3), RGB.
+    int height, width;
+    int low, high;                  // From -1 to 2047: thresholds of |dx| + |dy|.
+    unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width))
+
+    // Rings of rows; column x is at BEFORE + x, and what is outside the image is at both ends.
+    struct Rows {
+        short grey[3][RING], magnitude[3][RING], dx[2][RING], dy[2][RING];
+    };
+
+    void run() const {
+        Rows rows;
+        const int words = PixelBits::words(width);
+        for (int i = 0; i < RING; ++i)
+            rows.magnitude[0][i] = rows.magnitude[1][i] = rows.magnitude[2][i] = 0;
+        // Columns beyond the image's last vector are read but decide nothing.
+        for (int k = 0; k < 3; ++k)
+            for (int i = width + BEFORE; i < RING; ++i) rows.grey[k][i] = 0;
+        read(rows, 0);
+        for (int y = 0; y <= height; ++y) {
+            if (y < height) {
+                if (y + 1 < height) read(rows, y + 1);
+                differentiate(rows, y);
+            }
+            short* beyond = rows.magnitude[y % 3] + BEFORE;
+            for (int x = y < height ? width : 0; x < words * 32 + 1; ++x) beyond[x] = 0;
+            if (y > 0) suppress(rows, y - 1, words);
+        }
+    }
+
+    void read(Rows& rows, int y) const {
+        const unsigned char* __restrict__ from = color + (size_t)y * width * 3;
+        short* __restrict__ row = rows.grey[y % 3] + BEFORE;
+        for (int x = 0; x < width; ++x)
+            row[x] = (CannyWeights::RED * from[3 * x] + CannyWeights::GREEN * from[3 * x + 1]
+                      + CannyWeights::BLUE * from[3 * x + 2] + (1 << (CannyWeights::BITS - 1)))
+                >> CannyWeights::BITS;
+        row[-1] = row[0];
+        row[width] = row[width - 1];
+    }
+
+    void differentiate(Rows& rows, int y) const {
+        const short* a = rows.grey[(y > 0 ? y - 1 : 0) % 3] + BEFORE;
+        const short* g = rows.grey[y % 3] + BEFORE;
+        const short* c = rows.grey[(y + 1 < height ? y + 1 : y) % 3] + BEFORE;
+        for (int x = 0; x < width; x += STEP) {
+            const Shorts al = at(a, x - 1), ar = at(a, x + 1), cl = at(c, x - 1);
+            const Shorts cr = at(c, x + 1), gl = at(g, x - 1), gr = at(g, x + 1);
+            const Shorts dx = (ar - al) + (cr - cl) + (gr - gl) * 2;
+            const Shorts dy = (cl - al) + (cr - ar) + (at(c, x) - at(a, x)) * 2;
+            put(rows.dx[y % 2], x, dx);
+            put(rows.dy[y % 2], x, dy);
+            put(rows.magnitude[y % 3], x, (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy));
+        }
+    }
+
+    // Row y, whose neighbours' magnitudes are known.
+    void suppress(const Rows& rows, int y, int words) const {
+        const short* up = rows.magnitude[(y + 2) % 3] + BEFORE;
+        const short* own = rows.magnitude[y % 3] + BEFORE;
+        const short* down = rows.magnitude[(y + 1) % 3] + BEFORE;
+        const short* across = rows.dx[y % 2] + BEFORE;
+        const short* along = rows.dy[y % 2] + BEFORE;
+        unsigned* weak = weak_out + (size_t)y * words;
+        unsigned* strong = strong_out + (size_t)y * words;
+        for (int w = 0; w < words; ++w) {
+            const int x = w * STEP;
+            const Shorts m = at(own, x);
+            unsigned keep = Vectors::bits(m > (short)low);
+            weak[w] = strong[w] = 0;
+            if (!keep) continue;
+            const Shorts dx = at(across, x), dy = at(along, x);
+            const Shorts ax = dx < 0 ? -dx : dx, ay = dy < 0 ? -dy : dy;
+            // dy 2^15 < 13573 dx exactly where dy <= floor(13573 dx / 2^15) and dx is not 0, and
+            // above tan 67.5 dx = (tan 22.5 + 2) dx likewise.
+            const Vectors::Wide product =
+                __builtin_convertvector(ax, Vectors::Wide) * (2 * CannyWeights::TAN22) >> 16;
+            const Shorts tan22 = __builtin_convertvector(product, Shorts);
+            const unsigned flat = Vectors::bits(ay <= tan22) & Vectors::bits(ax != 0);
+            const unsigned steep = Vectors::bits(ay > tan22 + ax * 2);
+            const unsigned rises = Vectors::bits((dx ^ dy) < 0);
+            const unsigned horizontal =
+                Vectors::bits(m > at(own, x - 1)) & Vectors::bits(m >= at(own, x + 1));
+            const unsigned vertical =
+                Vectors::bits(m > at(up, x)) & Vectors::bits(m >= at(down, x));
+            const unsigned falling =
+                Vectors::bits(m > at(up, x - 1)) & Vectors::bits(m > at(down, x + 1));
+            const unsigned rising =
+                Vectors::bits(m > at(up, x + 1)) & Vectors::bits(m > at(down, x - 1));
+            const unsigned diagonal = (rises & rising) | (~rises & falling);
+            keep &= (flat & horizontal) | (steep & vertical) | (~(flat | steep) & diagonal);
+            if (width - x < STEP) keep &= width > x ? (1u << (width - x)) - 1 : 0u;
+            weak[w] = keep;
+            strong[w] = keep & Vectors::bits(m > (short)high);
+        }
+    }
+
+    static const Shorts& at(const short* row, int x) { return *(const Shorts*)(row + x); }
+    static void put(short* row, int x, const Shorts& values) {
+        *(Shorts*)(row + BEFORE + x) = values;
+    }
+};
+#else
+// A tile of a frame on CUDA, by a block of 256 threads.
+struct CannySuppressTile {
+    enum {
+        THREADS = 256, WARPS = THREADS / 32,
+        ROWS = 48, COLUMNS = 128,         // Of the tile.
+        RING = 2,                         // Rows of grey around it, and four columns.
+        GREY_ROWS = ROWS + 2 * RING, GREY_WORDS = COLUMNS / 4 + 2,
+        LOADS = (GREY_ROWS + WARPS - 1) / WARPS,
+    };
+    int thread;
+    const unsigned char* color;       // (height, width, 3), RGB.
+    int height, width;
+    int top, left;                    // The tile's first row and column.
+    int low, high;                    // From -1 to 2047: thresholds of |dx| + |dy|.
+    unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width))
+
+    static int tiles_down(int height) { return (height + ROWS - 1) / ROWS; }
+    static int tiles_across(int width) { return (width + COLUMNS - 1) / COLUMNS; }
+
+    // The same value for both of two columns, 16 bits each.
+    static unsigned both(unsigned value) { return value * 0x00010001u; }
+
+    // Flags of both columns, bits 15 and 31: whether a > b. Numbers are at most 32768, which plus
+    // 32767 has bit 15 unless it is 0; max(a, b) ^ b is 0 where a <= b.
+    static unsigned above(unsigned a, unsigned b) { return (__vmaxu2(a, b) ^ b) + both(0x7fff); }
+
+    // Three words of memory, four columns from x on; beyond the image they are its last column.
+    void load(int row, int x, unsigned* raw) const {
+        const int y = min(max(top + row - RING, 0), height - 1);
+        const unsigned char* line = color + (size_t)y * width * 3;
+        if (width % 4 == 0) {  // Rows begin at whole words.
+            const unsigned* from = (const unsigned*)(line + min(max(x, 0), width - 4) * 3);
+            for (int k = 0; k < 3; ++k) raw[k] = from[k];
+            return;
+        }
+        unsigned char p[12];
+        for (int k = 0; k < 12; ++k) p[k] = line[min(max(x + k / 3, 0), width - 1) * 3 + k % 3];
+        for (int k = 0; k < 3; ++k)
+            raw[k] = p[4 * k] | p[4 * k + 1] << 8 | p[4 * k + 2] << 16 | p[4 * k + 3] << 24;
+    }
+
+    // Grey of those four columns, a byte each; borders are replicated.
+    unsigned grey_of(const unsigned* raw, int x) const {
+        unsigned p[4] = {
+            raw[0],
+            __byte_perm(raw[0], raw[1], 0x6543),
+            __byte_perm(raw[1], raw[2], 0x5432),
+            raw[2] >> 8,
+        };
+        // Twice the weights, so that grey is the third byte of the sum.
+        const unsigned red_green =
+            (unsigned)(2 * CannyWeights::RED) | (unsigned)(2 * CannyWeights::GREEN) << 16;
+        #pragma unroll
+        for (int k = 0; k < 4; ++k)
+            p[k] = __dp2a_hi((unsigned)(2 * CannyWeights::BLUE), p[k],
+                             __dp2a_lo(red_green, p[k], 1u << CannyWeights::BITS));
+        const unsigned four = __byte_perm(
+            __byte_perm(p[0], p[1], 0x0062), __byte_perm(p[2], p[3], 0x0062), 0x5410);
+        if (width % 4 != 0) return four;
+        return __byte_perm(four, 0, x < 0 ? 0 : x >= width ? 0x3333 : 0x3210);
+    }
+
+    void run() const {
+        __shared__ unsigned grey[GREY_ROWS][GREY_WORDS];
+        const int lane = thread % 32, words = PixelBits::words(width);
+        // A warp takes rows WARPS apart, all loads first, so that they are under way together.
+        unsigned raw[LOADS][3];
+        #pragma unroll
+        for (int k = 0; k < LOADS; ++k) {
+            const int r = thread / 32 + WARPS * k;
+            if (r < GREY_ROWS) load(r, left + 4 * lane - 4, raw[k]);
+        }
+        #pragma unroll
+        for (int k = 0; k < LOADS; ++k) {
+            const int r = thread / 32 + WARPS * k;
+            if (r < GREY_ROWS) grey[r][lane] = grey_of(raw[k], left + 4 * lane - 4);
+        }
+        if (thread < 2 * GREY_ROWS) {
+            const int c = 32 + thread % 2, x = left + 4 * c - 4;
+            load(thread / 2, x, raw[0]);
+            grey[thread / 2][c] = grey_of(raw[0], x);
+        }
+        __syncthreads();
+        // A warp walks down its rows, a lane 4 columns; 32-bit words hold two columns of 16 bits.
+        // Pairs 0, 1, 2 are the columns -1 and 0, 1 and 2, 3 and 4; own pairs 0 and 1, 2 and 3.
+        const int walked = ROWS / WARPS, first = thread / 32 * walked, x = left + 4 * lane;
+        const unsigned bias = both(1024), one = both(1);
+        const unsigned least = both(low + 1), sure = both(high + 1);
+        unsigned inside[3];
+        for (int k = 0; k < 3; ++k) {
+            const int c = x + 2 * k - 1;
+            inside[k] = (c >= 0 && c < width ? 0xffffu : 0u) | (c + 1 < width ? 0xffff0000u : 0u);
+        }
+        unsigned across[3][3], smooth[3][3], pairs[3][3], own[3][2], size_x[2][2], size_y[2][2];
+        unsigned signs[2][2];
+        #pragma unroll
+        for (int r = 0; r < walked + 4; ++r) {
+            const unsigned* from = &grey[first + r][lane];
+            const unsigned before = from[0], here = from[1], after = from[2];
+            // Neighbouring columns as pairs, from -2 and -1 to 4 and 5.
+            const unsigned q0 = __byte_perm(before, 0, 0x4342);
+            const unsigned q1 = __byte_perm(__funnelshift_r(before, here, 24), 0, 0x4140);
+            const unsigned q2 = __byte_perm(here, 0, 0x4140), q3 = __byte_perm(here, 0, 0x4241);
+            const unsigned q4 = __byte_perm(here, 0, 0x4342);
+            const unsigned q5 = __byte_perm(__funnelshift_r(here, after, 24), 0, 0x4140);
+            const unsigned q6 = __byte_perm(after, 0, 0x4140);
+            across[r % 3][0] = q2 + both(256) - q0;
+            across[r % 3][1] = q4 + both(256) - q2;
+            across[r % 3][2] = q6 + both(256) - q4;
+            smooth[r % 3][0] = q0 + 2 * q1 + q2;
+            smooth[r % 3][1] = q2 + 2 * q3 + q4;
+            smooth[r % 3][2] = q4 + 2 * q5 + q6;
+            if (r < 2) continue;
+            // Gradients of the row above, plus 1024; their sizes, plus 1024, are the larger of
+            // both signs.
+            const int y = top + first + r - RING - 1;
+            unsigned mx[3], my[3], sign[3];
+            #pragma unroll
+            for (int k = 0; k < 3; ++k) {
+                const unsigned dx =
+                    across[(r - 2) % 3][k] + 2 * across[(r - 1) % 3][k] + across[r % 3][k];
+                const unsigned dy = smooth[r % 3][k] + bias - smooth[(r - 2) % 3][k];
+                mx[k] = __vmaxu2(dx, 2 * bias - dx) - bias;
+                my[k] = __vmaxu2(dy, 2 * bias - dy) - bias;
+                sign[k] = (dx ^ dy) << 5;
+                pairs[r % 3][k] = y >= 0 && y < height ? (mx[k] + my[k]) & inside[k] : 0u;
+            }
+            #pragma unroll
+            for (int k = 0; k < 2; ++k) {
+                own[r % 3][k] = __byte_perm(pairs[r % 3][k], pairs[r % 3][k + 1], 0x5432);
+                size_x[r % 2][k] = __byte_perm(mx[k], mx[k + 1], 0x5432);
+                size_y[r % 2][k] = __byte_perm(my[k], my[k + 1], 0x5432);
+                signs[r % 2][k] = __byte_perm(sign[k], sign[k + 1], 0x5432);
+            }
+            if (r < 4) continue;
+            // Suppression in the row above that.
+            const unsigned* up = pairs[(r - 2) % 3];
+            const unsigned* at = pairs[(r - 1) % 3];
+            const unsigned* down = pairs[r % 3];
+            unsigned weak[2], strong[2];
+            #pragma unroll
+            for (int k = 0; k < 2; ++k) {
+                const unsigned m = own[(r - 1) % 3][k];
+                const unsigned ax = size_x[(r - 1) % 2][k], ay = size_y[(r - 1) % 2][k];
+                // tan(22.5) |dx| in whole numbers: ay < 13573 ax / 32768 where ay <= tan22.
+                const unsigned tan22 =
+                    ((ax & 0xffffu) * CannyWeights::TAN22) >> CannyWeights::BITS
+                    | (((ax >> 16) * (2 * CannyWeights::TAN22)) & 0xffff0000u);
+                const unsigned not_flat = above(ay, tan22);
+                const unsigned not_steep = above(tan22 + 2 * ax + one, ay);
+                const unsigned rises = signs[(r - 1) % 2][k];
+                const unsigned drop_flat = above(__vmaxu2(at[k] + one, at[k + 1]), m);
+                const unsigned drop_steep =
+                    above(__vmaxu2(own[(r - 2) % 3][k] + one, own[r % 3][k]), m);
+                const unsigned drop_fall = above(__vmaxu2(up[k], down[k + 1]) + one, m);
+                const unsigned drop_rise = above(__vmaxu2(up[k + 1], down[k]) + one, m);
+                const unsigned diagonal = (rises & drop_rise) | (~rises & drop_fall);
+                const unsigned upright = (not_steep & diagonal) | (~not_steep & drop_steep);
+                const unsigned drop = (not_flat & upright) | (~not_flat & drop_flat);
+                weak[k] = ~(drop | above(least, m)) & both(0x8000);
+                strong[k] = weak[k] & ~above(sure, m);
+            }
+            const unsigned weak_word = word_of(weak, lane), strong_word = word_of(strong, lane);
+            const int row = y - 1, word = left / 32 + lane / 8;
+            if (lane % 8 == 0 && row < height && word < words) {
+                weak_out[(size_t)row * words + word] = weak_word;
+                strong_out[(size_t)row * words + word] = strong_word;
+            }
+        }
+    }
+
+    // Four bits a lane, eight lanes a word; all lanes ask.
+    static unsigned word_of(const unsigned* flags, int lane) {
+        const unsigned spread = flags[0] >> 15 | flags[1] >> 13;
+        unsigned word = ((spread | spread >> 15) & 15u) << (4 * (lane % 8));
+        word |= __shfl_xor_sync(0xffffffffu, word, 1);
+        word |= __shfl_xor_sync(0xffffffffu, word, 2);
+        return word | __shfl_xor_sync(0xffffffffu, word, 4);
+    }
+};
+#endif

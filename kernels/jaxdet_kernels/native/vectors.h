@@ -1,0 +1,79 @@
+// Vectors of pixels on the CPU, in what Clang (Warp's compiler) and GCC have in common. Where a
+// processor's vectors are narrower the compiler takes several.
+#pragma once
+#include "team.h"
+
+#if !defined(__CUDA_ARCH__)
+struct Vectors {
+    enum { SHORTS = 32, FLOATS = 16, BYTES = 64 };
+    typedef unsigned char Bytes __attribute__((vector_size(64), aligned(1), may_alias));
+    typedef short Shorts __attribute__((vector_size(64), aligned(2), may_alias));
+    typedef int Wide __attribute__((vector_size(128), aligned(4), may_alias));
+    typedef int Ints __attribute__((vector_size(64), aligned(4), may_alias));
+    typedef unsigned Unsigned __attribute__((vector_size(64), aligned(4), may_alias));
+    typedef float Floats __attribute__((vector_size(64), aligned(4), may_alias));
+    typedef double Doubles __attribute__((vector_size(128), aligned(8), may_alias));
+
+    // Which lanes hold: bit i is lane i. Lanes are 0 or -1, as comparisons give them.
+    static unsigned bits(const Shorts& condition) {
+#if defined(__clang__)
+        typedef bool Flags __attribute__((ext_vector_type(32)));
+        const Flags packed = __builtin_convertvector(condition, Flags);
+        unsigned word;
+        __builtin_memcpy(&word, &packed, sizeof word);
+#else
+        unsigned word = 0;
+        for (int i = 0; i < SHORTS; ++i) word |= (unsigned)(condition[i] != 0) << i;
+#endif
+        return word;
+    }
+
+    static unsigned bits(const Ints& condition) {
+#if defined(__clang__)
+        typedef bool Flags __attribute__((ext_vector_type(16)));
+        const Flags packed = __builtin_convertvector(condition, Flags);
+        unsigned short word;
+        __builtin_memcpy(&word, &packed, sizeof word);
+#else
+        unsigned word = 0;
+        for (int i = 0; i < FLOATS; ++i) word |= (unsigned)(condition[i] != 0) << i;
+#endif
+        return word;
+    }
+
+    // Bytes that are not 0.
+    static unsigned long long bits(const Bytes& values) {
+#if defined(__clang__)
+        typedef bool Flags __attribute__((ext_vector_type(64)));
+        const Flags packed = __builtin_convertvector(values, Flags);
+        unsigned long long word;
+        __builtin_memcpy(&word, &packed, sizeof word);
+#else
+        unsigned long long word = 0;
+        for (int i = 0; i < BYTES; ++i) word |= (unsigned long long)(values[i] != 0) << i;
+#endif
+        return word;
+    }
+
+    // `yes` in the lanes of these bits and 0 in the others.
+    static void pick(unsigned word, float yes, Floats* out) {
+#if defined(__clang__)
+        typedef bool Flags __attribute__((ext_vector_type(16)));
+        const unsigned short low = (unsigned short)word;
+        Flags flags;
+        __builtin_memcpy(&flags, &low, sizeof low);
+        *out = __builtin_convertvector(flags, Ints) != 0 ? (Floats){} + yes : (Floats){};
+#else
+        for (int i = 0; i < FLOATS; ++i) (*out)[i] = word >> i & 1 ? yes : 0.0f;
+#endif
+    }
+
+    static void root(const Floats& values, Floats* out) {
+#if defined(__clang__)
+        *out = __builtin_elementwise_sqrt(values);
+#else
+        for (int i = 0; i < FLOATS; ++i) (*out)[i] = __builtin_sqrtf(values[i]);
+#endif
+    }
+};
+#endif

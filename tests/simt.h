@@ -1,0 +1,244 @@
+// CUDA's blocks and warps on a CPU, so that tests run kernels without a GPU.
+//
+// The threads of a block take turns: each runs until it asks for something of its warp or block
+// (a shuffle, a vote, a barrier) and goes on once all have asked for the same. Threads that ask for
+// different things, or wait for ones that have ended, are an error. Only whole warps may ask.
+// Races of memory between two barriers are not found.
+#pragma once
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <ucontext.h>
+
+#include <algorithm>
+#include <functional>
+#include <vector>
+
+#define __CUDA_ARCH__ 900
+#define __shared__ static
+
+struct Place {
+    int x;
+};
+static Place threadIdx, blockDim;
+
+struct Simt {
+    enum { STACK = 1 << 18 };
+    // Threads that wait for each other: a warp or a block. Values are kept for two turns.
+    struct Group {
+        int size, arrived, turn;
+        const char* kind;
+        std::vector<unsigned long long> values[2];
+    };
+    struct Thread {
+        ucontext_t context;
+        std::vector<char> stack;
+        bool is_done;
+    };
+    std::vector<Thread> threads;
+    std::vector<Group> warps;
+    Group block;
+    ucontext_t main;
+    std::function<void()> body;
+    long steps;
+
+    static Simt& one() {
+        static Simt simt;
+        return simt;
+    }
+    static void start() {
+        Simt& s = one();
+        s.body();
+        s.threads[threadIdx.x].is_done = true;
+        ++s.steps;
+        swapcontext(&s.threads[threadIdx.x].context, &s.main);
+    }
+    void run(int count, std::function<void()> work) {
+        body = work;
+        blockDim.x = count;
+        if ((int)threads.size() < count) threads.resize(count);
+        warps.assign(count / 32, Group{});
+        for (Group& warp : warps) reset(warp, 32);
+        reset(block, count);
+        for (int i = 0; i < count; ++i) {
+            Thread& t = threads[i];
+            t.is_done = false;
+            if (t.stack.empty()) t.stack.resize(STACK);
+            getcontext(&t.context);
+            t.context.uc_stack.ss_sp = t.stack.data();
+            t.context.uc_stack.ss_size = STACK;
+            t.context.uc_link = nullptr;
+            makecontext(&t.context, start, 0);
+        }
+        for (bool some = true; some;) {
+            some = false;
+            const long before = steps;
+            for (int i = 0; i < count; ++i) {
+                if (threads[i].is_done) continue;
+                some = true;
+                threadIdx.x = i;
+                swapcontext(&main, &threads[i].context);
+            }
+            if (some && steps == before) fail("threads wait for others that do not come");
+        }
+        if (block.arrived) fail("a barrier was left");
+        for (Group& warp : warps)
+            if (warp.arrived) fail("a warp was left");
+    }
+    static void reset(Group& group, int size) {
+        group.size = size;
+        group.arrived = group.turn = 0;
+        for (auto& values : group.values) values.assign(size, 0);
+    }
+    static void fail(const char* what) {
+        fprintf(stderr, "%s\n", what);
+        abort();
+    }
+    // All values of the group, once all have come with the same request.
+    const std::vector<unsigned long long>& meet(Group& group, const char* kind,
+                                                unsigned long long value) {
+        const int turn = group.turn, self = threadIdx.x;
+        if (group.arrived == 0) group.kind = kind;
+        if (strcmp(group.kind, kind)) fail("threads of a group ask for different things");
+        group.values[turn % 2][self % group.size] = value;
+        ++steps;
+        if (++group.arrived == group.size) {
+            group.arrived = 0;
+            ++group.turn;
+        } else {
+            while (group.turn == turn) swapcontext(&threads[self].context, &main);
+        }
+        return group.values[turn % 2];
+    }
+    const std::vector<unsigned long long>& warp(const char* kind, unsigned long long value) {
+        return meet(warps[threadIdx.x / 32], kind, value);
+    }
+};
+
+template <class T> unsigned long long as_word(T value) {
+    unsigned long long word = 0;
+    memcpy(&word, &value, sizeof value);
+    return word;
+}
+template <class T> T from_word(unsigned long long word) {
+    T value;
+    memcpy(&value, &word, sizeof value);
+    return value;
+}
+inline void whole(unsigned mask) {
+    if (mask != 0xffffffffu) Simt::fail("not a whole warp");
+}
+template <class T> T shuffled(const char* kind, T value, int from) {
+    const auto& all = Simt::one().warp(kind, as_word(value));
+    return from < 0 || from > 31 ? value : from_word<T>(all[from]);
+}
+template <class T> T __shfl_sync(unsigned mask, T value, int from) {
+    if (mask == 1u << threadIdx.x % 32) return value;
+    whole(mask);
+    return shuffled("shfl", value, from & 31);
+}
+template <class T> T __shfl_up_sync(unsigned mask, T value, int by) {
+    whole(mask);
+    return shuffled("up", value, threadIdx.x % 32 - by);
+}
+template <class T> T __shfl_down_sync(unsigned mask, T value, int by) {
+    whole(mask);
+    return shuffled("down", value, threadIdx.x % 32 + by);
+}
+template <class T> T __shfl_xor_sync(unsigned mask, T value, int by) {
+    whole(mask);
+    return shuffled("xor", value, (threadIdx.x % 32) ^ by);
+}
+inline unsigned __ballot_sync(unsigned mask, int mine) {
+    whole(mask);
+    const auto& all = Simt::one().warp("ballot", mine != 0);
+    unsigned bits = 0;
+    for (int i = 0; i < 32; ++i) bits |= (unsigned)all[i] << i;
+    return bits;
+}
+inline bool __any_sync(unsigned mask, int mine) {
+    whole(mask);
+    const auto& all = Simt::one().warp("any", mine != 0);
+    bool any = false;
+    for (int i = 0; i < 32; ++i) any |= all[i] != 0;
+    return any;
+}
+inline int __reduce_max_sync(unsigned mask, int mine) {
+    whole(mask);
+    const auto& all = Simt::one().warp("max", as_word(mine));
+    int most = from_word<int>(all[0]);
+    for (int i = 1; i < 32; ++i) most = std::max(most, from_word<int>(all[i]));
+    return most;
+}
+inline void __syncthreads() { Simt::one().meet(Simt::one().block, "sync", 0); }
+inline int __syncthreads_or(int mine) {
+    const auto& all = Simt::one().meet(Simt::one().block, "or", mine != 0);
+    int any = 0;
+    for (auto one : all) any |= one != 0;
+    return any;
+}
+// Of Team::count: each thread is alone.
+inline unsigned __activemask() { return 1u << threadIdx.x % 32; }
+inline unsigned __match_any_sync(unsigned mask, unsigned long long) { return mask; }
+inline int __ffs(unsigned v) { return __builtin_ffs((int)v); }
+inline int __popc(unsigned v) { return __builtin_popcount(v); }
+inline unsigned long long __brevll(unsigned long long v) {
+    unsigned long long r = 0;
+    for (int i = 0; i < 64; ++i) r |= (v >> i & 1) << (63 - i);
+    return r;
+}
+inline int __float_as_int(float v) { return from_word<int>(as_word(v)); }
+inline float __int_as_float(int v) { return from_word<float>(as_word(v)); }
+inline double __longlong_as_double(long long v) { return from_word<double>(as_word(v)); }
+inline float __fsqrt_rn(float v) { return __builtin_sqrtf(v); }
+template <class T> T atomicAdd(T* place, T value) {
+    const T before = *place;
+    *place = *place + value;
+    return before;
+}
+template <class T> T atomicMax(T* place, T value) {
+    const T before = *place;
+    *place = std::max(*place, value);
+    return before;
+}
+template <class T> T atomicMin(T* place, T value) {
+    const T before = *place;
+    *place = std::min(*place, value);
+    return before;
+}
+template <class T> T atomicOr(T* place, T value) {
+    const T before = *place;
+    *place = *place | value;
+    return before;
+}
+template <class T> T atomicExch(T* place, T value) {
+    const T before = *place;
+    *place = value;
+    return before;
+}
+template <class T> T atomicCAS(T* place, T expected, T value) {
+    const T before = *place;
+    if (before == expected) *place = value;
+    return before;
+}
+inline int min(int a, int b) { return a < b ? a : b; }
+inline int max(int a, int b) { return a > b ? a : b; }
+inline unsigned __vmaxu2(unsigned a, unsigned b) {
+    return std::max(a & 0xffff, b & 0xffff) | std::max(a >> 16, b >> 16) << 16;
+}
+inline unsigned __byte_perm(unsigned a, unsigned b, unsigned select) {
+    const unsigned long long all = (unsigned long long)b << 32 | a;
+    unsigned out = 0;
+    for (int i = 0; i < 4; ++i) out |= (unsigned)(all >> 8 * (select >> 4 * i & 7) & 255) << 8 * i;
+    return out;
+}
+inline unsigned __funnelshift_r(unsigned low, unsigned high, unsigned by) {
+    return (unsigned)(((unsigned long long)high << 32 | low) >> (by & 31));
+}
+inline unsigned __dp2a_lo(unsigned a, unsigned b, unsigned c) {
+    return c + (a & 0xffff) * (b & 255) + (a >> 16) * (b >> 8 & 255);
+}
+inline unsigned __dp2a_hi(unsigned a, unsigned b, unsigned c) {
+    return c + (a & 0xffff) * (b >> 16 & 255) + (a >> 16) * (b >> 24 & 255);
+}
