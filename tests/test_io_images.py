@@ -1,7 +1,7 @@
 """Every encoding there and back: padding, both byte orders, JPEG, PNG, compressedDepth, RVL."""
 
-import contextlib
 import struct
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -18,9 +18,12 @@ from jaxdet.io.compressed import (
     decode_compressed_depth,
     is_compressed_depth,
 )
+from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth, metres_to_units
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.rvl import decode_rvl
+from jaxdet.io.scan import ChannelInfo
+from tests.io_helpers import STORE, ros_image
 
 LIMIT = 1 << 20
 RANDOM = np.random.default_rng(3)
@@ -231,10 +234,119 @@ def test_rvl_by_hand():
     np.testing.assert_array_equal(rvl(stream, 2, 2), [[0, 0], [5, 3]])
 
 
+def slow_rvl(stream: bytes, size: int) -> list[int] | None:
+    """The pixels, nibble by nibble; None where the stream is no image of this size."""
+    words = struct.unpack(f"<{len(stream) // 4}I", stream[: len(stream) // 4 * 4])
+    nibbles = [word >> shift & 15 for word in words for shift in range(28, -1, -4)]
+    numbers, value, place = [], 0, 0
+    for nibble in nibbles:
+        value |= (nibble & 7) << place
+        place += 3
+        if nibble < 8 or place > 33:
+            numbers.append(value if nibble < 8 and place <= 33 else None)
+            value = place = 0
+    source, pixels, pixel = iter(numbers), [], 0
+    try:
+        while len(pixels) < size:
+            zeros, filled = next(source), next(source)
+            if not zeros + filled or len(pixels) + zeros + filled > size:
+                return None
+            pixels += [0] * zeros
+            for _ in range(filled):
+                code = next(source)
+                pixel += code >> 1 ^ -(code & 1)
+                if not 0 <= pixel <= 65535:
+                    return None
+                pixels.append(pixel)
+    except (StopIteration, TypeError):
+        return None
+    return pixels
+
+
+def assert_rvl(stream: bytes, height: int, width: int) -> None:
+    """Decodes as nibble by nibble, or is refused as it is there, and writes to nothing else."""
+    expected = slow_rvl(stream, height * width)
+    batch = np.full((3, height, width), 99, np.uint16)
+    if expected is None:
+        with pytest.raises(ValueError, match="RVL"):
+            decode_rvl(stream, batch[1])
+    else:
+        decode_rvl(stream, batch[1])
+        np.testing.assert_array_equal(batch[1].reshape(-1), expected)
+    assert (batch[::2] == 99).all()
+
+
 @given(st.binary(max_size=64), st.integers(1, 20), st.integers(1, 20))
 def test_rvl_of_any_bytes_is_an_image_or_an_error(data, height, width):
-    with contextlib.suppress(ValueError):
-        rvl(data, height, width)
+    assert_rvl(data, height, width)
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0, 255, 256, 257, 3000, 65535 - 257, 65535 - 255, 65535]),
+    st.sampled_from([2, 5, 40, 300, 5000]),
+    st.lists(st.integers(0, 1 << 16), max_size=3),
+)
+def test_rvl_of_images_with_changed_bits_is_an_image_or_an_error(seed, start, step, places):
+    random = np.random.default_rng(seed)
+    steps = random.integers(-step, step + 1, 240)
+    pixels = np.clip(start + np.cumsum(steps), 0, 65535) * (random.random(240) > 0.1)
+    stream = bytearray(encode_rvl(pixels.astype(np.uint16).reshape(12, 20)))
+    assert_rvl(bytes(stream), 12, 20)
+    for place in places:
+        stream[place // 8 % len(stream)] ^= 1 << place % 8
+    assert_rvl(bytes(stream), 12, 20)
+    assert_rvl(bytes(stream), 11, 20)
+    assert_rvl(bytes(stream), 13, 20)
+
+
+def test_what_follows_an_rvl_image_costs_nothing():
+    stream = encode_rvl(np.full((120, 160), 700, np.uint16)) + bytes(64 << 20)
+    tracemalloc.start()
+    try:
+        assert (rvl(stream, 120, 160) == 700).all()
+        assert tracemalloc.get_traced_memory()[1] < 200_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "mono8", "yuyv", "uyvy"])
+def test_colour_is_written_to_its_row_of_a_batch_alone(encoding):
+    channels = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}.get(encoding, 2)
+    pixels = RANDOM.integers(0, 256, (6, 8, channels)).astype(np.uint8)
+    batch = np.full((3, 6, 8, 3), 99, np.uint8)
+    decode_color(image(pixels, encoding, padding=3), batch[1], LIMIT)
+    np.testing.assert_array_equal(batch[1], color(image(pixels, encoding)))
+    assert (batch[::2] == 99).all()
+
+
+def test_images_of_another_size_than_calibrated():
+    jpeg = compressed(simplejpeg.encode_jpeg(RGB), "jpeg")
+    for message in (image(RGB, "rgb8"), jpeg, compressed(png(RGB), "png")):
+        decode = decode_color if isinstance(message, ImageMessage) else decode_compressed_color
+        with pytest.raises(FrameError, match="colour image is 8x6, calibrated is 8x5"):
+            decode(message, np.zeros((5, 8, 3), np.uint8), LIMIT)
+    huge = struct.pack("<iffII", 0, 0, 0, 5700, 5700) + bytes(99)
+    for message in (compressed(huge, "16UC1; compressedDepth rvl"), compressed(png(DEPTH), "png")):
+        with pytest.raises(FrameError, match="calibrated is 160x120"):
+            decode_compressed_depth(message, np.zeros((120, 160), np.uint16), 0.001, 1 << 26)
+
+
+@pytest.mark.parametrize("little", [False, True])
+def test_pixels_of_cdr_stay_where_they_are(little):
+    """Fields as the schema says, texts of any length; pixels are a view of the payload."""
+    name = "sensor_msgs/msg/Image"
+    text = STORE.generate_msgdef(name, ros_version=2)[0]
+    decoder = MessageDecoder(ChannelInfo("/c", "cdr", name, "ros2msg", text.encode()))
+    for frame in ("", "f", "ü" * 5000):
+        message = ros_image(RGB, "rgb8", 5_000_000_007, frame)
+        payload = bytes(STORE.serialize_cdr(message, name, little_endian=little))
+        found = decoder.decode(memoryview(payload))
+        assert isinstance(found, ImageMessage)
+        assert found[:7] == (5_000_000_007, frame, 8, 6, "rgb8", 24, False)
+        assert isinstance(found.data, memoryview) and bytes(found.data) == RGB.tobytes()
+        assert np.shares_memory(np.asarray(found.data), np.frombuffer(payload, np.uint8))
+        np.testing.assert_array_equal(color(found), RGB)
 
 
 def test_compressed_images_that_lie_or_are_cut():

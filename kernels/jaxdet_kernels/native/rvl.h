@@ -101,7 +101,8 @@ struct RvlDecoder {
             if (zeros + filled == 0 || zeros + filled > size - at) return OUTSIDE;
             for (const long long end = at + zeros; at < end; ++at) pixels_out[at] = 0;
             for (const long long end = at + filled; at < end;) {
-                if (at + 3 <= end && window(at, value)) continue;
+                nibbles.refill();
+                if (at + 6 <= end && window(at, value) && window(at, value)) continue;
                 const long long code = nibbles.number();
                 if (code < 0) return LONG_NUMBER;
                 value += code >> 1 ^ -(code & 1);
@@ -115,8 +116,7 @@ struct RvlDecoder {
 
     // Up to three pixels at once, where none can leave 16 bits; false where no number ends so soon.
     bool window(long long& at, long long& value) {
-        nibbles.refill();
-        const RvlWindows::Window next = table.windows[nibbles.bits >> (64 - RvlWindows::BITS)];
+        const RvlWindows::Window& next = table.windows[nibbles.bits >> (64 - RvlWindows::BITS)];
         if (!next.count || value < RvlWindows::REACH || value > MOST - RvlWindows::REACH)
             return false;
         // Those beyond the count are written again.
