@@ -38,7 +38,7 @@ struct PngLines {
     // The samples of a line; those above it are undone already.
     unsigned char* undone(int v) {
         unsigned char* line = lines + (size_t)v * (1 + bytes) + 1;
-        // With the step known, compilers keep the pixel to the left in registers.
+        // Inlined with a constant step, so that the pixel to the left stays in registers.
         if (step == 1) undo(line, v > 0, 1);
         else if (step == 2) undo(line, v > 0, 2);
         else if (step == 3) undo(line, v > 0, 3);
@@ -49,7 +49,7 @@ struct PngLines {
     }
 
     // The line above the first counts as zeros.
-    inline void undo(unsigned char* line, bool has_above, const int step) {
+    __attribute__((always_inline)) void undo(unsigned char* line, bool has_above, const int step) {
         const unsigned char* above = line - 1 - bytes;
         const int filter = line[-1];
         if (filter == SUB || (filter == PAETH && !has_above)) sub(line, step);
@@ -59,13 +59,13 @@ struct PngLines {
         else if (filter == PAETH) paeth(line, above, step);
     }
 
-    inline void sub(unsigned char* line, const int step) {
+    __attribute__((always_inline)) void sub(unsigned char* line, const int step) {
         unsigned char left[8] = {};
         for (int i = 0; i < bytes; i += step)
             for (int k = 0; k < step; ++k) left[k] = line[i + k] += left[k];
     }
 
-    inline void half(unsigned char* line, const int step) {
+    __attribute__((always_inline)) void half(unsigned char* line, const int step) {
         unsigned char left[8] = {};
         for (int i = 0; i < bytes; i += step)
             for (int k = 0; k < step; ++k) left[k] = line[i + k] += left[k] >> 1;
@@ -75,7 +75,7 @@ struct PngLines {
         for (int i = 0; i < bytes; ++i) line[i] += above[i];
     }
 
-    inline void average(unsigned char* line, const unsigned char* above, const int step) {
+    __attribute__((always_inline)) void average(unsigned char* line, const unsigned char* above, const int step) {
         unsigned char left[8] = {};
         for (int i = 0; i < bytes; i += step)
             for (int k = 0; k < step; ++k)
@@ -86,7 +86,7 @@ struct PngLines {
     // near ones the first. With bound = 3 corner - left - above that is the lower of left and above
     // where both are at most bound, the higher where both are at least bound, else the corner:
     // a chain of fewer steps from pixel to pixel than the three distances.
-    inline void paeth(unsigned char* line, const unsigned char* above, const int step) {
+    __attribute__((always_inline)) void paeth(unsigned char* line, const unsigned char* above, const int step) {
         int left[8] = {}, corner[8] = {};
         for (int i = 0; i < bytes; i += step)
             for (int k = 0; k < step; ++k) {
