@@ -39,7 +39,8 @@ from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.scan import ChannelInfo
 
-BATCH = 16
+BATCHES = {"cpu": 16, "gpu": 256}
+"""Frames of a batch, where parts are timed alone."""
 _CHECKED = 8
 """Frames of a log whose images must equal the peers'."""
 _RECORD_HEAD = 9
@@ -99,12 +100,13 @@ def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metri
     topics = topics_of(FORMS[name])
     check(log, topics, _CHECKED)
     runs, rates = [], defaultdict(list)
+    batch = BATCHES[jax.default_backend()]
     with open_log(str(log)) as opened:
         timed = {
             "read": Reading(log).run,
             "decode": Decoding(log, FORMS[name], opened).run,
-            "read_decode": lambda: sum(len(batch.status) for batch in opened.batches(BATCH)),
-            "detect": Detecting(opened).run,
+            "read_decode": lambda: sum(len(found.status) for found in opened.batches(batch)),
+            "detect": Detecting(opened, batch).run,
         }
         for peer, images in PEERS.items():
             timed[peer] = lambda images=images: sum(1 for _ in images(log, topics)) // 2
@@ -242,7 +244,7 @@ class Decoding:
                 counts[channel.topic] += 1
                 if min(counts.values()) >= CONFIG.frames:
                     break
-        self._turns = opened.num_frames // CONFIG.frames
+        self._turns = max(1, opened.num_frames // CONFIG.frames)
 
     def run(self) -> int:
         """Returns the number of frames."""
@@ -269,18 +271,18 @@ class Decoding:
 class Detecting:
     """Frames in memory, in batches."""
 
-    def __init__(self, opened: Log) -> None:
-        frames = next(opened.batches(BATCH)).frames
+    def __init__(self, opened: Log, batch: int) -> None:
+        frames = next(opened.batches(batch)).frames
         angles = CONFIG.camera_height_m, CONFIG.camera_pitch_rad, CONFIG.camera_roll_rad
         plane = flat_plane(*(np.array([value]) for value in angles))
-        self._frames = frames._replace(plane=repeat_plane(plane, BATCH))
-        self._turns = opened.num_frames // BATCH
+        self._frames = frames._replace(plane=repeat_plane(plane, batch))
+        self._batch, self._turns = batch, max(1, opened.num_frames // batch)
 
     def run(self) -> int:
         """Returns the number of frames."""
         for _ in range(self._turns):
             jax.block_until_ready(detect(self._frames))
-        return self._turns * BATCH
+        return self._turns * self._batch
 
 
 def check(log: Path, topics: Topics, count: int) -> None:
