@@ -20,6 +20,7 @@ from typing import Annotated, NamedTuple
 
 import jax
 import numpy as np
+import pyarrow.parquet as pq
 import tyro
 import warp as wp
 from mcap.reader import make_reader
@@ -29,6 +30,7 @@ from benchmarks.feed_logs import CONFIG, FORMS, Form, Topics, drive, topics_of, 
 from benchmarks.feed_peers import PEERS
 from benchmarks.run import Metric
 from jaxdet import detect
+from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.floor.plane import flat_plane, repeat_plane
 from jaxdet.io import Log, open_log
@@ -38,6 +40,8 @@ from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.scan import ChannelInfo
+from jaxdet.results.rows import batch_rows, row_inputs
+from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
 
 BATCHES = {"cpu": 16, "gpu": 256}
 """Frames of a batch, where parts are timed alone."""
@@ -100,13 +104,15 @@ def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metri
     topics = topics_of(FORMS[name])
     check(log, topics, _CHECKED)
     runs, rates = [], defaultdict(list)
-    batch = BATCHES[jax.default_backend()]
     with open_log(str(log)) as opened:
+        detecting = Detecting(opened, BATCHES[jax.default_backend()])
+        batch = len(detecting.frames.color)
         timed = {
             "read": Reading(log).run,
             "decode": Decoding(log, FORMS[name], opened).run,
             "read_decode": lambda: sum(len(found.status) for found in opened.batches(batch)),
-            "detect": Detecting(opened, batch).run,
+            "detect": detecting.run,
+            "rows_write": Writing(opened, detecting, log.parent).run,
         }
         for peer, images in PEERS.items():
             timed[peer] = lambda images=images: sum(1 for _ in images(log, topics)) // 2
@@ -275,14 +281,39 @@ class Detecting:
         frames = next(opened.batches(batch)).frames
         angles = CONFIG.camera_height_m, CONFIG.camera_pitch_rad, CONFIG.camera_roll_rad
         plane = flat_plane(*(np.array([value]) for value in angles))
-        self._frames = frames._replace(plane=repeat_plane(plane, batch))
+        self.frames = frames._replace(plane=repeat_plane(plane, batch))
         self._batch, self._turns = batch, max(1, opened.num_frames // batch)
 
     def run(self) -> int:
         """Returns the number of frames."""
         for _ in range(self._turns):
-            jax.block_until_ready(detect(self._frames))
+            jax.block_until_ready(detect(self.frames))
         return self._turns * self._batch
+
+
+class Writing:
+    """The rows of a batch that was detected, and these as Parquet, on one thread."""
+
+    def __init__(self, opened: Log, detecting: Detecting, folder: Path) -> None:
+        size = len(detecting.frames.color)
+        assert detecting.frames.plane is not None
+        self._batch, self._plane = next(opened.batches(size)), detecting.frames.plane
+        self._found = row_inputs(jax.device_get(detect(detecting.frames)))
+        self._folder, self._turns = folder, max(1, opened.num_frames // size)
+
+    def run(self) -> int:
+        """Returns the number of frames."""
+        count = len(self._batch.status)
+        for _ in range(self._turns):
+            given = "log", self._batch, self._plane, ("tf",) * count
+            rows = batch_rows(*given, self._found, Config())
+            for name, columns, schema in (
+                ("frames", rows.frames, FRAMES_SCHEMA),
+                ("obstacles", rows.obstacles, OBSTACLES_SCHEMA),
+            ):
+                path = self._folder / f"{name}.parquet"
+                pq.write_table(to_table(columns, schema), path)
+        return self._turns * count
 
 
 def check(log: Path, topics: Topics, count: int) -> None:
