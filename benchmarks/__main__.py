@@ -1,4 +1,7 @@
-"""``python -m benchmarks cpu --json FILE``: time the stages on a device, write the metrics."""
+"""``python -m benchmarks cpu --json FILE``: time the stages on a device, write the metrics.
+
+``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`.
+"""
 
 import sys
 import time
@@ -92,4 +95,9 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["feed"]:
+        from benchmarks import feed  # its peers are not all needed for the stages
+
+        feed_options = tyro.cli(feed.Options, args=sys.argv[2:], prog="python -m benchmarks feed")
+        sys.exit(feed.main(feed_options))
     sys.exit(main(tyro.cli(Options, prog="python -m benchmarks")))

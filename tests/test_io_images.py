@@ -1,7 +1,7 @@
 """Every encoding there and back: padding, both byte orders, JPEG, PNG, compressedDepth, RVL."""
 
-import contextlib
 import struct
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -18,9 +18,12 @@ from jaxdet.io.compressed import (
     decode_compressed_depth,
     is_compressed_depth,
 )
+from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth, metres_to_units
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.rvl import decode_rvl
+from jaxdet.io.scan import ChannelInfo
+from tests.io_helpers import STORE, ros_image
 
 LIMIT = 1 << 20
 RANDOM = np.random.default_rng(3)
@@ -42,6 +45,34 @@ def compressed(data: bytes, form: str) -> CompressedImageMessage:
 
 def png(pixels: np.ndarray) -> bytes:
     return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+def color(message: ImageMessage | CompressedImageMessage, limit: int = LIMIT) -> np.ndarray:
+    """What it is decoded to, in a row of its own size."""
+    row = np.full((*size(message), 3), 99, np.uint8)
+    decode = decode_color if isinstance(message, ImageMessage) else decode_compressed_color
+    decode(message, row, limit)
+    return row
+
+
+def depth(message: ImageMessage | CompressedImageMessage, limit: int = LIMIT) -> np.ndarray:
+    row = np.full(size(message), 99, np.uint16)
+    decode = decode_depth if isinstance(message, ImageMessage) else decode_compressed_depth
+    decode(message, row, 0.001, limit)
+    return row
+
+
+def size(message: ImageMessage | CompressedImageMessage) -> tuple[int, int]:
+    """Rows and columns, of damaged and huge images those of DEPTH."""
+    if isinstance(message, ImageMessage):
+        found = message.width, message.height
+    else:
+        try:
+            found = compressed_size(message)
+        except FrameError:
+            return 6, 8
+    width, height = found
+    return (height, width) if 0 < width * height <= LIMIT else (6, 8)
 
 
 def encode_rvl(pixels: np.ndarray) -> bytes:
@@ -71,6 +102,12 @@ def encode_rvl(pixels: np.ndarray) -> bytes:
     return (words << np.arange(28, -1, -4, dtype=np.uint32)).sum(axis=1).astype("<u4").tobytes()
 
 
+def rvl(stream: bytes, height: int, width: int) -> np.ndarray:
+    row = np.full((height, width), 99, np.uint16)
+    decode_rvl(stream, row)
+    return row
+
+
 @pytest.mark.parametrize("padding", [0, 5])
 @pytest.mark.parametrize(
     ("encoding", "pixels", "expected"),
@@ -85,7 +122,7 @@ def encode_rvl(pixels: np.ndarray) -> bytes:
     ],
 )
 def test_colour(encoding, pixels, expected, padding):
-    np.testing.assert_array_equal(decode_color(image(pixels, encoding, padding), LIMIT), expected)
+    np.testing.assert_array_equal(color(image(pixels, encoding, padding)), expected)
 
 
 @pytest.mark.parametrize("encoding", ["yuyv", "yuv422_yuy2", "uyvy", "yuv422"])
@@ -95,7 +132,7 @@ def test_yuv(encoding):
     y, u, v = y * 219 / 255 + 16, (cb - 128) * 224 / 255 + 128, (cr - 128) * 224 / 255 + 128
     pair = (y, u, y, v) if encoding.startswith(("yuyv", "yuv422_")) else (u, y, v, y)
     pixels = np.tile(np.rint(pair).astype(np.uint8).reshape(1, 1, 4), (4, 3, 1)).reshape(4, 6, 2)
-    decoded = decode_color(image(pixels, encoding, padding=3), LIMIT)
+    decoded = color(image(pixels, encoding, padding=3))
     np.testing.assert_allclose(decoded.astype(int), flat, atol=3)
 
 
@@ -105,13 +142,15 @@ def test_yuv(encoding):
 def test_depth(encoding, padding, big):
     pixels = (DEPTH * 0.001).astype(np.float32) if encoding == "32FC1" else DEPTH
     message = image(pixels, encoding, padding, big)
-    np.testing.assert_array_equal(decode_depth(message, 0.001, LIMIT), DEPTH)
+    np.testing.assert_array_equal(depth(message), DEPTH)
 
 
 def test_metres_are_rounded_and_what_is_no_depth_is_zero():
     metres = np.array([[np.nan, np.inf, -np.inf, 0, -1, 0.0004, 0.0006, 1.2344, 65.535, 65.536]])
     expected = [[0, 0, 0, 0, 0, 0, 1, 1234, 65535, 0]]
-    np.testing.assert_array_equal(metres_to_units(metres.astype(np.float32), 0.001), expected)
+    units = np.full((1, 10), 99, np.uint16)
+    metres_to_units(metres.astype(np.float32), 0.001, units)
+    np.testing.assert_array_equal(units, expected)
 
 
 @pytest.mark.parametrize(
@@ -127,36 +166,36 @@ def test_metres_are_rounded_and_what_is_no_depth_is_zero():
 )
 def test_colour_that_does_not_fit_is_a_bad_frame(message):
     with pytest.raises(FrameError):
-        decode_color(message, LIMIT)
+        color(message)
 
 
 def test_the_last_row_may_lack_its_padding():
     message = image(DEPTH, "16UC1", padding=4)
     cut = message._replace(data=message.data[:-4])
-    np.testing.assert_array_equal(decode_depth(cut, 0.001, LIMIT), DEPTH)
+    np.testing.assert_array_equal(depth(cut), DEPTH)
 
 
 def test_jpeg_and_png_colour():
     smooth = cv2.resize(RGB, (64, 48), interpolation=cv2.INTER_CUBIC)
     jpeg = simplejpeg.encode_jpeg(smooth, quality=100, colorsubsampling="444")
-    decoded = decode_compressed_color(compressed(jpeg, "rgb8; jpeg compressed bgr8"), LIMIT)
+    decoded = color(compressed(jpeg, "rgb8; jpeg compressed bgr8"))
     np.testing.assert_allclose(decoded.astype(int), smooth, atol=4)
     file = png(np.ascontiguousarray(smooth[..., ::-1]))
-    np.testing.assert_array_equal(decode_compressed_color(compressed(file, "png"), LIMIT), smooth)
+    np.testing.assert_array_equal(color(compressed(file, "png")), smooth)
     grey = cv2.imencode(".jpg", smooth[..., 0])[1].tobytes()
-    assert decode_compressed_color(compressed(grey, "jpeg"), LIMIT).shape == (48, 64, 3)
+    assert color(compressed(grey, "jpeg")).shape == (48, 64, 3)
 
 
 @pytest.mark.parametrize("form", ["16UC1; compressedDepth png", "16UC1; compressedDepth", "16UC1"])
 def test_compressed_depth_png(form):
     message = compressed(struct.pack("<iff", 0, 0, 0) + png(DEPTH), form)
     assert is_compressed_depth(form, "/d/compressedDepth") and compressed_size(message) == (8, 6)
-    np.testing.assert_array_equal(decode_compressed_depth(message, 0.001, LIMIT), DEPTH)
+    np.testing.assert_array_equal(depth(message), DEPTH)
 
 
 def test_plain_16_bit_png_depth():
     message = compressed(png(DEPTH), "png")
-    np.testing.assert_array_equal(decode_compressed_depth(message, 0.001, LIMIT), DEPTH)
+    np.testing.assert_array_equal(depth(message), DEPTH)
 
 
 @pytest.mark.parametrize("codec", ["png", "rvl"])
@@ -171,7 +210,7 @@ def test_compressed_depth_of_metres(codec):
     body = png(codes) if codec == "png" else struct.pack("<II", 8, 6) + encode_rvl(codes)
     head = struct.pack("<iff", 0, a, b)
     message = compressed(head + body, f"32FC1; compressedDepth {codec}")
-    decoded = decode_compressed_depth(message, 0.001, LIMIT)
+    decoded = depth(message)
     assert not decoded[0, :3].any()
     np.testing.assert_allclose(decoded * 0.001, metres, atol=0.0101)
 
@@ -184,8 +223,7 @@ def test_compressed_depth_of_metres(codec):
     )
 )
 def test_rvl_there_and_back(pixels):
-    decoded = decode_rvl(encode_rvl(pixels), *pixels.shape)
-    np.testing.assert_array_equal(decoded, pixels)
+    np.testing.assert_array_equal(rvl(encode_rvl(pixels), *pixels.shape), pixels)
 
 
 def test_rvl_by_hand():
@@ -193,19 +231,128 @@ def test_rvl_by_hand():
     nibbles = [2, 2, 0b1010, 1, 3, 0, 0, 0]
     word = sum(nibble << (28 - 4 * place) for place, nibble in enumerate(nibbles))
     stream = struct.pack("<I", word)
-    np.testing.assert_array_equal(decode_rvl(stream, 2, 2), [[0, 0], [5, 3]])
+    np.testing.assert_array_equal(rvl(stream, 2, 2), [[0, 0], [5, 3]])
+
+
+def slow_rvl(stream: bytes, size: int) -> list[int] | None:
+    """The pixels, nibble by nibble; None where the stream is no image of this size."""
+    words = struct.unpack(f"<{len(stream) // 4}I", stream[: len(stream) // 4 * 4])
+    nibbles = [word >> shift & 15 for word in words for shift in range(28, -1, -4)]
+    numbers, value, place = [], 0, 0
+    for nibble in nibbles:
+        value |= (nibble & 7) << place
+        place += 3
+        if nibble < 8 or place > 33:
+            numbers.append(value if nibble < 8 and place <= 33 else None)
+            value = place = 0
+    source, pixels, pixel = iter(numbers), [], 0
+    try:
+        while len(pixels) < size:
+            zeros, filled = next(source), next(source)
+            if not zeros + filled or len(pixels) + zeros + filled > size:
+                return None
+            pixels += [0] * zeros
+            for _ in range(filled):
+                code = next(source)
+                pixel += code >> 1 ^ -(code & 1)
+                if not 0 <= pixel <= 65535:
+                    return None
+                pixels.append(pixel)
+    except (StopIteration, TypeError):
+        return None
+    return pixels
+
+
+def assert_rvl(stream: bytes, height: int, width: int) -> None:
+    """Decodes as nibble by nibble, or is refused as it is there, and writes to nothing else."""
+    expected = slow_rvl(stream, height * width)
+    batch = np.full((3, height, width), 99, np.uint16)
+    if expected is None:
+        with pytest.raises(ValueError, match="RVL"):
+            decode_rvl(stream, batch[1])
+    else:
+        decode_rvl(stream, batch[1])
+        np.testing.assert_array_equal(batch[1].reshape(-1), expected)
+    assert (batch[::2] == 99).all()
 
 
 @given(st.binary(max_size=64), st.integers(1, 20), st.integers(1, 20))
 def test_rvl_of_any_bytes_is_an_image_or_an_error(data, height, width):
-    with contextlib.suppress(ValueError):
-        assert decode_rvl(data, height, width).shape == (height, width)
+    assert_rvl(data, height, width)
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0, 255, 256, 257, 3000, 65535 - 257, 65535 - 255, 65535]),
+    st.sampled_from([2, 5, 40, 300, 5000]),
+    st.lists(st.integers(0, 1 << 16), max_size=3),
+)
+def test_rvl_of_images_with_changed_bits_is_an_image_or_an_error(seed, start, step, places):
+    random = np.random.default_rng(seed)
+    steps = random.integers(-step, step + 1, 240)
+    pixels = np.clip(start + np.cumsum(steps), 0, 65535) * (random.random(240) > 0.1)
+    stream = bytearray(encode_rvl(pixels.astype(np.uint16).reshape(12, 20)))
+    assert_rvl(bytes(stream), 12, 20)
+    for place in places:
+        stream[place // 8 % len(stream)] ^= 1 << place % 8
+    assert_rvl(bytes(stream), 12, 20)
+    assert_rvl(bytes(stream), 11, 20)
+    assert_rvl(bytes(stream), 13, 20)
+
+
+def test_what_follows_an_rvl_image_costs_nothing():
+    stream = encode_rvl(np.full((120, 160), 700, np.uint16)) + bytes(64 << 20)
+    tracemalloc.start()
+    try:
+        assert (rvl(stream, 120, 160) == 700).all()
+        assert tracemalloc.get_traced_memory()[1] < 200_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "mono8", "yuyv", "uyvy"])
+def test_colour_is_written_to_its_row_of_a_batch_alone(encoding):
+    channels = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}.get(encoding, 2)
+    pixels = RANDOM.integers(0, 256, (6, 8, channels)).astype(np.uint8)
+    batch = np.full((3, 6, 8, 3), 99, np.uint8)
+    decode_color(image(pixels, encoding, padding=3), batch[1], LIMIT)
+    np.testing.assert_array_equal(batch[1], color(image(pixels, encoding)))
+    assert (batch[::2] == 99).all()
+
+
+def test_images_of_another_size_than_calibrated():
+    jpeg = compressed(simplejpeg.encode_jpeg(RGB), "jpeg")
+    for message in (image(RGB, "rgb8"), jpeg, compressed(png(RGB), "png")):
+        decode = decode_color if isinstance(message, ImageMessage) else decode_compressed_color
+        with pytest.raises(FrameError, match="colour image is 8x6, calibrated is 8x5"):
+            decode(message, np.zeros((5, 8, 3), np.uint8), LIMIT)
+    huge = struct.pack("<iffII", 0, 0, 0, 5700, 5700) + bytes(99)
+    for message in (compressed(huge, "16UC1; compressedDepth rvl"), compressed(png(DEPTH), "png")):
+        with pytest.raises(FrameError, match="calibrated is 160x120"):
+            decode_compressed_depth(message, np.zeros((120, 160), np.uint16), 0.001, 1 << 26)
+
+
+@pytest.mark.parametrize("little", [False, True])
+def test_pixels_of_cdr_stay_where_they_are(little):
+    """Fields as the schema says, texts of any length; pixels are a view of the payload."""
+    name = "sensor_msgs/msg/Image"
+    text = STORE.generate_msgdef(name, ros_version=2)[0]
+    decoder = MessageDecoder(ChannelInfo("/c", "cdr", name, "ros2msg", text.encode()))
+    for frame in ("", "f", "ü" * 5000):
+        message = ros_image(RGB, "rgb8", 5_000_000_007, frame)
+        payload = bytes(STORE.serialize_cdr(message, name, little_endian=little))
+        found = decoder.decode(memoryview(payload))
+        assert isinstance(found, ImageMessage)
+        assert found[:7] == (5_000_000_007, frame, 8, 6, "rgb8", 24, False)
+        assert isinstance(found.data, memoryview) and bytes(found.data) == RGB.tobytes()
+        assert np.shares_memory(np.asarray(found.data), np.frombuffer(payload, np.uint8))
+        np.testing.assert_array_equal(color(found), RGB)
 
 
 def test_compressed_images_that_lie_or_are_cut():
     big = struct.pack("<iff", 0, 0, 0) + struct.pack("<II", 1 << 31, 1 << 31) + b"\0" * 8
     with pytest.raises(FrameError, match="max-pixels"):
-        decode_compressed_depth(compressed(big, "16UC1; compressedDepth rvl"), 0.001, LIMIT)
+        depth(compressed(big, "16UC1; compressedDepth rvl"))
     for data, form in (
         (png(DEPTH)[:-30], "png"),
         (b"", "png"),
@@ -214,10 +361,10 @@ def test_compressed_images_that_lie_or_are_cut():
         (png(RGB), "png"),
     ):
         with pytest.raises(FrameError):
-            decode_compressed_depth(compressed(data, form), 0.001, LIMIT)
+            depth(compressed(data, form))
     jpeg = simplejpeg.encode_jpeg(np.ascontiguousarray(np.tile(RGB, (8, 8, 1))))
     for data in (jpeg[: len(jpeg) // 2], jpeg[:10], b"RIFFxxxxWEBP", png(DEPTH)[:20]):
         with pytest.raises(FrameError):
-            decode_compressed_color(compressed(data, "jpeg"), LIMIT)
+            color(compressed(data, "jpeg"))
     with pytest.raises(FrameError, match="max-pixels"):
-        decode_compressed_color(compressed(jpeg, "jpeg"), 10)
+        color(compressed(jpeg, "jpeg"), 10)

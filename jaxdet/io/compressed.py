@@ -7,16 +7,16 @@ inverse depths: z = A / (q - B) metres, q = 0 unknown. Source: image_transport_p
 """
 
 import struct
+from functools import lru_cache
 
-import cv2
 import numpy as np
 import simplejpeg
 
-from jaxdet.io.images import bad_frame, check_size, metres_to_units
+from jaxdet.io.images import bad_frame, check_row, check_size, metres_to_units
 from jaxdet.io.messages import CompressedImageMessage
+from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_head
 from jaxdet.io.rvl import decode_rvl
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _DEPTH_HEAD = struct.Struct("<iff")
 _RVL_HEAD = struct.Struct("<II")
@@ -30,9 +30,12 @@ def is_compressed_depth(format_text: str, topic: str) -> bool:
     return encoding in ("16uc1", "mono16", "32fc1")
 
 
-def is_png16(data: bytes) -> bool:
+def is_png16(data: bytes | memoryview) -> bool:
     """Whether a file is a 16-bit grey PNG, by its head."""
-    return data.startswith(_PNG) and len(data) > 25 and data[24] == 16 and data[25] == 0
+    try:
+        return read_png_head(data).is_grey16
+    except ValueError:
+        return False
 
 
 def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
@@ -41,94 +44,101 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     Raises:
         FrameError: It is neither JPEG, PNG nor ``compressedDepth``.
     """
-    data = image.data
-    if data.startswith(_JPEG):
+    data = memoryview(image.data)
+    if _begins(data, _JPEG):
         try:
             height, width = simplejpeg.decode_jpeg_header(data)[:2]
         except ValueError as error:
             raise bad_frame(f"JPEG head is damaged ({error})") from error
         return int(width), int(height)
-    if not data.startswith(_PNG):
+    if not _begins(data, MAGIC):
         data = data[_DEPTH_HEAD.size :]
         if _is_rvl(image.format) and len(data) >= _RVL_HEAD.size:
             width, height = _RVL_HEAD.unpack_from(data)
             return width, height
-    if data.startswith(_PNG) and len(data) >= 33 and data[12:16] == b"IHDR":
-        width, height = struct.unpack_from(">II", data, 16)
-        return width, height
-    raise bad_frame(f"compressed image of format {image.format!a} is not JPEG, PNG or RVL")
+    try:
+        return read_png_head(data)[:2]
+    except ValueError as error:
+        problem = f"compressed image of format {image.format!a} is not JPEG, PNG or RVL"
+        raise bad_frame(problem) from error
 
 
-def decode_compressed_color(image: CompressedImageMessage, max_pixels: int) -> np.ndarray:
-    """RGB ``(H, W, 3)`` uint8 of a JPEG or a PNG; grey is repeated in the three channels.
+def decode_compressed_color(
+    image: CompressedImageMessage, row: np.ndarray, max_pixels: int
+) -> None:
+    """RGB of a JPEG or a PNG; grey is repeated in the three channels.
+
+    Args:
+        image: The message.
+        row: ``(H, W, 3)`` uint8, contiguous, written to.
+        max_pixels: Largest image decoded.
 
     Raises:
-        FrameError: Another format, damaged, or larger than ``max_pixels``.
+        FrameError: Another format or size, damaged, or larger than ``max_pixels``.
     """
-    width, height = compressed_size(image)
-    check_size(width, height, max_pixels)
-    if image.data.startswith(_JPEG):
-        try:
-            return simplejpeg.decode_jpeg(image.data, colorspace="RGB")
-        except ValueError as error:
-            raise bad_frame(f"JPEG is damaged ({error})") from error
-    pixels = _png(image.data, cv2.IMREAD_COLOR_RGB)
-    if pixels.ndim != 3 or pixels.dtype != np.uint8:
-        raise bad_frame("PNG is not an 8-bit colour image")
-    return pixels
+    _check("colour", image, row, max_pixels)
+    data = memoryview(image.data)
+    try:
+        if _begins(data, _JPEG):
+            simplejpeg.decode_jpeg(data, colorspace="RGB", buffer=row)
+        else:
+            decode_png_color(data, row)
+    except ValueError as error:
+        kind = "JPEG" if _begins(data, _JPEG) else "PNG"
+        raise bad_frame(f"{kind} can't be decoded ({error})") from error
 
 
 def decode_compressed_depth(
-    image: CompressedImageMessage, unit_m: float, max_pixels: int
-) -> np.ndarray:
-    """Depth ``(H, W)`` uint16 in units of ``unit_m`` of ``compressedDepth`` or a 16-bit PNG.
+    image: CompressedImageMessage, row: np.ndarray, unit_m: float, max_pixels: int
+) -> None:
+    """Depth in units of ``unit_m`` of ``compressedDepth`` or a 16-bit PNG.
+
+    Args:
+        image: The message.
+        row: ``(H, W)`` uint16, contiguous, written to.
+        unit_m: Metres in a depth unit.
+        max_pixels: Largest image decoded.
 
     Raises:
-        FrameError: Another format, damaged, or larger than ``max_pixels``.
+        FrameError: Another format or size, damaged, or larger than ``max_pixels``.
     """
-    width, height = compressed_size(image)
-    check_size(width, height, max_pixels)
-    if image.data.startswith(_PNG):
-        return _png16(image.data)
-    if len(image.data) < _DEPTH_HEAD.size:
+    _check("depth", image, row, max_pixels)
+    data = memoryview(image.data)
+    headed = not _begins(data, MAGIC)
+    if headed and len(data) < _DEPTH_HEAD.size:
         raise bad_frame("compressedDepth ends early")
-    _, a, b = _DEPTH_HEAD.unpack_from(image.data)
-    body = memoryview(image.data)[_DEPTH_HEAD.size :]
-    if _is_rvl(image.format):
-        try:
-            codes = decode_rvl(body[_RVL_HEAD.size :], height, width)
-        except ValueError as error:
-            raise bad_frame(str(error)) from error
-    else:
-        codes = _png16(bytes(body))
-    if image.format.partition(";")[0].strip().lower() == "32fc1":
-        return _inverse_depth(codes, a, b, unit_m)
-    return codes
+    rvl = headed and _is_rvl(image.format)
+    try:
+        if rvl:
+            decode_rvl(data[_DEPTH_HEAD.size + _RVL_HEAD.size :], row)
+        else:
+            decode_png_depth(data[_DEPTH_HEAD.size :] if headed else data, row)
+    except ValueError as error:
+        raise bad_frame(str(error) if rvl else f"PNG can't be decoded ({error})") from error
+    if headed and image.format.partition(";")[0].strip().lower() == "32fc1":
+        _, a, b = _DEPTH_HEAD.unpack_from(data)
+        np.take(_inverse_depths(a, b, unit_m), row, out=row)
 
 
-def _inverse_depth(codes: np.ndarray, a: float, b: float, unit_m: float) -> np.ndarray:
-    """Metres ``A / (q - B)`` in float32, as the encoder's other half does, to units."""
+@lru_cache(maxsize=4)
+def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
+    """Metres ``A / (q - B)`` in float32, as the encoder's other half does, in units, by q."""
+    codes, units = np.arange(1 << 16), np.empty((1, 1 << 16), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         metres = np.float32(a) / (codes.astype(np.float32) - np.float32(b))
-    return metres_to_units(np.where(codes == 0, np.float32(0), metres), unit_m)
+    metres_to_units(np.where(codes == 0, np.float32(0), metres)[None], unit_m, units)
+    return units[0]
+
+
+def _check(what: str, image: CompressedImageMessage, row: np.ndarray, max_pixels: int) -> None:
+    width, height = compressed_size(image)
+    check_size(width, height, max_pixels)
+    check_row(what, width, height, row)
+
+
+def _begins(data: memoryview, magic: bytes) -> bool:
+    return data[: len(magic)] == magic
 
 
 def _is_rvl(format_text: str) -> bool:
     return "rvl" in format_text.lower()
-
-
-def _png16(data: bytes) -> np.ndarray:
-    pixels = _png(data, cv2.IMREAD_UNCHANGED)
-    if pixels.ndim != 2 or pixels.dtype != np.uint16:
-        raise bad_frame("PNG is not a 16-bit grey image")
-    return pixels
-
-
-def _png(data: bytes, mode: int) -> np.ndarray:
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
-    except cv2.error as error:
-        raise bad_frame(f"PNG is damaged ({' '.join(str(error).split())[:80]})") from error
-    if pixels is None:
-        raise bad_frame("PNG is damaged")
-    return pixels

@@ -11,13 +11,14 @@ from io import StringIO
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.message_fields import nanoseconds, parse
-from jaxdet.io.messages import Kind, Message, kind_of, plain_schema_name
+from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
 from jaxdet.io.scan import ChannelInfo
 
 _HEADER_FIRST = re.compile(r"\s*std_msgs/(msg/)?Header\s+header\s*")
@@ -55,12 +56,18 @@ class MessageDecoder:
             FrameError: It can't be decoded.
         """
         try:
-            return parse(self.kind, self._raw(bytes(payload)), self._name)
+            return parse(self.kind, self._raw(self._readable(payload)), self._name)
         except MemoryError:
             raise
         except Exception as error:  # the decoders raise what they like
             problem = f"{self.kind.value} message can't be decoded ({_short(error)})"
             raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
+
+    def _readable(self, payload: bytes | memoryview) -> Any:
+        """What the decoder reads: a copy, but for CDR images, whose pixels stay where they are."""
+        if self.kind in IMAGE_KINDS and self.channel.message_encoding == "cdr":
+            return np.frombuffer(payload, np.uint8).view(_Payload)
+        return bytes(payload)
 
     def stamp_ns(self, payload: memoryview) -> int:
         """The header stamp [ns], by the schema's first field where that is the header.
@@ -73,6 +80,14 @@ class MessageDecoder:
             sec = int.from_bytes(payload[4:8], order, signed=True)
             return nanoseconds(sec, int.from_bytes(payload[8:12], order))
         return int(getattr(self.decode(payload), "stamp_ns", 0))
+
+
+class _Payload(np.ndarray):
+    """CDR as ``mcap_ros2`` reads it; slices are views, for it takes arrays of bytes by slicing."""
+
+    def decode(self, encoding: str) -> str:
+        """The text in a slice, as of bytes."""
+        return self.tobytes().decode(encoding)
 
 
 def _short(error: Exception) -> str:

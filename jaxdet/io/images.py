@@ -1,11 +1,10 @@
-"""Raw images of ROS and Foxglove messages to RGB and to depth units."""
-
-from collections.abc import Callable
+"""Raw images of ROS and Foxglove messages to RGB and to depth units, in the rows of a batch."""
 
 import cv2
 import numpy as np
 
 from jaxdet.errors import FrameError, FrameStatus
+from jaxdet.io.kernels import launch
 from jaxdet.io.messages import ImageMessage
 
 _ALIASES = {
@@ -20,15 +19,16 @@ _ALIASES = {
     "uyvy422": "uyvy",
     "mono16": "16uc1",
 }
-_TO_RGB: dict[str, tuple[int, Callable[[np.ndarray], np.ndarray]]] = {
-    "rgb8": (3, lambda pixels: pixels),
-    "bgr8": (3, lambda pixels: pixels[..., ::-1]),
-    "rgba8": (4, lambda pixels: pixels[..., :3]),
-    "bgra8": (4, lambda pixels: pixels[..., 2::-1]),
-    "mono8": (1, lambda pixels: np.repeat(pixels, 3, axis=2)),
-    "yuyv": (2, lambda pixels: cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB_YUY2)),
-    "uyvy": (2, lambda pixels: cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB_UYVY)),
+_TO_RGB: dict[str, tuple[int, int | None]] = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
 }
+"""Bytes of a pixel, and OpenCV's name of the conversion; None: there is nothing to convert."""
 _DEPTH_TYPES = {"16uc1": "u2", "32fc1": "f4"}
 
 
@@ -65,65 +65,92 @@ def check_size(width: int, height: int, max_pixels: int) -> None:
         raise bad_frame(f"image of {width}x{height} pixels is larger than --log.max-pixels")
 
 
-def decode_color(image: ImageMessage, max_pixels: int) -> np.ndarray:
-    """RGB ``(H, W, 3)`` uint8 of rgb8, bgr8, rgba8, bgra8, mono8, yuyv or uyvy.
+def check_row(what: str, width: int, height: int, row: np.ndarray) -> None:
+    """Refuses an image of another size than the calibrated one, which ``row`` has.
+
+    Raises:
+        FrameError: It differs.
+    """
+    if (height, width) != row.shape[:2]:
+        sizes = f"{width}x{height}, calibrated is {row.shape[1]}x{row.shape[0]}"
+        raise FrameError(f"{what} image is {sizes}", status=FrameStatus.BAD_CALIBRATION)
+
+
+def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
+    """RGB of rgb8, bgr8, rgba8, bgra8, mono8, yuyv or uyvy.
 
     Grey is repeated in the three channels; 8UC1 is mono8 and 8UC3 is bgr8, as Foxglove has it;
     YUV 4:2:2 is converted by OpenCV (BT.601).
 
+    Args:
+        image: The message.
+        row: ``(H, W, 3)`` uint8, contiguous, written to.
+        max_pixels: Largest image decoded.
+
     Raises:
-        FrameError: Another encoding, or data that don't fit the size.
+        FrameError: Another encoding or size, or data that don't fit the size.
     """
     name = canonical_encoding(image.encoding)
     if name not in _TO_RGB:
         raise bad_frame(f"colour encoding {image.encoding!a} is not supported")
-    channels, convert = _TO_RGB[name]
+    channels, conversion = _TO_RGB[name]
     if channels == 2 and image.width % 2:
         raise bad_frame(f"{name} image of odd width {image.width}")
-    rows = _rows(image, channels, max_pixels)
-    pixels = rows.reshape(image.height, image.width, channels)
-    return np.ascontiguousarray(convert(np.ascontiguousarray(pixels)))
+    pixels = _pixels(image, np.dtype(np.uint8), channels, max_pixels)
+    check_row("colour", image.width, image.height, row)
+    if conversion is None:
+        row[...] = pixels
+    else:
+        cv2.cvtColor(pixels, conversion, dst=row)
 
 
-def decode_depth(image: ImageMessage, unit_m: float, max_pixels: int) -> np.ndarray:
-    """Depth ``(H, W)`` uint16 in units of ``unit_m`` of 16UC1, mono16 or 32FC1.
+def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels: int) -> None:
+    """Depth in units of ``unit_m`` of 16UC1, mono16 or 32FC1.
 
     16-bit images are taken as they are; 32FC1 is in metres, see :func:`metres_to_units`.
 
+    Args:
+        image: The message.
+        row: ``(H, W)`` uint16, contiguous, written to.
+        unit_m: Metres in a depth unit.
+        max_pixels: Largest image decoded.
+
     Raises:
-        FrameError: Another encoding, or data that don't fit the size.
+        FrameError: Another encoding or size, or data that don't fit the size.
     """
     name = canonical_encoding(image.encoding)
     if name not in _DEPTH_TYPES:
         raise bad_frame(f"depth encoding {image.encoding!a} is not supported")
     dtype = np.dtype((">" if image.big_endian else "<") + _DEPTH_TYPES[name])
-    rows = np.ascontiguousarray(_rows(image, dtype.itemsize, max_pixels))
-    pixels = rows.view(dtype)
+    pixels = _pixels(image, dtype, 1, max_pixels)[..., 0]
+    check_row("depth", image.width, image.height, row)
     if name == "32fc1":
-        return metres_to_units(pixels, unit_m)
-    return pixels.astype(np.uint16)
+        metres_to_units(pixels, unit_m, row)
+    else:
+        row[...] = pixels
 
 
-def metres_to_units(depth_m: np.ndarray, unit_m: float) -> np.ndarray:
-    """Depth in metres ``(H, W)`` float, rounded to the nearest unit, uint16.
+def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None:
+    """Depth in metres, rounded to the nearest unit.
 
     NaN, infinity, what is 0 or less, and what rounds to more than 65535 units become 0.
+
+    Args:
+        depth_m: ``(H, W)`` float32.
+        unit_m: Metres in a depth unit.
+        row: ``(H, W)`` uint16, contiguous, written to.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        units = np.rint(depth_m.astype(np.float64) / unit_m)
-        return np.where((units > 0) & (units <= 0xFFFF), units, 0).astype(np.uint16)
+    launch("depth_units", np.ascontiguousarray(depth_m, np.float32), unit_m, row)
 
 
-def _rows(image: ImageMessage, pixel_bytes: int, max_pixels: int) -> np.ndarray:
-    """The bytes of the pixels ``(H, W * pixel_bytes)`` uint8, without the rows' padding."""
+def _pixels(image: ImageMessage, dtype: np.dtype, channels: int, max_pixels: int) -> np.ndarray:
+    """The pixels ``(H, W, channels)`` where they lie, without the rows' padding."""
     check_size(image.width, image.height, max_pixels)
-    row = image.width * pixel_bytes
-    step = image.step or row
-    data = np.frombuffer(image.data, np.uint8)
-    needed = (image.height - 1) * step + row
-    if step < row or len(data) < needed:
-        size = f"{image.width}x{image.height} {image.encoding!a}, step {image.step}"
-        raise bad_frame(f"{len(data)} bytes are too few for {size}")
-    if len(data) < image.height * step:
-        data = np.concatenate([data, np.zeros(image.height * step - len(data), np.uint8)])
-    return data[: image.height * step].reshape(image.height, step)[:, :row]
+    size = dtype.itemsize * channels
+    step = image.step or image.width * size
+    needed = (image.height - 1) * step + image.width * size
+    if step < image.width * size or len(image.data) < needed:
+        given = f"{image.width}x{image.height} {image.encoding!a}, step {image.step}"
+        raise bad_frame(f"{len(image.data)} bytes are too few for {given}")
+    shape = image.height, image.width, channels
+    return np.ndarray(shape, dtype, image.data, strides=(step, size, dtype.itemsize))

@@ -176,9 +176,8 @@ class IndexBuilder:
             return color.stamp_ns, depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
         if probe:
-            head = (
-                message.data[:PROBE_BYTES] if isinstance(message, CompressedImageMessage) else b""
-            )
+            kept = PROBE_BYTES if isinstance(message, CompressedImageMessage) else 0
+            head = bytes(message.data[:kept])
             stream.probes.append(message._replace(data=head))
         return message.stamp_ns, message.stamp_ns
 

@@ -65,7 +65,9 @@ def _head(message: Any) -> tuple[int, str]:
     return ns, getattr(message, "frame_id", "").lstrip("/")
 
 
-def _bytes(data: Any) -> bytes:
+def _bytes(data: Any) -> bytes | memoryview:
+    if isinstance(data, np.ndarray):
+        return data.data
     return base64.b64decode(data, validate=True) if isinstance(data, str) else bytes(data)
 
 

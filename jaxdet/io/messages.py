@@ -61,7 +61,8 @@ class ImageMessage(NamedTuple):
     step: int
     """Bytes in a row, padding included."""
     big_endian: bool
-    data: bytes
+    data: bytes | memoryview
+    """A view of the message that it was decoded from, where it can be one."""
 
 
 class CompressedImageMessage(NamedTuple):
@@ -70,7 +71,8 @@ class CompressedImageMessage(NamedTuple):
     stamp_ns: int
     frame_id: str
     format: str
-    data: bytes
+    data: bytes | memoryview
+    """Likewise."""
 
 
 class CameraInfoMessage(NamedTuple):

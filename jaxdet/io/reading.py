@@ -206,24 +206,17 @@ class ImageReader:
 
     def _decode_color(self, message: Message, row: np.ndarray) -> None:
         if isinstance(message, CompressedImageMessage):
-            _put("colour", decode_compressed_color(message, self._max_pixels), row)
+            decode_compressed_color(message, row, self._max_pixels)
         elif isinstance(message, ImageMessage):
-            _put("colour", decode_color(message, self._max_pixels), row)
+            decode_color(message, row, self._max_pixels)
 
     def _decode_depth(self, message: Message, row: np.ndarray) -> None:
         if isinstance(message, CompressedImageMessage):
-            _put("depth", decode_compressed_depth(message, self._unit_m, self._max_pixels), row)
+            decode_compressed_depth(message, row, self._unit_m, self._max_pixels)
         elif isinstance(message, ImageMessage):
-            _put("depth", decode_depth(message, self._unit_m, self._max_pixels), row)
+            decode_depth(message, row, self._unit_m, self._max_pixels)
 
 
 def _request(table: FrameTable, stream: ImageStream, number: int, row: int, depth: bool) -> Request:
     decoder = stream.decoders[int(table.decoder[number])]
     return Request(int(table.file[number]), table.location(number), row, depth, decoder)
-
-
-def _put(name: str, image: np.ndarray, row: np.ndarray) -> None:
-    if image.shape != row.shape:
-        sizes = f"{image.shape[1]}x{image.shape[0]}, calibrated is {row.shape[1]}x{row.shape[0]}"
-        raise FrameError(f"{name} image is {sizes}", status=FrameStatus.BAD_CALIBRATION)
-    row[...] = image

@@ -1,0 +1,335 @@
+"""``python -m benchmarks feed --json FILE``: logs at the machine's speed, by form and by part.
+
+``jaxdet run`` as a command, each part of it alone, and what others need to read the same images
+and do nothing with them, in turns. A log is made on the spot and lies in the page cache.
+"""
+
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+from typing import Annotated, NamedTuple
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import tyro
+import warp as wp
+from mcap.reader import make_reader
+
+from benchmarks import gate
+from benchmarks.feed_logs import CONFIG, FORMS, Form, Topics, drive, topics_of, write
+from benchmarks.feed_peers import PEERS
+from benchmarks.run import Metric
+from jaxdet import detect
+from jaxdet.config import Config
+from jaxdet.cores import cores
+from jaxdet.floor.plane import flat_plane, repeat_plane
+from jaxdet.io import Log, open_log
+from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
+from jaxdet.io.container import McapFile
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.images import decode_color, decode_depth
+from jaxdet.io.messages import CompressedImageMessage, ImageMessage
+from jaxdet.io.scan import ChannelInfo
+from jaxdet.results.rows import batch_rows, row_inputs
+from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
+
+BATCHES = {"cpu": 16, "gpu": 256}
+"""Frames of a batch, where parts are timed alone."""
+_CHECKED = 8
+"""Frames of a log whose images must equal the peers'."""
+_RECORD_HEAD = 9
+_MAX_BYTES = 1 << 30
+_SAMPLE_S = 0.1
+
+
+@dataclass(frozen=True)
+class Options:
+    """Times ``jaxdet run``, its parts and its peers on logs made on the spot."""
+
+    frames: int = 300
+    """Frames of each log."""
+    rounds: int = 3
+    """How often all of them take their turn; medians are reported."""
+    forms: tuple[str, ...] = tuple(FORMS)
+    """raw, lz4, zstd, jpeg_png, jpeg_rvl."""
+    folder: Path | None = None
+    """Where the logs are written; by default a folder for temporary files, removed afterwards."""
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
+    """Where to write the metrics."""
+
+
+class Run(NamedTuple):
+    """One run of the command."""
+
+    fps: float
+    """Steady, after the first batch."""
+    start_s: float
+    """From the command to the end of the first batch."""
+    wall_s: float
+    rss_mib: float
+    """Peak of all its processes; memory that several share counts once."""
+
+
+def main(options: Options) -> int:
+    """Returns the exit code."""
+    wp.config.log_level = wp.LOG_WARNING
+    frames, metrics = drive(), []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in options.forms:
+            log = folder / f"{name}.mcap"
+            write(log, FORMS[name], frames, options.frames)
+            found = form_metrics(name, log, folder / "results", options.rounds)
+            log.unlink()
+            metrics += found
+            print("\n".join(map(str, [*found, ""])), flush=True)
+    if options.json_file:
+        gate.write(options.json_file, metrics)
+    return 0
+
+
+def form_metrics(name: str, log: Path, results: Path, rounds: int) -> list[Metric]:
+    """The metrics of a form."""
+    topics = topics_of(FORMS[name])
+    check(log, topics, _CHECKED)
+    runs, rates = [], defaultdict(list)
+    with open_log(str(log)) as opened:
+        detecting = Detecting(opened, BATCHES[jax.default_backend()])
+        batch = len(detecting.frames.color)
+        timed = {
+            "read": Reading(log).run,
+            "decode": Decoding(log, FORMS[name], opened).run,
+            "read_decode": lambda: sum(len(found.status) for found in opened.batches(batch)),
+            "detect": detecting.run,
+            "rows_write": Writing(opened, detecting, log.parent).run,
+        }
+        for peer, images in PEERS.items():
+            timed[peer] = lambda images=images: sum(1 for _ in images(log, topics)) // 2
+        run_command(log, results)  # fills the caches
+        for function in timed.values():
+            function()
+        for _ in range(rounds):
+            runs.append(run_command(log, results))
+            for key, function in timed.items():
+                start = time.perf_counter()
+                rates[key].append(function() / (time.perf_counter() - start))
+    return _metrics(f"feed.{name}", runs, {key: statistics.median(r) for key, r in rates.items()})
+
+
+def _metrics(key: str, runs: list[Run], rates: dict[str, float]) -> list[Metric]:
+    fps = statistics.median(run.fps for run in runs)
+    parts = {part: rate for part, rate in rates.items() if part not in PEERS}
+    metrics = [Metric(f"{key}.fps", fps, "frames/s", "higher", 0.3)]
+    metrics += [Metric(f"{key}.vs_{peer}", fps / rates[peer], "x", "higher", 0.3) for peer in PEERS]
+    share = fps / min(parts.values())
+    metrics.append(Metric(f"{key}.share_of_slowest_part", share, "", "higher", 0.3))
+    metrics += [
+        Metric(f"{key}.{part}.fps", rate, "frames/s", "info", 0.0) for part, rate in parts.items()
+    ]
+    start, wall, rss = (statistics.median(column) for column in list(zip(*runs, strict=True))[1:])
+    return metrics + [
+        Metric(f"{key}.start_s", start, "s", "lower", 0.3),
+        Metric(f"{key}.wall_s", wall, "s", "info", 0.0),
+        Metric(f"{key}.rss_mib", rss, "MiB", "lower", 0.2),
+    ]
+
+
+def run_command(log: Path, results: Path) -> Run:
+    """``jaxdet run`` on a log."""
+    command = [sys.executable, "-m", "jaxdet", "run", str(log), "--output", str(results)]
+    start = time.perf_counter()
+    command += ["--overwrite", "--quiet", "--pictures", "0"]
+    with subprocess.Popen(command) as process, _PeakMemory(process.pid) as peak:
+        code = process.wait()
+    wall = time.perf_counter() - start
+    if code:
+        raise RuntimeError(f"jaxdet run {log} ended with exit code {code}")
+    about = json.loads((results / "summary.json").read_text("utf-8"))["logs"][0]
+    if about["frames_per_s"] is None:
+        raise RuntimeError(f"{log} has too few frames for a steady rate: use --frames")
+    steady = about["seconds"] - about["first_batch_s"]
+    return Run(about["frames_per_s"], wall - steady, wall, peak.mib)
+
+
+class _PeakMemory:
+    """Samples the memory of a process and its descendants; 0 where there is no ``/proc``."""
+
+    def __init__(self, pid: int) -> None:
+        self.mib, self._pid, self._done = 0.0, pid, Event()
+        self._thread = Thread(target=self._sample, daemon=True)
+
+    def __enter__(self) -> "_PeakMemory":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _sample(self) -> None:
+        while not self._done.wait(_SAMPLE_S):
+            self.mib = max(self.mib, sum(map(_pss_kib, _tree(self._pid))) / 1024)
+
+
+def _tree(pid: int) -> Iterator[int]:
+    """A process and its descendants."""
+    yield pid
+    try:
+        tasks = list(Path(f"/proc/{pid}/task").iterdir())
+        children = [child for task in tasks for child in (task / "children").read_text().split()]
+    except OSError:
+        return
+    for child in children:
+        yield from _tree(int(child))
+
+
+def _pss_kib(pid: int) -> int:
+    """Resident memory; what several processes share is shared out among them."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
+
+
+class Reading:
+    """Chunks read, decompressed and their CRC checked, on a thread a core."""
+
+    def __init__(self, log: Path) -> None:
+        self._file = McapFile(log, _MAX_BYTES)
+        with log.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None and summary.statistics is not None
+        self._chunks = [index.chunk_start_offset + _RECORD_HEAD for index in summary.chunk_indexes]
+        counts = summary.statistics.channel_message_counts
+        color = [c.id for c in summary.channels.values() if "color/image_raw" in c.topic]
+        self._frames = sum(counts[number] for number in color)
+
+    def run(self) -> int:
+        """Returns the number of frames."""
+        with ThreadPoolExecutor(cores()) as pool:
+            for _ in pool.map(lambda position: len(self._file.chunk(position)), self._chunks):
+                pass
+        return self._frames
+
+
+class Decoding:
+    """Messages in memory decoded into the rows of a batch, on a thread a core."""
+
+    def __init__(self, log: Path, form: Form, opened: Log) -> None:
+        self._pool = ThreadPoolExecutor(cores())
+        topics, channels = topics_of(form), {}
+        color, depth = opened.image_shapes
+        self._color = np.zeros((CONFIG.frames, *color), np.uint8)
+        self._depth = np.zeros((CONFIG.frames, *depth), np.uint16)
+        self._unit_m = opened.calibration.depth_unit
+        self._work: list[tuple[MessageDecoder, bytes, int]] = []
+        counts = dict.fromkeys(topics, 0)
+        with log.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages(topics=list(topics)):
+                assert schema is not None
+                if channel.topic not in channels:
+                    info = ChannelInfo(
+                        channel.topic, "cdr", schema.name, schema.encoding, schema.data
+                    )
+                    channels[channel.topic] = MessageDecoder(info)
+                if counts[channel.topic] < CONFIG.frames:
+                    item = channels[channel.topic], message.data, counts[channel.topic]
+                    self._work.append(item)
+                counts[channel.topic] += 1
+                if min(counts.values()) >= CONFIG.frames:
+                    break
+        self._turns = max(1, opened.num_frames // CONFIG.frames)
+
+    def run(self) -> int:
+        """Returns the number of frames."""
+        for _ in range(self._turns):
+            list(self._pool.map(self._one, self._work))
+        return self._turns * CONFIG.frames
+
+    def _one(self, item: tuple[MessageDecoder, bytes, int]) -> None:
+        decoder, payload, row = item
+        message, limit = decoder.decode(payload), self._color[0].size
+        depth = "/depth/" in decoder.channel.topic
+        if isinstance(message, CompressedImageMessage):
+            if depth:
+                decode_compressed_depth(message, self._depth[row], self._unit_m, limit)
+            else:
+                decode_compressed_color(message, self._color[row], limit)
+        elif isinstance(message, ImageMessage):
+            if depth:
+                decode_depth(message, self._depth[row], self._unit_m, limit)
+            else:
+                decode_color(message, self._color[row], limit)
+
+
+class Detecting:
+    """Frames in memory, in batches."""
+
+    def __init__(self, opened: Log, batch: int) -> None:
+        frames = next(opened.batches(batch)).frames
+        angles = CONFIG.camera_height_m, CONFIG.camera_pitch_rad, CONFIG.camera_roll_rad
+        plane = flat_plane(*(np.array([value]) for value in angles))
+        self.frames = frames._replace(plane=repeat_plane(plane, batch))
+        self._batch, self._turns = batch, max(1, opened.num_frames // batch)
+
+    def run(self) -> int:
+        """Returns the number of frames."""
+        for _ in range(self._turns):
+            jax.block_until_ready(detect(self.frames))
+        return self._turns * self._batch
+
+
+class Writing:
+    """The rows of a batch that was detected, and these as Parquet, on one thread."""
+
+    def __init__(self, opened: Log, detecting: Detecting, folder: Path) -> None:
+        size = len(detecting.frames.color)
+        assert detecting.frames.plane is not None
+        self._batch, self._plane = next(opened.batches(size)), detecting.frames.plane
+        self._found = row_inputs(jax.device_get(detect(detecting.frames)))
+        self._folder, self._turns = folder, max(1, opened.num_frames // size)
+
+    def run(self) -> int:
+        """Returns the number of frames."""
+        count = len(self._batch.status)
+        for _ in range(self._turns):
+            given = "log", self._batch, self._plane, ("tf",) * count
+            rows = batch_rows(*given, self._found, Config())
+            for name, columns, schema in (
+                ("frames", rows.frames, FRAMES_SCHEMA),
+                ("obstacles", rows.obstacles, OBSTACLES_SCHEMA),
+            ):
+                path = self._folder / f"{name}.parquet"
+                pq.write_table(to_table(columns, schema), path)
+        return self._turns * count
+
+
+def check(log: Path, topics: Topics, count: int) -> None:
+    """The first ``count`` frames are the same images for the peers.
+
+    Raises:
+        AssertionError: They are not.
+    """
+    with open_log(str(log)) as opened:
+        frames = opened.read(range(count)).frames
+    for name, images in PEERS.items():
+        seen: dict[str, int] = dict.fromkeys(topics, 0)
+        for topic, image in images(log, topics):
+            if (number := seen[topic]) < count:
+                ours = (frames.color if topic == topics.color else frames.depth)[number]
+                np.testing.assert_array_equal(ours, image, f"{name}, frame {number} of {topic}")
+            seen[topic] += 1
+            if min(seen.values()) >= count:
+                break

@@ -1,0 +1,47 @@
+"""Launches the kernels that decode images, on the CPU.
+
+Warp is loaded with the first image that needs it: opening a log does without.
+"""
+
+from functools import cache
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+_loading = Lock()
+
+
+def launch(name: str, *arguments: Any) -> None:
+    """Launches a kernel of ``jaxdet_kernels.decode``, which does not hold Python's lock.
+
+    Args:
+        name: Of the kernel.
+        arguments: Its arguments; NumPy arrays are passed as they are.
+
+    Raises:
+        ValueError: An array is not contiguous.
+    """
+    import warp as wp
+
+    with _loading:
+        kernels = _kernels()
+    given = []
+    for argument in arguments:
+        if isinstance(argument, np.ndarray):
+            if not argument.flags.c_contiguous:
+                raise ValueError(f"{name} takes contiguous arrays")
+            dtype = wp.dtype_from_numpy(argument.dtype)
+            argument = wp.array(argument, dtype=dtype, device="cpu", copy=False)
+        given.append(argument)
+    wp.launch(getattr(kernels, name), 1, given, device="cpu")
+
+
+@cache
+def _kernels() -> Any:
+    import warp as wp
+
+    from jaxdet_kernels import decode
+
+    wp.load_module(decode, device="cpu")
+    return decode

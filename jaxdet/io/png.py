@@ -1,0 +1,134 @@
+"""PNG files to RGB and to 16-bit depth, within the bounds of the image that is expected.
+
+Source: Portable Network Graphics Specification, Second Edition. Every chunk's CRC and the
+Adler-32 of the pixels are checked. Palettes, fewer than 8 bits a sample and interlaced files are
+refused: no camera driver writes them. Chunks that do not change the samples (gamma,
+transparency, text) are passed over, as OpenCV does.
+"""
+
+import struct
+from typing import NamedTuple
+
+import deflate
+import numpy as np
+
+from jaxdet.io.kernels import launch
+
+MAGIC = b"\x89PNG\r\n\x1a\n"
+_GREY = 0
+_SAMPLES = {_GREY: 1, 2: 3, 4: 2, 6: 4}
+"""Samples of a pixel, by colour type: grey, RGB, grey with alpha, RGB with alpha."""
+_CHUNK = struct.Struct(">I4s")
+_CRC_BYTES = 4
+_HEAD = struct.Struct(">IIBBBBB")
+_ANCILLARY = 0x20
+"""A bit of a chunk's name: it may be passed over."""
+_LAST_FILTER = 4
+
+
+class PngHead(NamedTuple):
+    """What the first chunk says; not checked yet but for its place."""
+
+    width: int
+    height: int
+    bits: int
+    """Of a sample."""
+    color_type: int
+    compression: int
+    filters: int
+    interlace: int
+
+    @property
+    def is_grey16(self) -> bool:
+        """Whether it can be depth."""
+        return self.bits == 16 and self.color_type == _GREY
+
+
+def read_png_head(data: bytes | memoryview) -> PngHead:
+    """The head of a file, which may be cut off behind it.
+
+    Raises:
+        ValueError: It is no PNG, or cut off before.
+    """
+    start = len(MAGIC) + _CHUNK.size
+    if len(data) < start + _HEAD.size or bytes(data[: len(MAGIC)]) != MAGIC:
+        raise ValueError("no PNG head")
+    if _CHUNK.unpack_from(data, len(MAGIC)) != (_HEAD.size, b"IHDR"):
+        raise ValueError("no PNG head")
+    return PngHead(*_HEAD.unpack_from(data, start))
+
+
+def decode_png_depth(data: bytes | memoryview, row: np.ndarray) -> None:
+    """Decodes a 16-bit grey PNG.
+
+    Args:
+        data: The file.
+        row: ``(H, W)`` uint16, contiguous, written to.
+
+    Raises:
+        ValueError: It is damaged, or another kind of image, or of another size.
+    """
+    head = read_png_head(data)
+    if not head.is_grey16:
+        raise ValueError("it is not a 16-bit grey image")
+    launch("png_depth", _lines(data, head, row), row)
+
+
+def decode_png_color(data: bytes | memoryview, row: np.ndarray) -> None:
+    """Decodes a PNG to RGB: alpha is dropped, grey repeated, of 16 bits the higher 8 are taken.
+
+    Args:
+        data: The file.
+        row: ``(H, W, 3)`` uint8, contiguous, written to.
+
+    Raises:
+        ValueError: It is damaged, or another kind of image, or of another size.
+    """
+    head = read_png_head(data)
+    lines = _lines(data, head, row)
+    size, samples = head.bits // 8, _SAMPLES[head.color_type]
+    launch("png_color", lines, size * samples, size if samples > 2 else 0, row)
+
+
+def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarray:
+    """The lines ``(H, 1 + bytes)`` uint8, each with its filter before it."""
+    if head.color_type not in _SAMPLES or head.bits not in (8, 16):
+        raise ValueError("palettes and fewer than 8 bits a sample are not supported")
+    if head.interlace or head.compression or head.filters:
+        raise ValueError("interlaced files are not supported")
+    if row.shape[:2] != (head.height, head.width):
+        raise ValueError(f"its size is {head.width}x{head.height}")
+    line = 1 + head.width * _SAMPLES[head.color_type] * head.bits // 8
+    try:
+        inflated = deflate.zlib_decompress(_compressed(memoryview(data)), head.height * line)
+    except deflate.DeflateError as error:
+        raise ValueError("its pixels can't be inflated, or are too many") from error
+    if len(inflated) != head.height * line:
+        raise ValueError("its pixels are too few")
+    lines = np.frombuffer(inflated, np.uint8).reshape(head.height, line)
+    if lines[:, 0].max() > _LAST_FILTER:
+        raise ValueError("a filter is unknown")
+    return lines
+
+
+def _compressed(data: memoryview) -> bytes | memoryview:
+    """The content of all IDAT chunks."""
+    parts: list[memoryview] = []
+    position, name, known = len(MAGIC), b"", {b"IHDR"}
+    while name != b"IEND":
+        if position + _CHUNK.size > len(data):
+            raise ValueError("it ends early")
+        size, name = _CHUNK.unpack_from(data, position)
+        start = position + _CHUNK.size
+        position = start + size + _CRC_BYTES
+        if position > len(data):
+            raise ValueError("it ends early")
+        crc = int.from_bytes(data[start + size : position])
+        if deflate.crc32(data[start - len(name) : start + size]) != crc:
+            raise ValueError("a chunk has a wrong CRC")
+        if name == b"IDAT":
+            parts.append(data[start : start + size])
+        elif not name[0] & _ANCILLARY and name not in known:
+            raise ValueError(f"chunk {name!a} is not known there")
+        known = {b"PLTE", b"IEND"}
+    return parts[0] if len(parts) == 1 else b"".join(parts)
