@@ -77,8 +77,8 @@ def test_one_pixel_of_depth(width, height, units):
 @pytest.mark.parametrize(
     ("lens", "depth_size", "color_size", "corners"),
     [
-        ("pinhole", (80, 60), (1920, 1080), 500),
-        ("plumb_bob", (641, 479), (1920, 1080), 500),
+        ("pinhole", (80, 60), (1920, 1080), 250),
+        ("plumb_bob", (641, 479), (1920, 1080), 250),
         ("rational", (1280, 720), (1281, 721), 200),
         ("equidistant", (639, 577), (4096, 3072), 500),
         ("pinhole", (4096, 3072), (639, 481), 100),
