@@ -36,6 +36,13 @@ class ConfigError(JaxdetError):
     """A configuration value is out of its range or unknown."""
 
 
+class RescanError(JaxdetError):
+    """A log is not as its index lets expect; read as a whole (``--log.scan``) it can be used."""
+
+    def __init__(self, problem: str, *, path: str = "", topic: str = "") -> None:
+        super().__init__(problem, path=path, topic=topic, remedy="read it with --log.scan")
+
+
 class WorkerError(JaxdetError):
     """A worker process ended, or failed in a way that nobody foresaw."""
 

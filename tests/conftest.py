@@ -66,3 +66,12 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no folder shared/data beside the repository")
     return folder
+
+
+@pytest.fixture(autouse=True)
+def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the tests of ``jaxdet.io`` each log that is opened by its index is scanned as well."""
+    if hasattr(request.module, "open_log") and request.path.name.startswith("test_io"):
+        from tests.io_both_ways import open_both_ways
+
+        monkeypatch.setattr(request.module, "open_log", open_both_ways)

@@ -8,9 +8,11 @@ import pytest
 import zstandard
 from mcap.reader import make_reader
 
+from jaxdet import io
 from jaxdet.errors import InputError, JaxdetError
-from jaxdet.io import LogOptions, lookahead, open_log
+from jaxdet.io import LogOptions, RescanError, lookahead, open_log
 from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
+from tests.io_both_ways import is_indexed
 from tests.io_helpers import COLOR_FRAME, LogFile, assert_holds, make_scene, ros_image, write_log
 
 SCENE = make_scene(12)
@@ -62,7 +64,9 @@ def test_a_chunk_with_a_wrong_crc_is_dropped_and_its_neighbours_are_used(tmp_pat
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)
     data[chunks[5].chunk_start_offset + 1500] ^= 4
     path.write_bytes(data)
-    with open_log(str(path)) as log:
+    with open_log(str(path)) as log, pytest.raises(RescanError, match=r"CRC.*--log\.scan"):
+        frames_right(log)
+    with open_log(str(path), LogOptions(scan=True)) as log:
         [integrity] = log.description.integrity
         assert integrity.lost == {"chunk has a wrong CRC": 1} and integrity.recovered
         lost = chunks[5].message_start_time, chunks[5].message_end_time
@@ -82,6 +86,9 @@ def test_flipped_bits_with_crc_are_never_silent(tmp_path):
             with open_log(str(path)) as log:
                 right = frames_right(log)
                 assert right == 12 or log.description.integrity[0].recovered
+            with open_log(str(path), LogOptions(scan=True)) as log:
+                right = frames_right(log)
+                assert right == 12 or log.description.integrity[0].recovered
         except JaxdetError as error:
             assert "\n" not in str(error)
 
@@ -98,7 +105,7 @@ def test_flipped_bytes_without_crc_end_in_frames_or_one_clear_line(tmp_path, use
             data[place] = random.integers(256)
         path.write_bytes(data)
         try:
-            with open_log(str(path)) as log:
+            with io.open_log(str(path)) as log:
                 assert sum(len(batch.status) for batch in log.batches(5)) == log.num_frames
         except JaxdetError as error:
             assert "\n" not in str(error)
@@ -110,6 +117,7 @@ def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
     struct.pack_into("<Q", data, chunks[4].chunk_start_offset + 1, 2**64 - 1)
     path.write_bytes(data)
     with open_log(str(path)) as log:
+        assert not is_indexed(log)  # the first messages showed it
         assert "damaged or torn record" in log.description.integrity[0].lost
         assert 9 <= frames_right(log) < 12
 
@@ -125,7 +133,7 @@ def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, mon
     found = []
     for ahead in (0, 10_000, 1 << 30):
         monkeypatch.setattr(lookahead, "AHEAD_BYTES", ahead)
-        with open_log(str(path)) as log:
+        with open_log(str(path), LogOptions(scan=True)) as log:
             [integrity] = log.description.integrity
             found.append((integrity, integrity.text, log.stamps_ns.tolist(), frames_right(log)))
     assert found[0] == found[1] == found[2] and list(found[0][0].lost.values()) == [2, 1]

@@ -8,7 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from jaxdet.io import LogOptions, lookahead, open_log, reading, scan
+from jaxdet.io import LogOptions, RescanError, lookahead, open_log, scan, store
+from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import McapFile
 from tests.io_helpers import (
@@ -60,7 +61,8 @@ def test_bad_frames_get_their_status_and_the_rest_goes_on(tmp_path):
         np.testing.assert_array_equal(batch.frames.valid[:6], [s == "ok" for s in wanted])
         assert not batch.frames.color[1:5].any() and not batch.frames.depth[1:5].any()
         np.testing.assert_array_equal(batch.frames.color[5], scene.color[5])
-        assert log.description.pairing.num_unpaired_color == 1
+        pairing = log.described(batch.notes).pairing
+        assert pairing is not None and pairing.num_unpaired_color == 1
 
 
 def test_zero_stamps_fall_back_to_log_time_and_backward_stamps_are_ordered(tmp_path):
@@ -98,7 +100,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
                 log.ros(DEPTH, image, at)
                 log.ros(COLOR, ros_image(scene.color[i % 8], "rgb8", at, COLOR_FRAME), at)
         tracemalloc.start()
-        with open_log(str(path)) as log:
+        with log_module.open_log(str(path)) as log:
             assert sum(batch.frames.valid.sum() for batch in log.batches(4)) == count
             _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
@@ -113,8 +115,8 @@ def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
     """One chunk at a time, read by several threads, out of order: the same images."""
     scene = make_scene(12)
     path = write_log(tmp_path / "log.mcap", scene, chunk_size=6000)
-    monkeypatch.setattr(reading, "_CACHE_BYTES", 1)
-    monkeypatch.setattr(reading, "cores", lambda: 4)
+    monkeypatch.setattr(log_module, "_FRAMES_KEPT", 0)
+    monkeypatch.setattr(store.ChunkStore.__init__, "__defaults__", (4, 1))
     alive: set[int] = set()
     most = 0
     plain = McapFile.chunk
@@ -155,7 +157,8 @@ def test_a_failed_frame_does_not_hold_its_batch(tmp_path):
         assert held() is None
 
 
-def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch):
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch, whole):
     plain, failures = McapFile.chunk, [1]
 
     def failing(file: McapFile, position: int) -> bytes:
@@ -163,10 +166,15 @@ def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch):
             raise DamageError(f"file can't be read (try {failures.pop()})")
         return plain(file, position)
 
-    with open_log(str(write_log(tmp_path / "log.mcap"))) as log:
+    path = write_log(tmp_path / "log.mcap", make_scene(40), chunk_size=6000)
+    with open_log(str(path), LogOptions(scan=whole)) as log:
         monkeypatch.setattr(McapFile, "chunk", failing)
-        assert "file can't be read (try 1)" in " ".join(log.read([0]).errors)
-        assert log.read([0]).errors == ("",)
+        if whole:
+            assert "file can't be read (try 1)" in " ".join(log.read([20]).errors)
+        else:
+            with pytest.raises(RescanError, match=r"file can't be read \(try 1"):
+                log.read([20])
+        assert log.read([20]).errors == ("",)
 
 
 @pytest.mark.parametrize("use_chunking", [False, True])

@@ -28,7 +28,8 @@ def test_pose_in_frame_needs_the_frame_it_is_of(tmp_path, form):
         assert log.T_world_camera is None
         assert any("/pose" in text for text in log.description.warnings)
     with open_log(path, LogOptions(base_frame=DEPTH_FRAME)) as log:
-        assert log.T_world_camera is not None and log.description.num_poses == 3
+        assert log.T_world_camera is not None
+        assert log.described(next(log.batches(3)).notes).num_poses == 3
         expected = np.array([-0.015, 0.001, 0.0])
         turned = log.T_world_camera[0, :3, :3]
         assert log.T_base_camera is not None

@@ -8,6 +8,7 @@ import pytest
 from jaxdet.errors import InputError, JaxdetError, TopicError
 from jaxdet.io import find_logs, open_log
 from jaxdet.io.motion import motion_matrix
+from tests.io_both_ways import is_indexed
 
 
 def test_real_unaligned_log(shared_data):
@@ -24,7 +25,8 @@ def test_real_unaligned_log(shared_data):
 def test_real_pair_with_factory_calibration(shared_data):
     path = shared_data / "realsense_d435_bag" / "realsense_d435_1pair.mcap"
     with open_log(str(path)) as log:
-        pairing = log.description.pairing
+        pairing = log.described(next(log.batches(1)).notes).pairing
+        assert pairing is not None
         assert (pairing.num_paired, pairing.num_unpaired_depth) == (1, 1)
         assert pairing.unpaired_depth_stamps_ns.tolist() == [1600000360981765000]
         t = np.array([0.01431131, 0.00060231, 0.00061080])
@@ -43,6 +45,16 @@ def test_real_logs_without_depth_end_in_one_clear_line(shared_data):
         with pytest.raises((TopicError, InputError)) as caught:
             open_log(str(path))
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_real_logs_are_the_same_by_their_index_and_scanned(shared_data):
+    found = 0
+    for path in sorted(shared_data.rglob("*.mcap")):
+        if path.parent.name != "mcap_real":
+            with open_log(str(path)) as log:
+                assert is_indexed(log)
+                found += 1
+    assert found >= 6
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 2, b"not mcap" * 99])

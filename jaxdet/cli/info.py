@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
+_UNCOUNTED = "not counted; see --check"
+
 DESCRIPTION = """\
 Says what is in logs: topics and rates, the calibration and the floor that were found, what a
-run would use and why, and whether the file is whole. Takes the flags of jaxdet run for reading.
+run would use and why, and, with --check, whether the file is whole. Takes the flags of jaxdet
+run for reading.
 
 Example:
   jaxdet info drive.mcap
@@ -42,6 +45,8 @@ class InfoCommand:
     """TOML file, as for jaxdet run."""
     json: Flag = False
     """Print JSON."""
+    check: Flag = False
+    """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
     ground: GroundConfig = field(default_factory=GroundConfig)
     log: LogOptions = field(default_factory=LogOptions)
 
@@ -58,7 +63,8 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     for files in find_logs(given(command.logs)):
         try:
-            about, lines = describe(files, replace(config, ground=command.ground), command.log)
+            options = replace(command.log, scan=command.log.scan or command.check)
+            about, lines = describe(files, replace(config, ground=command.ground), options)
         except JaxdetError as error:
             failed += 1
             about, lines = {"log": files.name, "error": str(error)}, []
@@ -100,12 +106,13 @@ def _lines(about: "LogDescription", planes: "Planes") -> Iterator[str]:
     yield from _section("files", [f"{file.path}: {file.text}" for file in about.integrity])
     yield from _section("topics", _topics(about.topics))
     yield from _section("used", about.choices)
-    yield from _section("pairs", [_pairing(about.pairing)])
+    yield from _section("pairs", [_pairing(about.pairing)] if about.pairing else [_UNCOUNTED])
     extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
     yield from _section("calibration", [*about.calibration, extrinsics])
     messages = [record.message for record in planes.records[:1] if record.source == "estimate"]
     yield from _section("ground", [ground_text(planes.records), *messages, about.base_source])
-    yield from _section("poses", [about.pose_source, f"known for {about.num_poses} frames"])
+    known = "" if about.num_poses is None else f"known for {about.num_poses} frames"
+    yield from _section("poses", [about.pose_source, known])
     yield from _section("warnings", [*about.warnings, *planes.warnings])
 
 

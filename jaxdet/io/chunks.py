@@ -5,10 +5,11 @@ overruns its chunk; here every length is checked before it is used.
 """
 
 import struct
-import zlib
 from collections.abc import Iterator
+from threading import local
 from typing import NamedTuple
 
+import deflate
 import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
@@ -19,6 +20,9 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time [ns], publish time [ns]; the payload follows."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _MAX_ODD_RECORDS = 1000
+
+
+_of_thread = local()
 
 
 class DamageError(Exception):
@@ -38,6 +42,13 @@ class ChunkHead(NamedTuple):
     data_offset: int
     """Where its data begin, from the start of the record's content."""
     data_size: int
+    length: int = 0
+    """Of the record's content, by its own word."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its data are the records themselves."""
+        return self.compression in ("", "none")
 
 
 class Record(NamedTuple):
@@ -67,7 +78,7 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
     offset += 8
     if offset + data_size > length:
         raise DamageError("chunk data overrun the chunk")
-    return ChunkHead(start, end, size, crc, name, offset, data_size)
+    return ChunkHead(start, end, size, crc, name, offset, data_size, length)
 
 
 def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
@@ -81,11 +92,10 @@ def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
     size = head.uncompressed_size
     try:
         if head.compression == "zstd":
-            reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
-            records = reader.read(size + 1)
+            records = _zstd(data, size)
         elif head.compression == "lz4":
             records = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-        elif head.compression in ("", "none"):
+        elif head.is_plain:
             records = data
         else:
             raise DamageError(f"chunk compression {head.compression!a} is unknown")
@@ -93,9 +103,25 @@ def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
         raise DamageError("chunk can't be decompressed") from error
     if len(records) != size:
         raise DamageError("chunk has another size than declared")
-    if head.crc and zlib.crc32(records) != head.crc:
+    if head.crc and crc32(records) != head.crc:
         raise DamageError("chunk has a wrong CRC")
     return records
+
+
+def crc32(data: bytes | memoryview, start: int = 0) -> int:
+    """CRC-32 of bytes, or of those before (their CRC is ``start``) and these."""
+    return deflate.crc32(data, start)
+
+
+def _zstd(data: bytes, size: int) -> bytes:
+    """At most ``size + 1`` bytes of all frames; at once where the one frame says its size."""
+    try:
+        decompressor = _of_thread.zstd
+    except AttributeError:
+        decompressor = _of_thread.zstd = zstandard.ZstdDecompressor()
+    if size and zstandard.frame_content_size(data) == size:
+        return decompressor.decompress(data, allow_extra_data=False)
+    return decompressor.stream_reader(data, read_across_frames=True).read(size + 1)
 
 
 def chunk_records(records: bytes) -> Iterator[Record]:

@@ -1,14 +1,19 @@
-"""One MCAP file: its bytes by position, whole chunks and single messages."""
+"""One MCAP file: its bytes by position, whole chunks and their heads."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
-from threading import Lock
 from typing import NamedTuple
+
+from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
+_MAX_PARTS = 512
+"""Buffers filled by one call, fewer than any system's limit."""
 
 
 class Location(NamedTuple):
@@ -22,7 +27,7 @@ class Location(NamedTuple):
 
 
 class McapFile:
-    """One open file; threads may share it.
+    """One open file; threads may share it, since no read moves its position.
 
     Args:
         path: The file.
@@ -34,13 +39,14 @@ class McapFile:
 
     def __init__(self, path: Path, max_bytes: int) -> None:
         self.path, self.max_bytes = path, max_bytes
-        self._lock = Lock()
         try:
-            self._file = path.open("rb")
-            self.size = self._file.seek(0, 2)
-            magic = self.read(0, len(MAGIC)) if self.size else b""
-        except OSError as error:
-            problem = f"can't be read ({error.strerror or error})"
+            self._file = path.open("rb", buffering=0)
+            self._descriptor = self._file.fileno()
+            self.size = self._file.seek(0, os.SEEK_END)
+            magic = self.read(0, min(self.size, len(MAGIC)))
+        except (OSError, DamageError) as error:
+            text = getattr(error, "strerror", None) or error
+            problem = f"can't be read ({text})"
             raise InputError(problem, path=str(path), remedy="check the file") from error
         if magic != MAGIC or self.size <= 2 * len(MAGIC):
             self._file.close()
@@ -55,12 +61,7 @@ class McapFile:
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
-
-    def payload(self, location: Location, chunk: bytes | None) -> memoryview:
-        """A message's payload; ``chunk`` is :meth:`chunk` of its location, if it has one."""
-        if chunk is not None:
-            return memoryview(chunk)[location.offset : location.offset + location.size]
-        return memoryview(self.read(location.offset, location.size))
+        self._descriptor = -1
 
     def chunk_head(self, position: int) -> ChunkHead:
         """The head of the chunk record whose content begins at ``position``.
@@ -68,8 +69,12 @@ class McapFile:
         Raises:
             DamageError: It isn't one.
         """
-        _, length = RECORD_HEAD.unpack(self.read(position - RECORD_HEAD.size, RECORD_HEAD.size))
-        return read_chunk_head(self.read(position, min(length, _HEAD_BYTES)), length)
+        start = position - RECORD_HEAD.size
+        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
+        opcode, length = RECORD_HEAD.unpack_from(known)
+        if opcode != Opcode.CHUNK:
+            raise DamageError("no chunk where one should be")
+        return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
 
     def chunk_bytes(self, position: int) -> int:
         """How much :meth:`chunk` may return there; 0 where no chunk can be."""
@@ -95,11 +100,39 @@ class McapFile:
             DamageError: The file ends before, or can't be read there.
         """
         try:
-            with self._lock:
-                self._file.seek(position)
-                data = self._file.read(size)
-        except OSError as error:
-            raise DamageError(f"file can't be read ({error.strerror or error})") from error
-        if len(data) != size:
-            raise DamageError("file ends early")
-        return data
+            data = os.pread(self._descriptor, size, position)
+        except (OSError, OverflowError, ValueError) as error:
+            raise _unreadable(error) from error
+        if len(data) == size:
+            return data
+        whole = bytearray(size)
+        whole[: len(data)] = data
+        self.read_into(position + len(data), [memoryview(whole)[len(data) :]])
+        return bytes(whole)
+
+    def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
+        """Fills writable byte views with what begins at ``position``, one after the other.
+
+        Raises:
+            DamageError: The file ends before, or can't be read there.
+        """
+        left = [part for part in parts if len(part)]
+        while left:
+            try:
+                count = os.preadv(self._descriptor, left[:_MAX_PARTS], position)
+            except (OSError, OverflowError, ValueError) as error:
+                raise _unreadable(error) from error
+            if not count:
+                raise DamageError("file ends early")
+            position += count
+            done = 0
+            while done < len(left) and count >= len(left[done]):
+                count -= len(left[done])
+                done += 1
+            left = left[done:]
+            if count:
+                left[0] = left[0][count:]
+
+
+def _unreadable(error: Exception) -> DamageError:
+    return DamageError(f"file can't be read ({getattr(error, 'strerror', None) or error})")

@@ -8,6 +8,7 @@ from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
 from jaxdet.io.index import LogIndex
 from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.notes import Notes
 from jaxdet.io.streams import ImageStream
 from jaxdet.io.topics import encoding_of, printable
 
@@ -63,47 +64,69 @@ class LogDescription(NamedTuple):
     extrinsics_source: str
     base_source: str
     pose_source: str
-    num_poses: int
-    """Frames with a known pose."""
-    pairing: PairingDescription
+    num_poses: int | None
+    """Frames with a known pose; None where the log was opened by its index."""
+    pairing: PairingDescription | None
+    """None where the log was opened by its index."""
     integrity: tuple[FileIntegrity, ...]
     """One for each file; its ``text`` is a line."""
     warnings: tuple[str, ...]
 
 
-def describe(
-    files: LogFiles, index: LogIndex, found: Findings, tolerance_s: float
-) -> LogDescription:
+def describe(files: LogFiles, index: LogIndex, found: Findings) -> LogDescription:
     """The description of a log.
 
     Args:
         files: Its files.
         index: What is in them.
         found: What is used.
-        tolerance_s: The pairing's tolerance [s].
     """
-    stamps, T = found.stamps_ns, found.poses.T_world_camera
-    pairing = describe_pairing(stamps, found.depth_stamps_ns, found.unpaired_depth_ns, tolerance_s)
-    warnings = [*index.warnings, *index.tree.warnings, *found.timeline.warnings]
+    warnings = [*index.warnings, *index.tree.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings]
-    if pairing.max_dt_s > _SLOW_PAIR_S:
-        text = f"a pair is {pairing.max_dt_s * 1000:.1f} ms apart; see --log.pair-tolerance-s"
-        warnings.append(text)
+    count = found.frames.num_frames
+    ends = [found.frames.window(i, i + 1).color.stamps_ns[0] for i in (0, count - 1) if count]
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
-        num_frames=len(stamps),
-        duration_s=float(np.ptp(stamps)) / 1e9 if len(stamps) else 0.0,
+        num_frames=count,
+        duration_s=float(ends[-1] - ends[0]) / 1e9 if count else 0.0,
         topics=describe_topics(index, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
         base_source=found.base.source,
-        pose_source=found.poses.source,
-        num_poses=0 if T is None else int(np.isfinite(T[:, 0, 0]).sum()),
-        pairing=pairing,
+        pose_source=found.poses.text,
+        num_poses=None,
+        pairing=None,
         integrity=tuple(index.integrity),
         warnings=tuple(warnings),
+    )
+
+
+def complete(about: LogDescription, notes: Notes, tolerance_s: float) -> LogDescription:
+    """A description with what all frames tell.
+
+    Args:
+        about: What was known at opening.
+        notes: Of all frames.
+        tolerance_s: The pairing's [s].
+    """
+    pairing = _pairing(notes, tolerance_s)
+    warnings = []
+    for role, counts in (("color", notes.color), ("depth", notes.depth)):
+        topic = next((item.topic for item in about.topics if role in item.chosen_as.split()), "")
+        texts = (
+            (counts.backward, "stamps run backward; frames are ordered by stamp"),
+            (counts.double, "stamps occur twice"),
+            (counts.zero, "header stamps are zero"),
+            (counts.undecodable, "messages can't be decoded"),
+        )
+        warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
+    if pairing.max_dt_s > _SLOW_PAIR_S:
+        text = f"a pair is {pairing.max_dt_s * 1000:.1f} ms apart; see --log.pair-tolerance-s"
+        warnings.append(text)
+    return about._replace(
+        num_poses=notes.poses, pairing=pairing, warnings=(*about.warnings, *warnings)
     )
 
 
@@ -132,25 +155,14 @@ def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescr
     return tuple(found)
 
 
-def describe_pairing(
-    color_ns: np.ndarray, depth_ns: np.ndarray, unpaired_ns: np.ndarray, tolerance_s: float
-) -> PairingDescription:
-    """Statistics of a pairing.
-
-    Args:
-        color_ns: ``(F,)`` int64, colour stamps [ns].
-        depth_ns: ``(F,)`` int64, stamp of each colour frame's depth frame, -1 = none [ns].
-        unpaired_ns: ``(U,)`` int64, stamps of the depth frames without a colour frame [ns].
-        tolerance_s: Greatest difference allowed [s].
-    """
-    paired = depth_ns >= 0
-    apart = np.abs(color_ns[paired] - depth_ns[paired]) / 1e9
+def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
+    apart = notes.apart_ns / 1e9
     return PairingDescription(
         tolerance_s=tolerance_s,
-        num_paired=int(paired.sum()),
-        num_unpaired_color=int((~paired).sum()),
-        num_unpaired_depth=len(unpaired_ns),
-        unpaired_depth_stamps_ns=unpaired_ns,
+        num_paired=len(apart),
+        num_unpaired_color=notes.unpaired_color,
+        num_unpaired_depth=len(notes.unpaired_depth_ns),
+        unpaired_depth_stamps_ns=notes.unpaired_depth_ns,
         median_dt_s=float(np.median(apart)) if len(apart) else 0.0,
         max_dt_s=float(apart.max()) if len(apart) else 0.0,
     )

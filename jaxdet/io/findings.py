@@ -1,56 +1,161 @@
-"""All that is found in a log's index before an image is decoded."""
+"""All that is found in a log before an image is decoded."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.errors import CalibrationError, RescanError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.index import LogIndex
+from jaxdet.io.indexed import IndexedLog
+from jaxdet.io.notes import Notes
 from jaxdet.io.options import LogOptions
-from jaxdet.io.poses import Base, Poses, find_base, find_poses
-from jaxdet.io.timeline import Timeline, make_timeline
+from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
+from jaxdet.io.streams import ImageSource, first_image
+from jaxdet.io.timeline import Timeline, Window, log_time_warnings, make_timeline
 from jaxdet.io.topics import Choice, choose_topics
+from jaxdet.io.windows import IndexedFrames
+
+_POSE_SAMPLE = 8
+"""Frames looked at to see whether any has a pose."""
+
+
+class ScannedFrames(NamedTuple):
+    """The frames of a log that was read as a whole."""
+
+    timeline: Timeline
+    T_world_camera: np.ndarray | None
+    """``(F, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
+
+    @property
+    def num_frames(self) -> int:
+        """Colour frames."""
+        return len(self.timeline.color.stamps_ns)
+
+    @property
+    def notes(self) -> Notes:
+        """What is to be said of all frames."""
+        return self.timeline.notes(self.T_world_camera)
+
+    def window(self, start: int, stop: int) -> Window:
+        """The frames ``start`` to ``stop``."""
+        return self.timeline.window(start, stop, self.T_world_camera)
 
 
 class Findings(NamedTuple):
-    """Topics, calibration, frames, floor and poses."""
+    """Topics, calibration, floor, poses and frames."""
 
     choice: Choice
     calibrated: Calibrated
-    timeline: Timeline
     base: Base
-    poses: Poses
-
-    @property
-    def stamps_ns(self) -> np.ndarray:
-        """``(F,)`` int64, colour stamps [ns]."""
-        return self.timeline.color.stamps_ns
-
-    @property
-    def depth_stamps_ns(self) -> np.ndarray:
-        """``(F,)`` int64, stamp of each colour frame's depth frame [ns], -1 = unpaired."""
-        partner = self.timeline.pairing.depth_of_color
-        stamps = np.append(self.timeline.depth.stamps_ns, -1)
-        return stamps[partner]
-
-    @property
-    def unpaired_depth_ns(self) -> np.ndarray:
-        """``(U,)`` int64, stamps of the depth frames without a colour frame [ns]."""
-        return self.timeline.depth.stamps_ns[self.timeline.pairing.unpaired_depth]
+    poses: PoseSource
+    frames: ScannedFrames | IndexedFrames
+    color: ImageSource
+    depth: ImageSource
+    warnings: tuple[str, ...]
+    """About the frames."""
 
 
-def find(index: LogIndex, options: LogOptions, path: str) -> Findings:
-    """What the log holds.
+class _Parts(NamedTuple):
+    choice: Choice
+    calibrated: Calibrated
+    base: Base
+    poses: PoseSource
+
+
+def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
+    """What a log holds that was read as a whole.
 
     Raises:
         TopicError: No or several topics can be colour or depth.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
     choice = choose_topics(index, options, path)
-    calibrated = calibrate(index, choice, options, path)
     color, depth = index.streams[choice.color], index.streams[choice.depth]
     timeline = make_timeline(color, depth, options.pair_tolerance_s)
+    tracks = {name: track.samples for name, track in index.poses.items()}
+    stamps = timeline.color.stamps_ns
+
+    def ever_known(source: PoseSource) -> bool:
+        return _any_known(source.at(stamps, index.tree, tracks))
+
+    parts = _find(index, choice, options, ever_known, path)
+    return Findings(
+        *parts,
+        ScannedFrames(timeline, parts.poses.at(stamps, index.tree, tracks)),
+        ImageSource(color.topic, color.decoders),
+        ImageSource(depth.topic, depth.decoders),
+        timeline.warnings,
+    )
+
+
+def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
+    """What a log holds that was opened by its index.
+
+    Raises:
+        TopicError: No or several topics can be colour or depth.
+        CalibrationError: A part of the calibration is missing, unknown or contradictory.
+        RescanError: The first messages are such that the index isn't enough.
+        DamageError: The file contradicts its index.
+    """
+    index = log.contents
+    choice = choose_topics(index, options, path)
+    color, depth = log.streams[choice.color], log.streams[choice.depth]
+    for topic in (choice.color, choice.depth):
+        if not index.streams[topic].column("stamp").any():
+            raise RescanError("the first header stamps are zero", path=path, topic=topic)
+    tolerance = options.pair_tolerance_s
+    frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
+
+    def ever_known(source: PoseSource) -> bool:
+        sample = np.unique(np.linspace(0, len(color) - 1, _POSE_SAMPLE).astype(np.int64))
+        with_poses = frames.with_poses(source)
+        if any(_any_known(with_poses.window(i, i + 1).T_world_camera) for i in sample.tolist()):
+            return True
+        if len(sample) == len(color):
+            return False
+        raise RescanError("no sampled frame has a pose in the world frame", path=path)
+
+    try:
+        parts = _find(index, choice, options, ever_known, path)
+    except CalibrationError as error:
+        if log.motions.whole:
+            raise
+        raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
+    image = first_image(index.streams[choice.depth], True)
+    frames_used = {parts.calibrated.color_frame, image.frame_id if image else ""}
+    frames_used |= {parts.base.frame or "", parts.poses.world}
+    if not log.motions.whole and index.tree.sampled_once() & {
+        above for frame in frames_used for above in index.tree.above(frame)
+    }:
+        raise RescanError("a transform is too rare for a sample", path=path)
+    return Findings(
+        *parts,
+        frames.with_poses(parts.poses),
+        ImageSource(color.topic, color.decoders),
+        ImageSource(depth.topic, depth.decoders),
+        tuple(
+            text
+            for stream in dict.fromkeys((color, depth))
+            for text in log_time_warnings(stream.topic, stream.backward)
+        ),
+    )
+
+
+def _find(
+    index: LogIndex,
+    choice: Choice,
+    options: LogOptions,
+    ever_known: Callable[[PoseSource], bool],
+    path: str,
+) -> _Parts:
+    calibrated = calibrate(index, choice, options, path)
     frame = calibrated.color_frame
     base = find_base(index, options, frame, path)
-    poses = find_poses(index, options, frame, base.frame, timeline.color.stamps_ns, path)
-    return Findings(choice, calibrated, timeline, base, poses)
+    poses = find_poses(index, options, frame, base.frame, ever_known, path)
+    return _Parts(choice, calibrated, base, poses)
+
+
+def _any_known(T: np.ndarray | None) -> bool:
+    return T is not None and bool(np.isfinite(T).any())

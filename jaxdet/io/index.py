@@ -4,6 +4,8 @@ An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; 
 never held. So a log of a million images takes about 64 MB.
 """
 
+from contextlib import suppress
+
 from jaxdet.errors import FrameError
 from jaxdet.io.container import Location
 from jaxdet.io.decode_messages import MessageDecoder
@@ -94,6 +96,25 @@ class IndexBuilder:
         self.file_number = -1
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
+    def decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
+        """What decodes a channel's messages; None where they are of no use, which is noted."""
+        self._topic(channel)
+        return self._decoders[channel] if channel in self._decoders else self._decoder(channel)
+
+    def wants(self, decoder: MessageDecoder) -> bool:
+        """Whether messages of this kind are used."""
+        if decoder.kind in IMAGE_KINDS:
+            return self.images
+        return self.use_tf or decoder.kind is not Kind.TRANSFORM
+
+    def count(self, channel: ChannelInfo, messages: int, first_ns: int, last_ns: int) -> None:
+        """Counts messages without looking at them."""
+        if self.images:
+            topic = self._topic(channel)
+            topic.count += messages
+            topic.first_ns = min(topic.first_ns, first_ns)
+            topic.last_ns = max(topic.last_ns, last_ns)
+
     def next_file(self) -> None:
         """Call before each file's scan."""
         self.file_number += 1
@@ -103,11 +124,8 @@ class IndexBuilder:
     ) -> None:
         """Takes in a message."""
         topic = self._topic(channel)
-        if self.images:
-            topic.count += 1
-            topic.first_ns = min(topic.first_ns, log_ns)
-            topic.last_ns = max(topic.last_ns, log_ns)
-        decoder = self._decoders[channel] if channel in self._decoders else self._decoder(channel)
+        self.count(channel, 1, log_ns, log_ns)
+        decoder = self.decoder(channel)
         if decoder is None:
             return
         try:
@@ -212,3 +230,18 @@ class IndexBuilder:
             for item in motions:
                 track = self.index.poses.setdefault(topic, PoseTrack(item))
                 track.samples.add(item.stamp_ns, item.translation, item.rotation)
+
+
+def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:
+    """The stamps of the colour and the depth image in a message [ns]; of one image twice its own.
+
+    Raises:
+        FrameError: The message can't be decoded.
+    """
+    stamp = decoder.stamp_ns(payload)
+    if decoder.kind is Kind.RGBD:
+        with suppress(FrameError):
+            message = decoder.decode(payload)
+            assert isinstance(message, RgbdMessage)
+            return message.color.stamp_ns, message.depth.stamp_ns
+    return stamp, stamp

@@ -24,6 +24,9 @@ class FileIntegrity(NamedTuple):
     """Log times of the rejected chunks, by their own word."""
     last_log_time_ns: int
     """Of the messages read."""
+    by_index: bool = False
+    """Whether the file's index was read instead of the whole file. Then the chunks are checked
+    when frames are read from them, and the first one's CRC stands for all."""
 
     @property
     def recovered(self) -> bool:
@@ -34,6 +37,8 @@ class FileIntegrity(NamedTuple):
     @property
     def text(self) -> str:
         """One line for people."""
+        if self.by_index and self.chunks_with_crc:
+            return "has an index; the CRC of each chunk is checked when it is read"
         crc = f"CRC checked in {self.chunks_with_crc} of {self.chunks} chunks"
         if not self.recovered:
             return crc if self.chunks_with_crc else "not checkable (no CRC in file)"

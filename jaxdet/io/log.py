@@ -2,21 +2,36 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import cached_property
 from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from jaxdet.errors import FrameStatus, InputError
-from jaxdet.io.description import describe
+from jaxdet.errors import FrameStatus, InputError, RescanError
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
-from jaxdet.io.findings import Findings, find
-from jaxdet.io.opening import OpenedFiles, open_files
+from jaxdet.io.findings import Findings, ScannedFrames, find_indexed, find_scanned
+from jaxdet.io.index import LogIndex
+from jaxdet.io.notes import Notes, total
+from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
 from jaxdet.io.reading import ImageReader
+from jaxdet.io.store import ChunkStore
+from jaxdet.io.timeline import Window
+from jaxdet.io.windows import IndexedFrames
 from jaxdet.types import Frames
 
 _LINE_BYTES = 64
+_MAX_AT_ONCE = 32
+_BYTES_AT_ONCE = 24 << 20
+"""Of images that are read together."""
+_NONE = np.zeros(0, np.int64)
+_FRAMES_KEPT = 12
+"""Of which the chunks are kept: those read together, or of large images one, and those that are
+looked at to know which come next."""
 
 
 class Batch(NamedTuple):
@@ -29,6 +44,8 @@ class Batch(NamedTuple):
     """One for each colour frame asked for; at most the batch size."""
     errors: tuple[str, ...]
     """One line for each of them, empty where the status is OK."""
+    notes: Notes = Notes()
+    """What else was seen, for :meth:`Log.described`."""
 
 
 ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
@@ -38,11 +55,16 @@ ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
 class Log:
     """A recorded log; use :func:`open_log`, and ``with`` to close it.
 
-    Memory: an index of 64 bytes for an image, pose or transform; 64 MiB of decompressed chunks
-    (or one chunk, if larger); and the images of the batch being read. It doesn't grow with the
-    images. One thread may read at a time; threads of the log's own do the work, for each core one
-    that loads and one that decodes. A log can be pickled: another process opens the files again,
-    but doesn't read them through, and has one thread of each kind.
+    A log whose files have an index is opened by it: what frames are made of is read with them,
+    each chunk once, and checked. Where this shows that the index isn't enough, or the file is
+    damaged, reading raises a RescanError; opened with ``LogOptions(scan=True)`` the log is read
+    as a whole, and everything in it can be used that is whole. The frames are the same.
+
+    Memory: 80 bytes for an image, 48 for a pose or transform (of a scanned log 64 each); 64 MiB
+    of decompressed chunks, more where some ten frames take more; and the images of the batch
+    being read. One thread may read at a time; threads of the log's own help it, one for each
+    core. A log can be pickled: another process opens the files again, but not their indexes, and
+    has no threads.
 
     Attributes:
         name: The log's name.
@@ -51,36 +73,34 @@ class Log:
             z = 0 is the floor; None when the log's transforms don't hold it.
         base_frame: Name of that frame, or None.
         num_frames: Colour frames, all of them.
-        stamps_ns: ``(F,)`` int64, colour header stamps [ns], in order.
-        depth_stamp_ns: ``(F,)`` int64, stamp of the paired depth frame [ns], -1 = unpaired.
-        statuses: Status of each frame before decoding: OK or UNPAIRED.
-        T_world_camera: ``(F, 4, 4)`` float64, colour optical frame to world at each colour
-            stamp, NaN where unknown; None when the log has no poses.
+        has_poses: Whether the log knows where the camera stands in the world.
         description: What ``jaxdet info`` shows.
     """
 
     def __init__(
-        self, files: LogFiles, opened: OpenedFiles, found: Findings, options: LogOptions
+        self,
+        files: LogFiles,
+        index: LogIndex,
+        found: Findings,
+        store: ChunkStore,
+        options: LogOptions,
     ) -> None:
         self.name = files.name
         self.calibration = found.calibrated.calibration
         self.T_base_camera, self.base_frame = found.base.T_base_camera, found.base.frame
-        self.stamps_ns, self.depth_stamp_ns = found.stamps_ns, found.depth_stamps_ns
-        self.num_frames = len(self.stamps_ns)
-        paired = found.timeline.pairing.depth_of_color >= 0
-        self.statuses = [FrameStatus.OK if yes else FrameStatus.UNPAIRED for yes in paired]
-        self.T_world_camera = found.poses.T_world_camera
-        self.description = describe(files, opened.contents, found, options.pair_tolerance_s)
+        self.num_frames, self.has_poses = found.frames.num_frames, found.poses.known
+        self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
         self._depth_size = found.calibrated.depth_size
-        self._files, self._tolerance_s = opened.files, options.pair_tolerance_s
-        self._reader = ImageReader(
-            opened.files,
-            opened.contents.streams[found.choice.color],
-            opened.contents.streams[found.choice.depth],
-            found.timeline,
-            self.calibration.depth_unit,
-            options.max_pixels,
-        )
+        self._frames, self._store = found.frames, store
+        self.description = describe(files, index, found)
+        if isinstance(found.frames, ScannedFrames):
+            self.description = self.described(found.frames.notes)
+        unit, limit = self.calibration.depth_unit, options.max_pixels
+        by_index = isinstance(found.frames, IndexedFrames)
+        self._reader = ImageReader(store, found.color, found.depth, unit, limit, by_index)
+        frame_bytes = sum(math.prod(shape) for shape in self.image_shapes)
+        self._at_once = max(1, min(_MAX_AT_ONCE, _BYTES_AT_ONCE // frame_bytes))
+        store.cache_bytes = max(store.cache_bytes, _FRAMES_KEPT * frame_bytes)
 
     def __enter__(self) -> Self:
         """The log itself."""
@@ -96,10 +116,52 @@ class Log:
         self.close()
 
     def close(self) -> None:
-        """Closes the files and stops the decoding threads."""
-        self._reader.close()
-        for file in self._files:
-            file.close()
+        """Closes the files and stops the threads."""
+        self._store.close()
+
+    @property
+    def stamps_ns(self) -> np.ndarray:
+        """``(F,)`` int64, colour header stamps [ns], in order; looks at every message."""
+        return self._all.color.stamps_ns
+
+    @property
+    def depth_stamp_ns(self) -> np.ndarray:
+        """``(F,)`` int64, stamp of the paired depth frame [ns], -1 = unpaired."""
+        return self._all.depth.stamps_ns
+
+    @property
+    def statuses(self) -> list[FrameStatus]:
+        """Status of each frame before decoding: OK or UNPAIRED."""
+        paired = self.depth_stamp_ns >= 0
+        return [FrameStatus.OK if yes else FrameStatus.UNPAIRED for yes in paired]
+
+    @property
+    def T_world_camera(self) -> np.ndarray | None:
+        """``(F, 4, 4)`` float64, colour optical frame to world at each colour stamp.
+
+        NaN where unknown; None when the log has no poses.
+        """
+        return self._all.T_world_camera
+
+    @cached_property
+    def _all(self) -> Window:
+        return self._window(0, self.num_frames)
+
+    def _window(self, start: int, stop: int) -> Window:
+        try:
+            return self._frames.window(start, stop)
+        except DamageError as error:
+            raise _rescan(error, self._path) from error
+
+    def described(self, notes: Notes) -> LogDescription:
+        """The log's description with what reading all its frames told.
+
+        Args:
+            notes: Of batches that hold each frame once, see :func:`jaxdet.io.notes.total`.
+        """
+        if self.description.pairing is not None:
+            return self.description
+        return complete(self.description, notes, self._tolerance_s)
 
     @property
     def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -124,6 +186,7 @@ class Log:
 
         Raises:
             ValueError: ``batch_size`` is below 1, or the range leaves the log.
+            RescanError: The log isn't as its index lets expect.
         """
         stop = self.num_frames if stop is None else stop
         if batch_size < 1 or not 0 <= start <= stop <= self.num_frames:
@@ -137,6 +200,7 @@ class Log:
 
         Raises:
             IndexError: A number is not of the log.
+            RescanError: The log isn't as its index lets expect.
         """
         if not all(0 <= index < self.num_frames for index in indices):
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
@@ -149,47 +213,58 @@ class Log:
         memory: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Batch:
         count = len(indices)
-        wanted = [i if self.statuses[i] is FrameStatus.OK else -1 for i in indices]
         if memory is None:
             color, depth = self.image_shapes
             memory = _blank((size, *color), np.uint8), _blank((size, *depth), np.uint16)
         else:
-            empty = [*np.flatnonzero(np.array(wanted, np.int64) < 0), *range(count, size)]
             for images in memory:
-                images[empty] = 0
-        color_images, depth_images = memory
-        failures = self._reader.read(wanted, color_images, depth_images)
+                images[count:] = 0
+        windows, failures = [], []
+        for row, start, stop in _runs(indices, self._at_once):
+            window = self._window(start, stop)
+            rows = slice(row, row + stop - start)
+            try:
+                failures += self._reader.read(window, memory[0][rows], memory[1][rows])
+            except DamageError as error:
+                raise _rescan(error, self._path) from error
+            windows.append(window)
+        stamps = np.concatenate([_NONE, *(window.color.stamps_ns for window in windows)])
+        depth_stamps = np.concatenate([_NONE, *(window.depth.stamps_ns for window in windows)])
         status, errors = [], []
-        for index, failure in zip(indices, failures, strict=True):
-            before = self.statuses[index]
+        for failure, paired in zip(failures, (depth_stamps >= 0).tolist(), strict=True):
+            before = FrameStatus.OK if paired else FrameStatus.UNPAIRED
             status.append(failure.status if failure else before)
-            unpaired = f"no depth frame within {self._tolerance_s:g} s"
-            text = str(failure) if failure else unpaired if before is not FrameStatus.OK else ""
-            errors.append(" ".join(text.split()))
+            unpaired = "" if paired else f"no depth frame within {self._tolerance_s:g} s"
+            errors.append(" ".join((str(failure) if failure else unpaired).split()))
         valid = np.zeros(size, bool)
         valid[:count] = [item is FrameStatus.OK for item in status]
         frames = Frames(
-            color=color_images,
-            depth=depth_images,
+            color=memory[0],
+            depth=memory[1],
             calibration=self.calibration,
             number=_padded(np.array(indices, np.int64), size),
-            stamp_ns=_padded(self.stamps_ns[list(indices)], size),
-            depth_stamp_ns=_padded(self.depth_stamp_ns[list(indices)], size),
+            stamp_ns=_padded(stamps, size),
+            depth_stamp_ns=_padded(depth_stamps, size),
             valid=valid,
-            T_world_camera=self._poses(indices, size),
+            T_world_camera=self._poses(windows, size),
         )
-        return Batch(frames, tuple(status), tuple(errors))
+        notes = total(window.notes for window in windows)
+        return Batch(frames, tuple(status), tuple(errors), notes)
 
-    def _poses(self, indices: Sequence[int], size: int) -> np.ndarray | None:
-        if self.T_world_camera is None:
+    def _poses(self, windows: Sequence[Window], size: int) -> np.ndarray | None:
+        if not self.has_poses:
             return None
-        poses = np.full((size, 4, 4), np.nan)
-        poses[: len(indices)] = self.T_world_camera[list(indices)]
+        poses, row = np.full((size, 4, 4), np.nan), 0
+        for window in windows:
+            assert window.T_world_camera is not None
+            count = len(window.T_world_camera)
+            poses[row : row + count] = window.T_world_camera
+            row += count
         return poses
 
 
 def open_log(source: str | LogFiles, options: LogOptions | None = None) -> Log:
-    """Opens a log: reads all its files once and finds everything but the images.
+    """Opens a log by its index, or reads all of it where that is missing, torn or wrong.
 
     Args:
         source: A file, a folder or a glob with exactly one log, or one of :func:`find_logs`.
@@ -208,12 +283,38 @@ def open_log(source: str | LogFiles, options: LogOptions | None = None) -> Log:
             raise InputError(problem, path=source, remedy=remedy)
         source = logs[0]
     opened = open_files(source, options)
+    store = ChunkStore(opened.files)
+    path = str(source.paths[0])
     try:
-        found = find(opened.contents, options, str(source.paths[0]))
-        return Log(source, opened, found, options)
+        if not options.scan:
+            with suppress(DamageError, RescanError):
+                indexed = index_files(opened, store, source, options)
+                found = find_indexed(indexed, options, path)
+                return Log(source, indexed.contents, found, store, options)
+        contents = scan_files(opened, source, options)
+        return Log(source, contents, find_scanned(contents, options, path), store, options)
     except BaseException:
-        opened.close()
+        store.close()
         raise
+
+
+def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
+    """Numbers as ranges of at most ``most``: place of the first, first, and after the last."""
+    row = 0
+    while row < len(indices):
+        count = 1
+        while (
+            count < most
+            and row + count < len(indices)
+            and indices[row + count] == indices[row] + count
+        ):
+            count += 1
+        yield row, indices[row], indices[row] + count
+        row += count
+
+
+def _rescan(error: DamageError, path: str) -> RescanError:
+    return RescanError(f"the file isn't as its index says ({error})", path=path)
 
 
 def _blank(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:

@@ -4,6 +4,8 @@ from array import array
 
 import numpy as np
 
+from jaxdet.io.messages import TransformMessage
+
 MARGIN_S = 0.05
 """How far before the first and after the last sample the nearest one is held [s]."""
 MAX_GAP_S = 1.0
@@ -41,9 +43,19 @@ class MotionSamples:
         values = self.values
         return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
 
+    def is_like_first(self, message: TransformMessage) -> bool:
+        """Whether a transform is the same motion as the first sample."""
+        value = np.array([*message.translation, *message.rotation])
+        return bool(np.allclose(value, self._values[:7], rtol=0, atol=1e-9))
+
+    @property
+    def stamps_ns(self) -> np.ndarray:
+        """``(N,)`` int64 in order of arrival."""
+        return np.array(self._stamps, np.int64)
+
     def at(self, stamps_ns: np.ndarray) -> np.ndarray:
         """The motion at each stamp, see :func:`interpolate`; of equal stamps the last counts."""
-        stamps = np.array(self._stamps, np.int64)
+        stamps = self.stamps_ns
         order = np.argsort(stamps, kind="stable")
         last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
         kept = order[last]

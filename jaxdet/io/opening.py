@@ -1,24 +1,26 @@
-"""Opens the files of a log and makes its index."""
+"""Opens the files of a log and finds what is in them, by their indexes or by reading all."""
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from jaxdet.cores import cores
 from jaxdet.errors import InputError
+from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.files import LogFiles, missing_splits, siblings
 from jaxdet.io.index import IndexBuilder, LogIndex
+from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.options import LogOptions
 from jaxdet.io.scan import scan
+from jaxdet.io.store import ChunkStore
 from jaxdet.io.topics import printable
 
 
 class OpenedFiles(NamedTuple):
-    """A log's open files and what is in them."""
+    """A log's open files, and what is wrong with the others."""
 
     files: tuple[McapFile, ...]
-    contents: LogIndex
+    warnings: tuple[str, ...]
 
     def close(self) -> None:
         """Closes the files."""
@@ -27,62 +29,79 @@ class OpenedFiles(NamedTuple):
 
 
 def open_files(log: LogFiles, options: LogOptions) -> OpenedFiles:
-    """Opens and indexes a log; a split that can't be read is left out with a warning.
+    """Opens a log's files; a split that can't be read is left out with a warning.
 
     Raises:
         InputError: None of its files can be read.
     """
-    max_bytes = options.max_chunk_mib << 20
-    index, files = LogIndex(), []
+    files: list[McapFile] = []
     failures: list[InputError] = []
     for path in log.paths:
         try:
-            files.append(McapFile(path, max_bytes))
+            files.append(McapFile(path, options.max_chunk_mib << 20))
         except InputError as error:
             failures.append(error)
     if not files:
         raise failures[0]
-    index.warnings += [f"{error}; the file is left out" for error in failures]
-    try:
-        with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-            _index_files(index, files, options, pool)
-            if options.tf and not index.tree.has_static:
-                _search_siblings(index, log, options, pool)
-    except BaseException:
-        for file in files:
-            file.close()
-        raise
-    index.tree.settle()
-    _note(index, log)
-    return OpenedFiles(tuple(files), index)
+    return OpenedFiles(tuple(files), tuple(f"{e}; the file is left out" for e in failures))
 
 
-def _index_files(
-    index: LogIndex, files: Sequence[McapFile], options: LogOptions, pool: ThreadPoolExecutor
-) -> None:
+def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogIndex:
+    """What is in a log, by reading all of it."""
+    index = LogIndex()
     builder = IndexBuilder(index, options.tf)
-    for file in files:
-        builder.next_file()
-        index.integrity.append(scan(file, builder.add, pool))
+    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
+        for file in opened.files:
+            builder.next_file()
+            index.integrity.append(scan(file, builder.add, pool))
+    _finish(index, opened, log, options)
+    return index
 
 
-def _search_siblings(
-    index: LogIndex, log: LogFiles, options: LogOptions, pool: ThreadPoolExecutor
-) -> None:
+def index_files(
+    opened: OpenedFiles, store: ChunkStore, log: LogFiles, options: LogOptions
+) -> IndexedLog:
+    """What is in a log, by the indexes of its files.
+
+    Raises:
+        DamageError: An index is missing, torn or wrong.
+        RescanError: The index isn't enough.
+    """
+    found = open_index(opened.files, store, options.tf, str(log.paths[0]))
+    _finish(found.contents, opened, log, options)
+    return found
+
+
+def _finish(index: LogIndex, opened: OpenedFiles, log: LogFiles, options: LogOptions) -> None:
+    if options.tf and not index.tree.has_static:
+        _search_siblings(index, log, options)
+    index.tree.settle()
+    index.warnings += opened.warnings
+    _note(index, log)
+
+
+def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> None:
     """Static transforms and calibration from the recording's other splits, first to last."""
     for path in siblings(log):
-        builder = IndexBuilder(index, options.tf, images=False)
         try:
             file = McapFile(path, options.max_chunk_mib << 20)
         except InputError:
             continue
         try:
-            scan(file, builder.add, pool)
+            _search(file, IndexBuilder(index, options.tf, images=False))
         finally:
             file.close()
         if index.tree.has_static:
             index.warnings.append(f"static transforms are taken from the split {path.name}")
             return
+
+
+def _search(file: McapFile, builder: IndexBuilder) -> None:
+    try:
+        search_index(file, builder)
+    except DamageError:
+        with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
+            scan(file, builder.add, pool)
 
 
 def _note(index: LogIndex, log: LogFiles) -> None:

@@ -56,6 +56,9 @@ class LogOptions:
     max_pixels: int = 1 << 25
     """Largest image decoded [pixel]; a larger one is a bad frame."""
 
+    scan: bool = False
+    """Read the whole log at opening, instead of trusting its index."""
+
     def __post_init__(self) -> None:
         _require(0 <= self.pair_tolerance_s < 1e6, "pair-tolerance-s", "at least 0")
         unit = self.depth_unit_m

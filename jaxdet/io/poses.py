@@ -1,13 +1,16 @@
 """Where the camera stands on the robot and in the world."""
 
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import CalibrationError, TopicError
 from jaxdet.io.index import LogIndex, PoseTrack
+from jaxdet.io.motion import MotionSamples
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import printable
+from jaxdet.io.transforms import TransformTree
 
 _BASES = ("base_footprint", "base_link")
 _WORLDS = ("map", "odom")
@@ -23,14 +26,46 @@ class Base(NamedTuple):
     """A sentence."""
 
 
-class Poses(NamedTuple):
-    """The camera's poses over a log."""
+class PoseSource(NamedTuple):
+    """Where the camera's poses over a log come from: a world frame, or a topic, or nowhere."""
 
-    T_world_camera: np.ndarray | None
-    """``(F, 4, 4)`` float64, NaN where unknown; None when the log has none."""
-    source: str
+    text: str
     """A sentence."""
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    camera: str = ""
+    """TF frame of the colour camera."""
+    world: str = ""
+    """TF frame; empty: not from TF."""
+    topic: str = ""
+    """Topic with poses; empty: not from one."""
+    T_child_camera: np.ndarray | None = None
+    """``(4, 4)`` float64, from the camera to the frame that the topic's poses are of."""
+
+    @property
+    def known(self) -> bool:
+        """Whether the log has poses."""
+        return bool(self.world or self.topic)
+
+    def moving(self, tree: TransformTree) -> list[str]:
+        """What its samples are taken of: frames of the tree, or the topic."""
+        return [self.topic] if self.topic else tree.moving(self.world, self.camera)
+
+    def at(
+        self, stamps_ns: np.ndarray, tree: TransformTree, tracks: Mapping[str, MotionSamples]
+    ) -> np.ndarray | None:
+        """``T_world_camera`` ``(F, 4, 4)`` at each stamp, NaN where unknown; None without poses.
+
+        Args:
+            stamps_ns: ``(F,)`` int64 [ns].
+            tree: Transforms with the samples about these stamps.
+            tracks: Samples of the pose topics.
+
+        Raises:
+            CalibrationError: The transforms form a cycle.
+        """
+        if self.topic:
+            return tracks[self.topic].at(stamps_ns) @ self.T_child_camera
+        return tree.at(self.world, self.camera, stamps_ns) if self.world else None
 
 
 def find_base(index: LogIndex, options: LogOptions, camera_frame: str, path: str) -> Base:
@@ -57,14 +92,22 @@ def find_poses(
     options: LogOptions,
     camera_frame: str,
     base_frame: str | None,
-    stamps_ns: np.ndarray,
+    ever_known: Callable[[PoseSource], bool],
     path: str,
-) -> Poses:
-    """``T_world_camera`` at each colour stamp, interpolated.
+) -> PoseSource:
+    """Where the poses come from.
 
     The topic of ``--log.odom`` goes first, then moving transforms up to the world frame, then
     the log's only Odometry or PoseInFrame topic. A pose topic holds the robot's base, which
     static transforms join to the camera; where they don't, there are no poses and a warning.
+
+    Args:
+        index: What is in the log.
+        options: What the user says.
+        camera_frame: TF frame of the colour camera.
+        base_frame: TF frame of the robot.
+        ever_known: Says whether a source knows the pose of any frame.
+        path: The log's.
 
     Raises:
         TopicError: ``--log.odom`` names no topic with poses.
@@ -76,37 +119,36 @@ def find_poses(
             topic = printable(options.odom)
             remedy = f"--log.odom can be: {names}"
             raise TopicError("no poses on the topic", path=path, topic=topic, remedy=remedy)
-        return _from_track(index, options.odom, camera_frame, base_frame, stamps_ns)
+        return _from_track(index, options.odom, camera_frame, base_frame)
     for world in [options.world_frame] if options.world_frame else _named(index, _WORLDS):
-        T = index.tree.at(world, camera_frame, stamps_ns) if camera_frame else None
-        if T is not None and (world != base_frame and np.isfinite(T).any()):
-            return Poses(T, f"poses: TF, frame {printable(world)!r}", ())
+        if not camera_frame or world == base_frame or not index.tree.joins(world, camera_frame):
+            continue
+        text = f"poses: TF, frame {printable(world)!r}"
+        source = PoseSource(text, camera=camera_frame, world=world)
+        if ever_known(source):
+            return source
     topics = [name for name in sorted(index.poses) if _is_robot_pose(index, name)]
     if len(topics) == 1:
-        return _from_track(index, topics[0], camera_frame, base_frame, stamps_ns)
+        return _from_track(index, topics[0], camera_frame, base_frame)
     if topics:
         names = ", ".join(printable(name) for name in topics)
         text = f"several topics hold poses ({names}); choose one with --log.odom"
-        return Poses(None, "poses: none chosen", (text,))
-    return Poses(None, "poses: none in the log", ())
+        return PoseSource("poses: none chosen", (text,))
+    return PoseSource("poses: none in the log")
 
 
 def _from_track(
-    index: LogIndex,
-    topic: str,
-    camera_frame: str,
-    base_frame: str | None,
-    stamps_ns: np.ndarray,
-) -> Poses:
+    index: LogIndex, topic: str, camera_frame: str, base_frame: str | None
+) -> PoseSource:
     track: PoseTrack = index.poses[topic]
     child = track.child or base_frame or ""
     T_child_camera = index.tree.fixed(child, camera_frame) if child and camera_frame else None
     if T_child_camera is None:
         frames = f"{printable(child)!r} and camera {printable(camera_frame)!r}"
         text = f"{printable(topic)} is not used: no static transform joins its frame {frames}"
-        return Poses(None, "poses: none that can be used", (text,))
-    T = track.samples.at(stamps_ns) @ T_child_camera
-    return Poses(T, f"poses: topic {printable(topic)} of frame {printable(child)!r}", ())
+        return PoseSource("poses: none that can be used", (text,))
+    text = f"poses: topic {printable(topic)} of frame {printable(child)!r}"
+    return PoseSource(text, camera=camera_frame, topic=topic, T_child_camera=T_child_camera)
 
 
 def _is_robot_pose(index: LogIndex, topic: str) -> bool:

@@ -1,25 +1,26 @@
-"""Reads images of a log by frame number: threads decompress chunks and decode what is in them."""
+"""Reads images of a log into the rows of arrays, a chunk at a time.
 
-from collections import OrderedDict
+A chunk that isn't packed is read by one call: the pixels go straight into their rows where they
+are what the rows hold, everything else beside them, and all of it through the CRC.
+"""
+
 from collections.abc import Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import suppress
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.cores import cores
 from jaxdet.errors import FrameError, FrameStatus
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import DamageError, crc32
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
-from jaxdet.io.container import Location, McapFile
+from jaxdet.io.container import Location
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Message, RgbdMessage
-from jaxdet.io.streams import ImageStream
-from jaxdet.io.timeline import FrameTable, Timeline
-
-_CACHE_BYTES = 64 << 20
+from jaxdet.io.raw_images import HEAD_BYTES, find_pixels, is_standard_image
+from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.streams import ImageSource
+from jaxdet.io.timeline import FrameTable, Window
 
 
 class Request(NamedTuple):
@@ -31,178 +32,208 @@ class Request(NamedTuple):
     depth: bool
     decoder: MessageDecoder
 
-
-class Chunk(NamedTuple):
-    """A chunk that is being decompressed, or has been."""
-
-    data: Future[bytes]
-    size: int
-    readers: list[Future[None]]
-    """What uses it, of the present batch."""
-
     @property
-    def failed(self) -> bool:
-        """Whether it could not be loaded."""
-        return self.data.done() and (self.data.cancelled() or self.data.exception() is not None)
+    def chunk(self) -> Place:
+        """The chunk it is in."""
+        return Place(self.file, self.location.chunk)
 
 
-class ChunkCache:
-    """The latest chunks, 64 MiB of them or one if it is larger.
+class Span(NamedTuple):
+    """A part of a chunk that goes straight into a row."""
 
-    Args:
-        files: The log's open files.
-        pool: Decompresses.
-    """
+    start: int
+    """In the chunk's records."""
+    row: memoryview
+    """As many bytes."""
 
-    def __init__(self, files: Sequence[McapFile], pool: ThreadPoolExecutor) -> None:
-        self._files, self._pool = files, pool
-        self._chunks: OrderedDict[tuple[int, int], Chunk] = OrderedDict()
-        self._bytes = 0
 
-    def chunk(self, file: int, position: int) -> Chunk:
-        """The chunk whose record's content begins at ``position`` of a file."""
-        key = file, position
-        if key in self._chunks and self._chunks[key].failed:
-            self._bytes -= self._chunks.pop(key).size
-        if key in self._chunks:
-            self._chunks.move_to_end(key)
-            return self._chunks[key]
-        size = self._files[file].chunk_bytes(position)
-        while self._chunks and self._bytes + size > _CACHE_BYTES:
-            self._drop_oldest()
-        chunk = Chunk(self._pool.submit(self._files[file].chunk, position), size, [])
-        self._chunks[key] = chunk
-        self._bytes += size
-        return chunk
-
-    def _drop_oldest(self) -> None:
-        _, oldest = self._chunks.popitem(last=False)
-        self._bytes -= oldest.size
-        for reader in oldest.readers:
-            with suppress(CancelledError):
-                reader.exception()  # waits, and leaves the error to who asks for the result
-
-    def forget_readers(self) -> None:
-        """Call after each batch: what failed holds on to the batch's images."""
-        for chunk in self._chunks.values():
-            chunk.readers.clear()
+Failure = tuple[int, bool, FrameError]
+"""Row, whether it is the depth image, and what went wrong."""
 
 
 class ImageReader:
     """Reads colour and depth images into arrays.
 
     Args:
-        files: The log's open files.
-        color: The colour stream.
-        depth: The depth stream.
-        timeline: Their frames.
+        store: The log's chunks.
+        color: The colour topic.
+        depth: The depth topic.
         depth_unit_m: Metres in one depth unit.
         max_pixels: Largest image decoded.
-        threads: How many load chunks, and how many decode; None: one a core.
+        strict: Whether damage of the file is raised. If not it costs the frames in it only.
     """
 
     def __init__(
         self,
-        files: Sequence[McapFile],
-        color: ImageStream,
-        depth: ImageStream,
-        timeline: Timeline,
+        store: ChunkStore,
+        color: ImageSource,
+        depth: ImageSource,
         depth_unit_m: float,
         max_pixels: int,
-        threads: int | None = None,
+        strict: bool,
     ) -> None:
-        self._given = files, color, depth, timeline, depth_unit_m, max_pixels
-        self._files = files
-        self._color, self._depth, self._timeline = color, depth, timeline
+        self._store, self._strict = store, strict
+        self._color, self._depth = color, depth
+        self._same = color.topic == depth.topic
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
-        # Two pools, as what decodes waits for what loads.
-        self._loading, self._decoding = (
-            ThreadPoolExecutor(threads or cores(), thread_name_prefix=f"jaxdet-{name}")
-            for name in ("load", "decode")
-        )
-        self._cache = ChunkCache(files, self._loading)
 
-    def __reduce__(self) -> tuple:
-        """In another process one thread loads and one decodes, as processes share the cores."""
-        return ImageReader, (*self._given, 1)
-
-    def close(self) -> None:
-        """Stops the threads."""
-        for pool in (self._loading, self._decoding):
-            pool.shutdown(cancel_futures=True)
-
-    def read(
-        self, frames: Sequence[int], color: np.ndarray, depth: np.ndarray
-    ) -> list[FrameError | None]:
-        """Decodes paired frames into the rows of ``color`` and ``depth``.
+    def read(self, window: Window, color: np.ndarray, depth: np.ndarray) -> list[FrameError | None]:
+        """Decodes the paired frames of a window into the rows of ``color`` and ``depth``.
 
         Args:
-            frames: Colour frame of each row, -1 = leave the row alone.
-            color: ``(B, H, W, 3)`` uint8, RGB, written to.
-            depth: ``(B, Hd, Wd)`` uint16, depth units, written to.
+            window: ``n`` frames.
+            color: ``(n, H, W, 3)`` uint8, RGB, written to.
+            depth: ``(n, Hd, Wd)`` uint16, depth units, written to.
 
         Returns:
-            What went wrong in each row, or None. A row with an error is all zero.
+            What went wrong in each row, or None. A row with an error, or without a partner, is
+            all zero.
+
+        Raises:
+            DamageError: The reader is strict, and a chunk isn't what it should be.
         """
-        errors: list[FrameError | None] = [None] * len(frames)
-        try:
-            jobs = [(r, self._start(r, color, depth)) for r in self._requests(frames)]
-            for request, job in sorted(jobs, key=lambda item: (item[0].row, item[0].depth)):
-                try:
-                    job.result()
-                except FrameError as error:
-                    errors[request.row] = errors[request.row] or error
-        finally:
-            self._cache.forget_readers()
-        for row, error in enumerate(errors):
-            if error is not None:
-                color[row], depth[row] = 0, 0
+        errors: list[FrameError | None] = [None] * len(color)
+        rows = [color, depth]
+        requests = self._requests(window)
+        parts = {chunk: list(group) for chunk, group in groupby(requests, lambda r: r.chunk)}
+        for wave in self._store.waves(parts):
+            jobs = [(chunk, parts[chunk], rows) for chunk in wave]
+            for failures in self._store.map(self._read_chunk, jobs):
+                for row, _, error in sorted(failures, key=lambda item: item[:2]):
+                    known = errors[row]
+                    errors[row] = error if known is None else known
+        rows.clear()  # a thread may hold its last job
+        for chunk in window.chunks:
+            self._store.check(chunk)
+        empty = [row for row, error in enumerate(errors) if error is not None]
+        empty += np.flatnonzero(window.depth.stamps_ns < 0).tolist()
+        color[empty], depth[empty] = 0, 0
         return errors
 
-    def _requests(self, frames: Sequence[int]) -> list[Request]:
-        found = []
-        for row, frame in enumerate(frames):
-            if frame < 0:
-                continue
-            partner = int(self._timeline.pairing.depth_of_color[frame])
-            found.append(_request(self._timeline.color, self._color, frame, row, False))
-            if self._color is not self._depth:
-                found.append(_request(self._timeline.depth, self._depth, partner, row, True))
+    def _requests(self, window: Window) -> list[Request]:
+        found = _requests(window.color, self._color, window.depth.stamps_ns >= 0, False)
+        if not self._same:
+            found += _requests(window.depth, self._depth, window.depth.stamps_ns >= 0, True)
         return sorted(found, key=lambda request: request[:4])
 
-    def _start(self, request: Request, color: np.ndarray, depth: np.ndarray) -> Future[None]:
-        in_chunk = request.location.chunk >= 0
-        chunk = self._cache.chunk(request.file, request.location.chunk) if in_chunk else None
-        data = chunk.data if chunk else None
-        job = self._decoding.submit(self._decode, request, data, color, depth)
-        if chunk:
-            chunk.readers.append(job)
-        return job
+    def _read_chunk(self, job: tuple[Place, Sequence[Request], list[np.ndarray]]) -> list[Failure]:
+        chunk, requests, (color, depth) = job
+        try:
+            if chunk.position >= 0 and self._store.head(chunk).is_plain:
+                payloads = self._read_plain(chunk, requests, color, depth)
+            else:
+                payloads = [
+                    self._store.peek(chunk, item.location.offset, item.location.size)
+                    for item in requests
+                ]
+        except DamageError as error:
+            if self._strict:
+                raise
+            problem = f"the file can't be read any more ({error})"
+            lost = FrameError(problem, status=FrameStatus.DECODE_ERROR)
+            return [(request.row, request.depth, lost) for request in requests]
+        failures = []
+        for request, payload in zip(requests, payloads, strict=True):
+            try:
+                if payload is not None:
+                    self._decode(request, payload, color, depth)
+            except FrameError as error:
+                # Its traceback would hold the images.
+                failures.append((request.row, request.depth, error.with_traceback(None)))
+        return failures
+
+    def _read_plain(
+        self, chunk: Place, requests: Sequence[Request], color: np.ndarray, depth: np.ndarray
+    ) -> list[memoryview | None]:
+        """The payloads of messages, None where the pixels are in their row already.
+
+        Raises:
+            DamageError: The chunk can't be read, or is not as its CRC says.
+        """
+        head, file = self._store.head(chunk), self._store.files[chunk.file]
+        start, size = chunk.position + head.data_offset, head.uncompressed_size
+        if head.data_size != size:
+            raise DamageError("chunk has another size than declared")
+        if size > file.max_bytes:
+            raise DamageError("chunk is larger than --log.max-chunk-mib")
+        spans = [self._span(chunk, item, (depth if item.depth else color)) for item in requests]
+        if not head.crc or chunk in self._store.checked:
+            payloads: list[memoryview | None] = []
+            for item, span in zip(requests, spans, strict=True):
+                if span is None:
+                    payload = file.read(start + item.location.offset, item.location.size)
+                    payloads.append(memoryview(payload))
+                else:
+                    file.read_into(start + span.start, [span.row])
+                    payloads.append(None)
+            return payloads
+        parts: list[memoryview] = []
+        rest = memoryview(bytearray(size - sum(len(span.row) for span in spans if span)))
+        done = used = 0
+        moved = []
+        for item, span in zip(requests, spans, strict=True):
+            moved.append(item.location.offset - (done - used))
+            if span is not None:
+                before = span.start - done
+                if before < 0:
+                    raise DamageError("messages overlap")
+                parts += [rest[used : used + before], span.row]
+                used, done = used + before, span.start + len(span.row)
+        parts.append(rest[used:])
+        file.read_into(start, parts)
+        crc = 0
+        for part in parts:
+            crc = crc32(part, crc)
+        if crc != head.crc:
+            raise DamageError("chunk has a wrong CRC")
+        self._store.checked.add(chunk)
+        return [
+            rest[place : place + item.location.size] if span is None else None
+            for item, span, place in zip(requests, spans, moved, strict=True)
+        ]
+
+    def _span(self, chunk: Place, request: Request, rows: np.ndarray) -> Span | None:
+        """Where pixels can be read straight into their row."""
+        if not is_standard_image(request.decoder.channel):
+            return None
+        location, row = request.location, rows[request.row]
+        head = self._store.peek(chunk, location.offset, min(location.size, HEAD_BYTES))
+        memory = self._memory(head, location.size, row, request.depth)
+        return memory and Span(location.offset + memory[0], memory[1])
+
+    def _memory(
+        self, head: memoryview, size: int, row: np.ndarray, depth: bool
+    ) -> tuple[int, memoryview] | None:
+        """Offset of pixels in a payload, and the row that holds exactly these."""
+        pixels = find_pixels(head, size)
+        if pixels is None or (pixels.encoding == "16uc1") != depth:
+            return None
+        shape = (pixels.height, pixels.width)
+        if row.shape[:2] != shape or not row.flags.c_contiguous:
+            return None
+        if pixels.width * pixels.height > self._max_pixels:
+            return None
+        return pixels.offset, row.data.cast("B")
 
     def _decode(
-        self,
-        request: Request,
-        chunk: Future[bytes] | None,
-        color: np.ndarray,
-        depth: np.ndarray,
+        self, request: Request, payload: memoryview, color: np.ndarray, depth: np.ndarray
     ) -> None:
-        try:
-            data = chunk.result() if chunk else None
-            payload = self._files[request.file].payload(request.location, data)
-        except DamageError as error:
-            problem = f"the file can't be read any more ({error})"
-            raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
+        row = (depth if request.depth else color)[request.row]
+        if is_standard_image(request.decoder.channel):
+            memory = self._memory(payload[:HEAD_BYTES], len(payload), row, request.depth)
+            if memory is not None:
+                memory[1][:] = payload[memory[0] : memory[0] + len(memory[1])]
+                return
         message = request.decoder.decode(payload)
         if isinstance(message, RgbdMessage):
-            both = self._color is self._depth
-            if both or not request.depth:
+            if self._same or not request.depth:
                 self._decode_color(message.color, color[request.row])
-            if both or request.depth:
+            if self._same or request.depth:
                 self._decode_depth(message.depth, depth[request.row])
         elif request.depth:
-            self._decode_depth(message, depth[request.row])
+            self._decode_depth(message, row)
         else:
-            self._decode_color(message, color[request.row])
+            self._decode_color(message, row)
 
     def _decode_color(self, message: Message, row: np.ndarray) -> None:
         if isinstance(message, CompressedImageMessage):
@@ -217,6 +248,11 @@ class ImageReader:
             decode_depth(message, row, self._unit_m, self._max_pixels)
 
 
-def _request(table: FrameTable, stream: ImageStream, number: int, row: int, depth: bool) -> Request:
-    decoder = stream.decoders[int(table.decoder[number])]
-    return Request(int(table.file[number]), table.location(number), row, depth, decoder)
+def _requests(
+    table: FrameTable, source: ImageSource, wanted: np.ndarray, depth: bool
+) -> list[Request]:
+    files, decoders, places = table.file.tolist(), table.decoder.tolist(), table.place.tolist()
+    return [
+        Request(files[i], Location(*places[i]), i, depth, source.decoders[decoders[i]])
+        for i in np.flatnonzero(wanted).tolist()
+    ]

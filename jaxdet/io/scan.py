@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.records import Channel, Schema
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError, chunk_records
 from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.lookahead import FileRecord, ahead
+from jaxdet.io.summary import read_summary
 
 _TOP_LEVEL = -1
 _TORN = 0
@@ -42,6 +42,14 @@ class ChannelInfo(NamedTuple):
     def schema_text(self) -> str:
         """The schema as text."""
         return self.schema_data.decode("utf-8", "replace")
+
+
+def channel_info(channel: Channel, schema: Schema | None) -> ChannelInfo:
+    """A channel with its schema, if it has one."""
+    if schema is None:
+        return ChannelInfo(channel.topic, channel.message_encoding, "", "", b"")
+    named = schema.name, schema.encoding, schema.data
+    return ChannelInfo(channel.topic, channel.message_encoding, *named)
 
 
 Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
@@ -75,15 +83,11 @@ class _Summary(NamedTuple):
 
 def _read_summary(file: McapFile) -> _Summary:
     try:
-        with file.path.open("rb") as stream:
-            summary = SeekingReader(stream, record_size_limit=file.max_bytes).get_summary()
-    except Exception:  # a torn file; mcap and its parts raise what they like
-        summary = None
-    if summary is None:
+        summary = read_summary(file)
+    except DamageError:
         return _Summary({}, {}, [], None)
-    offsets = sorted(index.chunk_start_offset for index in summary.chunk_indexes)
     count = summary.statistics.message_count if summary.statistics else None
-    return _Summary(summary.channels, summary.schemas, offsets, count)
+    return _Summary(summary.channels, summary.schemas, summary.chunks.start.tolist(), count)
 
 
 class _Scan:
@@ -208,15 +212,6 @@ class _Scan:
         if channel is None:
             raise DamageError("message of an undeclared channel")
         schema = self.schemas.get(channel.schema_id) or self.summary.schemas.get(channel.schema_id)
-        if schema is None:
-            info = ChannelInfo(channel.topic, channel.message_encoding, "", "", b"")
-        else:
-            info = ChannelInfo(
-                channel.topic,
-                channel.message_encoding,
-                schema.name,
-                schema.encoding,
-                schema.data,
-            )
+        info = channel_info(channel, schema)
         self.infos[channel_id] = info
         return info

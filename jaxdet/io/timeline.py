@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.io.container import Location
 from jaxdet.io.messages import Kind
+from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.pairing import Pairing, pair
+from jaxdet.io.store import Place
 from jaxdet.io.streams import ImageStream
 from jaxdet.io.topics import printable
 
@@ -23,9 +24,27 @@ class FrameTable(NamedTuple):
     place: np.ndarray
     """``(N, 3)`` int64, as :class:`jaxdet.io.container.Location`."""
 
-    def location(self, number: int) -> Location:
-        """Where a frame's message lies in its file."""
-        return Location(*(int(value) for value in self.place[number]))
+    def rows(self, numbers: np.ndarray) -> "FrameTable":
+        """The messages of some numbers; of -1 one with a stamp of -1."""
+        if not len(self.stamps_ns):
+            none = np.full(len(numbers), -1, np.int64)
+            return FrameTable(none, none, none, np.stack([none] * 3, axis=1))
+        rows = FrameTable(*(column[numbers] for column in self))
+        return rows._replace(stamps_ns=np.where(numbers < 0, -1, rows.stamps_ns))
+
+
+class Window(NamedTuple):
+    """Some frames in a row, ``n`` of them."""
+
+    color: FrameTable
+    """``n`` messages."""
+    depth: FrameTable
+    """Their partners, ``n`` messages, with a stamp of -1 where there is none."""
+    T_world_camera: np.ndarray | None
+    """``(n, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
+    notes: Notes = Notes()
+    chunks: tuple[Place, ...] = ()
+    """What this window answers for: chunks that must be as their CRC says."""
 
 
 class Timeline(NamedTuple):
@@ -34,7 +53,31 @@ class Timeline(NamedTuple):
     color: FrameTable
     depth: FrameTable
     pairing: Pairing
+    color_notes: StreamNotes
+    depth_notes: StreamNotes
     warnings: tuple[str, ...]
+
+    def window(self, start: int, stop: int, T_world_camera: np.ndarray | None) -> Window:
+        """The frames ``start`` to ``stop``, with the poses of all."""
+        numbers = np.arange(start, stop)
+        return Window(
+            self.color.rows(numbers),
+            self.depth.rows(self.pairing.depth_of_color[start:stop]),
+            None if T_world_camera is None else T_world_camera[start:stop],
+        )
+
+    def notes(self, T_world_camera: np.ndarray | None) -> Notes:
+        """What is to be said of all frames."""
+        partner = self.pairing.depth_of_color
+        depth_ns = self.depth.rows(partner).stamps_ns
+        return Notes(
+            self.color_notes,
+            self.depth_notes,
+            np.abs(self.color.stamps_ns - depth_ns)[partner >= 0],
+            int((partner < 0).sum()),
+            self.depth.stamps_ns[self.pairing.unpaired_depth],
+            0 if T_world_camera is None else int(np.isfinite(T_world_camera[:, 0, 0]).sum()),
+        )
 
 
 def make_timeline(color: ImageStream, depth: ImageStream, tolerance_s: float) -> Timeline:
@@ -49,41 +92,41 @@ def make_timeline(color: ImageStream, depth: ImageStream, tolerance_s: float) ->
     if zero:
         text = "header stamps are all zero; log times are used for colour and depth"
         warnings.append(f"{printable(zero[0].topic)}: {text}")
-    same = color is depth and color.kind is Kind.RGBD
-    color_table = _table(color, "log_time" if zero else "stamp", warnings)
-    if same:
-        numbers = np.arange(len(color))
-        stamps = "log_time" if zero else "depth_stamp"
-        order = _order(color, "log_time" if zero else "stamp")
-        depth_table = color_table._replace(stamps_ns=color.column(stamps)[order])
-        empty = np.zeros(0, np.int64)
-        return Timeline(color_table, depth_table, Pairing(numbers, empty), tuple(warnings))
-    depth_table = _table(depth, "log_time" if zero else "stamp", warnings)
-    pairing = pair(color_table.stamps_ns, depth_table.stamps_ns, tolerance_s)
-    return Timeline(color_table, depth_table, pairing, tuple(warnings))
+    for stream in dict.fromkeys((color, depth)):
+        backward = int((np.diff(stream.column("log_time")) < 0).sum())
+        warnings += log_time_warnings(stream.topic, backward)
+    stamps = "log_time" if zero else "stamp"
+    color_table, color_notes = _table(color, stamps, stamps)
+    if color is depth and color.kind is Kind.RGBD:
+        depth_table, _ = _table(depth, stamps, "log_time" if zero else "depth_stamp")
+        depth_notes = StreamNotes()
+        pairing = Pairing(np.arange(len(color)), np.zeros(0, np.int64))
+    else:
+        depth_table, depth_notes = _table(depth, stamps, stamps)
+        pairing = pair(color_table.stamps_ns, depth_table.stamps_ns, tolerance_s)
+    tables = color_table, depth_table
+    return Timeline(*tables, pairing, color_notes, depth_notes, tuple(warnings))
 
 
-def _order(stream: ImageStream, stamps: str) -> np.ndarray:
-    return np.lexsort((stream.column("log_time"), stream.column(stamps)))
+def log_time_warnings(topic: str, backward: int) -> list[str]:
+    """What is said of a stream of which so many messages come after a later one."""
+    text = f"{printable(topic)}: {backward} log times run backward; frames are ordered by stamp"
+    return [text] if backward else []
 
 
-def _table(stream: ImageStream, stamps: str, warnings: list[str]) -> FrameTable:
-    order = _order(stream, stamps)
-    ordered = stream.column(stamps)[order]
-    topic = printable(stream.topic)
-    backward = int((np.diff(stream.column(stamps)) < 0).sum())
-    double = int((np.diff(ordered) == 0).sum())
-    zeros = int((ordered == 0).sum())
-    if backward:
-        warnings.append(f"{topic}: {backward} stamps run backward; frames are ordered by stamp")
-    if double:
-        warnings.append(f"{topic}: {double} stamps occur twice")
-    if zeros:
-        warnings.append(f"{topic}: {zeros} header stamps are zero")
-    place = [stream.column(name)[order] for name in ("chunk", "offset", "size")]
-    return FrameTable(
-        ordered,
+def _table(stream: ImageStream, ordered_by: str, stamps: str) -> tuple[FrameTable, StreamNotes]:
+    by, place = stream.column(ordered_by), ("chunk", "offset", "size")
+    in_time = np.argsort(stream.column("log_time"), kind="stable")
+    order = in_time[np.argsort(by[in_time], kind="stable")]
+    notes = StreamNotes(
+        backward=int((np.diff(by[in_time]) < 0).sum()),
+        double=int((np.diff(by[order]) == 0).sum()),
+        zero=int((by == 0).sum()),
+    )
+    table = FrameTable(
+        stream.column(stamps)[order],
         stream.column("file")[order],
         stream.column("decoder")[order],
-        np.stack(place, axis=1) if len(order) else np.zeros((0, 3), np.int64),
+        np.stack([stream.column(name)[order] for name in place], axis=1),
     )
+    return table, notes

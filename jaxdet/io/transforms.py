@@ -19,6 +19,8 @@ class _Edge:
         self.fixed: np.ndarray | None = None
         self.samples = MotionSamples()
         self.once_is_static = False
+        self.settled = False
+        """Static by what it does, not by its topic."""
 
 
 class TransformTree:
@@ -75,6 +77,7 @@ class TransformTree:
             if edge.fixed is None and (once or edge.samples.is_constant()):
                 value = edge.samples.values[0]
                 edge.fixed = motion_matrix(value[:3], value[3:])
+                edge.settled = True
 
     def fixed(self, target: str, source: str) -> np.ndarray | None:
         """``T_target_source`` ``(4, 4)`` of static transforms; None where there is none.
@@ -101,6 +104,55 @@ class TransformTree:
             return None
         up, down = (self._product_at(path, stamps_ns) for path in paths)
         return inverse(up) @ down
+
+    def joins(self, target: str, source: str) -> bool:
+        """Whether a chain of transforms, static or moving, joins two frames.
+
+        Raises:
+            CalibrationError: The transforms form a cycle.
+        """
+        return self._paths(target, source) is not None
+
+    def moving(self, target: str, source: str) -> list[str]:
+        """The frames between two whose motions in their parents change."""
+        paths = self._paths(target, source) or ([], [])
+        return [frame for path in paths for frame in path if self._edges[frame].fixed is None]
+
+    def above(self, frame: str) -> list[str]:
+        """A frame and those that it stands in, up to the root.
+
+        Raises:
+            CalibrationError: The transforms form a cycle.
+        """
+        return self._ancestors(frame)
+
+    def sampled_once(self) -> set[str]:
+        """The frames with one moving transform, of which nobody knows whether it changes."""
+        return {
+            frame
+            for frame, edge in self._edges.items()
+            if len(edge.samples) == 1 and (edge.fixed is None or edge.once_is_static)
+        }
+
+    def agrees(self, message: TransformMessage, static: bool) -> bool:
+        """Whether a transform says nothing of the tree that isn't known."""
+        edge = self._edges.get(message.child)
+        if edge is None or edge.parent != message.parent:
+            return False
+        if edge.fixed is None:
+            return not static
+        if static:
+            T = motion_matrix(np.array(message.translation), np.array(message.rotation))
+            return max(difference(edge.fixed, T)) <= 1e-6
+        return not edge.settled or edge.samples.is_like_first(message)
+
+    def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
+        """The same tree with other samples of what moves."""
+        tree = TransformTree()
+        for frame, edge in self._edges.items():
+            tree._edges[frame] = copy = _Edge(edge.parent)
+            copy.fixed, copy.samples = edge.fixed, samples.get(frame, copy.samples)
+        return tree
 
     def _edge(self, message: TransformMessage, static: bool) -> _Edge | None:
         """The edge a transform belongs to; None where it contradicts the one there is."""

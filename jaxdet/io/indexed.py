@@ -1,0 +1,286 @@
+"""Opens a log by the indexes of its files: what is small is read, of images the first few."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.container import Location, McapFile
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.index import IndexBuilder, LogIndex
+from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.message_index import read_message_index
+from jaxdet.io.messages import IMAGE_KINDS, Kind, TransformMessage, kind_of
+from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows
+from jaxdet.io.records import IndexedMessages, read_message
+from jaxdet.io.scan import ChannelInfo, channel_info
+from jaxdet.io.store import ChunkStore
+from jaxdet.io.streams import NUM_PROBES
+from jaxdet.io.summary import read_summary
+from jaxdet.io.windows import StreamWindows
+
+_MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
+_WHERE = ("file", "position", "offset")
+_MAX_MOTIONS = 1000
+"""So many transforms and poses are all read at opening; of more the first and a sample."""
+_FIRST_MOTIONS = 64
+_MOTION_SAMPLE = 192
+_STATIC = 256
+"""Messages of static transforms read at opening, where there are many."""
+
+
+class IndexedLog(NamedTuple):
+    """What the indexes of a log's files tell."""
+
+    contents: LogIndex
+    streams: dict[str, StreamWindows]
+    """Image topics."""
+    motions: MotionWindows
+
+
+class _Channel(NamedTuple):
+    """A channel of one of the files."""
+
+    file: int
+    number: int
+    info: ChannelInfo
+    decoder: MessageDecoder
+
+
+class _Topic(NamedTuple):
+    """The messages of a topic that is of use, in the order of the files."""
+
+    name: str
+    kind: Kind
+    channels: tuple[_Channel, ...]
+    """A message's is that of its ``decoder``."""
+    messages: IndexedMessages
+
+
+def open_index(files: Sequence[McapFile], store: ChunkStore, use_tf: bool, path: str) -> IndexedLog:
+    """What the indexes of a log's files tell, and its first messages.
+
+    Args:
+        files: The open files.
+        store: Their chunks.
+        use_tf: Whether transforms are read.
+        path: The log's, for errors.
+
+    Raises:
+        DamageError: An index is missing, torn or wrong.
+        RescanError: The first messages are such that the index isn't enough.
+    """
+    index = LogIndex()
+    builder = IndexBuilder(index, use_tf)
+    topics = _read_topics(files, builder)
+    counts = {
+        name: (item.count, item.first_ns, item.last_ns) for name, item in index.topics.items()
+    }
+    motions = [topic for topic in topics if topic.kind in _MOTIONS]
+    whole = sum(len(topic.messages.log_ns) for topic in motions) <= _MAX_MOTIONS
+    probes = [(topic, _probes(topic, whole)) for topic in topics]
+    feed_messages(builder, store, probes)
+    for name, item in index.topics.items():
+        item.count, item.first_ns, item.last_ns = counts[name]
+        if item.undecodable:
+            problem = "one of the first messages can't be decoded"
+            raise RescanError(problem, path=path, topic=name)
+    for topic in topics:
+        known = index.calibrations.get(topic.name)
+        more = len(topic.messages.log_ns) > NUM_PROBES
+        if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
+            raise RescanError("the first calibrations are empty", path=path, topic=topic.name)
+    streams = {
+        topic.name: StreamWindows(
+            topic.name,
+            topic.messages.rows(_in_time([topic.messages])),
+            [channel.decoder for channel in topic.channels],
+            store,
+            path,
+            int((np.diff(topic.messages.log_ns) < 0).sum()),
+        )
+        for topic in topics
+        if topic.kind in IMAGE_KINDS
+    }
+    seen = {} if whole else _delays(store, [item for item in probes if item[0] in motions])
+    windows = _motion_windows(index, motions, store, seen, path, whole)
+    return IndexedLog(index, streams, windows)
+
+
+def search_index(file: McapFile, builder: IndexBuilder) -> None:
+    """Calibration and static transforms of a file, by its index.
+
+    Raises:
+        DamageError: The index is missing, torn or wrong.
+    """
+    store = ChunkStore([file], 1)
+    topics = [
+        topic
+        for topic in _read_topics([file], builder)
+        if topic.kind not in _MOTIONS or _is_static(topic)
+    ]
+    feed_messages(builder, store, [(topic, _probes(topic, False)) for topic in topics])
+
+
+def feed_messages(
+    builder: IndexBuilder, store: ChunkStore, parts: Sequence[tuple[_Topic, np.ndarray]]
+) -> None:
+    """Gives some messages of topics to a builder, in the order of the files.
+
+    Raises:
+        DamageError: One isn't where the index says.
+    """
+    wanted = [
+        (*(int(getattr(topic.messages, name)[number]) for name in _WHERE), topic, number)
+        for topic, numbers in parts
+        for number in numbers.tolist()
+    ]
+    for file, position, offset, topic, number in sorted(wanted, key=lambda item: item[:3]):
+        size, payload = read_message(store, topic.messages, number)
+        location = Location(position, offset + RECORD_HEAD.size + MESSAGE_HEAD.size, size)
+        info = topic.channels[int(topic.messages.decoder[number])].info
+        builder.file_number = file
+        builder.add(info, int(topic.messages.log_ns[number]), payload, location)
+
+
+def _read_topics(files: Sequence[McapFile], builder: IndexBuilder) -> list[_Topic]:
+    """The topics that are of use; those of no use are noted and counted only."""
+    found: dict[str, tuple[list[_Channel], list[IndexedMessages]]] = {}
+    for number, file in enumerate(files):
+        summary = read_summary(file)
+        infos = {
+            key: channel_info(channel, summary.schemas.get(channel.schema_id))
+            for key, channel in summary.channels.items()
+        }
+        useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
+        entries = read_message_index(file, summary, useful)
+        if builder.images:
+            builder.index.integrity.append(_integrity(file, summary.chunks.start, entries.total))
+        for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
+            builder.count(infos[key], *count)
+        chunks = summary.chunks.start + RECORD_HEAD.size
+        for key in useful:
+            mine = entries.channel == key
+            decoder = builder.decoder(infos[key]) if mine.any() else None
+            if decoder is None or not builder.wants(decoder):
+                continue
+            channels, messages = found.setdefault(infos[key].topic, ([], []))
+            same = np.full(int(mine.sum()), 0, np.int64)
+            messages.append(
+                IndexedMessages(
+                    entries.log_ns[mine],
+                    same + number,
+                    chunks[entries.chunk[mine]],
+                    summary.chunks.length[entries.chunk[mine]] - RECORD_HEAD.size,
+                    entries.offset[mine],
+                    same + key,
+                    same + len(channels),
+                )
+            )
+            channels.append(_Channel(number, key, infos[key], decoder))
+    return [_topic(name, *parts) for name, parts in found.items()]
+
+
+def _topic(name: str, channels: list[_Channel], parts: list[IndexedMessages]) -> _Topic:
+    kind = channels[0].decoder.kind
+    if any(channel.decoder.kind is not kind for channel in channels):
+        raise DamageError("a topic has messages of several kinds")
+    messages = IndexedMessages(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    if len(parts) > 1:
+        messages = messages.rows(np.lexsort((messages.offset, messages.position, messages.file)))
+    return _Topic(name, kind, tuple(channels), messages)
+
+
+def _probes(topic: _Topic, whole: bool) -> np.ndarray:
+    """The messages read at opening."""
+    count = len(topic.messages.log_ns)
+    if topic.kind not in _MOTIONS:
+        return np.arange(min(count, NUM_PROBES))
+    if whole:
+        return np.arange(count)
+    first, sample = (_STATIC, 0) if _is_static(topic) else (_FIRST_MOTIONS, _MOTION_SAMPLE)
+    spread = np.linspace(0, count - 1, sample).astype(np.int64)
+    return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
+
+
+def _is_static(topic: _Topic) -> bool:
+    return MotionTopic(topic.name, topic.channels[0].decoder).is_static
+
+
+def _delays(
+    store: ChunkStore, probes: Sequence[tuple[_Topic, np.ndarray]]
+) -> dict[str, tuple[int, int]]:
+    """By how much stamps differ from log times, least and most, by frame or pose topic [ns]."""
+    found: dict[str, list[int]] = {}
+    for topic, numbers in probes:
+        if _is_static(topic):
+            continue
+        for number in numbers.tolist():
+            decoder = topic.channels[int(topic.messages.decoder[number])].decoder
+            _, payload = read_message(store, topic.messages, number)
+            try:
+                message = decoder.decode(payload)
+            except FrameError:
+                continue
+            assert isinstance(message, tuple)
+            for item in message:
+                if isinstance(item, TransformMessage):
+                    name = item.child if topic.kind is Kind.TRANSFORM else topic.name
+                    delay = item.stamp_ns - int(topic.messages.log_ns[number])
+                    found.setdefault(name, []).append(delay)
+    return {name: (min(delays), max(delays)) for name, delays in found.items()}
+
+
+def _motion_windows(
+    index: LogIndex,
+    topics: Sequence[_Topic],
+    store: ChunkStore,
+    delays: dict[str, tuple[int, int]],
+    path: str,
+    whole: bool,
+) -> MotionWindows:
+    """The windows on all motions; a message's decoder is the number of its topic and channel."""
+    parts, known = [], []
+    for topic in topics:
+        parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(known)))
+        known += [MotionTopic(topic.name, channel.decoder) for channel in topic.channels]
+    order = _in_time(parts)
+    columns = zip(*parts, strict=True) if parts else [[np.zeros(0, np.int64)]] * 7
+    messages = IndexedMessages(*(np.concatenate(column)[order] for column in columns))
+    arrival = np.lexsort((messages.offset, messages.position, messages.file))
+    place = np.empty_like(arrival)
+    place[arrival] = np.arange(len(arrival))
+    tracks = {name: track.samples for name, track in index.poses.items()}
+    found = MotionMessages(messages, place, tuple(known), delays)
+    return MotionWindows(found, store, index.tree, tracks, path, whole)
+
+
+def _in_time(parts: Sequence[IndexedMessages]) -> np.ndarray:
+    """The messages of all parts in the order of log time, then of arrival."""
+    if not parts:
+        return np.zeros(0, np.int64)
+    file, position, offset, log_ns = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in (*_WHERE, "log_ns")
+    )
+    if len(parts) == 1 and not (np.diff(log_ns) < 0).any():
+        return np.arange(len(log_ns))
+    return np.lexsort((offset, position, file, log_ns))
+
+
+def _integrity(file: McapFile, chunks: np.ndarray, messages: int) -> FileIntegrity:
+    has_crc = len(chunks) and file.chunk_head(int(chunks[0]) + RECORD_HEAD.size).crc != 0
+    return FileIntegrity(
+        path=file.path,
+        messages=messages,
+        declared_messages=messages,
+        chunks=len(chunks),
+        chunks_with_crc=len(chunks) if has_crc else 0,
+        has_end=True,
+        lost={},
+        lost_bytes=0,
+        lost_spans_ns=(),
+        last_log_time_ns=0,
+        by_index=True,
+    )

@@ -1,0 +1,199 @@
+"""Transforms and poses about some frames, by the index: only the messages near them are read.
+
+What the log's transforms look like (which frame stands in which, and what never changes) is
+known from messages read at opening: all of them, or, where there are many, the first and an even
+sample. Each window holds every message that it answers for against that.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.messages import Kind, TransformMessage
+from jaxdet.io.motion import MotionSamples
+from jaxdet.io.poses import PoseSource
+from jaxdet.io.records import IndexedMessages, read_message
+from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.transforms import TransformTree
+
+_SLACK_NS = 500_000_000
+"""How much later or earlier stamps may come than those seen at opening."""
+_BESIDE = 8
+"""Messages looked at to either side, at first."""
+_MAX_MESSAGES = 20_000
+"""About one window; where more are needed the log is scanned."""
+_MAX_DECODED = 1 << 15
+
+
+class MotionTopic(NamedTuple):
+    """A topic of transforms or poses."""
+
+    topic: str
+    decoder: MessageDecoder
+
+    @property
+    def is_tree(self) -> bool:
+        """Whether its messages are transforms."""
+        return self.decoder.kind is Kind.TRANSFORM
+
+    @property
+    def is_static(self) -> bool:
+        """Whether these hold at all times."""
+        return self.is_tree and self.topic.rstrip("/").endswith("tf_static")
+
+
+class MotionMessages(NamedTuple):
+    """All messages of such topics, in the order of log time, then of arrival."""
+
+    messages: IndexedMessages
+    """A message's topic is that of its ``decoder``."""
+    arrival: np.ndarray
+    """``(N,)`` int64, their order in the files."""
+    topics: tuple[MotionTopic, ...]
+    delays: dict[str, tuple[int, int]]
+    """Stamp less log time at opening, least and most, by frame or pose topic [ns]; empty where
+    all were read then."""
+
+
+class MotionWindows:
+    """The transforms and poses of a log, read where they are asked for.
+
+    Args:
+        found: The messages.
+        store: The log's chunks.
+        tree: The transforms seen at opening.
+        tracks: The poses seen at opening, by topic.
+        path: The log's, for errors.
+        whole: Whether all messages were seen at opening.
+    """
+
+    def __init__(
+        self,
+        found: MotionMessages,
+        store: ChunkStore,
+        tree: TransformTree,
+        tracks: dict[str, MotionSamples],
+        path: str,
+        whole: bool,
+    ) -> None:
+        self._messages, self._arrival, self._topics, self._delays_seen = found
+        self._store, self._tree, self._tracks = store, tree, tracks
+        self._path, self.whole = path, whole
+        self._decoded: OrderedDict[int, tuple[TransformMessage, ...]] = OrderedDict()
+
+    def window(
+        self, source: PoseSource, stamps_ns: np.ndarray, begin: int | None, end: int | None
+    ) -> tuple[np.ndarray | None, set[Place]]:
+        """The camera's poses at some stamps, and the chunks that were looked at for them.
+
+        Args:
+            source: Where the poses come from.
+            stamps_ns: ``(n,)`` int64 [ns].
+            begin: Log time of the first message that this window answers for, None = the first.
+            end: Of the message after the last, None = of none.
+
+        Raises:
+            RescanError: The messages are not as those seen at opening.
+            DamageError: The file contradicts its index.
+        """
+        log_ns = self._messages.log_ns
+        own = [
+            0 if begin is None else int(np.searchsorted(log_ns, begin)),
+            len(log_ns) if end is None else int(np.searchsorted(log_ns, end)),
+        ]
+        chunks = self._messages.chunks(slice(*own))
+        if self.whole:
+            return source.at(stamps_ns, self._tree, self._tracks), chunks
+        moving = source.moving(self._tree) if source.known else []
+        low, high = self._delays(moving)
+        about = int(stamps_ns.min()) - high, int(stamps_ns.max()) - low
+        around = np.searchsorted(log_ns, about)
+        bound = [min(own[0], int(around[0])), max(own[1], int(around[1]))]
+        beside = _BESIDE
+        while True:
+            if bound[1] - bound[0] > _MAX_MESSAGES + own[1] - own[0]:
+                raise self._odd("poses are too far apart")
+            samples = self._samples(bound, moving, low, high)
+            sides = self._missing(samples, moving, stamps_ns, bound, low, high)
+            if not sides:
+                break
+            bound[0] = max(0, bound[0] - beside * (0 in sides))
+            bound[1] = min(len(log_ns), bound[1] + beside * (1 in sides))
+            beside *= 2
+        tree = self._tree.with_samples(samples)
+        return source.at(stamps_ns, tree, samples), chunks
+
+    def _delays(self, moving: Sequence[str]) -> tuple[int, int]:
+        """By how much stamps may differ from log times, least and most [ns]."""
+        found = [self._delays_seen[name] for name in moving if name in self._delays_seen]
+        if not found:
+            return 0, 0
+        return min(low for low, _ in found) - _SLACK_NS, max(high for _, high in found) + _SLACK_NS
+
+    def _samples(
+        self, bound: Sequence[int], moving: Sequence[str], low: int, high: int
+    ) -> dict[str, MotionSamples]:
+        """The samples of what moves, of some messages in the order of their arrival."""
+        samples = {name: MotionSamples() for name in moving}
+        numbers = bound[0] + np.argsort(self._arrival[bound[0] : bound[1]])
+        for number in numbers.tolist():
+            topic = self._topics[int(self._messages.decoder[number])]
+            if not topic.is_tree and topic.topic not in samples:
+                continue
+            for item in self._decode(number, topic):
+                if topic.is_tree and not self._tree.agrees(item, topic.is_static):
+                    raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
+                name = item.child if topic.is_tree else topic.topic
+                if name not in samples or topic.is_static:
+                    continue
+                if not low <= item.stamp_ns - int(self._messages.log_ns[number]) <= high:
+                    raise self._odd(f"stamps of {name!r} are far from their log times")
+                samples[name].add(item.stamp_ns, item.translation, item.rotation)
+        return samples
+
+    def _decode(self, number: int, topic: MotionTopic) -> tuple[TransformMessage, ...]:
+        known = self._decoded.get(number)
+        if known is not None:
+            return known
+        _, payload = read_message(self._store, self._messages, number)
+        try:
+            message = topic.decoder.decode(payload)
+        except FrameError:
+            message = ()
+        assert isinstance(message, tuple)
+        found = tuple(item for item in message if isinstance(item, TransformMessage))
+        self._decoded[number] = found
+        while len(self._decoded) > _MAX_DECODED:
+            self._decoded.popitem(last=False)
+        return found
+
+    def _missing(
+        self,
+        samples: dict[str, MotionSamples],
+        moving: Sequence[str],
+        stamps_ns: np.ndarray,
+        bound: Sequence[int],
+        low: int,
+        high: int,
+    ) -> set[int]:
+        """To which sides more messages are needed: each motion has a sample before and after."""
+        log_ns, sides = self._messages.log_ns, set()
+        first, last = int(stamps_ns.min()), int(stamps_ns.max())
+        for name in moving:
+            stamps = samples[name].stamps_ns
+            if bound[0] > 0:
+                known = stamps > log_ns[bound[0] - 1] + high
+                if not (known & (stamps <= first)).any():
+                    sides.add(0)
+            if bound[1] < len(log_ns):
+                known = stamps < log_ns[bound[1]] + low
+                if not (known & (stamps >= last)).any():
+                    sides.add(1)
+        return sides
+
+    def _odd(self, problem: str) -> RescanError:
+        return RescanError(problem, path=self._path)

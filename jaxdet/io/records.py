@@ -1,0 +1,80 @@
+"""Messages by their place in the index, each held against what the index says of it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.store import ChunkStore, Place
+
+_HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
+_FIRST_BYTES = 1024
+"""Read at once of a message of unknown size."""
+
+
+class IndexedMessages(NamedTuple):
+    """Messages of some channels, ``(N,)`` each, all int64."""
+
+    log_ns: np.ndarray
+    """Log time [ns]."""
+    file: np.ndarray
+    """Number of the log's file."""
+    position: np.ndarray
+    """Where the content of the chunk's record begins in the file."""
+    length: np.ndarray
+    """Of that content."""
+    offset: np.ndarray
+    """Of the message's record in the decompressed chunk."""
+    channel: np.ndarray
+    """Number of the channel in the file."""
+    decoder: np.ndarray
+    """Number of the decoder."""
+
+    def rows(self, which: np.ndarray) -> "IndexedMessages":
+        """Some of them."""
+        return IndexedMessages(*(column[which] for column in self))
+
+    def places(self, which: np.ndarray | slice) -> list[Place]:
+        """The chunk of each of some messages."""
+        pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)
+        return [Place(*pair) for pair in pairs]
+
+    def chunks(self, which: np.ndarray | slice) -> set[Place]:
+        """The chunks of some messages."""
+        return set(self.places(which))
+
+
+def read_message(
+    store: ChunkStore, messages: IndexedMessages, number: int, most: int | None = None
+) -> tuple[int, memoryview]:
+    """Size and payload of a message, or the first ``most`` bytes of it.
+
+    Raises:
+        DamageError: It isn't there.
+    """
+    place = Place(int(messages.file[number]), int(messages.position[number]))
+    offset = int(messages.offset[number])
+    known = store.peek(place, offset, _HEAD + (_FIRST_BYTES if most is None else most))
+    if len(known) < _HEAD:
+        raise DamageError("message record is too short")
+    opcode, length = RECORD_HEAD.unpack_from(known)
+    channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(known, RECORD_HEAD.size)
+    expected = int(messages.channel[number]), int(messages.log_ns[number])
+    if opcode != Opcode.MESSAGE or (channel, log_ns) != expected:
+        raise DamageError("no such message there")
+    size = length - MESSAGE_HEAD.size
+    head = store.head(place)
+    if head.length != messages.length[number]:
+        raise DamageError("chunk has another length than its index says")
+    if size < 0 or offset + _HEAD + size > head.uncompressed_size:
+        raise DamageError("message is longer than its chunk")
+    wanted = size if most is None else min(size, most)
+    if wanted > len(known) - _HEAD:
+        if wanted > store.files[place.file].max_bytes:
+            raise DamageError("message is larger than --log.max-chunk-mib")
+        known = store.peek(place, offset, _HEAD + wanted)
+    payload = known[_HEAD : _HEAD + wanted]
+    if len(payload) < wanted:
+        raise DamageError("message is longer than its chunk")
+    return size, payload

@@ -1,0 +1,157 @@
+"""The chunks of a log's files: decompressed once, checked once, the latest kept."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import NamedTuple, TypeVar
+
+from jaxdet.cores import cores
+from jaxdet.io.chunks import ChunkHead, DamageError
+from jaxdet.io.container import McapFile
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+CACHE_BYTES = 64 << 20
+"""Of decompressed chunks that are kept, or one if it is larger."""
+_MAX_HEADS = 4096
+
+
+class Place(NamedTuple):
+    """A chunk of a log."""
+
+    file: int
+    """Number of the file."""
+    position: int
+    """Where the content of the chunk's record begins, -1 for what lies outside chunks."""
+
+
+class ChunkStore:
+    """Gives bytes of chunks; threads may share it.
+
+    Args:
+        files: The log's open files.
+        threads: How many load and decode; 1: only the caller's. None: one a core.
+        cache_bytes: Of decompressed chunks that are kept, or one if it is larger.
+    """
+
+    def __init__(
+        self, files: Sequence[McapFile], threads: int | None = None, cache_bytes: int = CACHE_BYTES
+    ) -> None:
+        self.files, self.cache_bytes = files, cache_bytes
+        self.checked: set[Place] = set()
+        """Chunks that were read as a whole, and are as their CRC says."""
+        threads = threads or cores()
+        self._pool = ThreadPoolExecutor(threads, "jaxdet-read") if threads > 1 else None
+        self._heads: OrderedDict[Place, ChunkHead] = OrderedDict()
+        self._chunks: OrderedDict[Place, bytes] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def __reduce__(self) -> tuple:
+        """In another process one thread loads and decodes, as processes share the cores."""
+        return ChunkStore, (self.files, 1, self.cache_bytes)
+
+    def close(self) -> None:
+        """Stops the threads and closes the files."""
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+        for file in self.files:
+            file.close()
+
+    def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
+        """``function`` of each item, in order, by all threads."""
+        return (
+            self._pool.map(function, items)
+            if self._pool and len(items) > 1
+            else map(function, items)
+        )
+
+    def waves(self, places: Iterable[Place]) -> Iterator[list[Place]]:
+        """Chunks in order, as many together as are kept in memory."""
+        wave: list[Place] = []
+        total = 0
+        for place in places:
+            size = self._size(place)
+            if wave and total + size > self.cache_bytes:
+                yield wave
+                wave, total = [], 0
+            wave.append(place)
+            total += size
+        if wave:
+            yield wave
+
+    def head(self, place: Place) -> ChunkHead:
+        """The head of a chunk.
+
+        Raises:
+            DamageError: There is none.
+        """
+        head = self._heads.get(place)
+        if head is None:
+            head = self.files[place.file].chunk_head(place.position)
+            with self._lock:
+                self._heads[place] = head
+                while len(self._heads) > _MAX_HEADS:
+                    self._heads.popitem(last=False)
+        return head
+
+    def data(self, place: Place) -> bytes:
+        """The records of a chunk, checked against its CRC.
+
+        Raises:
+            DamageError: It can't be read.
+        """
+        with self._lock:
+            if place in self._chunks:
+                self._chunks.move_to_end(place)
+                return self._chunks[place]
+            while self._chunks and self._bytes + self._size(place) > self.cache_bytes:
+                self._bytes -= len(self._chunks.popitem(last=False)[1])
+        data = self.files[place.file].chunk(place.position)
+        with self._lock:
+            if place not in self._chunks:
+                self._chunks[place] = data
+                self._bytes += len(data)
+            self.checked.add(place)
+        return data
+
+    def check(self, place: Place) -> None:
+        """Makes sure that a chunk is as its CRC says, where it has one.
+
+        Raises:
+            DamageError: It is not.
+        """
+        if place in self.checked:
+            return
+        if self.head(place).is_plain:
+            if self.head(place).crc:
+                self.files[place.file].chunk(place.position)
+            self.checked.add(place)
+        else:
+            self.data(place)
+
+    def peek(self, place: Place, offset: int, size: int) -> memoryview:
+        """At most ``size`` bytes of a chunk's records, without its CRC where it isn't packed.
+
+        Raises:
+            DamageError: The chunk can't be read.
+        """
+        if place.position < 0:
+            file = self.files[place.file]
+            return memoryview(file.read(offset, min(size, file.size - offset)))
+        head = self.head(place)
+        if not head.is_plain:
+            return memoryview(self.data(place))[offset : offset + size]
+        size = min(size, head.uncompressed_size - offset)
+        start = place.position + head.data_offset
+        return memoryview(self.files[place.file].read(start + offset, max(size, 0)))
+
+    def _size(self, place: Place) -> int:
+        if place.position < 0:
+            return 0
+        try:
+            return min(self.head(place).uncompressed_size, self.files[place.file].max_bytes)
+        except DamageError:
+            return 0

@@ -1,0 +1,88 @@
+"""A log opened by its index holds what it holds when it is scanned, however it is read."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from jaxdet.io import Batch, Log, LogDescription, LogFiles, LogOptions, RescanError, open_log
+from jaxdet.io.notes import total
+
+_ARRAYS = ("color", "depth", "number", "stamp_ns", "depth_stamp_ns", "valid", "T_world_camera")
+
+
+def assert_same_batch(found: Batch, expected: Batch) -> None:
+    """All but the notes."""
+    assert (found.status, found.errors) == (expected.status, expected.errors)
+    for name in _ARRAYS:
+        one, other = getattr(found.frames, name), getattr(expected.frames, name)
+        assert (one is None) == (other is None), name
+        if one is not None:
+            assert one.dtype == other.dtype
+            np.testing.assert_array_equal(one, other, name)
+
+
+def assert_same_log(found: Log, scanned: Log, sizes: Sequence[int] = (4, 1, 7, 64)) -> None:
+    """Everything, with batches of several sizes.
+
+    Raises:
+        RescanError: ``found`` can't be read by its index.
+    """
+    assert found.num_frames == scanned.num_frames
+    assert found.calibration == scanned.calibration and found.base_frame == scanned.base_frame
+    for size in sizes:
+        pairs = zip(found.batches(size), scanned.batches(size), strict=True)
+        notes = []
+        for one, other in pairs:
+            assert_same_batch(one, other)
+            notes.append(one.notes)
+        _assert_same_description(found.described(total(notes)), scanned.description)
+    order = np.random.default_rng(0).integers(0, max(found.num_frames, 1), 5).tolist()
+    if found.num_frames:
+        assert_same_batch(found.read(order), scanned.read(order))
+    np.testing.assert_array_equal(found.stamps_ns, scanned.stamps_ns)
+    np.testing.assert_array_equal(found.depth_stamp_ns, scanned.depth_stamp_ns)
+    assert found.statuses == scanned.statuses
+    one, other = found.T_world_camera, scanned.T_world_camera
+    assert (one is None) == (other is None)
+    np.testing.assert_array_equal(one if one is not None else 0, other if other is not None else 0)
+    np.testing.assert_array_equal(
+        found.T_base_camera if found.T_base_camera is not None else 0,
+        scanned.T_base_camera if scanned.T_base_camera is not None else 0,
+    )
+
+
+def _assert_same_description(found: LogDescription, expected: LogDescription) -> None:
+    for name in expected._fields:
+        one, other = getattr(found, name), getattr(expected, name)
+        if name == "warnings":
+            one, other = sorted(one), sorted(other)
+        if name == "topics":
+            one, other = ([item._replace(problem="") for item in items] for items in (one, other))
+        assert name == "integrity" or str(one) == str(other), name
+
+
+def is_indexed(log: Log) -> bool:
+    """Whether a log was opened by its index."""
+    return log.description.integrity[0].by_index
+
+
+def open_both_ways(source: str | LogFiles, options: LogOptions | None = None) -> Log:
+    """``open_log``; what it opens by the index is compared with what a scan finds."""
+    found = open_log(source, options)
+    if is_indexed(found) and _can_be_read(source, options):
+        with open_log(source, options) as again, open_log(source, scanning(options)) as scanned:
+            assert_same_log(again, scanned)
+    return found
+
+
+def _can_be_read(source: str | LogFiles, options: LogOptions | None) -> bool:
+    with suppress(RescanError), open_log(source, options) as log:
+        return sum(len(batch.status) for batch in log.batches(5)) == log.num_frames
+    return False
+
+
+def scanning(options: LogOptions | None = None) -> LogOptions:
+    """The same options, for reading the log as a whole."""
+    return replace(options or LogOptions(), scan=True)
