@@ -116,8 +116,8 @@ class McapFile:
         Raises:
             DamageError: The file ends before, or can't be read there.
         """
-        left = [part for part in parts if len(part)]
-        while left:
+        left = list(parts)
+        while left := [part for part in left if len(part)]:
             try:
                 count = os.preadv(self._descriptor, left[:_MAX_PARTS], position)
             except (OSError, OverflowError, ValueError) as error:

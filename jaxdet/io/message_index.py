@@ -42,7 +42,8 @@ class MessageIndex(NamedTuple):
     offset: np.ndarray
     """int64, of the message's record in the decompressed chunk."""
     counts: dict[int, ChannelCount]
-    """Of all channels that have messages."""
+    """Of all channels that have messages; where chunks aren't in the order of log times, the span
+    of those not asked for is about right."""
     total: int
     """Messages of all channels."""
 
@@ -99,6 +100,9 @@ def read_message_index(file: McapFile, summary: Summary, channels: Collection[in
     inside &= offset <= chunks.size[chunk] - RECORD_HEAD.size - MESSAGE_HEAD.size
     if not inside.all():
         raise DamageError("message index leaves its chunk")
+    for number in counts.keys() & set(channels):
+        mine = log_ns[channel == number]
+        counts[number] = ChannelCount(len(mine), int(mine.min()), int(mine.max()))
     order = np.lexsort((offset, chunk))
     columns = channel[order], log_ns[order], chunk[order], offset[order]
     return MessageIndex(*columns, counts, statistics.message_count)

@@ -148,7 +148,8 @@ class MotionWindows:
                 if topic.is_tree and not self._tree.agrees(item, topic.is_static):
                     raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
                 name = item.child if topic.is_tree else topic.topic
-                if name not in samples or topic.is_static:
+                contradicts = topic.is_tree and item.parent != self._tree.parent(item.child)
+                if name not in samples or topic.is_static or contradicts:
                     continue
                 if not low <= item.stamp_ns - int(self._messages.log_ns[number]) <= high:
                     raise self._odd(f"stamps of {name!r} are far from their log times")

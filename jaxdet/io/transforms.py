@@ -134,16 +134,23 @@ class TransformTree:
             if len(edge.samples) == 1 and (edge.fixed is None or edge.once_is_static)
         }
 
+    def parent(self, frame: str) -> str | None:
+        """The frame that another stands in; None where it isn't known."""
+        return self._edges[frame].parent if frame in self._edges else None
+
     def agrees(self, message: TransformMessage, static: bool) -> bool:
-        """Whether a transform says nothing of the tree that isn't known."""
+        """Whether a transform would change nothing but the samples of what moves."""
         edge = self._edges.get(message.child)
-        if edge is None or edge.parent != message.parent:
+        if edge is None:
             return False
-        if edge.fixed is None:
+        told = message.child in self._warned
+        if edge.parent != message.parent:
+            return told and (not static or (edge.fixed is not None and not edge.settled))
+        if edge.fixed is None or (static and edge.settled):
             return not static
         if static:
             T = motion_matrix(np.array(message.translation), np.array(message.rotation))
-            return max(difference(edge.fixed, T)) <= 1e-6
+            return told or max(difference(edge.fixed, T)) <= 1e-6
         return not edge.settled or edge.samples.is_like_first(message)
 
     def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
