@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import FrameError, RescanError
+from jaxdet.errors import RescanError
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
 from jaxdet.io.container import Location, McapFile
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.message_index import read_message_index
-from jaxdet.io.messages import IMAGE_KINDS, Kind, TransformMessage, kind_of
-from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows
+from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
+from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows, decode_motions
 from jaxdet.io.records import IndexedMessages, read_message
 from jaxdet.io.scan import ChannelInfo, channel_info
 from jaxdet.io.store import ChunkStore
@@ -220,16 +220,10 @@ def _delays(
         for number in numbers.tolist():
             decoder = topic.channels[int(topic.messages.decoder[number])].decoder
             _, payload = read_message(store, topic.messages, number)
-            try:
-                message = decoder.decode(payload)
-            except FrameError:
-                continue
-            assert isinstance(message, tuple)
-            for item in message:
-                if isinstance(item, TransformMessage):
-                    name = item.child if topic.kind is Kind.TRANSFORM else topic.name
-                    delay = item.stamp_ns - int(topic.messages.log_ns[number])
-                    found.setdefault(name, []).append(delay)
+            for item in decode_motions(decoder, payload):
+                name = item.child if topic.kind is Kind.TRANSFORM else topic.name
+                delay = item.stamp_ns - int(topic.messages.log_ns[number])
+                found.setdefault(name, []).append(delay)
     return {name: (min(delays), max(delays)) for name, delays in found.items()}
 
 

@@ -20,7 +20,7 @@ from jaxdet.io.records import IndexedMessages, read_message
 from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.transforms import TransformTree
 
-_SLACK_NS = 500_000_000
+_SLACK_NS = 250_000_000
 """How much later or earlier stamps may come than those seen at opening."""
 _BESIDE = 8
 """Messages looked at to either side, at first."""
@@ -83,7 +83,7 @@ class MotionWindows:
         self._messages, self._arrival, self._topics, self._delays_seen = found
         self._store, self._tree, self._tracks = store, tree, tracks
         self._path, self.whole = path, whole
-        self._decoded: OrderedDict[int, tuple[TransformMessage, ...]] = OrderedDict()
+        self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
 
     def window(
         self, source: PoseSource, stamps_ns: np.ndarray, begin: int | None, end: int | None
@@ -144,29 +144,29 @@ class MotionWindows:
             topic = self._topics[int(self._messages.decoder[number])]
             if not topic.is_tree and topic.topic not in samples:
                 continue
-            for item in self._decode(number, topic):
-                if topic.is_tree and not self._tree.agrees(item, topic.is_static):
-                    raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
-                name = item.child if topic.is_tree else topic.topic
-                contradicts = topic.is_tree and item.parent != self._tree.parent(item.child)
-                if name not in samples or topic.is_static or contradicts:
+            log_ns = int(self._messages.log_ns[number])
+            for name, item in self._decode(number, topic):
+                if name not in samples:
                     continue
-                if not low <= item.stamp_ns - int(self._messages.log_ns[number]) <= high:
+                if not low <= item.stamp_ns - log_ns <= high:
                     raise self._odd(f"stamps of {name!r} are far from their log times")
                 samples[name].add(item.stamp_ns, item.translation, item.rotation)
         return samples
 
-    def _decode(self, number: int, topic: MotionTopic) -> tuple[TransformMessage, ...]:
+    def _decode(self, number: int, topic: MotionTopic) -> list[tuple[str, TransformMessage]]:
+        """What a message says of what moves, with its frame or topic."""
         known = self._decoded.get(number)
         if known is not None:
             return known
         _, payload = read_message(self._store, self._messages, number)
-        try:
-            message = topic.decoder.decode(payload)
-        except FrameError:
-            message = ()
-        assert isinstance(message, tuple)
-        found = tuple(item for item in message if isinstance(item, TransformMessage))
+        found = []
+        for item in decode_motions(topic.decoder, payload):
+            if not topic.is_tree:
+                found.append((topic.topic, item))
+            elif not self._tree.agrees(item, topic.is_static):
+                raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
+            elif not topic.is_static and item.parent == self._tree.parent(item.child):
+                found.append((item.child, item))
         self._decoded[number] = found
         while len(self._decoded) > _MAX_DECODED:
             self._decoded.popitem(last=False)
@@ -198,3 +198,13 @@ class MotionWindows:
 
     def _odd(self, problem: str) -> RescanError:
         return RescanError(problem, path=self._path)
+
+
+def decode_motions(decoder: MessageDecoder, payload: memoryview) -> tuple[TransformMessage, ...]:
+    """The transforms or poses in a message; none where it can't be decoded."""
+    try:
+        message = decoder.decode(payload)
+    except FrameError:
+        return ()
+    assert isinstance(message, tuple)
+    return tuple(item for item in message if isinstance(item, TransformMessage))

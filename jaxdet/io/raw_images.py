@@ -1,7 +1,7 @@
 """Where the pixels of a raw ROS 2 image lie in its message, so that they can be read in place.
 
-Only for messages whose definition in the log is sensor_msgs/Image as everybody knows it, and
-only where the pixels are already what the arrays hold; all others are decoded.
+Only for messages whose definition in the log is ROS 2's, and only where the pixels are already
+what the arrays hold; all others are decoded.
 """
 
 import struct
@@ -18,14 +18,17 @@ _MAX_STAMP_S = 9_000_000_000
 _STAMP = struct.Struct("<iII")
 _SIZE = struct.Struct("<III")
 _DATA = struct.Struct("<II")
-_DEFINITIONS = {
+
+
+_IMAGE = {
     "": (
-        *("std_msgs/Header header", "uint32 height", "uint32 width", "string encoding"),
+        *("Header header", "uint32 height", "uint32 width", "string encoding"),
         *("uint8 is_bigendian", "uint32 step", "uint8[] data"),
     ),
-    "std_msgs/Header": ("builtin_interfaces/Time stamp", "string frame_id"),
-    "builtin_interfaces/Time": ("int32 sec", "uint32 nanosec"),
+    "Header": ("Time stamp", "string frame_id"),
+    "Time": ("int32 sec", "uint32 nanosec"),
 }
+"""sensor_msgs/Image: the fields of the message and of its parts."""
 
 
 class Pixels(NamedTuple):
@@ -41,19 +44,13 @@ class Pixels(NamedTuple):
 
 @lru_cache(64)
 def is_standard_image(channel: ChannelInfo) -> bool:
-    """Whether the channel's messages are sensor_msgs/Image in CDR, by their own definition."""
+    """Whether a channel holds sensor_msgs/Image in CDR as ROS 2 defines it.
+
+    What counts is the definition that stands in the log, without the packages of its types.
+    """
     if channel.message_encoding != "cdr" or kind_of(channel.schema_name) is not Kind.IMAGE:
         return False
-    found = {}
-    name, fields = "", []
-    for line in [*channel.schema_text.splitlines(), "MSG: "]:
-        text = " ".join(line.partition("#")[0].split()).replace("/msg/", "/")
-        if text.startswith("MSG:"):
-            found[name] = tuple(fields)
-            name, fields = text.removeprefix("MSG:").strip(), []
-        elif text and text.strip("="):
-            fields.append(text)
-    return found == _DEFINITIONS
+    return _fields(channel.schema_text) == _IMAGE
 
 
 def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
@@ -86,3 +83,17 @@ def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
     good &= 0 <= sec <= _MAX_STAMP_S and step in (0, row) and name > 0
     good &= height * row <= count <= size - place
     return Pixels(place, width, height, encoding) if good else None
+
+
+def _fields(text: str) -> dict[str, tuple[str, ...]]:
+    """The fields of each message type in a definition; its own type's name is empty."""
+    found: dict[str, tuple[str, ...]] = {}
+    name, fields = "", []
+    for line in [*text.splitlines(), "MSG: end"]:
+        words = line.partition("#")[0].split()
+        if words and words[0] == "MSG:":
+            found[name] = tuple(fields)
+            name, fields = words[-1].rpartition("/")[2], []
+        elif words and words[0].strip("="):
+            fields.append(f"{words[0].rpartition('/')[2]} {' '.join(words[1:2])}")
+    return found
