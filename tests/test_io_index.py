@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from jaxdet.cli import info
 from jaxdet.errors import RescanError
 from jaxdet.io import LogOptions, indexed, reading, windows
 from jaxdet.io import open_log as open_only
@@ -342,3 +343,13 @@ def test_the_reason_for_a_scan_is_a_bug_of_the_index_only(tmp_path):
     for options in ({}, {"compression": "none"}, {"crc": False}, {"chunk_size": 3000}):
         with open_only(str(write_log(tmp_path / "x.mcap", make_scene(20), **options))) as log:
             assert is_indexed(log)
+
+
+def test_info_counts_pairs_where_it_is_told_to_check(tmp_path, capsys):
+    path = str(write_log(tmp_path / "x.mcap", make_scene(20), chunk_size=6000))
+    assert info.main([path]) == 0
+    text = capsys.readouterr().out
+    assert "20 colour frames" in text and "not counted; see --check" in text
+    assert info.main([path, "--check"]) == 0
+    text = capsys.readouterr().out
+    assert "20 within 0.15 s" in text and "CRC checked in" in text

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -101,6 +101,10 @@ class Log:
         frame_bytes = sum(math.prod(shape) for shape in self.image_shapes)
         self._at_once = max(1, min(_MAX_AT_ONCE, _BYTES_AT_ONCE // frame_bytes))
         store.cache_bytes = max(store.cache_bytes, _FRAMES_KEPT * frame_bytes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what looking at every message told."""
+        return {name: value for name, value in self.__dict__.items() if name != "_all"}
 
     def __enter__(self) -> Self:
         """The log itself."""

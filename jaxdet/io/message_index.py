@@ -122,6 +122,8 @@ def _check(file: McapFile, summary: Summary) -> None:
     end = chunks.start + chunks.length + chunks.index_length
     if (end > beyond).any() or (chunks.stored > chunks.length).any():
         raise DamageError("chunks overlap")
+    if (chunks.size > file.max_bytes).any():
+        raise DamageError("chunk is larger than --log.max-chunk-mib")
     if (chunks.first_ns > chunks.last_ns).any():
         raise DamageError("chunk ends before it begins")
 

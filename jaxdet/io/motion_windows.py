@@ -7,7 +7,7 @@ sample. Each window holds every message that it answers for against that.
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,6 +84,10 @@ class MotionWindows:
         self._store, self._tree, self._tracks = store, tree, tracks
         self._path, self.whole = path, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was decoded."""
+        return self.__dict__ | {"_decoded": OrderedDict()}
 
     def window(
         self, source: PoseSource, stamps_ns: np.ndarray, begin: int | None, end: int | None
