@@ -102,7 +102,7 @@ class StreamWindows:
             undecodable=int(self._undecodable[first:last].sum()),
         )
 
-    def table(self, numbers: np.ndarray, depth: bool) -> FrameTable:
+    def table(self, numbers: np.ndarray, depth: bool = False) -> FrameTable:
         """Messages of some numbers; of -1 one with a stamp of -1."""
         messages, head = self.messages, RECORD_HEAD.size + MESSAGE_HEAD.size
         stamps = (self.depth_stamp if depth else self.stamp)[numbers]
@@ -110,10 +110,6 @@ class StreamWindows:
         place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
         return FrameTable(stamps, messages.file[numbers], messages.decoder[numbers], place)
-
-    def chunks(self, first: int, last: int) -> set[Place]:
-        """The chunks of messages ``first`` to ``last``."""
-        return self.messages.chunks(slice(first, last))
 
     def _load(self, start: int, stop: int) -> None:
         """Reads the stamps of messages that aren't known yet."""
@@ -160,6 +156,55 @@ class _Reach(NamedTuple):
     """The nearest stamp on this side, as far as it matters."""
 
 
+class _Part:
+    """Some frames of a stream, of which the messages are wanted, and those known beside them.
+
+    Args:
+        stream: The stream.
+        first: The first one wanted.
+        last: The one after the last.
+    """
+
+    def __init__(self, stream: StreamWindows, first: int, last: int) -> None:
+        self._stream, self._first, self._last = stream, first, last
+        self._beside = [_BESIDE, _BESIDE]
+        self._look()
+
+    def _look(self) -> None:
+        self._begin = max(0, self._first - self._beside[0])
+        self._end = min(len(self._stream), self._last + self._beside[1])
+        self.ranked = self._stream.ranked(self._begin, self._end)
+        """The messages of all frames that are known."""
+        self.stamps_ns = self._stream.stamp[self.ranked]
+
+    @property
+    def wanted(self) -> slice:
+        """The frames wanted, among those known."""
+        return slice(self._first - self._begin, self._last - self._begin)
+
+    def is_end(self, side: int) -> bool:
+        """Whether the stream ends to a side: 0 at the first frame known, 1 at the last."""
+        return self._end == len(self._stream) if side else self._begin == 0
+
+    def widen(self, side: int) -> bool:
+        """Looks at twice as many to a side; False where that would be too many."""
+        self._beside[side] *= 2
+        if self._beside[side] > _MAX_BESIDE:
+            return False
+        self._look()
+        return True
+
+    def notes(self) -> StreamNotes:
+        """What is odd of those wanted."""
+        before = max(self._first - 1, 0) - self._begin
+        ranked = self.ranked[before : self._last - self._begin]
+        return self._stream.notes(self._first, self._last, ranked)
+
+    def chunks(self) -> set[Place]:
+        """The chunks of as many messages, in the order of log times."""
+        return self._stream.messages.chunks(slice(self._first, self._last))
+
+
 class IndexedFrames:
     """The frames of a log by its index.
 
@@ -203,55 +248,44 @@ class IndexedFrames:
         """
         if self.color is self.depth:
             return self._pairs_by_message(start, stop)
-        log_ns, count = self.color.messages.log_ns, len(self.depth)
-        bounds = np.searchsorted(self.depth.messages.log_ns, log_ns[[start, stop - 1]])
-        if stop < len(self.color):
-            bounds[1] = np.searchsorted(self.depth.messages.log_ns, log_ns[stop])
-        first = int(bounds[0]) if start else 0
-        last = int(bounds[1]) if stop < len(self.color) else count
-        wide = [[max(0, start - _BESIDE), min(len(self.color), stop + _BESIDE)]]
-        wide += [[max(0, first - _BESIDE), min(count, last + _BESIDE)]]
-        streams, targets = (self.color, self.depth), ((start, stop), (first, last))
-        while True:
-            ranked = [s.ranked(*bound) for s, bound in zip(streams, wide, strict=True)]
-            stamps = [s.stamp[order] for s, order in zip(streams, ranked, strict=True)]
-            parts = [
-                values[target[0] - bound[0] : target[1] - bound[0]]
-                for values, target, bound in zip(stamps, targets, wide, strict=True)
-            ]
-            missing = self._missing(stamps, parts, wide)
-            if not missing:
-                break
-            for stream, side in missing:
-                self._widen(wide[stream], side, targets[stream], len(streams[stream]))
-        pairing = pair(stamps[0], stamps[1], self._tolerance_s)
-        partner = pairing.depth_of_color[start - wide[0][0] : stop - wide[0][0]]
-        numbers = ranked[0][start - wide[0][0] : stop - wide[0][0]]
-        partners = np.where(partner < 0, -1, ranked[1][partner] if count else -1)
-        color = self.color.table(numbers, False)
-        depth = self.depth.table(partners, False) if count else color.rows(partners)
-        alone = pairing.unpaired_depth + wide[1][0]
-        alone = alone[(alone >= first) & (alone < last)] - wide[1][0]
-        before = [max(bound[0] - 1, 0) for bound in targets]
+        color = _Part(self.color, start, stop)
+        depth = _Part(self.depth, *self._beside(start, stop))
+        while missing := self._missing(color, depth):
+            for part, side in missing:
+                if not part.widen(side):
+                    problem = "colour and depth stamps are too far apart"
+                    raise RescanError(problem, path=self._path)
+        pairing = pair(color.stamps_ns, depth.stamps_ns, self._tolerance_s)
+        partner = pairing.depth_of_color[color.wanted]
+        messages = np.append(depth.ranked, -1)[partner]
+        own, others = self.color.table(color.ranked[color.wanted]), self.depth.table(messages)
+        alone = np.zeros(len(depth.ranked), bool)
+        alone[pairing.unpaired_depth] = True
         notes = Notes(
-            self.color.notes(start, stop, ranked[0][before[0] - wide[0][0] :][: stop - before[0]]),
-            self.depth.notes(first, last, ranked[1][before[1] - wide[1][0] :][: last - before[1]]),
-            np.abs(color.stamps_ns - depth.stamps_ns)[partner >= 0],
+            color.notes(),
+            depth.notes(),
+            np.abs(own.stamps_ns - others.stamps_ns)[partner >= 0],
             int((partner < 0).sum()),
-            stamps[1][alone],
+            depth.stamps_ns[depth.wanted][alone[depth.wanted]],
         )
-        chunks = self.color.chunks(start, stop) | self.depth.chunks(first, last)
-        return self._with_poses(Window(color, depth, None, notes), chunks, start, stop)
+        chunks = color.chunks() | depth.chunks()
+        return self._with_poses(Window(own, others, None, notes), chunks, start, stop)
+
+    def _beside(self, start: int, stop: int) -> tuple[int, int]:
+        """The depth messages that the window of some colour frames answers for, by log time."""
+        log_ns, depth_ns = self.color.messages.log_ns, self.depth.messages.log_ns
+        first = int(np.searchsorted(depth_ns, log_ns[start])) if start else 0
+        if stop == len(self.color):
+            return first, len(depth_ns)
+        return first, int(np.searchsorted(depth_ns, log_ns[stop]))
 
     def _pairs_by_message(self, start: int, stop: int) -> Window:
-        before = max(start - 1, 0)
-        ranked = self.color.ranked(before, stop)
-        numbers = ranked[start - before :]
-        color, depth = self.color.table(numbers, False), self.color.table(numbers, True)
+        part = _Part(self.color, start, stop)
+        numbers = part.ranked[part.wanted]
+        color, depth = self.color.table(numbers), self.color.table(numbers, True)
         apart = np.abs(color.stamps_ns - depth.stamps_ns)
-        notes = Notes(self.color.notes(start, stop, ranked), apart_ns=apart)
-        window = Window(color, depth, None, notes)
-        return self._with_poses(window, self.color.chunks(start, stop), start, stop)
+        window = Window(color, depth, None, Notes(part.notes(), apart_ns=apart))
+        return self._with_poses(window, part.chunks(), start, stop)
 
     def _with_poses(self, window: Window, chunks: set[Place], start: int, stop: int) -> Window:
         log_ns = self.color.messages.log_ns
@@ -265,50 +299,31 @@ class IndexedFrames:
             chunks=tuple(sorted(chunks | more)),
         )
 
-    def _missing(
-        self,
-        stamps: list[np.ndarray],
-        targets: list[np.ndarray],
-        wide: list[list[int]],
-    ) -> set[tuple[int, int]]:
-        """Which streams must be looked at further to which side, for pairs that are certain.
+    def _missing(self, color: _Part, depth: _Part) -> list[tuple[_Part, int]]:
+        """What must be looked at further to which side (0, 1), for pairs that are certain.
 
         A frame's partner is the nearest of the other stream, and has that frame as its nearest:
         so the next frames of the other stream must be known, and what is next to those; or
         anything beyond the tolerance.
         """
-        both = np.concatenate(targets)
-        missing = set()
+        parts, missing = (color, depth), []
+        both = np.concatenate([part.stamps_ns[part.wanted] for part in parts])
         for side, sign in enumerate((1, -1)):
             edge = int((sign * both).min())
-            known = [np.sort(sign * values) for values in stamps]
-            ends = [
-                bound[side] == (0, len(stream))[side]
-                for bound, stream in zip(wide, (self.color, self.depth), strict=True)
-            ]
-            near = [self._reach(*item, edge) for item in zip(known, ends, strict=True)]
-            for stream in (0, 1):
-                beyond = min(edge, near[1 - stream].nearest)
-                again = self._reach(known[stream], ends[stream], beyond)
-                if not (near[stream].enough and again.enough):
-                    missing.add((stream, side))
+            near = [self._reach(part, side, edge) for part in parts]
+            for part, own, other in zip(parts, near, near[::-1], strict=True):
+                again = self._reach(part, side, min(edge, other.nearest))
+                if not (own.enough and again.enough):
+                    missing.append((part, side))
         return missing
 
-    def _reach(self, stamps: np.ndarray, is_end: bool, edge: int) -> _Reach:
-        """Whether the frames before ``edge`` are known as far as it matters."""
+    def _reach(self, part: _Part, side: int, edge: int) -> _Reach:
+        """Whether frames beyond ``edge`` are known as far as it matters; side 1 is negated."""
+        stamps = -part.stamps_ns[::-1] if side else part.stamps_ns
         limit = edge - round(self._tolerance_s * 1e9)
         below = stamps[: np.searchsorted(stamps, edge)]
         if not len(below):
-            return _Reach(is_end, edge)
-        enough = is_end or below[0] < below[-1] or below[0] < limit
+            return _Reach(part.is_end(side), edge)
+        # Of the outermost stamp there may be more frames.
+        enough = part.is_end(side) or below[0] < below[-1] or below[0] < limit
         return _Reach(bool(enough), max(int(below[-1]), limit))
-
-    def _widen(self, bound: list[int], side: int, target: tuple[int, int], count: int) -> None:
-        beside = 2 * abs(bound[side] - target[side]) or _BESIDE
-        if beside > _MAX_BESIDE:
-            problem = "colour and depth stamps are too far apart"
-            raise RescanError(problem, path=self._path)
-        if side:
-            bound[1] = min(count, target[1] + beside)
-        else:
-            bound[0] = max(0, target[0] - beside)
