@@ -1,10 +1,11 @@
 """The whole pipeline: against the NumPy reference and a hand-written one, and its throughput."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
 from multiprocessing import get_context
+from typing import Any
 
 import cv2
 import jax
@@ -14,7 +15,6 @@ from sklearn.cluster import DBSCAN
 from benchmarks.run import Case, Metric, check_equal
 from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
 from jaxdet.config import Config
-from jaxdet.engine import Workers
 from jaxdet.floor.plane import flat_plane, floor_limits
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
@@ -43,12 +43,8 @@ def cases() -> list[Case]:
         found.append(case)
     found += [_at_size(size) for size in ("1080p", "lens")]
     many = frames_of(SIZE, 16 * BATCH)
-    if not on_cuda():
-        one = partial(detect, many, CONFIG)
-        found.append(Case("workers", lambda: on_all_cores(many), 16 * BATCH, one, equal=True))
-    ours = detect if on_cuda() else on_all_cores
     peer = partial(handwritten, many)
-    found.append(Case("vs_handwritten", lambda: ours(many, CONFIG), 16 * BATCH, peer))
+    found.append(Case("vs_handwritten", lambda: detect(many, CONFIG), 16 * BATCH, peer))
     return found
 
 
@@ -65,16 +61,6 @@ def _at_size(size: str) -> Case:
         equal=True,
         compared=lambda found: jax.tree.map(lambda values: values[:2], found),
     )
-
-
-def on_all_cores(frames: Frames, config: Config = CONFIG) -> Detections:
-    """The pipeline in a worker process a core, which stay for the next call."""
-    return _workers(config).detect(frames, 4 * BATCH)
-
-
-@cache
-def _workers(config: Config) -> Workers:
-    return Workers(config=config)
 
 
 def handwritten(frames: Frames) -> list[np.ndarray]:
@@ -147,16 +133,42 @@ def _on_gpus(size: str, config: Config, seconds: float) -> Iterator[tuple[str, f
     frames = frames_of(size, BATCHES[size] * len(among))
     on_device = jax.device_put((frames.color, frames.depth), rows_over(tuple(among)))
     pinned = pin(frames.color, frames.depth)
-    uploader = Uploader(frames.color.shape, frames.depth.shape)
+    upload = _uploader(pinned, among)
 
     def step(source: Callable[[], tuple[jax.Array, jax.Array]]) -> Detections:
         color, depth = source()
         return detect(frames._replace(color=color, depth=depth), config)
 
-    sources = {"resident": lambda: on_device, "pinned": lambda: uploader.upload(pinned)}
+    sources = {"resident": lambda: on_device, "pinned": upload}
     for key, source in sources.items():
         check_equal(key, step(source), step(sources["resident"]))
         yield f"{key}.fps", _frames_per_s(partial(step, source), len(frames.color), seconds)
+
+
+def _uploader(
+    pinned: tuple[np.ndarray, np.ndarray], among: Sequence[Any]
+) -> Callable[[], tuple[jax.Array, jax.Array]]:
+    """Copies page-locked images to all GPUs in equal parts."""
+    size = len(pinned[0]) // len(among)
+    shapes = [(size, *images.shape[1:]) for images in pinned]
+    ways = [Uploader(shapes[0], shapes[1], device) for device in among]
+    rows = rows_over(tuple(among))
+
+    def upload() -> tuple[jax.Array, jax.Array]:
+        parts = [
+            way.upload([(pinned[0][i * size :][:size], pinned[1][i * size :][:size])])
+            for i, way in enumerate(ways)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        join = jax.make_array_from_single_device_arrays
+        color, depth = (
+            join(images.shape, rows, list(part))
+            for images, part in zip(pinned, zip(*parts, strict=True), strict=True)
+        )
+        return color, depth
+
+    return upload
 
 
 def _frames_per_s(

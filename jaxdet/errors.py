@@ -19,6 +19,16 @@ class JaxdetError(Exception):
         text = f"{where}: {problem}" if where else problem
         super().__init__(f"{text}; {remedy}" if remedy else text)
 
+    def __reduce__(self) -> tuple:
+        """Whatever a kind of error is made from, it arrives whole in another process."""
+        return _restored, (type(self), self.args, vars(self))
+
+
+def _restored(kind: type[JaxdetError], args: tuple, state: dict) -> JaxdetError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(state)
+    return error
+
 
 class InputError(JaxdetError):
     """A log or file can't be read or is not what it should be."""

@@ -18,7 +18,6 @@ from jaxdet.config import (
     ObstacleConfig,
     SurfaceConfig,
 )
-from jaxdet.engine import Workers
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.results import metric
 from jaxdet.types import Calibration, Frames, Intrinsics, Keep, Labels
@@ -132,11 +131,6 @@ def test_the_largest_numbers_work():
     )
     for each in (config, surfaces, obstacles):
         assert_equal(detect(made(), each), detect(made(), each, backend="reference"))
-
-
-def test_no_workers_are_an_error():
-    with pytest.raises(ConfigError, match="give --workers 1 or more"):
-        Workers(0)
 
 
 BACKENDS = pytest.mark.parametrize("backend", ["jax", "reference"])

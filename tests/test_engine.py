@@ -12,14 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet import engine
+from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
-from jaxdet.engine import RunOptions, decide_planes
-from jaxdet.engine import loop as engine_loop
-from jaxdet.engine.ground import evenly
-from jaxdet.engine.prefetch import prefetch
+from jaxdet.engine import RunOptions, decide_planes, local
+from jaxdet.engine.floors import evenly
+from jaxdet.engine.unit import _ahead
 from jaxdet.errors import ConfigError, FrameStatus, InputError
 from jaxdet.floor.plane import flat_plane
-from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
+from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
 
@@ -34,8 +34,10 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(log: Path | str, output: Path, **options: Any) -> engine.Summary:
-    config = options.pop("config", Config())
-    return engine.run(find_logs([str(log)]), config, LogOptions(), RunOptions(output, **options))
+    config, truth = options.pop("config", Config()), options.pop("truth", None)
+    observers = {"score": TruthScore(truth, config)} if truth else {}
+    given = RunOptions(output, **options)
+    return engine.run(find_logs([str(log)]), config, LogOptions(), given, observers=observers)
 
 
 def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path) -> None:
@@ -65,7 +67,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     assert read["status"]["ok"] == 7
     assert read["logs"][0]["ground"][0]["source"] == "estimate"
     assert summary.obstacles == len(obstacles) > 0
-    scores = summary.logs[0].score
+    scores = summary.logs[0].observed["score"]
     assert scores is not None
     assert scores["frames"] == 7
     assert scores["recall"] > 0.5
@@ -104,7 +106,10 @@ class FakeLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert not any(t.name == "jaxdet-reader" for t in threading.enumerate())
+        assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())
+
+    def described(self, notes: Notes) -> SimpleNamespace:
+        return self.description
 
     def read(self, indices: Any) -> Batch:
         return self._batch(np.array(indices), len(indices))
@@ -143,7 +148,7 @@ def fake_logs(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
             raise InputError("not an MCAP file", path="broken.mcap")
         return FakeLog()
 
-    monkeypatch.setattr(engine_loop, "open_log", fake_open)
+    monkeypatch.setattr(local, "open_log", fake_open)
     return [LogFiles(name, (Path(f"{name}.mcap"),)) for name in ("fake", "broken", "a/b")]
 
 
@@ -185,12 +190,18 @@ def test_nothing_is_written_when_all_fail(fake_logs: list, tmp_path: Path) -> No
 
 def test_an_interrupt_leaves_nothing(fake_logs: list, tmp_path: Path) -> None:
     def interrupt(now: engine.Progress) -> None:
-        assert (now.done, now.total, now.bad) == (4, 10, 1)
-        raise KeyboardInterrupt
+        seen.append(now.doing)
+        if not now.doing:
+            assert (now.done, now.total, now.bad) == (4, 10, 1)
+            assert now.bottleneck.split()[0] in ("read", "detect", "write")
+            raise KeyboardInterrupt
+
+    seen: list[str] = []
 
     with pytest.raises(KeyboardInterrupt):
         run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
     assert list(tmp_path.iterdir()) == []
+    assert seen == ["opening", "looking for the floor", "starting", ""]
 
 
 def test_results_are_not_overwritten_by_chance(fake_logs: list, tmp_path: Path) -> None:
@@ -219,7 +230,7 @@ def test_sources_of_the_ground() -> None:
 
 
 def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    from jaxdet.engine import prior
+    from jaxdet.engine import floors
     from jaxdet.floor.units import FloorFit
 
     def by_first_frame(frames: Frames, config: Config, *, backend: str) -> FloorFit:
@@ -228,7 +239,7 @@ def test_windows_are_by_absolute_time(monkeypatch: pytest.MonkeyPatch) -> None:
         plane = flat_plane(height, 0 * height, 0 * height, own)
         return FloorFit(plane, own, 0.5 * own, 0 * own, np.zeros((len(own), 8)))
 
-    monkeypatch.setattr(prior, "find_floors", by_first_frame)
+    monkeypatch.setattr(floors, "find_floors", by_first_frame)
     log: Any = FakeLog()
     config = Config(GroundConfig(window_s=0.5), cluster=ClusterConfig(points=True))
     planes = decide_planes(log, config, "reference")
@@ -247,20 +258,23 @@ def test_evenly_takes_both_ends() -> None:
     assert evenly(np.arange(3), 4).tolist() == [0, 1, 2]
 
 
-def test_prefetch_keeps_order_and_passes_errors_on() -> None:
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_reading_ahead_keeps_order_and_passes_errors_on(depth: int) -> None:
     def items() -> Iterator[int]:
         yield from range(5)
         raise InputError("torn")
 
     seen = []
     with pytest.raises(InputError, match="torn"):
-        for item in prefetch(items()):
+        for item in _ahead(items(), depth):
             seen.append(item)
     assert seen == list(range(5))
 
 
-def test_prefetch_stops_its_thread_when_closed() -> None:
-    reader = prefetch(iter(range(1000)))
+def test_reading_ahead_stops_its_thread_when_closed() -> None:
+    taken = []
+    reader = _ahead((taken.append(i) or i for i in range(1000)), 2)
     assert next(reader) == 0
     reader.close()
-    assert not any(t.name == "jaxdet-reader" for t in threading.enumerate())
+    assert len(taken) <= 3
+    assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())

@@ -11,12 +11,11 @@ import pytest
 
 from jaxdet import detect, engine
 from jaxdet.config import Config
-from jaxdet.engine import RunOptions, Workers
+from jaxdet.engine import RunOptions
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.presets import preset
 from jaxdet.results.summary import LogSummary
 from jaxdet.sim import SimConfig, write_log
-from tests.scenes import assert_equal
 
 FRAMES = 6
 TABLES = ("frames.parquet", "obstacles.parquet")
@@ -82,7 +81,7 @@ def test_the_map_knows_what_is_free(tmp_path: Path) -> None:
     assert (grid["free"] > 0).sum() > 500
 
 
-def test_each_frame_is_as_alone(sim_log: Path) -> None:
+def test_each_frame_is_as_alone(sim_log: Path, tmp_path: Path) -> None:
     """What is found with the prior of the log is what ``detect`` finds with it."""
     config = Config()
     with open_log(find_logs([str(sim_log)])[0]) as log:
@@ -90,10 +89,10 @@ def test_each_frame_is_as_alone(sim_log: Path) -> None:
         frames = log.read(range(FRAMES)).frames
     frames = frames._replace(plane=planes.of(frames.stamp_ns), T_world_camera=None)
     want = detect(frames, config, backend="reference")
-    with Workers(2, config, backend="reference") as workers:
-        assert_equal(workers.detect(frames, batch_size=4), want)
-        alone = workers.detect(frames._replace(plane=None), batch_size=4)
-    assert_equal(alone, detect(frames._replace(plane=None), config, backend="reference"))
+    run(sim_log, tmp_path, config)
+    rows, _ = tables(tmp_path)
+    assert [row["num_obstacles"] for row in rows] == want.labels.num_obstacles.tolist()
+    assert [row["num_features"] for row in rows] == want.features.valid.sum(axis=1).tolist()
 
 
 def test_a_wrong_mount_is_corrected(tmp_path: Path) -> None:

@@ -108,15 +108,18 @@ def test_places_are_those_of_the_simulator() -> None:
 
 
 def test_a_run_counts_it(tmp_path) -> None:
+    from jaxdet.cli.truth import TruthScore
     from jaxdet.engine import RunOptions, run
     from jaxdet.io import LogOptions, find_logs
     from jaxdet.sim import SimConfig, write_log
 
     path = tmp_path / "sim.mcap"
     write_log(path, SimConfig(frames=2, width=320, height=240))
-    options = RunOptions(tmp_path / "out", "reference", 2, pictures=0, truth=path)
-    summary = run(find_logs([str(path)]), Config(), LogOptions(), options)
-    figures = summary.logs[0].score
+    options = RunOptions(tmp_path / "out", "reference", 2, pictures=0)
+    observers = {"score": TruthScore(path, Config())}
+    logs = find_logs([str(path)])
+    summary = run(logs, Config(), LogOptions(), options, observers=observers)
+    figures = summary.logs[0].observed["score"]
     assert figures is not None and figures["drivable_pixels"] > 10000
     assert 0 < figures["free_claimed"] <= figures["free_claimed_worst"] < 0.2
     assert figures["free_claimed"] == pytest.approx(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
-from jaxdet.engine import Planes, decide_planes, prior
+from jaxdet.engine import Planes, decide_planes, floors
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.floor.sampled import sampled_floor
 from jaxdet.floor.units import FloorFit
@@ -24,7 +24,7 @@ class Sampled:
         self.heights, self.own = np.array(heights), np.array(own)
         self.T_base_camera = MOUNT if tf else None
         self.stamps_ns = np.arange(len(heights)) * 100_000_000
-        self.depth_stamp_ns = self.stamps_ns
+        self.num_frames = len(heights)
         self.priors: list[Any] = []
 
     def read(self, indices: list[int]) -> SimpleNamespace:
@@ -54,7 +54,7 @@ def decide(monkeypatch: pytest.MonkeyPatch) -> Any:
         heights: list[float], own: list[bool] | None = None, tf: bool = False, **ground: Any
     ) -> Planes:
         log = Sampled(heights, [True] * len(heights) if own is None else own, tf)
-        monkeypatch.setattr(prior, "find_floors", log.find)
+        monkeypatch.setattr(floors, "find_floors", log.find)
         config = Config(ground=GroundConfig(**ground), surface=SurfaceConfig(cell_rad=0.01))
         return decide_planes(log, config, "reference")
 

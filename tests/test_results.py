@@ -10,7 +10,7 @@ import pytest
 from jaxdet.errors import ConfigError
 from jaxdet.results import writer
 from jaxdet.results.lists import Lists
-from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter
+from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter, Tables
 
 
 def frame_rows(start: int, stop: int) -> dict:
@@ -65,7 +65,7 @@ def write(folder: Path, batch: int, rows: int = 50, **kwargs: bool) -> None:
     with ResultWriter(folder, **kwargs) as writer:
         for start in range(0, rows, batch):
             stop = min(start + batch, rows)
-            writer.add(frame_rows(start, stop), obstacle_rows(start, stop))
+            writer.add(Tables.of(frame_rows(start, stop), obstacle_rows(start, stop)))
         writer.commit({"a": 1}, {"b": "é"})
 
 

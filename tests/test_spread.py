@@ -1,22 +1,20 @@
 """A batch over several devices: equal to one device, for any number of rows."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
-import warp as wp
 
 from jaxdet import detect, engine
 from jaxdet.config import Config
-from jaxdet.engine import local
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.stages import _detect, _points, _spread, _upload
+from jaxdet.stages._spread import rows_over
 from jaxdet.types import Frames, GroundPlane
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
 
@@ -86,32 +84,6 @@ def runs(path: Path, output: Path, ways: list[tuple[Any, int]]) -> None:
         assert len(found) == 1, name
 
 
-def test_rings_of_buffers_keep_what_is_in_use(monkeypatch, tmp_path):
-    """The engine's way to a GPU, with the host's memory in place of pinned and device memory."""
-    path = tmp_path / "sim.mcap"
-    write_log(path, SimConfig(frames=23, width=160, height=120))
-    copies = []
-
-    def copy(to: wp.array, source: wp.array, src_offset: int, count: int, stream: object) -> None:
-        copies.append(count)
-        to.numpy().reshape(-1)[:] = source.numpy().reshape(-1)[src_offset : src_offset + count]
-
-    def empty(*shapes: tuple[int, ...], **_: object) -> tuple[wp.array, ...]:
-        kinds = _upload.UINT8, _upload.UINT16
-        return tuple(wp.empty(s, dtype=k, device="cpu") for s, k in zip(shapes, kinds, strict=True))
-
-    nothing = {"Stream": lambda device: None, "synchronize_stream": lambda stream: None}
-    stand_in = SimpleNamespace(
-        copy=copy, to_jax=wp.to_jax, device_from_jax=wp.device_from_jax, **nothing
-    )
-    monkeypatch.setattr(_upload, "wp", stand_in)
-    monkeypatch.setattr(_upload, "_empty", empty)
-    monkeypatch.setattr(local, "_on_cuda", lambda: True)
-    with jax.default_device(jax.devices("cpu")[0]):
-        runs(path, tmp_path, [("reference", 23), ("jax", 1), ("jax", 3)])
-    assert len(copies) == 2 * (23 + 8)
-
-
 @pytest.fixture
 def gpus() -> list:
     """All CUDA devices, which are JAX's default then."""
@@ -145,10 +117,10 @@ def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, len
     color, depth = given.color[rows], given.depth[rows]
     plane = jax.tree.map(lambda values: values[rows], given.plane)
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
-    uploader = _upload.Uploader(color.shape, depth.shape, devices=tuple(gpus[:1]))
+    uploader = _upload.Uploader(color.shape, depth.shape, gpus[0])
     pinned = _upload.pin(color, depth)
     for _ in range(2):
-        on_device = uploader.upload(pinned)
+        on_device = uploader.upload([pinned])
         many = frames(given.calibration, *on_device, plane=plane)
         assert_equal(detect(many, config), want)
 
@@ -166,7 +138,7 @@ def test_all_gpus_share_a_batch(gpus, batch, lens, name):
     assert_equal(found, want)
     if batch % len(gpus) == 0:
         assert found.features.u.devices() == set(gpus)
-        uploader = _upload.Uploader(given.color.shape, given.depth.shape)
-        color, depth = uploader.upload(_upload.pin(given.color, given.depth))
+        rows = rows_over(tuple(gpus))
+        color, depth = jax.device_put((given.color, given.depth), rows)
         assert color.devices() == set(gpus)
         assert_equal(detect(given._replace(color=color, depth=depth), config), want)

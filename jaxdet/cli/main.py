@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 import jaxdet
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.errors import ConfigError, JaxdetError
 
 COMMANDS = {
@@ -57,8 +58,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args[0] not in COMMANDS:
         known = ", ".join(COMMANDS)
         return _fail(f"no command {args[0]!r}; use one of {known}, see jaxdet --help", 2)
-    command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
-    return _guarded(command, args[1:])
+    if args[0] == "run" and not {"-h", "--help", "--quiet", "--json"} & set(args):
+        SPINNER.start("loading")
+    try:
+        command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
+        return _guarded(command, args[1:])
+    finally:
+        SPINNER.stop()
 
 
 def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
@@ -80,5 +86,6 @@ def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
 
 
 def _fail(message: str, code: int) -> int:
+    SPINNER.stop()
     print(f"jaxdet: error: {' '.join(message.split())}", file=sys.stderr)
     return code

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from jaxdet.cli.spinner import SPINNER
+
 if TYPE_CHECKING:
     from jaxdet.engine import Progress, ProgressCallback
 
@@ -34,24 +36,26 @@ def _bars() -> Iterator["ProgressCallback"]:
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} frames"),
-        TextColumn("{task.fields[rate]}", markup=False),
+        TextColumn("{task.fields[text]}", markup=False),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[bad]}", markup=False),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[int, int] = {}
+    bars = Progress(*columns, console=Console(stderr=True))
+    tasks: dict[int, int] = {}
 
-        def show(now: "Progress") -> None:
-            if now.log_number not in tasks:
-                for task in bars.tasks[: len(tasks) + 1 - MAX_BARS]:
-                    bars.update(task.id, visible=False)
-                name = f"{_which(now)}{now.log}"
-                tasks[now.log_number] = bars.add_task(name, total=now.total, rate="", bad="")
-            task = bars.tasks[tasks[now.log_number]].id
-            bars.update(task, completed=now.done, rate=_rate(now), bad=_bad(now))
+    def show(now: "Progress") -> None:
+        SPINNER.stop()
+        bars.start()
+        if now.log_number not in tasks:
+            for task in bars.tasks[: len(tasks) + 1 - MAX_BARS]:
+                bars.update(task.id, visible=False)
+            tasks[now.log_number] = bars.add_task(f"{_which(now)}{now.log}", total=None, text="")
+        task = bars.tasks[tasks[now.log_number]].id
+        bars.update(task, total=now.total or None, completed=now.done, text=_text(now))
 
+    try:
         yield show
+    finally:
+        bars.stop()
 
 
 class _Lines:
@@ -61,20 +65,24 @@ class _Lines:
         self.last = time.monotonic()
 
     def __call__(self, now: "Progress") -> None:
-        if now.done < now.total and time.monotonic() - self.last < LINE_EVERY_S:
+        if now.doing or (now.done < now.total and time.monotonic() - self.last < LINE_EVERY_S):
             return
         self.last = time.monotonic()
-        parts = [f"{_which(now)}{now.log}: {now.done}/{now.total} frames", _rate(now), _bad(now)]
-        print(", ".join(part for part in parts if part), file=sys.stderr, flush=True)
+        print(f"{_which(now)}{now.log}: {_text(now)}", file=sys.stderr, flush=True)
 
 
 def _which(now: "Progress") -> str:
     return f"[{now.log_number + 1}/{now.num_logs}] " if now.num_logs > 1 else ""
 
 
-def _rate(now: "Progress") -> str:
-    return f"{now.frames_per_s:.1f} frames/s" if now.frames_per_s else ""
-
-
-def _bad(now: "Progress") -> str:
-    return f"{now.bad} not ok" if now.bad else ""
+def _text(now: "Progress") -> str:
+    """Frames, rate, what takes most of the time, and frames that are not ok."""
+    if now.doing:
+        return now.doing
+    parts = [
+        f"{now.done}/{now.total} frames",
+        f"{now.frames_per_s:.1f} frames/s" if now.frames_per_s else "",
+        f"most time: {now.bottleneck}" if now.bottleneck else "",
+        f"{now.bad} not ok" if now.bad else "",
+    ]
+    return ", ".join(part for part in parts if part)

@@ -41,8 +41,8 @@ def _log_lines(log: "LogSummary") -> list[str]:
     if log.overflow_frames:
         frames = f"{log.overflow_frames} frames"
         text.append(f"overflow   {frames} had more corners, surfaces or obstacles than slots")
-    if log.score:
-        text += _score_lines(log.score)
+    if score := log.observed.get("score"):
+        text += _score_lines(score)
     return text + [f"warning    {warning}" for warning in log.warnings]
 
 

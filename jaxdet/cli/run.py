@@ -3,13 +3,14 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.config import (
     ClusterConfig,
     Config,
@@ -20,9 +21,8 @@ from jaxdet.config import (
     ObstacleConfig,
     SurfaceConfig,
 )
+from jaxdet.engine.options import Flag, RunOptions
 from jaxdet.io.options import LogOptions
-
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 DESCRIPTION = """\
 Finds the obstacles in every frame of logs and writes frames.parquet, obstacles.parquet,
@@ -46,27 +46,15 @@ class RunCommand:
     logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
     """MCAP files, folders (searched for .mcap) or globs; the split files of one recording are one
     log."""
-    output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results."""
+    run: Annotated[RunOptions, tyro.conf.arg(name="")]
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
     orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
     of corners; the others are wheeled with the depth range of a camera."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with sections as below."""
-    backend: Literal["jax", "reference"] = "jax"
-    """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
-    batch_size: int = 16
-    """Frames computed together; changes no result."""
-    workers: int | None = None
-    """Processes to share the frames; changes no result. By default one a core on the CPU for logs
-    of 500 frames or more, else one."""
-    pictures: int = 8
-    """Frames of each log to draw, evenly spaced."""
     truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
     """A simulated log whose truth the results are compared with."""
-    overwrite: Flag = False
-    """Replace the results in the output folder."""
     quiet: Flag = False
     """Say nothing but errors."""
     json: Flag = False
@@ -87,7 +75,7 @@ def parse(args: list[str]) -> RunCommand:
     missing: Any = tyro.MISSING
     start = RunCommand(
         logs=missing,
-        output=missing,
+        run=RunOptions(missing),
         preset=name,
         ground=config.ground,
         features=config.features,
@@ -103,9 +91,12 @@ def parse(args: list[str]) -> RunCommand:
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
+    SPINNER.stop()  # whatever is said of the arguments
     command = parse(args)
+    if not (command.quiet or command.json):
+        SPINNER.start("loading")
     from jaxdet.cli.progress import reporting
-    from jaxdet.engine import RunOptions, run, start_up
+    from jaxdet.engine import run
     from jaxdet.io import find_logs
     from jaxdet.results.writer import to_json
 
@@ -119,25 +110,18 @@ def main(args: list[str]) -> int:
         surface=command.surface,
         obstacle=command.obstacle,
     )
-    options = RunOptions(
-        command.output,
-        command.backend,
-        command.batch_size,
-        command.pictures,
-        command.overwrite,
-        command.truth,
-        command.preset,
-        command.workers,
-    )
-    if command.backend == "jax":
-        start_up()
+    observers = {}
+    if command.truth:
+        from jaxdet.cli.truth import TruthScore  # which loads the simulator
+
+        observers["score"] = TruthScore(command.truth, config)
     silent = command.quiet or command.json
     with reporting(silent) as progress:
-        summary = run(logs, config, command.log, options, progress)
+        summary = run(logs, config, command.log, command.run, progress, observers, command.preset)
     if command.json:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
-        print("\n".join(summary_lines(summary, command.output)))
+        print("\n".join(summary_lines(summary, command.run.output)))
     for log in summary.failed:
         print(f"jaxdet: error: {log.error}", file=sys.stderr)
     return 1 if summary.failed else 0

@@ -1,25 +1,62 @@
-"""Runs the pipeline over whole logs and writes the results."""
+"""Runs the pipeline over whole logs and writes the results.
 
-from jaxdet.engine.ground import GroundRecord, Planes
-from jaxdet.engine.loop import Progress, ProgressCallback, RunOptions, run
-from jaxdet.engine.many import Workers
-from jaxdet.engine.planes import decide_planes
-from jaxdet.engine.startup import start_up, use_caches
-from jaxdet.results.summary import LogSummary, Summary, plain, versions
+The names are loaded when they are used, so that options alone cost no import of JAX.
+"""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxdet.engine.floors import GroundRecord, Planes, decide_planes
+    from jaxdet.engine.local import Progress, ProgressCallback, run
+    from jaxdet.engine.options import RunOptions
+    from jaxdet.engine.plan import LogPlan, Observer, Unit
+    from jaxdet.engine.startup import start_up, use_caches
+    from jaxdet.engine.unit import run_unit
+    from jaxdet.results.summary import LogSummary, Summary, plain, versions
+
+_MODULES = {
+    "GroundRecord": "engine.floors",
+    "LogPlan": "engine.plan",
+    "LogSummary": "results.summary",
+    "Observer": "engine.plan",
+    "Planes": "engine.floors",
+    "Progress": "engine.local",
+    "ProgressCallback": "engine.local",
+    "RunOptions": "engine.options",
+    "Summary": "results.summary",
+    "Unit": "engine.plan",
+    "decide_planes": "engine.floors",
+    "plain": "results.summary",
+    "run": "engine.local",
+    "run_unit": "engine.unit",
+    "start_up": "engine.startup",
+    "use_caches": "engine.startup",
+    "versions": "results.summary",
+}
 __all__ = [
     "GroundRecord",
+    "LogPlan",
     "LogSummary",
+    "Observer",
     "Planes",
     "Progress",
     "ProgressCallback",
     "RunOptions",
     "Summary",
-    "Workers",
+    "Unit",
     "decide_planes",
     "plain",
     "run",
+    "run_unit",
     "start_up",
     "use_caches",
     "versions",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Loads a public name with its module."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"jaxdet.{_MODULES[name]}"), name)

@@ -90,6 +90,14 @@ class OccupancyMap:
             cv2.fillPoly(mask, parts, (1,), cv2.LINE_8, _SHIFT)
             _add_to_tiles(self.free_tiles, mask, *low[g].tolist())
 
+    def merge(self, later: "OccupancyMap") -> None:
+        """Adds the counts of another map, whose path goes on from this one's."""
+        self.path += later.path
+        self.skipped += later.skipped
+        for mine, more in ((self.tiles, later.tiles), (self.free_tiles, later.free_tiles)):
+            for place, tile in more.items():
+                mine[place] = mine[place] + tile if place in mine else tile
+
     def image(self) -> MapImage | None:
         """The map as one array, or None when nothing is on it or it would be too large."""
         path = np.concatenate(self.path) if self.path else np.zeros((0, 2))

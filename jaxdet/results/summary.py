@@ -4,6 +4,7 @@ import dataclasses
 import math
 import platform
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
@@ -20,44 +21,25 @@ MANY_REFUSED = 0.1
 """More of the frames without a floor of their own are worth a warning."""
 
 
-@dataclass
-class LogSummary:
-    """One log of a run."""
+@dataclass(kw_only=True)
+class Counts:
+    """Figures of some frames that add up."""
 
-    log: str
-    paths: tuple[str, ...]
     frames: int = 0
-    """Rows written; of a log that failed on the way, those before the failure."""
+    """Colour frames; of a log that failed on the way, those before the failure."""
     status: Counter[str] = field(default_factory=Counter)
     features: int = 0
     obstacles: int = 0
     overflow_frames: int = 0
-    seconds: float = 0.0
-    """From the first batch asked for to the last row [s]."""
-    first_batch_s: float = 0.0
-    """Until the first batch was through, compilation included [s]."""
-    frames_per_s: float | None = None
-    """Without the first batch; None when there is too little after it to say."""
-    ground: tuple[Any, ...] = ()
-    """The planes used and their sources, see ``jaxdet.engine.ground.GroundRecord``."""
     floor_sources: Counter[str] = field(default_factory=Counter)
     """Of the frames that are ok, see ``floor_source`` of ``frames.parquet``."""
     floor_refused: Counter[str] = field(default_factory=Counter)
     """Likewise, where a frame's own depth does not decide its floor."""
-    calibration: Any = None
-    description: Any = None
-    """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
-    map: str | None = None
-    pictures: list[str] = field(default_factory=list)
-    score: dict[str, Any] | None = None
-    """Comparison with the truth of a simulated log."""
-    warnings: list[str] = field(default_factory=list)
-    frame_errors: list[str] = field(default_factory=list)
-    """The first few frames that could not be used, with the reason."""
-    error: str | None = None
-    """Why the log failed as a whole."""
+    busy_s: Counter[str] = field(default_factory=Counter)
+    """How long processes took to ``read`` (and decode), ``detect`` (or wait for it) and ``write``
+    rows, all together [s]."""
 
-    def count(self, rows: dict[str, Any]) -> None:
+    def count(self, rows: Mapping[str, Any]) -> None:
         """Adds the columns of ``frames.parquet`` of a batch."""
         self.frames += len(rows["status"])
         self.status.update(rows["status"].tolist())
@@ -67,6 +49,48 @@ class LogSummary:
         good = rows["status"] == str(FrameStatus.OK)
         self.floor_sources.update(rows["floor_source"][good].tolist())
         self.floor_refused.update(rows["floor_refused"][good].compressed().tolist())
+
+    def add(self, other: "Counts") -> None:
+        """Adds those of other frames."""
+        for part in dataclasses.fields(Counts):
+            mine, more = getattr(self, part.name), getattr(other, part.name)
+            if isinstance(mine, Counter):
+                mine.update(more)
+            else:
+                setattr(self, part.name, mine + more)
+
+
+@dataclass
+class LogSummary(Counts):
+    """One log of a run."""
+
+    log: str
+    paths: tuple[str, ...]
+    seconds: float = 0.0
+    """From the first batch asked for to the last row [s]."""
+    first_batch_s: float = 0.0
+    """Until the first batches were through, compilation included [s]."""
+    frames_per_s: float | None = None
+    """Without the first batches; None when there is too little after them to say."""
+    ground: tuple[Any, ...] = ()
+    """The planes used and their sources, see ``jaxdet.engine.GroundRecord``."""
+    calibration: Any = None
+    description: Any = None
+    """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
+    map: str | None = None
+    pictures: list[str] = field(default_factory=list)
+    observed: dict[str, Any] = field(default_factory=dict)
+    """What each observer says of the log; ``score`` is the comparison with the truth."""
+    warnings: list[str] = field(default_factory=list)
+    frame_errors: list[str] = field(default_factory=list)
+    """The first few frames that could not be used, with the reason."""
+    error: str | None = None
+    """Why the log failed as a whole; it then has no rows."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON has it, what observers say under their names."""
+        values = {"log": self.log, **plain(self)}
+        return {"score": None, **values, **values.pop("observed")}
 
     @property
     def floor_warning(self) -> str | None:
@@ -83,6 +107,12 @@ class LogSummary:
             f"{refused} of {good} frames don't show their floor themselves ({reasons}), "
             f"{', '.join(others)}: give the camera's true --ground.camera-height-m and tilt"
         )
+
+    @property
+    def bottleneck(self) -> str:
+        """What takes most of the processes' time, for instance ``read 71 %``; empty at first."""
+        (name, most), *_ = [*self.busy_s.most_common(1), ("", 0.0)]
+        return f"{name} {most / self.busy_s.total():.0%}" if most else ""
 
     @property
     def num_bad(self) -> int:
@@ -104,12 +134,17 @@ class Summary:
     @property
     def frames(self) -> int:
         """Rows of ``frames.parquet``."""
-        return sum(log.frames for log in self.logs)
+        return sum(log.frames for log in self.whole)
 
     @property
     def obstacles(self) -> int:
         """Rows of ``obstacles.parquet``."""
-        return sum(log.obstacles for log in self.logs)
+        return sum(log.obstacles for log in self.whole)
+
+    @property
+    def whole(self) -> list[LogSummary]:
+        """The logs whose rows are in the tables."""
+        return [log for log in self.logs if not log.error]
 
     @property
     def failed(self) -> list[LogSummary]:
@@ -119,7 +154,7 @@ class Summary:
     def to_dict(self) -> dict[str, Any]:
         """The content of ``summary.json``: strings, numbers, lists, mappings and null only."""
         status = Counter({str(s): 0 for s in FrameStatus})
-        for log in self.logs:
+        for log in self.whole:
             status.update(log.status)
         return {
             "jaxdet": _version("jaxdet"),
@@ -129,10 +164,10 @@ class Summary:
             "frames": self.frames,
             "status": dict(status),
             "obstacles": self.obstacles,
-            "overflow_frames": sum(log.overflow_frames for log in self.logs),
+            "overflow_frames": sum(log.overflow_frames for log in self.whole),
             "failed_logs": len(self.failed),
             "seconds": round(self.seconds, 3),
-            "logs": [plain(log) for log in self.logs],
+            "logs": [log.to_dict() for log in self.logs],
             "versions": versions(),
         }
 

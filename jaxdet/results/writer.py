@@ -11,9 +11,9 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -126,6 +126,42 @@ def _lists(lists: Lists, kind: pa.ListType) -> pa.Array:
     return pa.ListArray.from_arrays(offsets, values, type=kind, mask=null)
 
 
+class Tables(NamedTuple):
+    """Rows of both tables."""
+
+    frames: pa.Table
+    obstacles: pa.Table
+
+    @classmethod
+    def of(cls, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> "Tables":
+        """Rows from columns, see :func:`to_table`."""
+        return cls(to_table(frames, FRAMES_SCHEMA), to_table(obstacles, OBSTACLES_SCHEMA))
+
+    @classmethod
+    def load(cls, stem: Path) -> "Tables":
+        """What :meth:`save` wrote."""
+        return cls(*(_load(stem.with_suffix(end)) for end in _ARROW))
+
+    def save(self, stem: Path) -> None:
+        """Writes them as Arrow files beside each other, ``STEM.frames`` and ``STEM.obstacles``."""
+        for table, end in zip(self, _ARROW, strict=True):
+            with pa.ipc.new_file(str(stem.with_suffix(end)), table.schema) as file:
+                file.write_table(table)
+
+
+_ARROW = (".frames", ".obstacles")
+
+
+def join_tables(parts: Iterable[Tables]) -> Tables:
+    """Rows one after the other."""
+    return Tables(*map(pa.concat_tables, zip(*parts, strict=True)))
+
+
+def _load(path: Path) -> pa.Table:
+    with pa.OSFile(str(path)) as file, pa.ipc.open_file(file) as reader:
+        return reader.read_all()
+
+
 class _Table:
     """A Parquet file in row groups of a fixed size."""
 
@@ -195,10 +231,21 @@ class ResultWriter:
         with contextlib.suppress(OSError):
             self.directory.rmdir()  # where nothing is in it
 
-    def add(self, frames: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
-        """Appends rows, in order; see :func:`to_table` for the columns."""
-        self._frames.add(to_table(frames, FRAMES_SCHEMA))
-        self._obstacles.add(to_table(obstacles, OBSTACLES_SCHEMA))
+    def add(self, rows: "Tables") -> None:
+        """Appends rows, in order."""
+        self._frames.add(rows.frames)
+        self._obstacles.add(rows.obstacles)
+
+    @contextlib.contextmanager
+    def log_folder(self) -> Iterator[Path]:
+        """A folder for a log while it is not whole; its ``pictures`` are kept if it ends well."""
+        folder = Path(tempfile.mkdtemp(prefix="log-", dir=self.staging))
+        try:
+            yield folder
+            for picture in sorted(folder.glob("pictures/*")):
+                picture.rename(self.path(f"pictures/{picture.name}"))
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
     def path(self, name: str) -> Path:
         """Where to write a further file that shall end as ``name`` in the output folder."""

@@ -1,127 +1,132 @@
-"""Batches from page-locked host memory to CUDA devices, while the last batch is computed."""
+"""Batches from page-locked host memory to a CUDA device, while the last batch is computed."""
 
-from itertools import cycle
-from typing import Any, NamedTuple
+import ctypes
+import mmap
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
 import warp as wp
 
-from jaxdet.stages import _spread
-
 UINT8: Any = wp.uint8
 UINT16: Any = wp.uint16
+INT32: Any = wp.int32
+
+Images = tuple[np.ndarray, np.ndarray]
+"""Colour ``(n, H, W, 3)`` uint8 and depth ``(n, Hd, Wd)`` uint16."""
+
+_PORTABLE = 1
+"""CU_MEMHOSTREGISTER_PORTABLE: page-locked for all devices."""
 
 
-class PinnedImages(NamedTuple):
-    """Colour and depth images of a batch in page-locked host memory."""
-
-    color: wp.array
-    """``(B, H, W, 3)`` uint8."""
-    depth: wp.array
-    """``(B, Hd, Wd)`` uint16."""
-
-
-def pin(color: np.ndarray, depth: np.ndarray) -> PinnedImages:
+def pin(color: np.ndarray, depth: np.ndarray) -> Images:
     """Copies a batch's images into page-locked memory, which the bus reads at its full rate.
 
     Args:
         color: ``(B, H, W, 3)`` uint8.
         depth: ``(B, Hd, Wd)`` uint16.
     """
-    images = _pinned(color.shape, depth.shape)
-    images.color.numpy()[...] = color
-    images.depth.numpy()[...] = depth
-    return images
+    kinds = UINT8, UINT16
+    shapes = zip((color, depth), kinds, strict=True)
+    images = [
+        wp.empty(a.shape, dtype=kind, device="cpu", pinned=True).numpy() for a, kind in shapes
+    ]
+    images[0][...], images[1][...] = color, depth
+    return images[0], images[1]
 
 
-class PinnedRing:
-    """Page-locked images that a reader writes to, in turns.
+class Uploader:
+    """A ring of device buffers, filled on a stream of its own, and the way back.
+
+    A buffer is filled again ``depth`` uploads later; by then the results computed from it must be
+    ready, so wait for the batch before the last before uploading the next.
 
     Args:
         color_shape: ``(B, H, W, 3)``.
         depth_shape: ``(B, Hd, Wd)``.
-        count: Batches in use at a time; the next one takes the place of the oldest.
-    """
-
-    def __init__(
-        self, color_shape: tuple[int, ...], depth_shape: tuple[int, ...], count: int
-    ) -> None:
-        images = [_pinned(color_shape, depth_shape) for _ in range(count)]
-        self._by_address = {each.color.ptr: each for each in images}
-        self._turns = cycle(images)
-
-    def images(self) -> tuple[np.ndarray, np.ndarray]:
-        """The next colour and depth images."""
-        images = next(self._turns)
-        return images.color.numpy(), images.depth.numpy()
-
-    def pinned(self, color: np.ndarray) -> PinnedImages:
-        """The images that :meth:`images` gave, by the colour ones."""
-        return self._by_address[color.ctypes.data]
-
-
-class Uploader:
-    """Rings of device buffers, filled on streams of their own.
-
-    The rows go to the devices in equal parts. A buffer is filled again ``depth`` uploads later; by
-    then the results computed from it must be ready, so wait for the batch before the last before
-    uploading the next.
-
-    Args:
-        color_shape: ``(B, H, W, 3)``; ``B`` makes equal parts.
-        depth_shape: ``(B, Hd, Wd)``.
+        device: Where to.
         depth: Number of buffers.
-        devices: Where to; by default the devices that share a batch.
     """
 
     def __init__(
         self,
         color_shape: tuple[int, ...],
         depth_shape: tuple[int, ...],
+        device: Any,
         depth: int = 3,
-        devices: _spread.Devices | None = None,
     ) -> None:
-        self.devices = devices or _spread.devices_for(None)
-        self.shapes = color_shape, depth_shape
-        parts = [(shape[0] // len(self.devices), *shape[1:]) for shape in self.shapes]
-        self.streams, self.rings = [], []
-        for device in map(wp.device_from_jax, self.devices):
-            self.streams.append(wp.Stream(device))
-            self.rings.append([_empty(*parts, device=device) for _ in range(depth)])
+        self.device = wp.device_from_jax(device)
+        self.stream = wp.Stream(self.device)
+        self.ring = [
+            (
+                wp.zeros(color_shape, dtype=UINT8, device=self.device),
+                wp.zeros(depth_shape, dtype=UINT16, device=self.device),
+            )
+            for _ in range(depth)
+        ]
+        wp.synchronize_device(self.device)  # the zeros are written on another stream
         self.uploads = 0
 
-    def upload(self, images: PinnedImages) -> tuple[jax.Array, jax.Array]:
-        """Copies a batch to the devices and waits for the copies, not for what is being computed.
+    def upload(self, pieces: Sequence[Images]) -> tuple[jax.Array, jax.Array]:
+        """Copies pieces of a batch to the device, one after the other.
+
+        It waits for the copies, not for what is being computed. What is left of the batch has what
+        was there before.
 
         Returns:
-            Colour and depth on the devices, valid until the buffers are filled again.
+            Colour and depth on the device, valid until the buffers are filled again.
         """
-        turn = self.uploads % len(self.rings[0])
+        buffers = self.ring[self.uploads % len(self.ring)]
         self.uploads += 1
-        buffers = [ring[turn] for ring in self.rings]
-        for number, (stream, part) in enumerate(zip(self.streams, buffers, strict=True)):
-            for to, source in zip(part, images, strict=True):
-                wp.copy(to, source, src_offset=number * to.size, count=to.size, stream=stream)
-        for stream in self.streams:
-            wp.synchronize_stream(stream)
-        color, depth = (self._joined([part[i] for part in buffers], i) for i in range(2))
+        for which, (to, kind) in enumerate(zip(buffers, (UINT8, UINT16), strict=True)):
+            start = 0
+            for piece in pieces:
+                source = _on_host(piece[which], kind)
+                wp.copy(to, source, dest_offset=start, count=source.size, stream=self.stream)
+                start += source.size
+        wp.synchronize_stream(self.stream)
+        color, depth = map(wp.to_jax, buffers)
         return color, depth
 
-    def _joined(self, parts: list[wp.array], which: int) -> jax.Array:
-        """One array whose rows are on the devices."""
-        arrays = [wp.to_jax(part) for part in parts]
-        if len(arrays) == 1:
-            return arrays[0]
-        sharding = _spread.rows_over(self.devices)
-        return jax.make_array_from_single_device_arrays(self.shapes[which], sharding, arrays)
+    def download(self, found: jax.Array, rows: Sequence[np.ndarray]) -> None:
+        """Waits for ``found`` ``(B, n)`` int32 and copies its rows, piece by piece."""
+        source, start = wp.from_jax(jax.block_until_ready(found)), 0
+        for piece in rows:
+            to = _on_host(piece, INT32)
+            wp.copy(to, source, src_offset=start, count=to.size, stream=self.stream)
+            start += to.size
+        wp.synchronize_stream(self.stream)
 
 
-def _pinned(color_shape: tuple[int, ...], depth_shape: tuple[int, ...]) -> PinnedImages:
-    return PinnedImages(*_empty(color_shape, depth_shape, device="cpu", pinned=True))
+def _on_host(array: np.ndarray, kind: Any) -> wp.array:
+    """Contiguous memory as Warp has it, where it is."""
+    return wp.array(ptr=array.ctypes.data, dtype=kind, shape=(array.size,), device="cpu")
 
 
-def _empty(
-    color_shape: tuple[int, ...], depth_shape: tuple[int, ...], **where: Any
-) -> tuple[wp.array, wp.array]:
-    return wp.empty(color_shape, dtype=UINT8, **where), wp.empty(depth_shape, dtype=UINT16, **where)
+class PageLock:
+    """Page-locked memory: all devices copy from and to it at the bus' full rate.
+
+    Args:
+        memory: To be unlocked before it is closed.
+        device: One of the devices.
+
+    Raises:
+        OSError: CUDA can't lock it.
+    """
+
+    def __init__(self, memory: mmap.mmap, device: Any) -> None:
+        self._device = wp.device_from_jax(device)
+        self._address = ctypes.c_void_p(ctypes.addressof(ctypes.c_char.from_buffer(memory)))
+        size = ctypes.c_size_t(len(memory))
+        self._call("cuMemHostRegister_v2", self._address, size, ctypes.c_uint(_PORTABLE))
+
+    def unlock(self) -> None:
+        """Makes it usual memory again."""
+        self._call("cuMemHostUnregister", self._address)
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        with self._device.context_guard:
+            code = getattr(ctypes.CDLL("libcuda.so.1"), name)(*arguments)
+        if code:
+            raise OSError(f"{name} failed with error {code}")

@@ -1,6 +1,7 @@
-"""Comparison of a run with the truth of a simulated log, while the detections are at hand."""
+"""``jaxdet run --truth``: comparison with the truth of a simulated log, batch by batch."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from jaxdet.eval import (
     truth_of,
 )
 from jaxdet.reference import align
-from jaxdet.sim import load_depths, load_drivable, load_obstacle_ids, load_truth
+from jaxdet.sim import Truth, load_depths, load_drivable, load_obstacle_ids, load_truth
 from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
@@ -28,21 +29,19 @@ if TYPE_CHECKING:
 _SUFFIX = ".truth.npz"
 
 
-class Scorer:
-    """Compares the frames whose stamps the truth knows.
+class TruthScore:
+    """Compares the frames whose stamps the truth knows; a :class:`jaxdet.engine.Observer`.
 
     Args:
         path: The simulated log, or the truth file beside it.
         config: Its depth range says which obstacles are asked for.
 
     Raises:
-        InputError: There is no truth, or it can't be read.
+        InputError: By each call: there is no truth, or it can't be read.
     """
 
     def __init__(self, path: Path, config: Config) -> None:
         self.log = Path(str(path).removesuffix(_SUFFIX))
-        self.truth = load_truth(self.log)
-        self.number = {stamp: i for i, stamp in enumerate(self.truth.stamp_ns.tolist())}
         ground = config.ground
         self.config = EvalConfig(
             ground.min_depth_m,
@@ -51,16 +50,16 @@ class Scorer:
             footprint=config.footprint,
         )
 
-    def tally(self, batch: "Batch", found: Detections) -> Tally:
+    def __call__(self, batch: "Batch", found: Detections) -> Tally:
         """Compares a batch, ``found`` as NumPy arrays."""
-        frames = batch.frames
-        numbers = [self.number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
+        truth, frames = self._truth, batch.frames
+        numbers = [self._number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
         which = np.where(known, numbers, 0)
         images = [load(self.log, which) for load in (load_obstacle_ids, load_depths, load_drivable)]
-        truth = truth_of(self.truth, which, *images)
+        shown = truth_of(truth, which, *images)
         unit, valid = frames.calibration.depth_unit, frames.valid & known
-        right = evaluate(found, truth, unit, self.config, valid)
+        right = evaluate(found, shown, unit, self.config, valid)
         return total([right, *self._claimed(frames, found, which, images, valid)])
 
     def _claimed(
@@ -74,14 +73,21 @@ class Scorer:
         """The drivable floor inside of outlines."""
         _, depth_m, drivable = images
         calibration, unit = frames.calibration, frames.calibration.depth_unit
-        poses = self.truth.T_world_camera[which]
+        poses = self._truth.T_world_camera[which]
         floor_m = floor_positions(depth_m, drivable, calibration.color, poses)
         z_m = align(np.asarray(frames.depth), calibration).z * unit
         floor_m = measured_floor(floor_m, depth_m, z_m, self.config)
         return claimed_floor(found, floor_m, unit, self.config, valid)
 
+    def summary(self, tallies: Sequence[Tally]) -> dict[str, Any] | None:
+        """The figures for the summary; None when no frame was compared."""
+        figures = score(tallies) if tallies else None
+        return figures.to_dict() if figures and figures.tally.frames else None
 
-def scores(tallies: Sequence[Tally]) -> dict[str, Any] | None:
-    """The figures for the summary; None when no frame was compared."""
-    figures = score(tallies)
-    return figures.to_dict() if figures.tally.frames else None
+    @cached_property
+    def _truth(self) -> Truth:
+        return load_truth(self.log)
+
+    @cached_property
+    def _number(self) -> dict[int, int]:
+        return {stamp: number for number, stamp in enumerate(self._truth.stamp_ns.tolist())}

@@ -1,0 +1,46 @@
+"""What goes on before anything can be shown; loads nothing."""
+
+import sys
+import threading
+
+_FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
+_EVERY_S = 0.1
+_ERASE = "\r\x1b[2K"
+
+
+class Spinner:
+    """A line on standard error, where that is a terminal, until :meth:`stop`."""
+
+    def __init__(self) -> None:
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, text: str) -> None:
+        """Shows the text."""
+        self.stop()
+        if sys.stderr.isatty():
+            self._stopped.clear()
+            self._thread = threading.Thread(target=self._turn, args=(text,), daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Takes the line away."""
+        if self._thread is not None:
+            self._stopped.set()
+            self._thread.join()
+            self._thread = None
+
+    def _turn(self, text: str) -> None:
+        number = 0
+        while True:
+            sys.stderr.write(f"{_ERASE}{_FRAMES[number % len(_FRAMES)]} {text}")
+            sys.stderr.flush()
+            number += 1
+            if self._stopped.wait(_EVERY_S):
+                break
+        sys.stderr.write(_ERASE)
+        sys.stderr.flush()
+
+
+SPINNER = Spinner()
+"""There is one terminal."""

@@ -1,0 +1,237 @@
+"""What is known of the floor of a log's frames before they are looked at, and where it is from.
+
+The user's flags or the robot (TF) say it, and a sample of the log, each frame for itself, corrects
+it, as mounts are not always as they are said to be. It is decided before the frames of a log (or of
+a fixed time window of it) are worked on, and never carried from frame to frame, so results do not
+depend on how a run is split. Each frame's own depth then corrects it; for clusters of points it is
+the floor.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxdet.config import Config, GroundConfig
+from jaxdet.errors import InputError
+from jaxdet.floor.plane import (
+    flagged_plane,
+    join_planes,
+    plane_from_transform,
+    repeat_plane,
+    unknown_plane,
+)
+from jaxdet.floor.sampled import SampledFloor, sampled_floor
+from jaxdet.pipeline import BackendName, find_floors
+from jaxdet.types import GroundPlane
+
+if TYPE_CHECKING:
+    from jaxdet.io import Log
+
+MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
+"""Camera heights that a TF tree is believed for; a base frame in the camera has none."""
+
+
+@dataclass(frozen=True)
+class GroundRecord:
+    """A plane and where it comes from, for the summary."""
+
+    source: str
+    """``flags``, ``tf``, ``estimate`` or ``none``."""
+    window_start_ns: int | None = None
+    """First stamp of the time window; None: the whole log."""
+    height_m: float | None = None
+    pitch_rad: float | None = None
+    roll_rad: float | None = None
+    ramp_start_m: float | None = None
+    """Where a ramp ahead begins [m]; None: there is none."""
+    ramp_slope: float | None = None
+    height_spread_m: float | None = None
+    """How much the height differs between the sampled frames (estimate) [m]."""
+    frames_used: int | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The planes of a log."""
+
+    records: tuple[GroundRecord, ...]
+    windows: dict[int, GroundPlane]
+    """Window number to plane (``B = 1``); one window, 0, for the whole log."""
+    window_ns: int = 0
+    """Length of the windows; 0: the whole log."""
+    warnings: tuple[str, ...] = ()
+    otherwise: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
+    """Of frames in no window, ``B = 1``."""
+    otherwise_source: str = "none"
+    """Where that comes from."""
+
+    def of(self, stamp_ns: np.ndarray) -> GroundPlane:
+        """The plane of each frame with these stamps ``(B,)`` int64."""
+        if not self.window_ns:
+            return repeat_plane(self.windows[0], stamp_ns.size)
+        keys = (stamp_ns // self.window_ns).tolist()
+        each = [self.windows.get(key, self.otherwise) for key in keys]
+        return join_planes(each)
+
+    def sources(self, stamp_ns: np.ndarray) -> list[str]:
+        """Where the plane of each frame with these stamps comes from.
+
+        ``flags``, ``tf``, ``log`` (an estimate from frames of the whole log), ``window`` (from
+        those of the frame's time window) or ``none``.
+        """
+        if not self.window_ns:
+            return [_word(self.records[0], "log")] * stamp_ns.size
+        known = {
+            record.window_start_ns // self.window_ns: _word(record, "window")
+            for record in self.records
+            if record.window_start_ns is not None
+        }
+        keys = (stamp_ns // self.window_ns).tolist()
+        return [known.get(key, self.otherwise_source) for key in keys]
+
+
+def _word(record: GroundRecord, estimated: str) -> str:
+    return estimated if record.source == "estimate" else record.source
+
+
+def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
+    """What is known of the floor of a log's frames, in the order flags, TF, none.
+
+    A sample of the frames is looked at first, each for itself, and the median of the floors that
+    they show takes the place of what flags or TF say. Where neither says anything it is the prior
+    only of a camera that keeps its place, see :class:`jaxdet.floor.sampled.SampledFloor`; else each
+    frame is searched alone. Samples are spread evenly over the frames by number, paired or not.
+
+    Args:
+        log: An open log.
+        config: ``config.ground`` says which source is wanted, and whether each time window has a
+            sample of its own (which takes the stamps of all frames).
+        backend: Backend that finds the floors.
+
+    Returns:
+        The planes, with records and warnings for the summary.
+
+    Raises:
+        InputError: ``ground.source`` is tf and the log has no usable transform.
+    """
+    if config.ground.source == "none":
+        return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
+    known, plane, warnings = _stated(log, config.ground)
+    records, windows = [], {}
+    window_ns = round(config.ground.window_s * 1e9)
+    for number, frames in _windows(log, window_ns):
+        sample = evenly(frames, config.ground.sample_frames)
+        record, windows[number] = _look(log, sample, known, plane, config, backend)
+        start = number * window_ns if window_ns else None
+        records.append(replace(record, window_start_ns=start))
+    unknown = sum(not one.valid[0] for one in windows.values())
+    if config.cluster.points and unknown:
+        where = f" in {unknown} of {len(windows)} time windows" if window_ns else ""
+        problem = f"no floor was found{where}: nothing is dropped as floor there"
+        warnings = (*warnings, f"{problem}; give --ground.camera-height-m")
+    return Planes(
+        tuple(records) or (replace(known, message=_said(known, "no frame has depth")),),
+        windows if window_ns else {0: plane, **windows},
+        window_ns,
+        warnings,
+        plane,
+        known.source,
+    )
+
+
+def evenly(values: np.ndarray, count: int) -> np.ndarray:
+    """At most ``count`` of ``values``, evenly spaced, the first and the last among them."""
+    if values.size <= count:
+        return values
+    return values[np.linspace(0, values.size - 1, count).round().astype(np.int64)]
+
+
+def _windows(log: "Log", window_ns: int) -> list[tuple[int, np.ndarray]]:
+    """The frames of each time window, or of the whole log."""
+    frames = np.arange(log.num_frames)
+    if not window_ns:
+        return [(0, frames)] if frames.size else []
+    numbers = np.asarray(log.stamps_ns) // window_ns
+    return [(number, frames[numbers == number]) for number in np.unique(numbers).tolist()]
+
+
+def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane, tuple[str, ...]]:
+    """What flags or TF say, with warnings; of source ``none`` where they say nothing."""
+    if ground.camera_height_m is not None and ground.source in ("auto", "flags"):
+        plane = flagged_plane(ground)
+        return _record("flags", plane), plane, ()
+    nothing = GroundRecord("none"), unknown_plane(1)
+    if ground.source not in ("auto", "tf"):
+        return *nothing, ()
+    plane, problem = _plane_from_tf(log)
+    if plane is not None:
+        return _record("tf", plane, f"{log.base_frame} to the colour camera"), plane, ()
+    if ground.source == "tf":
+        raise InputError(problem, path=log.name, remedy="give --ground.camera-height-m")
+    return *nothing, (problem,) if log.T_base_camera is not None else ()
+
+
+def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
+    if log.T_base_camera is None:
+        return None, "no transform from the robot's base to the colour camera"
+    plane = plane_from_transform(log.T_base_camera)
+    height = float(plane.height[0])
+    if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+        return None, f"the TF camera height of {height:.3f} m above {log.base_frame} is not used"
+    return plane, ""
+
+
+def _look(
+    log: "Log",
+    sample: np.ndarray,
+    known: GroundRecord,
+    plane: GroundPlane,
+    config: Config,
+    backend: BackendName,
+) -> tuple[GroundRecord, GroundPlane]:
+    """The prior that a sample of frames gives: what they show, else what is known."""
+    frames = log.read(sample.tolist()).frames
+    if not frames.valid.any():
+        return replace(known, message=_said(known, "no sampled frame could be read")), plane
+    frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
+    fit = find_floors(frames, config, backend=backend)
+    shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
+    found = sampled_floor(shown, fit.own[frames.valid])
+    message = _said(known, _sample_text(found))
+    alone = not plane.valid[0] and not config.cluster.points
+    if not (found.agrees if alone else found.plane.valid[0]):
+        if alone:
+            message = f"each frame is searched alone; {message}"
+        return replace(known, frames_used=found.decided, message=message), plane
+    record = replace(
+        _record("estimate", found.plane, message),
+        height_spread_m=found.height_spread_m,
+        frames_used=found.decided,
+    )
+    return record, found.plane
+
+
+def _record(source: str, plane: GroundPlane, message: str = "") -> GroundRecord:
+    """The record of a plane, ``B = 1``."""
+    height, pitch, roll, _, start, slope = (float(part[0]) for part in plane)
+    ramp = (start, slope) if np.isfinite(start) else (None, None)
+    return GroundRecord(source, None, height, pitch, roll, *ramp, message=message)
+
+
+def _sample_text(found: SampledFloor) -> str:
+    text = f"{found.decided} of {found.looked_at} sampled frames show their floor"
+    if np.isnan(found.height_spread_m):
+        return text
+    degrees = np.degrees(found.angle_spread_rad)
+    return f"{text}, within {found.height_spread_m * 100:.1f} cm and {degrees:.1f}° of the median"
+
+
+def _said(known: GroundRecord, text: str) -> str:
+    """A message with what is known beside it."""
+    if known.height_m is None:
+        return text
+    pitch, roll = np.degrees([known.pitch_rad or 0.0, known.roll_rad or 0.0])
+    about = f"{known.source}: {known.height_m:.3f} m up, {pitch:.1f}° down, roll {roll:+.1f}°"
+    return "; ".join(part for part in (text, about, known.message) if part)

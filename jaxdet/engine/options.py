@@ -1,0 +1,37 @@
+"""How a run is made; every field is a flag of ``jaxdet run``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from jaxdet.errors import ConfigError
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run; nothing here changes a byte of the two tables."""
+
+    output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results."""
+    backend: Literal["jax", "reference"] = "jax"
+    """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
+    batch_size: int | None = None
+    """Frames computed together; changes no result. By default 16 on the CPU; 256 on a GPU, fewer
+    where images are large."""
+    workers: int | None = None
+    """Processes to share the frames; changes no result. By default one a core; on the CPU only for
+    logs of 500 frames or more, else one."""
+    pictures: int = 8
+    """Frames of each log to draw, evenly spaced."""
+    overwrite: Flag = False
+    """Replace the results in the output folder."""
+
+    def __post_init__(self) -> None:
+        if self.batch_size is not None and self.batch_size < 1:
+            raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
+        if self.workers is not None and self.workers < 1:
+            raise ConfigError(f"{self.workers} workers", remedy="give --workers 1 or more")

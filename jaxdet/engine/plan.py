@@ -1,0 +1,70 @@
+"""What is to be done with a log: decided before its frames are worked on, and then only read."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from jaxdet.config import Config
+from jaxdet.engine.floors import Planes
+from jaxdet.pipeline import BackendName
+from jaxdet.types import Detections
+
+if TYPE_CHECKING:
+    from jaxdet.io import Batch
+
+
+class Observer(Protocol):
+    """Sees each batch with what was found in it, for instance to compare it with the truth.
+
+    It is pickled into the processes that work on a log.
+    """
+
+    def __call__(self, batch: "Batch", found: Detections, /) -> Any:
+        """What it makes of a batch, picklable; ``found`` are NumPy arrays."""
+        ...
+
+    def summary(self, seen: Sequence[Any], /) -> Any:
+        """What it says of a log, from all that it made of its batches; JSON can hold it."""
+        ...
+
+
+class Unit(NamedTuple):
+    """A range of a log's frames: what a process takes at a time."""
+
+    number: int
+    start: int
+    stop: int
+    """The frame after the last."""
+
+
+class LogPlan(NamedTuple):
+    """What holds for all frames of a log. No unit's results depend on another's."""
+
+    log: str
+    """The log's name."""
+    num_frames: int
+    config: Config
+    backend: BackendName
+    batch_size: int
+    """Frames that are read and computed together."""
+    unit_frames: int
+    """Frames of a unit but the last."""
+    planes: Planes
+    drawn: frozenset[int]
+    """Frames to draw."""
+    folder: Path
+    """Where parts and pictures go."""
+    file_name: str
+    """What the names of pictures begin with."""
+    observers: Mapping[str, Observer]
+
+    def units(self) -> Iterator[Unit]:
+        """The units, in the order of their frames."""
+        size = self.unit_frames
+        for number, start in enumerate(range(0, self.num_frames, size)):
+            yield Unit(number, start, min(start + size, self.num_frames))
+
+    def where(self, unit: Unit) -> str:
+        """The log and the frames of a unit."""
+        first, last = unit.start, unit.stop - 1
+        return f"{self.log}, " + (f"frames {first} to {last}" if last > first else f"frame {last}")

@@ -1,0 +1,492 @@
+"""One process computes for many: images and results in shared memory, which the GPU reads itself.
+
+Each worker has a few slots of the memory: it decodes a piece of its unit into one while the pieces
+in the others are computed. The station collects the pieces that wait, of any workers and in any
+order, copies them to a GPU as one batch, and copies the packed results back to the slots. No frame
+depends on another, so no result depends on who shares a batch.
+"""
+
+import mmap
+import os
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing import Pipe
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.engine.device import Found
+from jaxdet.errors import WorkerError
+from jaxdet.floor.plane import unknown_plane
+from jaxdet.pipeline import detect
+from jaxdet.results.rows import RowInputs, row_inputs, to_host
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane
+
+if TYPE_CHECKING:
+    from jaxdet.io import Batch, Log
+
+SLOTS = 3
+"""Of each worker: one that it decodes to, and two that are computed or wait for it."""
+PIECE_FRAMES, PIECE_BYTES = 16, 24 << 20
+"""Frames of a slot: so many, or as many as take so much memory, but one."""
+BATCH_PIECES = 16
+"""A batch: 256 frames of 640x480."""
+_PAGE = 4096
+
+
+class Slots(NamedTuple):
+    """The shared memory of a log's images and how it is divided; goes to the workers."""
+
+    path: str
+    """Where other processes find it."""
+    frames: int
+    """Frames of a slot."""
+    color: tuple[int, ...]
+    """Shape of a colour image, ``(H, W, 3)`` uint8."""
+    depth: tuple[int, ...]
+    """Shape of a depth image, ``(Hd, Wd)`` uint16."""
+    workers: int
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of a slot's colour and depth images, in whole pages."""
+        color, depth = np.prod(self.color), 2 * np.prod(self.depth)
+        return _pages(int(color) * self.frames), _pages(int(depth) * self.frames)
+
+    @property
+    def nbytes(self) -> int:
+        """Of all slots."""
+        return self.workers * SLOTS * sum(self.sizes)
+
+    def views(self, memory: mmap.mmap) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Colour ``(n, H, W, 3)`` and depth ``(n, Hd, Wd)`` of each slot."""
+        first, second = self.sizes
+        found = []
+        for start in range(0, self.nbytes, first + second):
+            shapes = (self.frames, *self.color), (self.frames, *self.depth)
+            color = np.ndarray(shapes[0], np.uint8, memory, start)
+            found.append((color, np.ndarray(shapes[1], np.uint16, memory, start + first)))
+        return found
+
+
+def _pages(nbytes: int) -> int:
+    return -(-nbytes // _PAGE) * _PAGE
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """An array of :class:`jaxdet.results.rows.RowInputs` in the packed results."""
+
+    shape: tuple[int, ...]
+    """Of a frame."""
+    kind: np.dtype
+
+
+class Packing(NamedTuple):
+    """The shared memory of the results: a row of int32 for each frame of each slot."""
+
+    path: str
+    inputs: Any
+    """:class:`jaxdet.results.rows.RowInputs` of :class:`Leaf`."""
+
+    @property
+    def ints(self) -> int:
+        """int32 of a frame."""
+        return sum(int(np.prod(leaf.shape)) for leaf in _leaves(self.inputs))
+
+    def view(self, memory: mmap.mmap, slots: Slots) -> np.ndarray:
+        """``(slots, frames, ints)`` int32."""
+        shape = slots.workers * SLOTS, slots.frames, self.ints
+        return np.ndarray(shape, np.int32, memory)
+
+    def unpacked(self, rows: np.ndarray) -> RowInputs:
+        """What ``rows`` ``(B, ints)`` hold, without a copy but of what is boolean."""
+        start = 0
+
+        def unpack(leaf: Leaf) -> np.ndarray:
+            nonlocal start
+            stop = start + int(np.prod(leaf.shape))
+            part, start = rows[:, start:stop].reshape(len(rows), *leaf.shape), stop
+            return part.astype(leaf.kind, copy=False)
+
+        return _map(unpack, self.inputs)
+
+
+def _map(function: Callable[[Any], Any], tree: Any) -> Any:
+    """A tree of named tuples and None with ``function`` of each leaf, in order."""
+    if tree is None:
+        return None
+    if isinstance(tree, tuple):
+        return type(tree)(*[_map(function, part) for part in tree])
+    return function(tree)
+
+
+def _leaves(tree: Any) -> list[Any]:
+    found: list[Any] = []
+    _map(found.append, tree)
+    return found
+
+
+class Piece(NamedTuple):
+    """A slot that a worker has filled."""
+
+    worker: int
+    slot: int
+    """Among all slots."""
+    plane: GroundPlane
+    whole: bool
+
+
+class Reply(NamedTuple):
+    """Its results are there, or why not."""
+
+    slot: int
+    packing: Packing | None
+    whole: Detections | None
+    error: Exception | None
+
+
+class Piped(NamedTuple):
+    """A worker's way to the station."""
+
+    number: int
+    pipe: Any
+    """A :class:`multiprocessing.connection.Connection`."""
+
+
+class Station:
+    """Computes what workers decode, a thread for each GPU; a context manager.
+
+    Args:
+        workers: How many share it.
+        devices: What computes.
+    """
+
+    def __init__(self, workers: int, devices: Sequence[Any]) -> None:
+        pipes = [Pipe() for _ in range(workers)]
+        self.ends = [Piped(number, theirs) for number, (_, theirs) in enumerate(pipes)]
+        self._pipes = [ours for ours, _ in pipes]
+        self._devices = devices
+        self._log: _LogStation | None = None
+
+    def close(self) -> None:
+        """Ends the threads; the workers have ended."""
+        self.leave()
+        for pipe in (*self._pipes, *(end.pipe for end in self.ends)):
+            pipe.close()
+
+    def leave(self) -> None:
+        """No log is worked on any more."""
+        if self._log:
+            self._log.close()
+        self._log = None
+
+    def enter(self, log: "Log", config: Config, batch_size: int | None) -> tuple[Slots, int]:
+        """Begins to serve a log.
+
+        Args:
+            log: Its images' sizes and calibration are asked for.
+            config: The method's parameters.
+            batch_size: Frames computed together; None: as many as the memory is meant for.
+
+        Returns:
+            The slots for the workers, and the frames computed together.
+
+        Raises:
+            WorkerError: There is not as much memory.
+        """
+        color, depth = log.image_shapes
+        fits = PIECE_BYTES // (int(np.prod(color)) + 2 * int(np.prod(depth)))
+        frames = max(1, min(PIECE_FRAMES, fits, batch_size or PIECE_FRAMES))
+        pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
+        slots = Slots("", frames, color, depth, len(self._pipes))
+        served = _Served(slots, pieces, log.calibration, config)
+        if self._log is None or self._log.served != served:
+            self.leave()
+            self._log = _LogStation(served, self._pipes, self._devices)
+        return self._log.slots, pieces * frames
+
+
+class _Served(NamedTuple):
+    """What logs have in common that are served by the same threads, one after the other."""
+
+    slots: Slots
+    """Without a path."""
+    pieces: int
+    calibration: Calibration
+    config: Config
+
+
+class _LogStation:
+    """What serves a log, and the next one if it is of the same kind."""
+
+    def __init__(self, served: _Served, pipes: list[Any], devices: Sequence[Any]) -> None:
+        self.served, self.pipes, self.devices = served, pipes, devices
+        self.memory = _Memory(served.slots.nbytes)
+        self.slots = served.slots._replace(path=self.memory.path)
+        self.images = self.slots.views(self.memory.map)
+        self.results: _Results | None = None
+        self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
+        self.lock = threading.Lock()
+        self.locked: dict[str, Any] = {}
+        """Page locks by the path of the memory."""
+        self.threads: list[threading.Thread] = []
+        self.woken, self.waker = Pipe(duplex=False)
+        self._run(self._receive)
+        for device in devices:
+            self._run(self._compute, device)
+
+    def close(self) -> None:
+        """Ends the threads and frees the memory."""
+        self.waker.send(None)
+        for thread in self.threads:
+            thread.join()
+        for end in (self.waker, self.woken):
+            end.close()
+        for lock in self.locked.values():
+            lock.unlock()
+        self.memory.close()
+        if self.results:
+            self.results.memory.close()
+
+    def _run(self, target: Any, *args: Any) -> None:
+        thread = threading.Thread(target=target, args=args, name="jaxdet-station", daemon=True)
+        self.threads.append(thread)
+        thread.start()
+
+    def _receive(self) -> None:
+        """Takes what workers send until the end."""
+        while True:
+            for end in wait([*self.pipes, self.woken]):
+                if end is self.woken:
+                    for _ in self.devices:
+                        self.waiting.put(None)
+                    return
+                self.waiting.put(end.recv())  # pyright: ignore
+
+    def _compute(self, device: Any) -> None:
+        """Computes batches on one device, the next one copied while the last is computed."""
+        lane, broken = None, None
+        try:
+            lane = _Lane(self, device)
+            lane.finish([], lane.start([]))  # compiled while workers start
+        except Exception as error:
+            broken = error
+        flying: tuple[list[Piece], Any] | None = None
+        more = True
+        while more or flying:
+            pieces, more = self._collect(block=flying is None) if more else ([], False)
+            started = None
+            if pieces:
+                try:
+                    started = pieces, _usable(lane, broken).start(pieces)
+                except Exception as error:
+                    self._refuse(pieces, error)
+            if flying:
+                try:
+                    replies = _usable(lane, broken).finish(*flying)
+                except Exception as error:
+                    self._refuse(flying[0], error)
+                else:
+                    for piece, reply in zip(flying[0], replies, strict=True):
+                        self._send(piece, reply)
+            flying = started
+
+    def _collect(self, *, block: bool) -> tuple[list[Piece], bool]:
+        """The pieces that wait, at most a batch, and whether more may come."""
+        found: list[Piece] = []
+        while len(found) < self.served.pieces:
+            try:
+                piece = self.waiting.get(block=block and not found)
+            except queue.Empty:
+                break
+            if piece is None:
+                return found, False
+            found.append(piece)
+        return found, True
+
+    def page_lock(self, memory: "_Memory", device: Any) -> None:
+        """Page-locks memory, once."""
+        from jaxdet.stages._upload import PageLock
+
+        with self.lock:
+            if memory.path not in self.locked:
+                self.locked[memory.path] = PageLock(memory.map, device)
+
+    def results_of(self, inputs: RowInputs) -> "_Results":
+        """The memory of the results, made when the first are there."""
+        with self.lock:
+            if self.results is None:
+                leaves = _map(lambda a: Leaf(a.shape[1:], np.dtype(a.dtype)), inputs)
+                ints = Packing("", leaves).ints
+                size = 4 * ints * self.slots.frames * self.slots.workers * SLOTS
+                memory = _Memory(size)
+                packing = Packing(memory.path, leaves)
+                rows = packing.view(memory.map, self.slots)
+                self.results = _Results(memory, packing, rows)
+            return self.results
+
+    def _refuse(self, pieces: list[Piece], error: Exception) -> None:
+        for piece in pieces:
+            self._send(piece, Reply(piece.slot, None, None, error))
+
+    def _send(self, piece: Piece, reply: Reply) -> None:
+        with suppress(OSError):  # the worker has died, which its pool says
+            self.pipes[piece.worker].send(reply)
+
+
+def _usable(lane: "_Lane | None", broken: Exception | None) -> "_Lane":
+    """The device, or why there is none."""
+    if lane is None or broken is not None:
+        raise broken or RuntimeError("no device")
+    return lane
+
+
+class _Results(NamedTuple):
+    memory: "_Memory"
+    packing: Packing
+    rows: np.ndarray
+    """See :meth:`Packing.view`."""
+
+
+class _Lane:
+    """One device and what belongs to it."""
+
+    def __init__(self, log: _LogStation, device: Any) -> None:
+        from jaxdet.stages._upload import Uploader
+
+        slots = log.slots
+        self.log, self.device, self.rows = log, device, log.served.pieces * slots.frames
+        shapes = (self.rows, *slots.color), (self.rows, *slots.depth)
+        self.uploader = Uploader(*shapes, device)
+        log.page_lock(log.memory, device)
+
+    def start(self, pieces: list[Piece]) -> tuple[Detections, RowInputs, Any]:
+        """Copies the pieces and starts to compute them."""
+        log = self.log
+        images: Any = self.uploader.upload([log.images[piece.slot] for piece in pieces])
+        nothing = np.zeros(self.rows, np.int64)
+        missing = self.rows - len(pieces) * log.slots.frames
+        plane = _joined([*(piece.plane for piece in pieces), unknown_plane(missing)])
+        known = nothing, nothing, nothing, nothing > 0
+        frames = Frames(images[0], images[1], log.served.calibration, *known, plane=plane)
+        found = detect(frames, log.served.config)
+        inputs, packed = _pack()(_without_prior(found))
+        return found, inputs, packed
+
+    def finish(
+        self, pieces: list[Piece], started: tuple[Detections, RowInputs, Any]
+    ) -> list[Reply]:
+        """Waits for the results and copies them to the slots."""
+        found, inputs, packed = started
+        results = self.log.results_of(inputs)
+        self.log.page_lock(results.memory, self.device)
+        self.uploader.download(packed, [results.rows[piece.slot] for piece in pieces])
+        replies, size = [], self.log.slots.frames
+        everything = to_host(found) if any(piece.whole for piece in pieces) else None
+        for number, piece in enumerate(pieces):
+            part = slice(number * size, (number + 1) * size)
+            whole = _map(lambda a, part=part: a[part], everything) if piece.whole else None
+            replies.append(Reply(piece.slot, results.packing, whole, None))
+        return replies
+
+
+@lru_cache(maxsize=1)
+def _pack() -> Any:
+    """What rows need of detections, and the same as ``(B, ints)`` int32; compiled."""
+    import jax
+    import jax.numpy as jnp
+
+    @jax.jit
+    def pack(found: Detections) -> tuple[RowInputs, Any]:
+        inputs = row_inputs(found)
+        rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in jax.tree.leaves(inputs)]
+        return inputs, jnp.concatenate(rows, axis=1)
+
+    return pack
+
+
+def _without_prior(found: Detections) -> Any:
+    """The prior stays on the host."""
+    return found if found.scene is None else found._replace(scene=found.scene._replace(prior=None))
+
+
+def _joined(planes: list[GroundPlane]) -> GroundPlane:
+    return GroundPlane(*(np.concatenate(part) for part in zip(*planes, strict=True)))
+
+
+class SharedDevice:
+    """A worker's side; a :class:`jaxdet.engine.device.Device`.
+
+    Args:
+        slots: What :meth:`Station.enter` returned.
+        piped: The worker's way to the station.
+    """
+
+    ahead = SLOTS - 1
+
+    def __init__(self, slots: Slots, piped: Piped) -> None:
+        self._slots, self._piped = slots, piped
+        self._first = piped.number * SLOTS
+        self._views = slots.views(_attached(slots.path))
+        self._turn = 0
+        self._replies: dict[int, Reply] = {}
+        self._results: tuple[Packing, np.ndarray] | None = None
+
+    def images(self) -> tuple[np.ndarray, np.ndarray]:
+        """The memory for the next batch."""
+        self._turn = (self._turn + 1) % SLOTS
+        return self._views[self._first + self._turn]
+
+    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
+        """Gives the batch, whose images are in the memory of the last call, to the station."""
+        slot = self._first + self._turn
+        self._piped.pipe.send(Piece(self._piped.number, slot, plane, whole))
+        return slot
+
+    def finish(self, started: int) -> Found:
+        """Waits for a batch; its results are valid until its slot is started again."""
+        while started not in self._replies:
+            reply: Reply = self._piped.pipe.recv()
+            self._replies[reply.slot] = reply
+        _, packing, whole, error = self._replies.pop(started)
+        if error:
+            raise error
+        assert packing
+        if self._results is None or self._results[0].path != packing.path:
+            self._results = packing, packing.view(_attached(packing.path), self._slots)
+        return Found(packing.unpacked(self._results[1][started]), whole)
+
+
+class _Memory:
+    """Shared memory without a name, which is freed with the last process that has it."""
+
+    def __init__(self, nbytes: int) -> None:
+        self._file = os.memfd_create("jaxdet")
+        try:
+            os.ftruncate(self._file, nbytes)
+            self.map = mmap.mmap(self._file, nbytes)
+        except OSError as error:
+            os.close(self._file)
+            problem = f"no shared memory of {nbytes >> 20} MiB ({error.strerror})"
+            raise WorkerError(problem, remedy="take fewer --workers") from error
+        self.path = f"/proc/{os.getpid()}/fd/{self._file}"
+
+    def close(self) -> None:
+        """Frees this process' part."""
+        os.close(self._file)
+
+
+def _attached(path: str) -> mmap.mmap:
+    """Another process' memory."""
+    file = os.open(path, os.O_RDWR)
+    try:
+        return mmap.mmap(file, os.fstat(file).st_size)
+    finally:
+        os.close(file)
