@@ -176,15 +176,19 @@ class _LogRun:
         alone, slots = self._alone(log.num_frames), None
         self.workers = 1 if alone else self.pool.count
         self.report(about, log.num_frames, "looking for the floor")
+        if not alone:
+            self.pool.start()
+        elif self.options.backend == "jax":
+            start_up()
+        here = alone or bool(self.pool.devices)  # else this process has no need of JAX
+        decide = decide_planes if here else partial(self.pool.call, decide_planes)
+        planes = decide(log, self.config, self.options.backend)
         if self.pool.devices:
             slots, self.batch = self.pool.serve(log, self.config, self.options.batch_size)
-            plan = self._plan(log, folder, slots.frames, decide_planes)
+            plan = self._plan(log, folder, slots.frames, planes)
         else:
-            if alone and self.options.backend == "jax":
-                start_up()
             self.batch = self.options.batch_size or CPU_BATCH
-            decide = decide_planes if alone else partial(self.pool.call, decide_planes)
-            plan = self._plan(log, folder, min(self.batch, max(1, log.num_frames)), decide)
+            plan = self._plan(log, folder, min(self.batch, max(1, log.num_frames)), planes)
         self.report(about, log.num_frames, "starting")
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
@@ -206,9 +210,7 @@ class _LogRun:
         about.warnings += [about.floor_warning] if about.floor_warning else []
         about.seconds = clock.seconds
 
-    def _plan(
-        self, log: "Log", folder: "Path", batch: int, decide: Callable[..., Planes]
-    ) -> LogPlan:
+    def _plan(self, log: "Log", folder: "Path", batch: int, planes: Planes) -> LogPlan:
         """How a log is worked through; ``batch`` frames at a time."""
         count, config = self.options.pictures, self.config
         drawn = evenly(np.arange(log.num_frames), count) if count else np.zeros(0, int)
@@ -219,7 +221,7 @@ class _LogRun:
             self.options.backend,
             batch,
             _unit_frames(log.num_frames, batch, self.workers, self.options.backend),
-            decide(log, config, self.options.backend),
+            planes,
             frozenset(drawn.tolist()),
             folder,
             self.file_name,

@@ -39,6 +39,9 @@ BATCH_PIECES = 16
 """A batch: 256 frames of 640x480."""
 _PAGE = 4096
 
+_warming = threading.Lock()
+"""Warp's modules are loaded by one thread at a time."""
+
 
 class Slots(NamedTuple):
     """The shared memory of a log's images and how it is divided; goes to the workers."""
@@ -161,7 +164,10 @@ class Piped(NamedTuple):
 
 
 class Station:
-    """Computes what workers decode, a thread for each GPU; a context manager.
+    """Computes what workers decode, a thread for each GPU.
+
+    Memory, page-locked: for each worker ``SLOTS`` times ``PIECE_BYTES``, or one frame where that is
+    more, and as many results (0.25 MB for a frame of 640x480).
 
     Args:
         workers: How many share it.
@@ -274,8 +280,9 @@ class _LogStation:
         """Computes batches on one device, the next one copied while the last is computed."""
         lane, broken = None, None
         try:
-            lane = _Lane(self, device)
-            lane.finish([], lane.start([]))  # compiled while workers start
+            with _warming:
+                lane = _Lane(self, device)
+                lane.finish([], lane.start([]))  # compiled while workers read
         except Exception as error:
             broken = error
         flying: tuple[list[Piece], Any] | None = None

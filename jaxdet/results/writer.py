@@ -239,7 +239,7 @@ class ResultWriter:
     @contextlib.contextmanager
     def log_folder(self) -> Iterator[Path]:
         """A folder for a log while it is not whole; its ``pictures`` are kept if it ends well."""
-        folder = Path(tempfile.mkdtemp(prefix="log-", dir=self.staging))
+        folder = Path(tempfile.mkdtemp(prefix="log-", dir=self.staging)).absolute()
         try:
             yield folder
             for picture in sorted(folder.glob("pictures/*")):
