@@ -276,8 +276,7 @@ class _LogRun:
 def _unit_frames(frames: int, batch: int, workers: int, backend: BackendName) -> int:
     """Frames of a unit: whole batches, and enough units to keep all workers busy to the end."""
     most = UNIT_FRAMES if backend == "jax" else batch
-    share = frames // (4 * workers) if workers > 1 else most
-    return max(1, min(most, share) // batch) * batch
+    return max(1, min(most, frames // (4 * workers)) // batch) * batch
 
 
 @dataclass
