@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.config import Config
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.startup import start_up
+from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.engine.station import Piped, Slots, Station
 from jaxdet.engine.unit import run_unit
 from jaxdet.errors import JaxdetError, WorkerError
@@ -260,7 +260,9 @@ def _begin(backend: BackendName, numbers: Any, ends: Sequence[Piped] | None) -> 
             _piped = end
         else:
             end.pipe.close()
-    if backend == "jax" and not ends:
+    if ends:
+        start_reading()
+    elif backend == "jax":
         start_up()
 
 

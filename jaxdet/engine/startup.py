@@ -1,15 +1,21 @@
 """What each process does before it computes: caches between runs, and a quiet Warp."""
 
+import ctypes
 import os
 import platform
 import sys
 import warnings
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable: the folder, or ``off``."""
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Of ``mallopt``."""
 
 
 class Caches(NamedTuple):
@@ -78,9 +84,34 @@ def quiet_warp() -> None:
 
 
 def start_up() -> None:
-    """Both, in the order that they need."""
+    """What a process does that computes, in the order that it needs."""
+    keep_memory()
     use_caches()
     quiet_warp()
+
+
+def start_reading() -> None:
+    """What a process does that reads for another that computes.
+
+    Where images are decoded by kernels Warp is loaded, for the CPU alone: a CUDA context in each
+    process would take memory of the GPU.
+    """
+    keep_memory()
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
+    folder = cache_folders().warp
+    if _writable(folder):
+        os.environ["WARP_CACHE_PATH"] = str(folder)
+
+
+def keep_memory() -> None:
+    """Makes glibc keep the memory of freed arrays of up to 32 MiB for the next ones.
+
+    Else each gets fresh pages of the system, which cost more than what is done with them.
+    """
+    with suppress(AttributeError, OSError, TypeError):  # another C library, another system
+        libc = ctypes.CDLL(None)
+        for parameter, value in ((_MMAP_THRESHOLD, 32 << 20), (_TRIM_THRESHOLD, 256 << 20)):
+            libc.mallopt(parameter, value)
 
 
 def _user_cache() -> Path | None:

@@ -43,5 +43,6 @@ def _kernels() -> Any:
 
     from jaxdet_kernels import decode
 
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)  # it writes to standard output
     wp.load_module(decode, device="cpu")
     return decode
