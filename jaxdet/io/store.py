@@ -1,4 +1,4 @@
-"""The chunks of a log's files: decompressed once, checked once, the latest kept."""
+"""The chunks of a log's files: decompressed once, checked once, those near by kept."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,6 +15,7 @@ R = TypeVar("R")
 
 CACHE_BYTES = 64 << 20
 """Of decompressed chunks that are kept, or one if it is larger."""
+_MAX_CHUNKS = 256
 _MAX_HEADS = 4096
 
 
@@ -25,6 +26,10 @@ class Place(NamedTuple):
     """Number of the file."""
     position: int
     """Where the content of the chunk's record begins, -1 for what lies outside chunks."""
+
+    def distance(self, other: "Place") -> tuple[int, int]:
+        """How far apart two chunks are, in files and bytes."""
+        return abs(self.file - other.file), abs(self.position - other.position)
 
 
 class ChunkStore:
@@ -45,7 +50,7 @@ class ChunkStore:
         threads = threads or cores()
         self._pool = ThreadPoolExecutor(threads, "jaxdet-read") if threads > 1 else None
         self._heads: OrderedDict[Place, ChunkHead] = OrderedDict()
-        self._chunks: OrderedDict[Place, bytes] = OrderedDict()
+        self._chunks: dict[Place, bytes] = {}
         self._bytes = 0
         self._lock = Lock()
 
@@ -105,10 +110,14 @@ class ChunkStore:
         """
         with self._lock:
             if place in self._chunks:
-                self._chunks.move_to_end(place)
                 return self._chunks[place]
-            while self._chunks and self._bytes + self._size(place) > self.cache_bytes:
-                self._bytes -= len(self._chunks.popitem(last=False)[1])
+            while self._chunks and (
+                self._bytes + self._size(place) > self.cache_bytes
+                or len(self._chunks) >= _MAX_CHUNKS
+            ):
+                # Not the oldest: what is looked at ahead, for the order, is read next.
+                farthest = max(self._chunks, key=place.distance)
+                self._bytes -= len(self._chunks.pop(farthest))
         data = self.files[place.file].chunk(place.position)
         with self._lock:
             if place not in self._chunks:
