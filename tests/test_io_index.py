@@ -200,11 +200,11 @@ def test_opening_reads_little_and_each_chunk_is_read_once(tmp_path, monkeypatch,
     with open_only(str(path)) as log:
         assert is_indexed(log) and sum(read) < 0.15 * size
         read.clear()
+        chunks.clear()
         assert sum(batch.frames.valid.sum() for batch in log.batches(16)) == 400
         assert sum(read) < (1.4 if compression == "none" else 1.2) * size
     if compression != "none":
-        # But for those that were looked at to open it.
-        assert len(chunks) <= len(set(chunks)) + 40
+        assert len(chunks) <= len(set(chunks)) + 2
 
 
 @pytest.mark.parametrize("apart", [1, windows.REACH - 1, windows.REACH, 30])
