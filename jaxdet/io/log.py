@@ -29,7 +29,7 @@ _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
 """Of images that are read together."""
 _NONE = np.zeros(0, np.int64)
-_FRAMES_KEPT = 12
+_FRAMES_KEPT = 14
 """Of which the chunks are kept: those read together, or of large images one, and those that are
 looked at to know which come next."""
 
@@ -98,7 +98,8 @@ class Log:
         unit, limit = self.calibration.depth_unit, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
         self._reader = ImageReader(store, found.color, found.depth, unit, limit, by_index)
-        frame_bytes = sum(math.prod(shape) for shape in self.image_shapes)
+        color_shape, depth_shape = self.image_shapes
+        frame_bytes = math.prod(color_shape) + 2 * math.prod(depth_shape)
         self._at_once = max(1, min(_MAX_AT_ONCE, _BYTES_AT_ONCE // frame_bytes))
         store.cache_bytes = max(store.cache_bytes, _FRAMES_KEPT * frame_bytes)
 

@@ -119,13 +119,14 @@ class ImageReader:
     def _read_chunk(self, job: tuple[Place, Sequence[Request], list[np.ndarray]]) -> list[Failure]:
         chunk, requests, (color, depth) = job
         try:
-            if chunk.position >= 0 and self._store.head(chunk).is_plain:
+            if chunk.position < 0:
+                payloads = [self._store.peek(chunk, *item.location[1:]) for item in requests]
+            elif self._store.head(chunk).is_plain:
                 payloads = self._read_plain(chunk, requests, color, depth)
             else:
-                payloads = [
-                    self._store.peek(chunk, item.location.offset, item.location.size)
-                    for item in requests
-                ]
+                data = memoryview(self._store.data(chunk))
+                spans = [item.location[1:] for item in requests]
+                payloads = [data[offset : offset + size] for offset, size in spans]
         except DamageError as error:
             if self._strict:
                 raise

@@ -46,6 +46,7 @@ class ChunkStore:
         self._pool = ThreadPoolExecutor(threads, "jaxdet-read") if threads > 1 else None
         self._heads: OrderedDict[Place, ChunkHead] = OrderedDict()
         self._chunks: OrderedDict[Place, bytes] = OrderedDict()
+        self._ahead: set[Place] = set()
         self._bytes = 0
         self._lock = Lock()
 
@@ -97,25 +98,41 @@ class ChunkStore:
                     self._heads.popitem(last=False)
         return head
 
-    def data(self, place: Place) -> bytes:
+    def data(self, place: Place, ahead: bool = False) -> bytes:
         """The records of a chunk, checked against its CRC.
+
+        Args:
+            place: The chunk.
+            ahead: It is only looked at, and kept until it is used.
 
         Raises:
             DamageError: It can't be read.
         """
+        size = self._size(place)
         with self._lock:
+            if not ahead:
+                self._ahead.discard(place)
             if place in self._chunks:
                 self._chunks.move_to_end(place)
                 return self._chunks[place]
-            while self._chunks and self._bytes + self._size(place) > self.cache_bytes:
-                self._bytes -= len(self._chunks.popitem(last=False)[1])
+            while self._chunks and self._bytes + size > self.cache_bytes:
+                self._drop_one()
         data = self.files[place.file].chunk(place.position)
         with self._lock:
             if place not in self._chunks:
                 self._chunks[place] = data
                 self._bytes += len(data)
+                if ahead:
+                    self._ahead.add(place)
             self.checked.add(place)
         return data
+
+    def _drop_one(self) -> None:
+        """Drops the chunk used least of late; one that waits for its use only if all do."""
+        used = (place for place in self._chunks if place not in self._ahead)
+        place = next(used, next(iter(self._chunks)))
+        self._ahead.discard(place)
+        self._bytes -= len(self._chunks.pop(place))
 
     def check(self, place: Place) -> None:
         """Makes sure that a chunk is as its CRC says, where it has one.
@@ -130,7 +147,7 @@ class ChunkStore:
                 self.files[place.file].chunk(place.position)
             self.checked.add(place)
         else:
-            self.data(place)
+            self.data(place, ahead=True)
 
     def peek(self, place: Place, offset: int, size: int) -> memoryview:
         """At most ``size`` bytes of a chunk's records, without its CRC where it isn't packed.
@@ -143,7 +160,7 @@ class ChunkStore:
             return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
-            return memoryview(self.data(place))[offset : offset + size]
+            return memoryview(self.data(place, ahead=True))[offset : offset + size]
         size = min(size, head.uncompressed_size - offset)
         start = place.position + head.data_offset
         return memoryview(self.files[place.file].read(start + offset, max(size, 0)))

@@ -10,6 +10,7 @@ of its frames. So whoever reads all frames either gets the ranks of a whole scan
 """
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import groupby
 from typing import NamedTuple
 
@@ -125,7 +126,7 @@ class StreamWindows:
         }
         for wave in self._store.waves(parts):
             packed = [place for place in wave if not self._store.head(place).is_plain]
-            for _ in self._store.map(self._store.data, packed):
+            for _ in self._store.map(partial(self._store.data, ahead=True), packed):
                 pass
             for place in wave:
                 for number in parts[place]:
