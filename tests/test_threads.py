@@ -1,5 +1,6 @@
 """CPU kernels on several cores: equal results for any number of threads, and errors that arrive."""
 
+import signal
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -10,6 +11,7 @@ import warp as wp
 
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
+from jaxdet.engine.device import interrupts_held_back
 from jaxdet.stages import _threads
 from tests.scenes import (
     D435,
@@ -92,3 +94,26 @@ def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
     monkeypatch.setenv("PJRT_NPROC", "3")
     assert _threads.threads() == 3
     assert [_threads.shares_of(frames) for frames in (1, 2, 3, 8)] == [1, 2, 3, 3]
+
+
+def test_a_ctrl_c_in_a_kernel_is_not_taken_for_its_results(monkeypatch):
+    """XLA calls kernels back in the caller's thread, where Python raises KeyboardInterrupt."""
+    calibration = small(48, 36)
+    depth = smooth_depth(2, calibration.depth)
+    images = frames(calibration, blocks(2, 36, 48), depth, plane=level(2))
+    jax.block_until_ready(detect(images))
+
+    def interrupted(work: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_threads, "_on_all_cores", interrupted)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="KeyboardInterrupt"):
+        jax.block_until_ready(detect(images))
+
+
+def test_the_engine_finishes_a_batch_before_a_ctrl_c():
+    done = False
+    with pytest.raises(KeyboardInterrupt), interrupts_held_back():
+        signal.raise_signal(signal.SIGINT)
+        done = True
+    assert done

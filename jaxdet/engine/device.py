@@ -1,6 +1,9 @@
 """Where the obstacles of a batch are found: in this process, or by the one that has the GPU."""
 
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -51,6 +54,26 @@ class Device(Protocol):
         ...
 
 
+@contextmanager
+def interrupts_held_back() -> Iterator[None]:
+    """A Ctrl-C waits until the end of the block.
+
+    Kernels are called back by XLA in this thread: an exception there would leave a batch half
+    computed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[Any] = []
+    before = signal.signal(signal.SIGINT, lambda *given: held.append(given))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if held and callable(before):
+            before(*held[0])
+
+
 class OwnDevice:
     """This process: NumPy, or JAX on whatever it computes on here.
 
@@ -70,10 +93,12 @@ class OwnDevice:
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> tuple[Detections, bool]:
         """Starts a batch."""
         frames = batch.frames._replace(plane=plane)
-        return detect(frames, self._config, backend=self._backend), whole
+        with interrupts_held_back():
+            return detect(frames, self._config, backend=self._backend), whole
 
     def finish(self, started: tuple[Detections, bool]) -> Found:
         """Waits for a batch."""
         found, whole = started
-        found = to_host(found)
+        with interrupts_held_back():
+            found = to_host(found)
         return Found(row_inputs(found), found if whole else None)

@@ -98,7 +98,7 @@ def register(name: str, run: Callable[[int, list[int]], None]) -> None:
             number = ctypes.c_int64.from_address(scalar.value).value
             buffers = [*_addresses(frame.arguments), *_addresses(frame.results)]
             run(number, [_POINTER.from_address(buffer + _DATA).value or 0 for buffer in buffers])
-        except Exception as error:
+        except BaseException as error:  # of a Ctrl-C too: ctypes would drop it
             message = f"{name}: {type(error).__name__}: {error}".encode()
             made = _Error(ctypes.sizeof(_Error), None, message, _UNKNOWN)
             return _Api.from_address(frame.api).create_error(ctypes.byref(made))
