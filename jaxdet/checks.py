@@ -83,7 +83,7 @@ def _check_camera(name: str, camera: Intrinsics) -> None:
     if not all(shortest <= focal <= longest for focal in (fx, fy)):
         problem = f"the {name} camera is not calibrated (fx {fx:g}, fy {fy:g})"
         raise CalibrationError(problem, remedy=f"give {flag}")
-    if not max(abs(cx), abs(cy)) <= longest:
+    if not (abs(cx) <= longest and abs(cy) <= longest):
         problem = f"the optical centre ({cx:g}, {cy:g}) is nowhere near the {name} image"
         raise CalibrationError(problem, remedy=f"give {flag}")
     if model not in tuple(Distortion):
