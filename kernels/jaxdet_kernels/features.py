@@ -23,7 +23,7 @@ SUPPRESS_THREADS, SUPPRESS_ROWS, SUPPRESS_COLUMNS = 256, 48, 128
 HYSTERESIS_THREADS = 512
 """Of a block, which has a frame."""
 
-MAXIMA_THREADS, MAXIMA_ROWS, MAXIMA_COLUMNS = 128, 32, 64
+MAXIMA_THREADS, MAXIMA_ROWS, MAXIMA_COLUMNS = 128, 48, 64
 """Threads of a block, and its tile of an image."""
 
 SELECT_THREADS = 1024
@@ -242,7 +242,7 @@ def _maxima_tile(
 ): ...
 
 
-@wp.kernel(launch_bounds=(128, 8))
+@wp.kernel(launch_bounds=(128, 6))
 def corners_maxima(
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.uint32],

@@ -333,6 +333,69 @@ struct CornerMaxima {
     }
 };
 #else
+// Exact strengths on CUDA, by a warp. Not inlined: it is code that few pixels need.
+struct ExactCorner {
+    enum { ALL = 0xffffffff };  // Lanes; unsigned.
+    enum { WARP = 32 };
+
+    int lane;
+    const unsigned* edges;  // (height, PixelBits::words(width))
+    int height, width;
+
+    // Whether a pixel is the strongest of its 3x3 pixels, and its strength, exactly; x and y are
+    // the same for all lanes. Nine of them take a pixel each.
+    __noinline__ bool is_maximum(int x, int y, float* strength) const {
+        const int which = lane < 9 ? lane : 4;
+        float xy = 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            float sums[3];
+            const int u = min(max(x - 1 + k, 0), width - 1);
+            add_up(u, y - 1, sums);
+            #pragma unroll
+            for (int i = 0; i < 3; ++i)
+                if (which == 3 * k + i) xy = sums[i];
+        }
+        const int u = x - 1 + which / 3, v = y - 1 + which % 3;
+        const bool inside = u >= 0 && u < width && v >= 0 && v < height;
+        const CornerColumn column = {edges, height, width, inside ? u : x};
+        const float own = inside ? column.strength(v, xy) : 0.0f;
+        *strength = __shfl_sync(ALL, own, 4);
+        return *strength > 0.0f && !__any_sync(ALL, own > *strength);
+    }
+
+    // The sums of dx dy around a column's rows first .. first + 2, as CornerColumn's; for all lanes
+    // the same, which work out 32 rows at a time. They are added up one by one, but for rows where
+    // neither what is added nor what is taken away is other than 0.
+    void add_up(int x, int first, float* sums) const {
+        const CornerColumn column = {edges, height, width, x};
+        const CornerColumn::State start = column.start();
+        double running = start.running, oldest = start.oldest, older = start.older;
+        const int end = min(first + 3, height);
+        for (int row = 0; row < end; row += WARP) {
+            const int count = min((int)WARP, end - row);
+            const double coming = lane < count ? column.row_sum(row + lane + 1) : 0.0;
+            const unsigned some = __ballot_sync(ALL, coming != 0.0);
+            unsigned left = some | some << 2 | (oldest != 0.0 ? 1u : 0u) | (older != 0.0 ? 2u : 0u);
+            for (int i = 0; i < 3; ++i) {
+                const int k = first + i - row;
+                if (k >= 0 && k < count) left |= 1u << k;
+            }
+            if (count < WARP) left &= (1u << count) - 1;
+            for (; left; left &= left - 1) {
+                const int k = __ffs(left) - 1;
+                const double total = running + __shfl_sync(ALL, coming, k);
+                const double before = __shfl_sync(ALL, coming, k >= 2 ? k - 2 : 0);
+                running = total - (k >= 2 ? before : k == 1 ? older : oldest);
+                #pragma unroll
+                for (int i = 0; i < 3; ++i)
+                    if (row + k == first + i) sums[i] = (float)total;
+            }
+            oldest = __shfl_sync(ALL, coming, WARP - 2);
+            older = __shfl_sync(ALL, coming, WARP - 1);
+        }
+    }
+};
+
 // A tile of a frame on CUDA, by a block of 128 threads. Rows of bits tell where a strength may be
 // above 0 next to an allowed pixel of the tile. These pixels are few, so they are listed, and each
 // thread works on its share of the list.
@@ -341,7 +404,7 @@ struct CornerTile {
     enum { ALL = 0xffffffff };  // Lanes; unsigned, as the numbers below are not.
     enum {
         THREADS = 128, WARP = 32,
-        ROWS = 32, COLUMNS = 64,  // Of the tile.
+        ROWS = 48, COLUMNS = 64,  // Of the tile.
         TALL = ROWS + 2, WIDE = COLUMNS + 2,  // Of its strengths.
         EDGE_ROWS = ROWS + 6, MASK_ROWS = ROWS + 4,
         // 32-bit words of a row of bits: the tile's two, and one more at both sides. Places in a
@@ -430,7 +493,7 @@ struct CornerTile {
                     row[to / 32] |= (row[from / 32] >> (from % 32) & 1) << (to % 32);
                 }
         }
-        const int i = thread - (THREADS - WARP - 4), y = top - 2 + i;
+        const int i = thread - (THREADS - MASK_ROWS), y = top - 2 + i;
         if (i < 0) return false;
         Word mask = 0;
         if (i >= 2 && i < 2 + ROWS && y < height) {
@@ -556,7 +619,8 @@ struct CornerTile {
             const int turn = __ffs(left) - 1;
             const int u = __shfl_sync(ALL, x, turn), v = __shfl_sync(ALL, y, turn);
             float exact;
-            const bool found = is_maximum(u, v, &exact);
+            const bool found =
+                ExactCorner{thread % WARP, edges, height, width}.is_maximum(u, v, &exact);
             if (thread % WARP != turn) continue;
             is = may && found;
             strength = exact;
@@ -565,60 +629,6 @@ struct CornerTile {
         if (!is) return;
         strength_out[(size_t)y * width + x] = strength;
         atomicOr(&maxima_out[(size_t)y * PixelBits::words(width) + x / 32], 1u << (x % 32));
-    }
-
-    // Whether a pixel is the strongest of its 3x3 pixels, and its strength, exactly; x and y are
-    // the same for all lanes. Nine of them take a pixel each.
-    __noinline__ bool is_maximum(int x, int y, float* strength) const {
-        const int lane = thread % WARP, which = lane < 9 ? lane : 4;
-        float xy = 0.0f;
-        for (int k = 0; k < 3; ++k) {
-            float sums[3];
-            const int u = min(max(x - 1 + k, 0), width - 1);
-            add_up(u, y - 1, sums);
-            #pragma unroll
-            for (int i = 0; i < 3; ++i)
-                if (which == 3 * k + i) xy = sums[i];
-        }
-        const int u = x - 1 + which / 3, v = y - 1 + which % 3;
-        const bool inside = u >= 0 && u < width && v >= 0 && v < height;
-        const CornerColumn column = {edges, height, width, inside ? u : x};
-        const float own = inside ? column.strength(v, xy) : 0.0f;
-        *strength = __shfl_sync(ALL, own, 4);
-        return *strength > 0.0f && !__any_sync(ALL, own > *strength);
-    }
-
-    // The sums of dx dy around a column's rows first .. first + 2, as CornerColumn's; for all lanes
-    // the same, which work out 32 rows at a time. They are added up one by one, but for rows where
-    // neither what is added nor what is taken away is other than 0.
-    void add_up(int x, int first, float* sums) const {
-        const int lane = thread % WARP;
-        const CornerColumn column = {edges, height, width, x};
-        const CornerColumn::State start = column.start();
-        double running = start.running, oldest = start.oldest, older = start.older;
-        const int end = min(first + 3, height);
-        for (int row = 0; row < end; row += WARP) {
-            const int count = min((int)WARP, end - row);
-            const double coming = lane < count ? column.row_sum(row + lane + 1) : 0.0;
-            const unsigned some = __ballot_sync(ALL, coming != 0.0);
-            unsigned left = some | some << 2 | (oldest != 0.0 ? 1u : 0u) | (older != 0.0 ? 2u : 0u);
-            for (int i = 0; i < 3; ++i) {
-                const int k = first + i - row;
-                if (k >= 0 && k < count) left |= 1u << k;
-            }
-            if (count < WARP) left &= (1u << count) - 1;
-            for (; left; left &= left - 1) {
-                const int k = __ffs(left) - 1;
-                const double total = running + __shfl_sync(ALL, coming, k);
-                const double before = __shfl_sync(ALL, coming, k >= 2 ? k - 2 : 0);
-                running = total - (k >= 2 ? before : k == 1 ? older : oldest);
-                #pragma unroll
-                for (int i = 0; i < 3; ++i)
-                    if (row + k == first + i) sums[i] = (float)total;
-            }
-            oldest = __shfl_sync(ALL, coming, WARP - 2);
-            older = __shfl_sync(ALL, coming, WARP - 1);
-        }
     }
 };
 #endif
