@@ -52,11 +52,11 @@ int corners(Image& image) {
     std::vector<float> strength(image.pixels(), 1e30f);
     int strongest = 0;
     for (auto& word : image.bits[4]) word = 0;
-    for (int top = 0; top < height; top += CornerStrip::ROWS)
-        for (int left = 0; left < width; left += CornerStrip::COLUMNS)
-            simt.run(CornerStrip::WARP, [&] {
-                CornerStrip{threadIdx.x, edges, allowed, given.everywhere(), height, width, top,
-                            left, strength.data(), maxima, &strongest}.run();
+    for (int top = 0; top < height; top += CornerTile::ROWS)
+        for (int left = 0; left < width; left += CornerTile::COLUMNS)
+            simt.run(CornerTile::THREADS, [&] {
+                CornerTile{threadIdx.x, edges, allowed, given.everywhere(), height, width, top,
+                           left, strength.data(), maxima, &strongest}.run();
             });
     int power = 1, found = -1;
     while (power < slots) power *= 2;

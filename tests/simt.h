@@ -17,6 +17,7 @@
 
 #define __CUDA_ARCH__ 900
 #define __shared__ static
+#define __noinline__
 
 struct Place {
     int x;

@@ -142,8 +142,8 @@ def test_constants_agree() -> None:
     assert constant("hysteresis.h", "MAX_HEIGHT") == corners.MAX_SIZE
     for name in ("SUPPRESS_ROWS", "SUPPRESS_COLUMNS", "SUPPRESS_THREADS"):
         assert constant("canny.h", name.removeprefix("SUPPRESS_")) == getattr(corners, name)
-    assert corners.MAXIMA_COLUMNS == 32 - 4
-    assert corners.MAXIMA_ROWS == 32 - 6
+    for name in ("MAXIMA_ROWS", "MAXIMA_COLUMNS", "MAXIMA_THREADS"):
+        assert constant("corner_maxima.h", name.removeprefix("MAXIMA_")) == getattr(corners, name)
     assert constant("corner_selection.h", "THREADS") == corners.SELECT_THREADS
     for header in ("floor.h", "surfaces.h", "obstacle_cells.h"):
         assert constant(header, "MARGIN") == MARGIN

@@ -79,13 +79,14 @@ def strongest_corners(
         return u, v, count
 
     def by_steps() -> tuple[jax.Array, jax.Array, jax.Array]:
+        tiles = -(-height // kernels.MAXIMA_ROWS) * -(-width // kernels.MAXIMA_COLUMNS)
         strongest, maxima, strength = _maxima(
             _edges(color, settings),
             mask,
             settings,
             jnp.zeros(batch, jnp.int32),
             jnp.zeros(mask.shape, jnp.uint32),
-            launch_dims=(32 * batch * _strips(height, width),),
+            launch_dims=(batch * tiles * kernels.MAXIMA_THREADS,),
             output_dims={
                 "strongest_out": (batch,),
                 "maxima_out": mask.shape,
@@ -129,7 +130,3 @@ def _edges(color: jax.Array, settings: jax.Array) -> jax.Array:
         output_dims={"edges_out": rows},
     )
     return edges
-
-
-def _strips(height: int, width: int) -> int:
-    return -(-height // kernels.MAXIMA_ROWS) * -(-width // kernels.MAXIMA_COLUMNS)

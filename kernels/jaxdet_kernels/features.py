@@ -2,7 +2,7 @@
 
 On the CPU a frame is a thread's, from its colours to its corners. On CUDA the steps are kernels of
 their own: weak and strong edges by tiles, hysteresis by frames, local maxima of the corner strength
-by strips, and the selection by frames. Images of bits are laid out as ``native/pixel_bits.h`` says.
+by tiles, and the selection by frames. Images of bits are laid out as ``native/pixel_bits.h`` says.
 """
 
 import warp as wp
@@ -23,8 +23,8 @@ SUPPRESS_THREADS, SUPPRESS_ROWS, SUPPRESS_COLUMNS = 256, 48, 128
 HYSTERESIS_THREADS = 512
 """Of a block, which has a frame."""
 
-MAXIMA_THREADS, MAXIMA_ROWS, MAXIMA_COLUMNS = 128, 26, 28
-"""Threads of a block; each warp has a strip of so many rows and columns."""
+MAXIMA_THREADS, MAXIMA_ROWS, MAXIMA_COLUMNS = 128, 48, 64
+"""Threads of a block, and its tile of an image."""
 
 SELECT_THREADS = 1024
 """Of a block, which has a frame."""
@@ -217,23 +217,22 @@ def canny_hysteresis(
         body="""
 #if defined(__CUDA_ARCH__)
     const int height = strength_out.shape[1], width = strength_out.shape[2];
-    const int strips = CornerStrip::strips(width);
-    const int pieces = strips * CornerStrip::chunks(height);
-    const int b = job / pieces, piece = job - b * pieces;
+    const int across = CornerTile::tiles_across(width);
+    const int tiles = across * CornerTile::tiles_down(height);
+    const int b = block / tiles, tile = block - b * tiles;
     const size_t bits = (size_t)b * height * PixelBits::words(width);
     const CornerSettings given{settings.data};
-    if (b < edges.shape[0])
-        CornerStrip{lane, edges.data + bits, mask.data + bits, given.everywhere(), height, width,
-                    piece / strips * CornerStrip::ROWS, piece % strips * CornerStrip::COLUMNS,
-                    strength_out.data + (size_t)b * height * width, maxima_out.data + bits,
-                    strongest_out.data + b}.run();
+    CornerTile{thread, edges.data + bits, mask.data + bits, given.everywhere(), height, width,
+               tile / across * CornerTile::ROWS, tile % across * CornerTile::COLUMNS,
+               strength_out.data + (size_t)b * height * width, maxima_out.data + bits,
+               strongest_out.data + b}.run();
 #endif
 """,
     )
 )
-def _maxima_strip(
-    job: int,
-    lane: int,
+def _maxima_tile(
+    block: int,
+    thread: int,
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.uint32],
     settings: wp.array[wp.int32],
@@ -243,7 +242,7 @@ def _maxima_strip(
 ): ...
 
 
-@wp.kernel(launch_bounds=(128, 8))
+@wp.kernel(launch_bounds=(128, 6))
 def corners_maxima(
     edges: wp.array3d[wp.uint32],
     mask: wp.array3d[wp.uint32],
@@ -252,7 +251,7 @@ def corners_maxima(
     maxima_out: wp.array3d[wp.uint32],
     strength_out: wp.array3d[wp.float32],
 ):
-    """Allowed local maxima of the corner strength, a warp a strip; for CUDA.
+    """Allowed local maxima of the corner strength, a block a tile; for CUDA.
 
     Args:
         edges: ``(B, H, words)``.
@@ -263,7 +262,7 @@ def corners_maxima(
         strength_out: ``(B, H, W)``, written at maxima alone.
     """
     i = wp.tid()
-    _maxima_strip(i // 32, i % 32, edges, mask, settings, strongest_out, maxima_out, strength_out)
+    _maxima_tile(i // 128, i % 128, edges, mask, settings, strongest_out, maxima_out, strength_out)
 
 
 @wp.func_native(

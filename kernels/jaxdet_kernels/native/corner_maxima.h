@@ -333,213 +333,302 @@ struct CornerMaxima {
     }
 };
 #else
-// A part of a frame on CUDA, by a warp: 28 columns, a lane each and two more at both sides, and as
-// many rows as a warp can hold with three more above and below, a lane each.
-struct CornerStrip {
-    typedef unsigned long long Word;
-    enum { WARP = 32, COLUMNS = WARP - 4, ROWS = WARP - 6, ALL = 0xffffffff };
+// Exact strengths on CUDA, by a warp. Not inlined: it is code that few pixels need.
+struct ExactCorner {
+    enum { ALL = 0xffffffff };  // Lanes; unsigned.
+    enum { WARP = 32 };
 
     int lane;
-    const unsigned* edges;    // (height, PixelBits::words(width))
-    const unsigned* allowed;  // Likewise.
-    Word everywhere;          // All ones: the mask is not asked.
+    const unsigned* edges;  // (height, PixelBits::words(width))
     int height, width;
-    int top, left;            // The first row and column.
-    float* strength_out;      // (height, width), written at maxima alone.
-    unsigned* maxima_out;     // (height, words), zero before: allowed 3x3 maxima above 0.
-    int* strongest_out;       // The strongest allowed pixel's bits, 0 before.
 
-    static int strips(int width) { return (width + COLUMNS - 1) / COLUMNS; }
-    static int chunks(int height) { return (height + ROWS - 1) / ROWS; }
-
-    // What lane l has of row top - 3 + l: bit j is column left - 3 + j, as far as a lane needs it.
-    Word row_bits(const unsigned* image, int y) const {
-        const int from = left - 3, words = PixelBits::words(width), shift = from & 31;
-        const int w = (from - shift) / 32;
-        const unsigned* row = image + (size_t)y * words;
-        const Word first = w >= 0 ? row[w] : 0;
-        const Word second = w + 1 < words ? row[w + 1] : 0;
-        const Word third = w + 2 < words ? row[w + 2] : 0;
-        const Word bits = (first | second << 32) >> shift;
-        return shift ? bits | third << (64 - shift) : bits;
-    }
-
-    // Of edges, mirrored beside the image.
-    Word edge_bits(int y) const {
-        const int from = left - 3, row = PixelBits::mirrored(y, height);
-        if (row < 0 || row >= height) return 0;
-        Word bits = row_bits(edges, row);
-        const int end = width - from;  // Columns width and width + 1 are width - 2 and width - 3.
-        if (end < 34) {
-            bits &= ((Word)1 << end) - 1;
-            bits |= (bits >> (end - 2) & 1) << end | (bits >> (end - 3) & 1) << (end + 1);
-        }
-        // Bits 1 and 2, columns -2 and -1, are columns 2 and 1.
-        if (left == 0) bits |= (bits >> 4 & 2) | (bits >> 2 & 4);
-        return bits & 0x3ffffffffull;
-    }
-
-    // Of the mask: the strip's own columns.
-    Word allowed_bits(int y) const {
-        if (y < 0 || y >= height) return 0;
-        const int columns = min((int)COLUMNS, width - left);
-        return (row_bits(allowed, y) | everywhere) & ((((Word)1 << columns) - 1) << 3);
-    }
-
-    struct Sums {
-        unsigned xx, yy;
-        int xy;
-    };
-
-    void run() const {
-        const int first = top - 3, x = left - 2 + lane;
-        const Word edge = edge_bits(first + lane), may = allowed_bits(first + lane);
-        // Rows as bits: strengths are needed next to allowed pixels, and are 0 far from edges.
-        const unsigned wanted = __ballot_sync(ALL, may != 0), some = __ballot_sync(ALL, edge != 0);
-        unsigned active = (wanted | wanted << 1 | wanted >> 1)
-            & (some | some << 1 | some << 2 | some >> 1 | some >> 2) & 0x3ffffffcu;
-        if (first < 0) active &= ~0u << -first;
-        if (height - first < WARP) active &= (1u << (height - first)) - 1;
-        if (!active) return;
-        const unsigned summed = active | active << 1 | active >> 1;
-        const bool own = lane >= 2 && lane < 2 + COLUMNS && x < width;
-        const bool inner = own && x >= 1 && x < width - 1;
-        const bool beside = x < 0 || x >= width;
-        float strongest = 0.0f;
-        // The last three sums of rows, and the intervals of the last two strengths.
-        Sums older = {0, 0, 0}, old = older, fresh = older;
-        float most1 = 0.0f, least1 = 0.0f, most2 = 0.0f, least2 = 0.0f;
-        for (int r = 1; r < WARP - 1; ++r) {
-            older = old;
-            old = fresh;
-            if (summed >> r & 1) fresh = sum(edge, r, beside);
-            float most = 0.0f, least = 0.0f;
-            if (active >> (r - 1) & 1) {
-                measure({older.xx + old.xx + fresh.xx, older.yy + old.yy + fresh.yy,
-                         older.xy + old.xy + fresh.xy}, &most, &least);
-                // The rows above and below the strip are others'.
-                const bool mine = __shfl_sync(ALL, may, r - 1) >> (lane + 1) & 1;
-                if (r - 1 >= 3 && r - 1 < 3 + ROWS)
-                    strongest = strongest_of(mine && own, x, first + r - 1, most, least, strongest);
-            }
-            // Row r - 2, whose neighbours are known now.
-            const int y = first + r - 2;
-            if (r - 2 >= 3 && (active >> (r - 2) & 1) && y >= 1 && y < height - 1) {
-                const bool mine = __shfl_sync(ALL, may, r - 2) >> (lane + 1) & 1;
-                search(mine && inner, x, y, fmaxf(fmaxf(most2, most1), most),
-                       fmaxf(fmaxf(least2, least1), least), most1, least1);
-            }
-            most2 = most1;
-            least2 = least1;
-            most1 = most;
-            least1 = least;
-        }
-        const int bits = __reduce_max_sync(ALL, __float_as_int(strongest));
-        if (lane == 0 && bits > 0) atomicMax(strongest_out, bits);
-    }
-
-    // Sums over three columns of the products in the row of lane r. Beside the image the window is
-    // the mirror image of one inside, so one of the gradients has the other sign there.
-    Sums sum(Word edge, int r, bool beside) const {
-        const Word above = __shfl_sync(ALL, edge, r - 1), own = __shfl_sync(ALL, edge, r);
-        const Word below = __shfl_sync(ALL, edge, r + 1);
-        const int y = top - 3 + r;
-        int xx, xy, yy;
-        CornerStrength::products((unsigned)(above >> lane) & 7, (unsigned)(own >> lane) & 7,
-                                 (unsigned)(below >> lane) & 7, &xx, &xy, &yy);
-        if (beside != (y < 0 || y >= height)) xy = -xy;
-        return {(unsigned)three(xx), (unsigned)three(yy), three(xy)};
-    }
-
-    static int three(int value) {
-        return __shfl_up_sync(ALL, value, 1) + value + __shfl_down_sync(ALL, value, 1);
-    }
-
-    static void measure(const Sums& sums, float* most, float* least) {
-        const float xx = (float)sums.xx * CornerStrength::unit();
-        const float yy = (float)sums.yy * CornerStrength::unit();
-        *most = CornerStrength::eigenvalue(xx, CornerStrength::least(sums.xy), yy);
-        *least = CornerStrength::eigenvalue(xx, CornerStrength::most(sums.xy), yy);
-    }
-
-    // The strongest so far of this lane, with its pixel; all lanes ask.
-    float strongest_of(bool mine, int x, int y, float most, float least, float strongest) const {
-        if (mine && least == most) strongest = fmaxf(strongest, most);
-        const bool doubt = mine && least != most && most > strongest;
-        for (unsigned left = __ballot_sync(ALL, doubt); left; left &= left - 1) {
-            const int turn = __ffs(left) - 1, column = __shfl_sync(ALL, x, turn);
-            float sums[3];
-            add_up(column, y, y, sums);
-            const CornerColumn of = {edges, height, width, column};
-            const float exact = of.strength(y, sums[0]);
-            if (lane == turn) strongest = fmaxf(strongest, exact);
-        }
-        return strongest;
-    }
-
-    // Whether row y's pixel is a maximum; all lanes ask. Given are the largest values of its
-    // column's three pixels, and its own.
-    void search(bool mine, int x, int y, float tallest_most, float tallest_least, float most,
-                float least) const {
-        const float near_most = widest(tallest_most), near_least = widest(tallest_least);
-        const bool maybe = mine && most > 0.0f && most >= near_least;
-        const bool sure = maybe && most == least && most >= near_most;
-        float strength = most;
-        bool found = sure;
-        for (unsigned left = __ballot_sync(ALL, maybe && !sure); left; left &= left - 1) {
-            const int turn = __ffs(left) - 1, column = __shfl_sync(ALL, x, turn);
-            float exact;
-            const bool is = is_maximum(column, y, &exact);
-            if (lane != turn) continue;
-            found = is;
-            strength = exact;
-        }
-        if (!found) return;
-        strength_out[(size_t)y * width + x] = strength;
-        atomicOr(&maxima_out[(size_t)y * PixelBits::words(width) + x / 32], 1u << (x % 32));
-    }
-
-    static float widest(float value) {
-        const float left = __shfl_up_sync(ALL, value, 1), right = __shfl_down_sync(ALL, value, 1);
-        return fmaxf(fmaxf(left, value), right);
-    }
-
-    // Exactly; x and y are the same for all lanes. Nine of them take a pixel each.
-    bool is_maximum(int x, int y, float* strength) const {
+    // Whether a pixel is the strongest of its 3x3 pixels, and its strength, exactly; x and y are
+    // the same for all lanes. Nine of them take a pixel each.
+    __noinline__ bool is_maximum(int x, int y, float* strength) const {
+        const int which = lane < 9 ? lane : 4;
         float xy = 0.0f;
         for (int k = 0; k < 3; ++k) {
             float sums[3];
-            add_up(x - 1 + k, y - 1, y + 1, sums);
+            const int u = min(max(x - 1 + k, 0), width - 1);
+            add_up(u, y - 1, sums);
+            #pragma unroll
             for (int i = 0; i < 3; ++i)
-                if (lane == 3 * k + i) xy = sums[i];
+                if (which == 3 * k + i) xy = sums[i];
         }
-        const int which = lane < 9 ? lane : 4;
-        xy = __shfl_sync(ALL, xy, which);
-        const CornerColumn column = {edges, height, width, x - 1 + which / 3};
-        const float own = column.strength(y - 1 + which % 3, xy);
+        const int u = x - 1 + which / 3, v = y - 1 + which % 3;
+        const bool inside = u >= 0 && u < width && v >= 0 && v < height;
+        const CornerColumn column = {edges, height, width, inside ? u : x};
+        const float own = inside ? column.strength(v, xy) : 0.0f;
         *strength = __shfl_sync(ALL, own, 4);
         return *strength > 0.0f && !__any_sync(ALL, own > *strength);
     }
 
-    // The sums of dx dy of a column's rows y0 .. y1, at most three, as CornerColumn's; for all
-    // lanes the same. Lanes work out 32 rows at a time, which are added up one by one.
-    void add_up(int x, int y0, int y1, float* sums) const {
+    // The sums of dx dy around a column's rows first .. first + 2, as CornerColumn's; for all lanes
+    // the same, which work out 32 rows at a time. They are added up one by one, but for rows where
+    // neither what is added nor what is taken away is other than 0.
+    void add_up(int x, int first, float* sums) const {
         const CornerColumn column = {edges, height, width, x};
-        CornerColumn::State state = column.start();
-        while (state.row <= y1) {
-            const int row = state.row + lane, count = min((int)WARP, y1 + 1 - state.row);
-            const double coming = lane < count ? column.row_sum(row + 1) : 0.0;
-            if (state.row + count <= y0 && !__any_sync(ALL, coming != 0.0) && state.oldest == 0.0
-                && state.older == 0.0) {
-                state.row += count;
-                continue;
+        const CornerColumn::State start = column.start();
+        double running = start.running, oldest = start.oldest, older = start.older;
+        const int end = min(first + 3, height);
+        for (int row = 0; row < end; row += WARP) {
+            const int count = min((int)WARP, end - row);
+            const double coming = lane < count ? column.row_sum(row + lane + 1) : 0.0;
+            const unsigned some = __ballot_sync(ALL, coming != 0.0);
+            unsigned left = some | some << 2 | (oldest != 0.0 ? 1u : 0u) | (older != 0.0 ? 2u : 0u);
+            for (int i = 0; i < 3; ++i) {
+                const int k = first + i - row;
+                if (k >= 0 && k < count) left |= 1u << k;
             }
-            for (int k = 0; k < count; ++k) {
-                const int at = state.row - y0;
-                const float total = column.add(&state, __shfl_sync(ALL, coming, k));
-                if (at >= 0) sums[at] = total;
+            if (count < WARP) left &= (1u << count) - 1;
+            for (; left; left &= left - 1) {
+                const int k = __ffs(left) - 1;
+                const double total = running + __shfl_sync(ALL, coming, k);
+                const double before = __shfl_sync(ALL, coming, k >= 2 ? k - 2 : 0);
+                running = total - (k >= 2 ? before : k == 1 ? older : oldest);
+                #pragma unroll
+                for (int i = 0; i < 3; ++i)
+                    if (row + k == first + i) sums[i] = (float)total;
+            }
+            oldest = __shfl_sync(ALL, coming, WARP - 2);
+            older = __shfl_sync(ALL, coming, WARP - 1);
+        }
+    }
+};
+
+// A tile of a frame on CUDA, by a block of 128 threads. Rows of bits tell where a strength may be
+// above 0 next to an allowed pixel of the tile. These pixels are few, so they are listed, and each
+// thread works on its share of the list.
+struct CornerTile {
+    typedef unsigned long long Word;
+    enum { ALL = 0xffffffff };  // Lanes; unsigned, as the numbers below are not.
+    enum {
+        THREADS = 128, WARP = 32,
+        ROWS = 48, COLUMNS = 64,  // Of the tile.
+        TALL = ROWS + 2, WIDE = COLUMNS + 2,  // Of its strengths.
+        EDGE_ROWS = ROWS + 6, MASK_ROWS = ROWS + 4,
+        // 32-bit words of a row of bits: the tile's two, and one more at both sides. Places in a
+        // row are counted from the first word on.
+        WORDS = COLUMNS / 32 + 2, PLACES = WORDS * 32, FIRST = 32,
+    };
+
+    int thread;
+    const unsigned* edges;    // (height, PixelBits::words(width))
+    const unsigned* allowed;  // Likewise.
+    Word everywhere;          // All ones: the mask is not asked.
+    int height, width;
+    int top, left;            // The tile's first row and column.
+    float* strength_out;      // (height, width), written at maxima alone.
+    unsigned* maxima_out;     // (height, words), zero before: allowed 3x3 maxima above 0.
+    int* strongest_out;       // The strongest allowed pixel's bits, 0 before.
+
+    static int tiles_across(int width) { return (width + COLUMNS - 1) / COLUMNS; }
+    static int tiles_down(int height) { return (height + ROWS - 1) / ROWS; }
+
+    // Where a strength lies.
+    struct alignas(8) Interval {
+        float most, least;
+    };
+
+    struct Shared {
+        Interval strength[TALL][WIDE];       // Of row top - 1 and column left - 1 on; 0 elsewhere.
+        unsigned edge[EDGE_ROWS][WORDS];     // From row top - 3 on.
+        unsigned mask[MASK_ROWS][WORDS];     // From row top - 2 on; 0 around the tile.
+        unsigned short list[TALL * WIDE];    // Row of `strength` * PLACES + place.
+        int count, strongest;
+    };
+
+    void run() const {
+        __shared__ Shared shared;
+        const bool asks = read(shared);
+        if (thread == 0) shared.count = shared.strongest = 0;
+        if (!__syncthreads_or(asks)) return;
+        Interval* strength = &shared.strength[0][0];
+        for (int i = thread; i < TALL * WIDE; i += THREADS) strength[i] = {0.0f, 0.0f};
+        for (int i = thread; i < TALL * WORDS; i += THREADS) list(shared, i / WORDS, i % WORDS);
+        __syncthreads();
+        const int count = shared.count;
+        if (count == 0) return;
+        float bound = 0.0f;
+        for (int i = thread; i < count; i += THREADS) {
+            const int row = shared.list[i] / PLACES, place = shared.list[i] % PLACES;
+            const Interval own = measure(shared, row, place);
+            shared.strength[row][place - FIRST + 1] = own;
+            if (is_allowed(shared, row, place)) bound = fmaxf(bound, own.least);
+        }
+        // The strongest pixel is at least that strong.
+        const int bits = __reduce_max_sync(ALL, __float_as_int(bound));
+        if (thread % WARP == 0) atomicMax(&shared.strongest, bits);
+        __syncthreads();
+        if (thread == 0 && shared.strongest > 0) atomicMax(strongest_out, shared.strongest);
+        // Whatever others have written by now only saves work.
+        bound = fmaxf(__int_as_float(shared.strongest), __int_as_float(*strongest_out));
+        for (int first = thread / WARP * WARP; first < count; first += THREADS)
+            search(shared, first + thread % WARP, count, bound);
+    }
+
+    // Rows of bits. Whether an allowed one is this thread's.
+    bool read(Shared& shared) const {
+        const int words = PixelBits::words(width) / 2, w = left / COLUMNS;
+        if (thread < EDGE_ROWS) {
+            // Beside the image edges are mirrored; rows further away decide nothing.
+            const int y = PixelBits::mirrored(top - 3 + thread, height);
+            unsigned* row = shared.edge[thread];
+            Word before = 0, own = 0, after = 0;
+            if (y >= 0 && y < height) {
+                const Word* from = (const Word*)edges + (size_t)y * words;
+                if (w > 0) before = from[w - 1];
+                own = from[w];
+                if (w + 1 < words) after = from[w + 1];
+            }
+            row[0] = (unsigned)(before >> 32);
+            row[1] = (unsigned)own;
+            row[2] = (unsigned)(own >> 32);
+            row[3] = (unsigned)after;
+            if (left == 0) row[0] = (row[1] & 2) << 30 | (row[1] & 4) << 28;
+            const int end = width - left + FIRST;
+            if (end < PLACES - 1)
+                for (int k = 0; k < 2; ++k) {
+                    const int from = end - 2 - k, to = end + k;
+                    row[to / 32] |= (row[from / 32] >> (from % 32) & 1) << (to % 32);
+                }
+        }
+        const int i = thread - (THREADS - MASK_ROWS), y = top - 2 + i;
+        if (i < 0) return false;
+        Word mask = 0;
+        if (i >= 2 && i < 2 + ROWS && y < height) {
+            mask = ((const Word*)allowed)[(size_t)y * words + w] | everywhere;
+            if (width - left < COLUMNS) mask &= ((Word)1 << (width - left)) - 1;
+        }
+        shared.mask[i][0] = shared.mask[i][3] = 0;
+        shared.mask[i][1] = (unsigned)mask;
+        shared.mask[i][2] = (unsigned)(mask >> 32);
+        return mask != 0;
+    }
+
+    static unsigned wider(unsigned left, unsigned own, unsigned right) {
+        return own | own << 1 | own >> 1 | left >> 31 | right << 31;
+    }
+
+    // Lists the pixels of a word of a row of strengths that may have one above 0 and are next to an
+    // allowed pixel: there pixels of an edge differ in both directions.
+    void list(Shared& shared, int row, int w) const {
+        const int y = top - 1 + row, x = left - FIRST + 32 * w;
+        if (y < 0 || y >= height || (w == 0 && left == 0) || x >= width) return;
+        unsigned near[3] = {0, 0, 0}, changes[3] = {0, 0, 0}, sides = 0, first = 0, last = 0;
+        #pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            if (w > 0) near[0] |= shared.mask[row + i][w - 1];
+            near[1] |= shared.mask[row + i][w];
+            if (w + 1 < WORDS) near[2] |= shared.mask[row + i][w + 1];
+        }
+        const unsigned wanted = wider(near[0], near[1], near[2]);
+        if (wanted == 0) return;
+        unsigned before[5], own[5], after[5];
+        #pragma unroll
+        for (int i = 0; i < 5; ++i) {
+            before[i] = w > 0 ? shared.edge[row + i][w - 1] : 0;
+            own[i] = shared.edge[row + i][w];
+            after[i] = w + 1 < WORDS ? shared.edge[row + i][w + 1] : 0;
+            // Of the columns left and right of the word as well.
+            sides |= (own[i] << 1 | before[i] >> 31) ^ (own[i] >> 1 | after[i] << 31);
+            first |= (before[i] >> 30 ^ own[i]) & 1;
+            last |= (own[i] >> 31 ^ after[i] >> 1) & 1;
+            if (i < 2) continue;
+            changes[0] |= before[i] ^ before[i - 2];
+            changes[1] |= own[i] ^ own[i - 2];
+            changes[2] |= after[i] ^ after[i - 2];
+        }
+        const unsigned across = sides | sides << 1 | sides >> 1 | first | last << 31;
+        const unsigned along = wider(changes[0], changes[1], changes[2]) | changes[1] << 2
+            | changes[1] >> 2 | changes[0] >> 30 | changes[2] << 30;
+        unsigned found = wanted & across & along;
+        if (width - x < 32) found &= (1u << (width - x)) - 1;
+        if (found == 0) return;
+        int at = atomicAdd(&shared.count, __popc(found));
+        for (; found; found &= found - 1)
+            shared.list[at++] = (unsigned short)(row * PLACES + 32 * w + __ffs(found) - 1);
+    }
+
+    static bool is_allowed(const Shared& shared, int row, int place) {
+        return shared.mask[row + 1][place / 32] >> (place % 32) & 1;
+    }
+
+    // The strength of a listed pixel. Beside the image the window is the mirror image of one
+    // inside, so one of the gradients has the other sign there.
+    Interval measure(const Shared& shared, int row, int place) const {
+        const int y = top - 1 + row, x = left + place - FIRST, w = (place - 2) / 32;
+        unsigned five[5];
+        #pragma unroll
+        for (int i = 0; i < 5; ++i) {
+            const unsigned* from = &shared.edge[row + i][w];
+            five[i] = __funnelshift_r(from[0], from[1], (place - 2) % 32);
+        }
+        const bool above = y == 0, below = y == height - 1;
+        unsigned xx = 0, yy = 0;
+        int xy = 0;
+        #pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            int column = 0;
+            #pragma unroll
+            for (int i = 0; i < 3; ++i) {
+                int xx_one, xy_one, yy_one;
+                CornerStrength::products(five[i] >> k & 7, five[i + 1] >> k & 7,
+                                         five[i + 2] >> k & 7, &xx_one, &xy_one, &yy_one);
+                xx += xx_one;
+                yy += yy_one;
+                column += (i == 0 && above) || (i == 2 && below) ? -xy_one : xy_one;
+            }
+            xy += (k == 0 && x == 0) || (k == 2 && x == width - 1) ? -column : column;
+        }
+        const float of_xx = (float)xx * CornerStrength::unit();
+        const float of_yy = (float)yy * CornerStrength::unit();
+        return {CornerStrength::eigenvalue(of_xx, CornerStrength::least(xy), of_yy),
+                CornerStrength::eigenvalue(of_xx, CornerStrength::most(xy), of_yy)};
+    }
+
+    // Writes the maxima among a warp's listed pixels, and what is stronger than the bound. The few
+    // whose intervals leave it open are looked at one by one, by all lanes.
+    void search(const Shared& shared, int i, int count, float bound) const {
+        const int listed = i < count ? shared.list[i] : PLACES;
+        const int row = listed / PLACES, place = listed % PLACES;
+        const int x = left + place - FIRST, y = top - 1 + row;
+        const bool own = i < count && is_allowed(shared, row, place);
+        Interval of = {0.0f, 0.0f};
+        bool may = false, is = false;
+        if (own) {
+            const Interval* at = &shared.strength[row][place - FIRST + 1];
+            of = *at;
+            if (of.most > 0.0f && x >= 1 && x < width - 1 && y >= 1 && y < height - 1) {
+                float most = 0.0f, least = 0.0f;
+                #pragma unroll
+                for (int k = -1; k <= 1; ++k)
+                    #pragma unroll
+                    for (int j = -1; j <= 1; ++j) {
+                        most = fmaxf(most, at[k * WIDE + j].most);
+                        least = fmaxf(least, at[k * WIDE + j].least);
+                    }
+                may = of.most >= least;
+                is = may && of.most == of.least && of.most >= most;
             }
         }
+        const unsigned stronger = __ballot_sync(ALL, own && of.least < of.most && of.most > bound);
+        const unsigned open = __ballot_sync(ALL, may && !is);
+        float strength = of.most;
+        for (unsigned left = stronger | open; left; left &= left - 1) {
+            const int turn = __ffs(left) - 1;
+            const int u = __shfl_sync(ALL, x, turn), v = __shfl_sync(ALL, y, turn);
+            float exact;
+            const bool found =
+                ExactCorner{thread % WARP, edges, height, width}.is_maximum(u, v, &exact);
+            if (thread % WARP != turn) continue;
+            is = may && found;
+            strength = exact;
+            if (exact > bound) atomicMax(strongest_out, __float_as_int(exact));
+        }
+        if (!is) return;
+        strength_out[(size_t)y * width + x] = strength;
+        atomicOr(&maxima_out[(size_t)y * PixelBits::words(width) + x / 32], 1u << (x % 32));
     }
 };
 #endif
