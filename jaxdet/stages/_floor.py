@@ -40,7 +40,7 @@ from jaxdet.floor.units import (
 from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import floor as kernels
 
-_floor = TeamKernel(kernels.floor, 1, kernels.WIDTH)
+_floor = TeamKernel(kernels.floor, 1)
 
 
 class FloorSettings(NamedTuple):

@@ -12,8 +12,8 @@ import warp as wp
 
 from jaxdet.stages._threads import FrameKernel, shares_of
 
-MOST_TEAMS = 528
-"""Blocks of a launch on CUDA, four for each multiprocessor of the largest device there is."""
+MULTIPROCESSORS = 132
+"""Of the largest CUDA device there is; a launch has as many blocks as fit on so many at once."""
 
 SCRATCH_SHARE = 8
 """Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
@@ -35,18 +35,19 @@ class TeamKernel:
     frames ``t, t + shares, ...``. Its last output is the teams' scratch memory.
     """
 
-    def __init__(self, kernel: Any, num_outputs: int, width: int = 256) -> None:
+    def __init__(self, kernel: Any, num_outputs: int) -> None:
         """Prepares the launches.
 
         Args:
-            kernel: Its outputs come last, the scratch memory ``scratch_out`` last of all.
+            kernel: Its outputs come last, the scratch memory ``scratch_out`` last of all. On CUDA
+                a team has as many threads as a block may have by the kernel's ``launch_bounds``.
             num_outputs: How many there are beside the scratch memory.
-            width: Threads of a team on CUDA.
         """
         count = num_outputs + 1
+        self._width, blocks = kernel.options["launch_bounds"]
+        self._most_teams = blocks * MULTIPROCESSORS
         self._by_cores = FrameKernel(kernel, num_outputs=count, num_kept=1)
-        self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=width)
-        self._width = width
+        self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=self._width)
 
     def __call__(
         self, *arguments: Any, batch: int, shapes: Mapping[str, tuple[int, ...]], scratch: int
@@ -68,7 +69,8 @@ class TeamKernel:
             return tuple(self._by_cores(*arguments, frames=teams, output_dims=dims(teams)))
 
         def by_blocks() -> Sequence[jax.Array]:
-            teams = min(batch, MOST_TEAMS, max(_scratch_bytes() // (4 * max(scratch, 1)), 1))
+            fitting = max(_scratch_bytes() // (4 * max(scratch, 1)), 1)
+            teams = min(batch, self._most_teams, fitting)
             size = (teams * self._width,)
             found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims(teams))
             return tuple(found)[:-1]

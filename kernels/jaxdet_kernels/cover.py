@@ -5,7 +5,7 @@ Bits are laid out as ``native/pixel_bits.h`` says: ``words`` 32-bit words a row,
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,12 +36,11 @@ _COVER = """
 """
 
 
-@wp.func_native(
-    native(
-        "vectors.h",
-        "pixel_bits.h",
-        "mask_bits.h",
-        body="""
+@native_kernel(
+    "vectors.h",
+    "pixel_bits.h",
+    "mask_bits.h",
+    body="""
     const Team team(tid, share);
     const int height = mask.shape[1], width = mask.shape[2];
     const size_t words = (size_t)height * PixelBits::words(width);
@@ -49,19 +48,9 @@ _COVER = """
         MaskBits{team, height, width, mask.data + (size_t)b * height * width,
                  bits_out.data + b * words}.run();
 """,
-    )
 )
-def _mask_bits(
-    tid: int,
-    share: int,
-    shares: int,
-    mask: wp.array3d[wp.bool],
-    bits_out: wp.array3d[wp.uint32],
-): ...
-
-
-@wp.kernel
 def mask_bits(
+    tid: int,
     share: int,
     shares: int,
     mask: wp.array3d[wp.bool],
@@ -71,44 +60,27 @@ def mask_bits(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         mask: ``(B, H, W)``.
         bits_out: ``(B, H, words)``.
         scratch_out: Not used.
     """
-    _mask_bits(wp.tid(), share, shares, mask, bits_out)
 
 
-@wp.func_native(
-    native(
-        "pixel_bits.h",
-        "cover.h",
-        body=_COVER
-        + """
+@native_kernel(
+    "pixel_bits.h",
+    "cover.h",
+    body=_COVER
+    + """
         cover.paint(mask_out.data + (size_t)b * height * PixelBits::words(width));
         team.sync();
     }
 """,
-    )
 )
-def _cover_mask(
-    tid: int,
-    share: int,
-    shares: int,
-    keep: wp.array3d[wp.bool],
-    z: wp.array3d[wp.int32],
-    uv_min: wp.array4d[wp.int32],
-    uv_max: wp.array4d[wp.int32],
-    height: int,
-    width: int,
-    mask_out: wp.array3d[wp.uint32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def cover_mask(
+    tid: int,
     share: int,
     shares: int,
     keep: wp.array3d[wp.bool],
@@ -123,6 +95,7 @@ def cover_mask(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         keep: ``(B, R, C)``, the cells that take part, all of them in view.
@@ -134,20 +107,16 @@ def cover_mask(
         mask_out: ``(B, H, words)``, under a kept cell.
         scratch_out: ``(teams, mask_scratch)``.
     """
-    _cover_mask(
-        wp.tid(), share, shares, keep, z, uv_min, uv_max, height, width, mask_out, scratch_out
-    )
 
 
-@wp.func_native(
-    native(
-        "pixel_bits.h",
-        "cover.h",
-        body="""
+@native_kernel(
+    "pixel_bits.h",
+    "cover.h",
+    body="""
     const int height = ray_x.shape[0], width = ray_x.shape[1];
 """
-        + _COVER
-        + """
+    + _COVER
+    + """
         const int slots = u.shape[1];
         const size_t at = (size_t)b * slots;
         CoveredCorners{cover, count.data[b] < slots ? count.data[b] : slots, slots,
@@ -158,33 +127,9 @@ def cover_mask(
         team.sync();
     }
 """,
-    )
 )
-def _cover_corners(
-    tid: int,
-    share: int,
-    shares: int,
-    keep: wp.array3d[wp.bool],
-    z: wp.array3d[wp.int32],
-    uv_min: wp.array4d[wp.int32],
-    uv_max: wp.array4d[wp.int32],
-    label: wp.array3d[wp.int32],
-    ray_x: wp.array2d[wp.int32],
-    ray_y: wp.array2d[wp.int32],
-    u: wp.array2d[wp.int32],
-    v: wp.array2d[wp.int32],
-    count: wp.array[wp.int32],
-    cell_out: wp.array2d[wp.int32],
-    label_out: wp.array2d[wp.int32],
-    x_out: wp.array2d[wp.int32],
-    y_out: wp.array2d[wp.int32],
-    z_out: wp.array2d[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def cover_corners(
+    tid: int,
     share: int,
     shares: int,
     keep: wp.array3d[wp.bool],
@@ -207,6 +152,7 @@ def cover_corners(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         keep: ``(B, R, C)``, the cells that take part, all of them in view.
@@ -227,7 +173,3 @@ def cover_corners(
         z_out: Likewise.
         scratch_out: ``(teams, cover_scratch)``.
     """
-    _cover_corners(
-        wp.tid(), share, shares, keep, z, uv_min, uv_max, label, ray_x, ray_y, u, v, count,
-        cell_out, label_out, x_out, y_out, z_out, scratch_out,
-    )  # fmt: skip

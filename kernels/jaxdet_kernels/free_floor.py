@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -14,10 +14,9 @@ def scratch_words(columns: int) -> int:
     return COLUMN_WORDS * columns
 
 
-@wp.func_native(
-    native(
-        "free_floor.h",
-        body="""
+@native_kernel(
+    "free_floor.h",
+    body="""
     const Team team(tid, share);
     const int batch = label.shape[0], rows = label.shape[1], columns = label.shape[2];
     FreeFloor floor(team);
@@ -42,29 +41,9 @@ def scratch_words(columns: int) -> int:
         floor.run();
     }
 """,
-    )
 )
-def _free_floor(
-    tid: int,
-    share: int,
-    shares: int,
-    label: wp.array3d[wp.int32],
-    low: wp.array3d[wp.bool],
-    z: wp.array3d[wp.int32],
-    right: wp.array3d[wp.int32],
-    forward: wp.array3d[wp.int32],
-    height: wp.array3d[wp.int32],
-    bows: wp.array[wp.int32],
-    drops: wp.array[wp.int32],
-    settings: wp.array[wp.int32],
-    free_out: wp.array4d[wp.int32],
-    free_end_out: wp.array2d[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def free_floor(
+    tid: int,
     share: int,
     shares: int,
     label: wp.array3d[wp.int32],
@@ -83,6 +62,7 @@ def free_floor(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         label: ``(B, R, C)`` obstacles, -1 = none.
@@ -98,7 +78,3 @@ def free_floor(
         free_end_out: ``(B, C)``, see :class:`jaxdet.types.FreeEnd`.
         scratch_out: ``(teams, scratch_words)``.
     """
-    _free_floor(
-        wp.tid(), share, shares, label, low, z, right, forward, height, bows, drops, settings,
-        free_out, free_end_out, scratch_out,
-    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": "-march=native"})
 
@@ -37,22 +37,21 @@ def _words(cells: int) -> int:
     return 1 << (-(-cells // 32) - 1).bit_length()
 
 
-@wp.func_native(
-    native(
-        "lanes.h",
-        "bits.h",
-        "listed.h",
-        "shared_words.h",
-        "extents.h",
-        "contours.h",
-        "numbering.h",
-        "pieces.h",
-        "facing.h",
-        "evidence.h",
-        "contraction.h",
-        "straight_parts.h",
-        "obstacles.h",
-        body="""
+@native_kernel(
+    "lanes.h",
+    "bits.h",
+    "listed.h",
+    "shared_words.h",
+    "extents.h",
+    "contours.h",
+    "numbering.h",
+    "pieces.h",
+    "facing.h",
+    "evidence.h",
+    "contraction.h",
+    "straight_parts.h",
+    "obstacles.h",
+    body="""
     const Team team(tid, share);
     const int batch = label.shape[0];
     Obstacles frame;
@@ -78,33 +77,9 @@ def _words(cells: int) -> int:
         frame.run(team);
     }
 """,
-    )
 )
-def _obstacles(
-    tid: int,
-    share: int,
-    shares: int,
-    label: wp.array3d[wp.int32],
-    free: wp.array3d[wp.bool],
-    x: wp.array3d[wp.int32],
-    y: wp.array3d[wp.int32],
-    z: wp.array3d[wp.int32],
-    right: wp.array3d[wp.int32],
-    forward: wp.array3d[wp.int32],
-    height: wp.array3d[wp.int32],
-    in_view: wp.array3d[wp.bool],
-    feature: wp.array2d[wp.int32],
-    threshold: wp.array2d[wp.int32],
-    value: wp.array2d[wp.int32],
-    settings: wp.array[wp.int32],
-    label_out: wp.array3d[wp.int32],
-    count_out: wp.array[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def obstacles(
+    tid: int,
     share: int,
     shares: int,
     label: wp.array3d[wp.int32],
@@ -127,6 +102,7 @@ def obstacles(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         label: ``(B, R, C)`` surfaces ``0 .. S - 1`` of each frame, each with a cell, -1 = none; at
@@ -147,24 +123,3 @@ def obstacles(
         count_out: ``(B,)``, how many there are.
         scratch_out: ``(teams, scratch_words(R, C))``.
     """
-    _obstacles(
-        wp.tid(),
-        share,
-        shares,
-        label,
-        free,
-        x,
-        y,
-        z,
-        right,
-        forward,
-        height,
-        in_view,
-        feature,
-        threshold,
-        value,
-        settings,
-        label_out,
-        count_out,
-        scratch_out,
-    )

@@ -5,7 +5,7 @@ Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside i
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,16 +28,15 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
     return words + words % 2
 
 
-@wp.func_native(
-    native(
-        "lanes.h",
-        "bits.h",
-        "listed.h",
-        "obstacle_cells.h",
-        "ranks.h",
-        "measures.h",
-        "outlines.h",
-        body="""
+@native_kernel(
+    "lanes.h",
+    "bits.h",
+    "listed.h",
+    "obstacle_cells.h",
+    "ranks.h",
+    "measures.h",
+    "outlines.h",
+    body="""
     const Team team(tid, share);
     const Lanes lanes(team);
     const int batch = label.shape[0], columns = label.shape[2], grid = label.shape[1] * columns;
@@ -89,47 +88,9 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         outlines.run();
     }
 """,
-    )
 )
-def _outlines(
-    tid: int,
-    share: int,
-    shares: int,
-    label: wp.array3d[wp.int32],
-    count: wp.array[wp.int32],
-    x: wp.array3d[wp.int32],
-    y: wp.array3d[wp.int32],
-    z: wp.array3d[wp.int32],
-    right: wp.array3d[wp.int32],
-    forward: wp.array3d[wp.int32],
-    height: wp.array3d[wp.int32],
-    in_view: wp.array3d[wp.bool],
-    uv_min: wp.array4d[wp.int32],
-    uv_max: wp.array4d[wp.int32],
-    bands: wp.array2d[wp.int32],
-    directions: wp.array2d[wp.int32],
-    settings: wp.array[wp.int32],
-    num_points_out: wp.array2d[wp.int32],
-    uv_min_out: wp.array3d[wp.int32],
-    uv_max_out: wp.array3d[wp.int32],
-    xyz_min_out: wp.array3d[wp.int32],
-    xyz_max_out: wp.array3d[wp.int32],
-    xyz_sum_out: wp.array4d[wp.int32],
-    a_out: wp.array3d[wp.int32],
-    b_out: wp.array3d[wp.int32],
-    c_out: wp.array3d[wp.int32],
-    has_vertex_out: wp.array2d[wp.bool],
-    direction_out: wp.array3d[wp.int32],
-    span_out: wp.array3d[wp.int32],
-    contour_out: wp.array4d[wp.int32],
-    contour_points_out: wp.array2d[wp.int32],
-    bottom_top_out: wp.array3d[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def outlines(
+    tid: int,
     share: int,
     shares: int,
     label: wp.array3d[wp.int32],
@@ -166,6 +127,7 @@ def outlines(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         label: ``(B, R, C)`` obstacles, -1 = none; at most 512 columns and 2^20 cells.
@@ -200,10 +162,3 @@ def outlines(
         bottom_top_out: ``(B, M, 2)``, lowest and highest cell above the floor.
         scratch_out: ``(teams, scratch_words)``.
     """
-    _outlines(
-        wp.tid(), share, shares, label, count, x, y, z, right, forward, height, in_view,
-        uv_min, uv_max, bands, directions, settings, num_points_out, uv_min_out, uv_max_out,
-        xyz_min_out, xyz_max_out, xyz_sum_out, a_out, b_out, c_out, has_vertex_out,
-        direction_out, span_out, contour_out, contour_points_out, bottom_top_out,
-        scratch_out,
-    )  # fmt: skip

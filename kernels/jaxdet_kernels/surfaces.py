@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -14,18 +14,17 @@ def surfaces_words(rows: int, columns: int) -> int:
     return 3 * grid + 6 * cells + 32 + 5 * rows * words
 
 
-@wp.func_native(
-    native(
-        "bits.h",
-        "floor_frame.h",
-        "grid.h",
-        "lanes.h",
-        "scan.h",
-        "runs.h",
-        "shared_words.h",
-        "creases.h",
-        "surfaces.h",
-        body="""
+@native_kernel(
+    "bits.h",
+    "floor_frame.h",
+    "grid.h",
+    "lanes.h",
+    "scan.h",
+    "runs.h",
+    "shared_words.h",
+    "creases.h",
+    "surfaces.h",
+    body="""
     const Team team(tid, share);
     const int batch = z.shape[0], rows = z.shape[1], columns = z.shape[2];
     for (int b = team.index; b < batch; b += shares) {
@@ -47,33 +46,9 @@ def surfaces_words(rows: int, columns: int) -> int:
         surfaces.run(team);
     }
 """,
-    )
 )
-def _surfaces(
-    tid: int,
-    share: int,
-    shares: int,
-    x: wp.array3d[wp.int32],
-    y: wp.array3d[wp.int32],
-    z: wp.array3d[wp.int32],
-    floor: wp.array2d[wp.int32],
-    steps: wp.array[wp.int32],
-    limits: wp.array[wp.int32],
-    rises: wp.array[wp.int32],
-    settings: wp.array[wp.int32],
-    right_out: wp.array3d[wp.int32],
-    forward_out: wp.array3d[wp.int32],
-    height_out: wp.array3d[wp.int32],
-    label_out: wp.array3d[wp.int32],
-    keep_out: wp.array3d[wp.bool],
-    low_out: wp.array3d[wp.bool],
-    count_out: wp.array[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
-): ...
-
-
-@wp.kernel(launch_bounds=(256, 4))
 def surfaces(
+    tid: int,
     share: int,
     shares: int,
     x: wp.array3d[wp.int32],
@@ -96,6 +71,7 @@ def surfaces(
     """A team of threads takes frames ``share, share + shares, ...``.
 
     Args:
+        tid: Of the launch.
         share: The first of them, of the launch.
         shares: How many teams there are in all.
         x: ``(B, R, C)``, colour optical frame [depth units]; at most 512 rows and columns.
@@ -116,24 +92,3 @@ def surfaces(
         count_out: ``(B,)``, how many surfaces there are, those without a label included.
         scratch_out: ``(teams, surfaces_words(R, C))``.
     """
-    _surfaces(
-        wp.tid(),
-        share,
-        shares,
-        x,
-        y,
-        z,
-        floor,
-        steps,
-        limits,
-        rises,
-        settings,
-        right_out,
-        forward_out,
-        height_out,
-        label_out,
-        keep_out,
-        low_out,
-        count_out,
-        scratch_out,
-    )
