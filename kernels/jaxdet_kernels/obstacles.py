@@ -27,7 +27,7 @@ def scratch_words(rows: int, columns: int) -> int:
     words += [pairs, pairs // 2, (pairs // 2 + 3) // 4]
     words += 2 * [cells + slots] + 3 * [cells]
     words += [labels + 1, *(3 * [19 * labels]), *(3 * [labels])]
-    words += [2 * labels, labels, 6 * labels, 2 * labels, 6] + 4 * [cells]
+    words += [2 * labels, labels, 6 * labels, 2 * labels + 1, 6] + 4 * [cells]
     words += [2 * (rows * _words(columns) + columns * _words(rows))]
     return sum(-(-one // 16) * 16 for one in words)
 
@@ -41,7 +41,6 @@ def _words(cells: int) -> int:
     "lanes.h",
     "bits.h",
     "listed.h",
-    "shared_words.h",
     "extents.h",
     "contours.h",
     "numbering.h",
@@ -55,6 +54,12 @@ def _words(cells: int) -> int:
     const Team team(tid, share);
     const int batch = label.shape[0];
     Obstacles frame;
+#if defined(__CUDA_ARCH__)
+    __shared__ __align__(16) int fast[Obstacles::FAST];
+    frame.fast = fast;
+#else
+    frame.fast = nullptr;
+#endif
     frame.rows = label.shape[1];
     frame.columns = label.shape[2];
     frame.settings = settings.data;

@@ -65,13 +65,10 @@ struct Contours {
                 points += at(l, c) != ~0ull;
             }
             points = lanes.sum(points);
-            if (lanes.rank == 0) start[l + 1] = points;
+            if (lanes.rank == 0) start[l] = points;
         }
         team.sync();
-        if (team.rank == 0) {
-            int points = start[0] = 0;
-            for (int l = 1; l <= count; ++l) start[l] = points += start[l];
-        }
+        if (lanes.index == 0) lanes.run_up(start, count);
         team.sync();
         for (int l = lanes.index; l < count; l += lanes.count) {
             const int last = column_high[l];

@@ -28,10 +28,30 @@ struct Contraction {
         return key(largest, one, with);
     }
 
+    // Words of fast memory, at 16 bytes, that all but the result fits in.
+    int words() const { return 2 * (2 * TURNS + count) + count * count + count; }
+
+    // `fast`: `room` words of it, which is used if it is enough. Ends in a sync.
+    void run(const Team& team, int* fast, int room) const {
+        Contraction own = *this;
+        const bool fits = words() <= room;
+        if (fits) {
+            own.turns = (Key*)fast;
+            own.best = own.turns + 2 * TURNS;
+            own.group = (int*)(own.best + count);
+            own.between = own.group + count;
+            for (int i = team.rank; i < count * count; i += team.size) own.between[i] = between[i];
+        }
+        own.contract(team);
+        if (!fits) return;
+        for (int node = team.rank; node < count; node += team.size) group[node] = own.group[node];
+        team.sync();
+    }
+
     // In each turn two nodes become one, and the best key of the next turn is found; `turns` has
     // it for this turn, the next and the one after, of all nodes and of the last that has grown.
     // Ends in a sync.
-    void run(const Team& team) const {
+    void contract(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;
         }

@@ -4,7 +4,6 @@
 #include "contours.h"
 #include "extents.h"
 #include "facing.h"
-#include "shared_words.h"
 
 // Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold)
 // and 2 k + 2.
@@ -35,7 +34,7 @@ struct Evidence {
 #endif
     enum { CONTACT = 2, PERCENT = 100, SEEN = 21, SHORT = (1 << 15) - 1 };
     // Pairs that a block of BATCH threads or a multiple of it weighs at a time.
-    enum { BATCH = 64, NOT_NEAR = 1 << 30 };
+    enum { BATCH = 64, FAST = (SEEN + 1) * BATCH, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
     Extents known;
     Contours contours;
@@ -44,6 +43,8 @@ struct Evidence {
     Sum* sums;            // scratch, Facing::SUMS of each pair
     int *list, *listed;   // scratch: the pairs that are near, and how many
     int* between;         // result, (count, count)
+    // On CUDA, FAST words of fast memory.
+    int* fast;
 
     int least(int a, int b) const { return a < b ? a : b; }
     int most(int a, int b) const { return a > b ? a : b; }
@@ -82,7 +83,7 @@ struct Evidence {
         team.sync();
 #if defined(__CUDA_ARCH__)
         // What is seen of BATCH pairs at a time; then threads share the trees of a pair.
-        int *seen = SharedWords::begin(), *weights = seen + SEEN * BATCH;
+        int *seen = fast, *weights = seen + SEEN * BATCH;
         const int own = team.rank % BATCH, share = team.rank / BATCH, shares = team.size / BATCH;
         for (int first = 0; first < *listed; first += BATCH) {
             const bool some = first + own < *listed;

@@ -3,7 +3,6 @@
 #pragma once
 #include "lanes.h"
 #include "listed.h"
-#include "shared_words.h"
 
 struct Extents {
     enum { TRIM = 20, SUMS = 2, LEAST = 10, FIELDS = 19, KNOWN = 15, NONE = 1 << 30 };
@@ -134,6 +133,7 @@ struct Trimmed {
     const int *cells, *low, *high, *over;
     int *least, *most;        // results
     int *state, *histograms;  // STATE words and 2 histograms a label
+    int *fast, room;          // so many words of fast memory hold the first histograms
 
     // Where the bucket of an end begins, and how many cells of it lie below.
     int* begin(int l) const { return state + STATE * l; }
@@ -143,10 +143,7 @@ struct Trimmed {
     int& span(int l) const { return state[STATE * l + 5]; }
     int* histogram(int l, int end) const {
         const int at = (2 * l + end) * BUCKETS;
-#if defined(__CUDA_ARCH__)
-        if (at + BUCKETS <= SharedWords::COUNT) return SharedWords::begin() + at;
-#endif
-        return histograms + at;
+        return at + BUCKETS <= room ? fast + at : histograms + at;
     }
 
     // Ends in a sync.

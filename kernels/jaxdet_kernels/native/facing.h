@@ -35,7 +35,10 @@ struct Facing {
     // up to its first cell and up to behind its last.
     struct Run {
         int label, first, last, before, after, z_first, z_last, nearest, farthest;
-        bool repeated;
+    };
+    // What later runs need of one; its label is -1 once there is another run of that label.
+    struct Past {
+        int label, last, after, z_last, nearest, farthest;
     };
     // Lines of cells: which have a surface and which are free; packed, those that have one, `stride`
     // from a line to the next, `step` from cell to cell; and their place along the line.
@@ -60,7 +63,8 @@ struct Facing {
 
     // AHEAD cells at a time: their loads wait together.
     void walk(const Team& team, int line, const int* cell, const int* place) const {
-        Run ring[RING], run = {-1, 0, -2, 0, 0, 0, 0, 0, 0, false};
+        Past ring[RING];
+        Run run = {-1, 0, -2, 0, 0, 0, 0, 0, 0};
         int runs = 0, frees = 0;
         for (int i = has.at(line, 0); i < has.at(line + 1, 0); ++i) {
             const unsigned all = has[i], open = free[i];
@@ -78,11 +82,8 @@ struct Facing {
                     const int k = first + n, label = at.label(), z = at.z();
                     const unsigned bit = 1u << (start + n);
                     if (k != run.last + 1 || label != run.label) {
-                        if (run.label >= 0) {
-                            ring[runs % RING] = run;
-                            meet(team, ring, runs++, place);
-                        }
-                        run = {label, k, k, frees_before(bit), 0, z, z, z, z, false};
+                        if (run.label >= 0) meet(team, ring, runs++, run, place);
+                        run = {label, k, k, frees_before(bit), 0, z, z, z, z};
                     }
                     run.last = k;
                     run.after = frees_before(bit) + ((open & bit) != 0);
@@ -94,29 +95,29 @@ struct Facing {
             }
             frees += BitRows::ones(open);
         }
-        if (run.label < 0) return;
-        ring[runs % RING] = run;
-        meet(team, ring, runs, place);
+        if (run.label >= 0) meet(team, ring, runs, run, place);
     }
 
-    // A new run and those before it, of which neither's label may lie between.
-    void meet(const Team& team, Run* ring, int index, const int* place) const {
-        const Run& right = ring[index % RING];
+    // A new run and those before it, of which neither's label may lie between; then it is one of
+    // them.
+    void meet(const Team& team, Past* ring, int index, const Run& right, const int* place) const {
         int nearest = FAR, farthest = -1;
         for (int away = 1; away <= MOST_BETWEEN + 1 && away <= index; ++away) {
-            Run& left = ring[(index - away) % RING];
+            Past& left = ring[(index - away) % RING];
             if (left.label == right.label) {
-                left.repeated = true;
+                left.label = -1;
                 break;
             }
-            if (!left.repeated) count(team, left, right, nearest, farthest, place);
+            if (left.label >= 0) count(team, left, right, nearest, farthest, place);
             nearest = left.nearest < nearest ? left.nearest : nearest;
             farthest = left.farthest > farthest ? left.farthest : farthest;
         }
+        ring[index % RING] = {right.label, right.last, right.after, right.z_last, right.nearest,
+                              right.farthest};
     }
 
     void count(
-        const Team& team, const Run& left, const Run& right, int nearest, int farthest,
+        const Team& team, const Past& left, const Run& right, int nearest, int farthest,
         const int* place
     ) const {
         const int pair = Pair(left.label, right.label).place;

@@ -28,6 +28,14 @@ struct Obstacles {
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
     };
+    // Words of fast memory: on CUDA, what the threads of a block share.
+#if defined(__CUDA_ARCH__)
+    enum { FAST = 4096 };
+#else
+    enum { FAST = 0 };
+#endif
+    static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
+    int* fast;  // for one use after the other, at 16 bytes
     int rows, columns;
     // Of each cell.
     const int *surface, *x, *y, *z, *right, *forward, *height;
@@ -42,7 +50,7 @@ struct Obstacles {
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
-    unsigned char* near;
+    unsigned char* near_pairs;
     int* bits;
     Listed listed;  // with their label as it changes: surface, whole surface, part of an obstacle
     Extents first, whole, last;
@@ -64,7 +72,7 @@ struct Obstacles {
         turns = store.longs(2 * Contraction::TURNS);
         between = store.words(all);
         list = store.words(all / 2);
-        near = (unsigned char*)store.words((all / 2 + 3) / 4);
+        near_pairs = (unsigned char*)store.words((all / 2 + 3) / 4);
         packed = store.words(cells + slots);
         stack = store.words(cells + slots);
         line_x = store.words(cells);
@@ -80,7 +88,7 @@ struct Obstacles {
         spare = store.words(2 * labels);
         over = store.words(labels);
         state = store.words(Trimmed::STATE * labels);
-        parts = store.words(2 * labels);
+        parts = store.words(2 * labels + 1);
         counts = store.words(COUNTS);
         listed = {counts + LISTED, store.words(cells), store.words(cells), store.words(cells),
                   store.words(cells)};
@@ -104,7 +112,7 @@ struct Obstacles {
         contours.list(team);
         find_evidence(team, contours);
         const Contraction contraction = {counts[WHOLE], between, best, turns, group};
-        contraction.run(team);
+        contraction.run(team, fast, FAST);
         number_groups(team, counts[WHOLE], whole, counts + GROUPS);
         last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
         straighten(team, contours);
@@ -125,8 +133,10 @@ struct Obstacles {
         const Team& team, const Extents& known, int count, const int* value, const int* low,
         const int* high, int* least, int* most
     ) const {
+        const int words = count * Trimmed::STATE, used = words <= FAST ? words : 0;
         const Trimmed trimmed = {count, *listed.count, listed.label, value, known.cells, low, high,
-                                 over, least, most, state, (int*)pairs};
+                                 over, least, most, used ? fast : state, (int*)pairs, fast + used,
+                                 FAST - used};
         trimmed.run(team);
     }
 
@@ -156,7 +166,8 @@ struct Obstacles {
     }
 
     void number_groups(const Team& team, int count, const Extents& known, int* groups) const {
-        const Numbering numbering = {count, group, known.first, spare, spare + slots, number, groups};
+        int* const lowest = 2 * count <= FAST ? fast : spare;
+        const Numbering numbering = {count, group, known.first, lowest, lowest + count, number, groups};
         numbering.run(team);
     }
 
@@ -216,8 +227,11 @@ struct Obstacles {
                  ahead ? whole.forward_high : whole.right_high, ahead ? whole.near : whole.left,
                  ahead ? whole.far : whole.right);
         team.sync();
+        const bool fits = (size_t)count * count / 2 <= FAST * sizeof(int);
+        unsigned char* const near = fits ? (unsigned char*)fast : near_pairs;
         const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
-                                   whole, contours, trees, near, pairs, list, counts + NEAR, between};
+                                   whole, contours, trees, near, pairs, list, counts + NEAR, between,
+                                   fast};
         evidence.find_near(team);
         const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
         const Facing in_columns = {turned(0), turned(1), packed, y, 1, columns, false, gap, near, pairs};
@@ -229,36 +243,34 @@ struct Obstacles {
     // Splits what bends around free floor; `last` of the parts.
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
-        int* names = parts + groups;
+        int* before = parts + groups;  // how many parts the groups before one have beside the first
         const Lanes lanes(team);
-        for (int g = team.rank; g < groups; g += team.size) parts[g] = 0;
+        for (int g = team.rank; g < groups; g += team.size) before[g] = 0;
         if (settings[BEND] > 0) {
             const Contours contours = contours_of(groups, last, pairs);
             contours.join(team, of_whole, number);
             contours.list(team);
             for (int g = lanes.index; g < groups; g += lanes.count) {
                 const int found = straight_parts(lanes, g).run() - 1;
-                if (lanes.rank == 0) parts[g] = found;
+                if (lanes.rank == 0) before[g] = found;
             }
         }
         team.sync();
-        if (team.rank == 0) {
-            int next = groups;
-            for (int g = 0; g < groups; ++g) {
-                names[g] = next;
-                parts[g] = parts[g] < MAX_LABELS - next ? parts[g] : MAX_LABELS - next;
-                next += parts[g];
-            }
-            counts[PARTS] = next;
-        }
+        if (lanes.index == 0) lanes.run_up(before, groups);
         team.sync();
+        const auto name_at = [&](int g) {
+            return groups + before[g] < MAX_LABELS ? groups + before[g] : (int)MAX_LABELS;
+        };
+        if (team.rank == 0) counts[PARTS] = name_at(groups);
         for (int g = lanes.index; g < groups; g += lanes.count) {
-            if (!parts[g]) continue;
+            const int next = name_at(g), found = name_at(g + 1) - next;
+            if (lanes.rank == 0) parts[g] = found;
+            if (!found) continue;
             const int *begin = straight_parts(lanes, g).parts, end = last.column_high[g];
             int part = 0;
             for (int c = last.column_low[g] + lanes.rank; c <= end; c += lanes.size) {
-                while (part < parts[g] && line_column[start[g] + begin[part + 1]] <= c) ++part;
-                part_of[g * columns + c] = part ? names[g] + part - 1 : g;
+                while (part < found && line_column[start[g] + begin[part + 1]] <= c) ++part;
+                part_of[g * columns + c] = part ? next + part - 1 : g;
             }
         }
         team.sync();
