@@ -335,29 +335,19 @@ struct Surfaces {
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
         for (int round = 0; round < rounds; ++round) {
             bool some = false;
-            for (int i = lanes.index; i < has.count(); i += lanes.count) {
-                const unsigned before = has.before(i), after = has.after(i);
-                const unsigned above = has.above(i), below = has.below(i);
-                unsigned free = kept[i] & ~has[i] & (before | after | above | below);
+            // A lane looks whether a word has such cells; then all lanes take them, word after word.
+            for (int first = lanes.index * Lanes::size; first < has.count();
+                 first += lanes.count * Lanes::size) {
+                const int own = first + lanes.rank;
+                const bool open = own < has.count() && Beside(has, own).free(kept, has, own);
                 unsigned taken = 0;
-                if (free) {
-                    const int at = has.row(i) * columns + has.column(i);
-#if defined(__CUDA_ARCH__)
-                    const int k = lanes.rank;
-                    const bool own = free >> k & 1 && take(at + k, before >> k & 1, after >> k & 1,
-                                                           above >> k & 1, below >> k & 1);
-                    taken = lanes.those(own);
-#else
-                    for (; free; free &= free - 1) {
-                        const int k = BitRows::first(free);
-                        const bool own = take(at + k, before >> k & 1, after >> k & 1,
-                                              above >> k & 1, below >> k & 1);
-                        taken |= (unsigned)own << k;
-                    }
-#endif
-                    some |= taken != 0;
+                for (unsigned rest = lanes.those(open); rest; rest &= rest - 1) {
+                    const int lane = BitRows::first(rest);
+                    const unsigned those = take_all(lanes, kept, has, first + lane);
+                    if (lanes.rank == lane) taken = those;
                 }
-                if (lanes.rank == 0) next[i] = has[i] | taken;
+                if (own < has.count()) next[own] = has[own] | taken;
+                some |= taken != 0;
             }
             if (!team.any(some)) break;
             const BitRows other = has;
@@ -365,6 +355,38 @@ struct Surfaces {
             next = other;
         }
         return has;
+    }
+
+    // Which cells of a word have a neighbour at the left, right, upper and lower side.
+    struct Beside {
+        unsigned left, right, upper, lower;
+
+        Beside(const BitRows& has, int i)
+            : left(has.before(i)), right(has.after(i)), upper(has.above(i)), lower(has.below(i)) {}
+        // Those without a label that may take one.
+        unsigned free(const BitRows& kept, const BitRows& has, int i) const {
+            return kept[i] & ~has[i] & (left | right | upper | lower);
+        }
+    };
+
+    // Labels of the cells of a word: which of them got one. All lanes ask for the same word.
+    unsigned take_all(
+        [[maybe_unused]] const Lanes& lanes, const BitRows& kept, const BitRows& has, int i
+    ) const {
+        const Beside beside(has, i);
+        unsigned free = beside.free(kept, has, i), taken = 0;
+        const int at = has.row(i) * columns + has.column(i);
+        const auto takes = [&](int k) {
+            return take(at + k, beside.left >> k & 1, beside.right >> k & 1, beside.upper >> k & 1,
+                        beside.lower >> k & 1);
+        };
+#if defined(__CUDA_ARCH__)
+        taken = lanes.those(free >> lanes.rank & 1 && takes(lanes.rank));
+#else
+        for (; free; free &= free - 1)
+            taken |= (unsigned)takes(BitRows::first(free)) << BitRows::first(free);
+#endif
+        return taken;
     }
 
     // Gives a cell the label of the neighbour that is nearest in depth within the step, of as near
