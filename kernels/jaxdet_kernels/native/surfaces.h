@@ -17,6 +17,7 @@ struct Surfaces {
         MARGIN = 8,  // this part of the columns at each side is the image's margin
         UNSEEN = 0x7fffffff,
         AHEAD = 4,  // on CUDA loads of so many cells wait together
+        FEW = 2,    // where there are more of each cell
     };
     // Where each setting is.
     enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, SETTINGS };
@@ -191,7 +192,6 @@ struct Surfaces {
     // Where runs of linked cells start, and which cells are linked with the one above.
 #if defined(__CUDA_ARCH__)
     void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
-        enum { FEW = 2 };
         const Lanes lanes(team);
         const int words = on.words, count = rows * words;
         for (int first = lanes.index; first < count; first += FEW * lanes.count) {
@@ -420,59 +420,67 @@ struct Surfaces {
         if (sure) in.sizes[label] = 1;
     }
 
+#if defined(__CUDA_ARCH__)
+    // -1: no word.
+    void look_at_words(
+        const Team& team, const Lanes& lanes, const Parts& in, const BitRows& has, const int* words
+    ) const {
+        const int margin = columns / MARGIN;
+        int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
+        bool lowest[FEW];
+        for (int k = 0; k < FEW; ++k) {
+            const int r = has.row(words[k]), c = has.column(words[k]) + lanes.rank;
+            const bool there = words[k] >= 0 && c < columns, over = there && r + 1 < rows;
+            const int here = there ? r * columns + c : 0, below = over ? here + columns : 0;
+            l[k] = there ? label_out[here] : -1;
+            h[k] = height[here], f[k] = forward[here];
+            h_below[k] = height[below], f_below[k] = forward[below];
+            lowest[k] = over && low[below];
+        }
+        for (int k = 0; k < FEW; ++k) {
+            const int r = has.row(words[k]), c = has.column(words[k]) + lanes.rank;
+            const bool outer = (c < margin) | (c >= columns - margin);
+            const int rises = h[k] - h_below[k];
+            const bool steep = (outer ? rises : 3 * rises) > f[k] - f_below[k];
+            const int level = lowest[k] ? steep ? -1 : 2 : 0;
+            const bool sure = lowest[k] || r + 1 == rows || !outer;
+            // One label after the other.
+            for (unsigned rest = lanes.those(l[k] >= 0); rest;) {
+                const int leader = BitRows::first(rest);
+                const int label = __shfl_sync(0xffffffff, l[k], leader);
+                const bool own = l[k] == label;
+                const unsigned those = lanes.those(own);
+                const int top = lanes.most(own && h[k] > -1 ? h[k] : -1);
+                const int sum = lanes.sum(own ? level : 0);
+                const bool certain_here = lanes.those(own && sure);
+                if (lanes.rank == leader)
+                    look_at(team, in, label, r * columns + c, top, sum, certain_here);
+                rest &= ~those;
+            }
+        }
+    }
+#endif
+
     // Ends in a sync.
     void look(const Team& team, const Parts& in, int runs, const BitRows& has) const {
-        const int margin = columns / MARGIN;
         int* const certain = in.sizes;
         for (int run = team.rank; run < runs; run += team.size) certain[run] = 0;
         team.sync();
 #if defined(__CUDA_ARCH__)
-        enum { FEW = 2 };
+        // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
         const Lanes lanes(team);
-        const int words = has.words, count = rows * words;
-        for (int first = lanes.index; first < count; first += FEW * lanes.count) {
-            unsigned some = 0;
-            for (int k = 0; k < FEW; ++k) {
-                const int i = first + k * lanes.count;
-                if (i < count) some |= has[has.at(i / words, i % words)];
-            }
-            if (!some) continue;
-            int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
-            bool lowest[FEW];
-            for (int k = 0; k < FEW; ++k) {
-                const int i = first + k * lanes.count, r = i / words;
-                const int c = i % words * BitRows::WIDTH + lanes.rank, at = r * columns + c;
-                const bool there = i < count && c < columns, over = there && r + 1 < rows;
-                const int here = there ? at : 0, below = over ? at + columns : 0;
-                l[k] = there ? label_out[here] : -1;
-                h[k] = height[here], f[k] = forward[here];
-                h_below[k] = height[below], f_below[k] = forward[below];
-                lowest[k] = over && low[below];
-            }
-            for (int k = 0; k < FEW; ++k) {
-                const int i = first + k * lanes.count, r = i / words;
-                const int c = i % words * BitRows::WIDTH + lanes.rank;
-                const bool outer = (c < margin) | (c >= columns - margin);
-                const int rises = h[k] - h_below[k];
-                const bool steep = (outer ? rises : 3 * rises) > f[k] - f_below[k];
-                const int level = lowest[k] ? steep ? -1 : 2 : 0;
-                const bool sure = lowest[k] || r + 1 == rows || !outer;
-                // One label after the other.
-                for (unsigned rest = lanes.those(l[k] >= 0); rest;) {
-                    const int leader = BitRows::first(rest);
-                    const int label = __shfl_sync(0xffffffff, l[k], leader);
-                    const bool own = l[k] == label;
-                    const unsigned those = lanes.those(own);
-                    const int top = lanes.most(own && h[k] > -1 ? h[k] : -1);
-                    const int sum = lanes.sum(own ? level : 0);
-                    const bool certain_here = lanes.those(own && sure);
-                    if (lanes.rank == leader)
-                        look_at(team, in, label, r * columns + c, top, sum, certain_here);
-                    rest &= ~those;
-                }
+        for (int first = lanes.index * Lanes::size; first < has.count();
+             first += lanes.count * Lanes::size) {
+            const int own = first + lanes.rank;
+            for (unsigned rest = lanes.those(own < has.count() && has[own]); rest;) {
+                int words[FEW];
+                for (int k = 0; k < FEW; ++k, rest &= rest - 1)
+                    words[k] = rest ? first + BitRows::first(rest) : -1;
+                look_at_words(team, lanes, in, has, words);
             }
         }
 #else
+        const int margin = columns / MARGIN;
         for (int i = 0; i < has.count(); ++i) {
             const int r = has.row(i), k = r * columns;
             const int* label = label_out + k + has.column(i);
