@@ -192,43 +192,39 @@ struct Surfaces {
     // Where runs of linked cells start, and which cells are linked with the one above.
 #if defined(__CUDA_ARCH__)
     void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
+        // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
         const Lanes lanes(team);
-        const int words = on.words, count = rows * words;
-        for (int first = lanes.index; first < count; first += FEW * lanes.count) {
-            unsigned some = 0;
-            for (int k = 0; k < FEW; ++k) {
-                const int i = first + k * lanes.count, j = on.at(i / words, i % words);
-                if (i < count) some |= on[j];
-                if (i < count && lanes.rank == 0) starts[j] = up[j] = 0;
+        for (int first = lanes.index * Lanes::size; first < on.count();
+             first += lanes.count * Lanes::size) {
+            const int own = first + lanes.rank;
+            unsigned goes_on = 0, linked = 0;
+            for (unsigned rest = lanes.those(own < on.count() && on[own]); rest;) {
+                int word[FEW], here[FEW], before[FEW], above[FEW];
+                for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
+                    word[k] = rest ? first + BitRows::first(rest) : -1;
+                    const int c = on.column(word[k]) + lanes.rank;
+                    const bool there = word[k] >= 0 && c < columns;
+                    const int at = there ? on.row(word[k]) * columns + c : 0;
+                    here[k] = z[at];
+                    before[k] = z[at > 0 ? at - 1 : 0];
+                    above[k] = z[at < columns ? 0 : at - columns];
+                }
+                int step[FEW], step_before[FEW], step_above[FEW];
+                for (int k = 0; k < FEW; ++k) {
+                    step[k] = steps[here[k]];
+                    step_before[k] = steps[before[k]];
+                    step_above[k] = steps[above[k]];
+                }
+                for (int k = 0; k < FEW; ++k) {
+                    const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
+                    const bool below = is_near(here[k], above[k], step[k], step_above[k]);
+                    const unsigned those_beside = lanes.those(beside), those = lanes.those(below);
+                    if (word[k] == own) goes_on = those_beside, linked = those;
+                }
             }
-            if (!some) continue;
-            int here[FEW], before[FEW], above[FEW];
-            for (int k = 0; k < FEW; ++k) {
-                const int i = first + k * lanes.count;
-                const int r = i / words, c = i % words * BitRows::WIDTH + lanes.rank;
-                const bool there = i < count && c < columns;
-                const int at = there ? r * columns + c : 0;
-                here[k] = z[at];
-                before[k] = z[at > 0 ? at - 1 : 0];
-                above[k] = z[at < columns ? 0 : at - columns];
-            }
-            int step[FEW], step_before[FEW], step_above[FEW];
-            for (int k = 0; k < FEW; ++k) {
-                step[k] = steps[here[k]];
-                step_before[k] = steps[before[k]];
-                step_above[k] = steps[above[k]];
-            }
-            for (int k = 0; k < FEW; ++k) {
-                const int i = first + k * lanes.count;
-                if (i >= count) break;
-                const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
-                const bool below = is_near(here[k], above[k], step[k], step_above[k]);
-                const unsigned goes_on = lanes.those(beside), linked = lanes.those(below);
-                if (lanes.rank) continue;
-                const int j = on.at(i / words, i % words);
-                starts[j] = on[j] & ~(on.before(j) & goes_on);
-                up[j] = on[j] & on.above(j) & linked;
-            }
+            if (own >= on.count()) continue;
+            starts[own] = on[own] & ~(on.before(own) & goes_on);
+            up[own] = on[own] & on.above(own) & linked;
         }
         team.sync();
     }
