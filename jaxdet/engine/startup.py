@@ -3,12 +3,13 @@
 import ctypes
 import os
 import platform
-import sys
 import warnings
 import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
+
+from jaxdet.quiet import quiet_warp
 
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable: the folder, or ``off``."""
@@ -65,22 +66,6 @@ def use_caches() -> Caches:
     if folders.warp:
         os.environ["WARP_CACHE_PATH"] = str(folders.warp)  # read when Warp starts
     return folders
-
-
-def quiet_warp() -> None:
-    """Starts Warp without its banner, and without its note that there is no CUDA driver."""
-    import warp
-
-    warp.config.log_level = warp.LOG_ERROR
-    sys.stderr.flush()
-    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)  # the note comes from native code
-        warp.init()
-    finally:
-        os.dup2(stderr, 2)
-        os.close(stderr)
-        os.close(nowhere)
 
 
 def start_up() -> None:

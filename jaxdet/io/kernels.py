@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxdet.quiet import quiet_warp
+
 _loading = Lock()
 
 
@@ -39,10 +41,10 @@ def launch(name: str, *arguments: Any) -> None:
 
 @cache
 def _kernels() -> Any:
+    quiet_warp()  # standard output may be a table's
     import warp as wp
 
     from jaxdet_kernels import decode
 
-    wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)  # it writes to standard output
     wp.load_module(decode, device="cpu")
     return decode
