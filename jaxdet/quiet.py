@@ -1,0 +1,20 @@
+"""Warp without what it writes to the standard streams."""
+
+import os
+import sys
+
+
+def quiet_warp() -> None:
+    """Starts Warp without its banner, and without its note that there is no CUDA driver."""
+    import warp
+
+    warp.config.log_level = warp.LOG_ERROR
+    sys.stderr.flush()
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)  # the note comes from native code
+        warp.init()
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
