@@ -41,7 +41,8 @@ from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.scan import ChannelInfo
 from jaxdet.results.rows import batch_rows, row_inputs
-from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, to_table
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.writer import to_table
 
 BATCHES = {"cpu": 16, "gpu": 256}
 """Frames of a batch, where parts are timed alone."""

@@ -10,7 +10,8 @@ import pytest
 from jaxdet.errors import ConfigError
 from jaxdet.results import writer
 from jaxdet.results.lists import Lists
-from jaxdet.results.writer import FRAMES_SCHEMA, OBSTACLES_SCHEMA, ResultWriter, Tables
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.writer import ResultWriter, Tables
 
 
 def frame_rows(start: int, stop: int) -> dict:
@@ -23,12 +24,15 @@ def frame_rows(start: int, stop: int) -> dict:
         "depth_stamp_ns": np.ma.masked_equal(np.where(n % 2, n * 10, -1), -1),
         "status": np.where(n % 2, "ok", "unpaired").astype(object),
         "num_features": count,
-        "num_kept": count,
         "num_obstacles": count,
         "overflow": n % 3 == 0,
         "camera_height_m": np.where(n % 5, 0.6, np.nan),
         "camera_pitch_rad": np.where(n % 5, 0.3, np.nan),
         "camera_roll_rad": np.where(n % 5, -0.1, np.nan),
+        "camera_frame": np.full(n.size, "camera", object),
+        "world_frame": np.ma.array(np.full(n.size, "map", object), mask=n % 2 == 1),
+        "camera_position_world": np.where(n[:, None] % 2, n[:, None] / 3 + np.zeros(3), np.nan),
+        "camera_orientation_world": np.where(n[:, None] % 2, np.eye(4)[3], np.nan),
         "floor_source": np.where(n % 2, "frame", "tf").astype(object),
         "floor_refused": np.ma.array(np.full(n.size, "far", object), mask=n % 2 == 1),
         **{f"free_{name}": lists(n, np.float32) for name in ("bearing_rad", "from_m", "to_m")},
@@ -79,6 +83,9 @@ def test_round_trip_with_nulls(tmp_path: Path) -> None:
     assert frames["camera_height_m"].to_pylist()[:2] == [None, pytest.approx(0.6)]
     assert obstacles["corners_world"].to_pylist()[:2] == [None, [1.0] * 8]
     assert obstacles["corners_ground"].to_pylist()[2] == [2.0] * 8
+    assert frames["world_frame"].to_pylist()[:2] == ["map", None]
+    assert frames["camera_position_world"].to_pylist()[:2] == [None, [1 / 3] * 3]
+    assert frames["camera_orientation_world"].to_pylist()[:2] == [None, [0.0, 0.0, 0.0, 1.0]]
     assert frames["floor_refused"].to_pylist()[:2] == ["far", None]
     assert frames["free_end"].to_pylist()[:4] == [None, [1], [2, 2], None]
     assert frames["drop_m"].to_pylist()[:2] == [1.5, None]

@@ -1,6 +1,5 @@
 """The local loop: logs in, a results folder out."""
 
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -24,6 +23,7 @@ from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
+from jaxdet.results.names import file_names
 from jaxdet.results.occupancy import OccupancyMap, save_map
 from jaxdet.results.summary import LogSummary, Summary, plain
 from jaxdet.results.writer import ResultWriter
@@ -103,7 +103,8 @@ def run(
         ResultWriter(options.output, overwrite=options.overwrite) as writer,
         Pool(workers, options.backend, devices) as pool,
     ):
-        for number, (files, name) in enumerate(zip(ordered, _file_names(ordered), strict=True)):
+        names = file_names(files.name for files in ordered)
+        for number, (files, name) in enumerate(zip(ordered, names, strict=True)):
             one = _LogRun(config, options, observers or {}, writer, pool, files.name, name)
             one.report = _reporter(progress, number, len(ordered))
             summary.logs.append(one.run(files, log_options))
@@ -126,18 +127,6 @@ def _reporter(
             progress(Progress(part.log, number, count, *state, doing))
 
     return report
-
-
-def _file_names(logs: Sequence["LogFiles"]) -> list[str]:
-    """The logs' names with nothing that a file name should not have, each different."""
-    names: list[str] = []
-    for log in logs:
-        name = stem = re.sub(r"[^\w.-]+", "_", log.name).strip(".")[:80] or "log"
-        number = 2
-        while name in names:
-            name, number = f"{stem}_{number}", number + 1
-        names.append(name)
-    return names
 
 
 @dataclass

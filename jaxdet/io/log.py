@@ -46,6 +46,10 @@ class Batch(NamedTuple):
     """One line for each of them, empty where the status is OK."""
     notes: Notes = Notes()
     """What else was seen, for :meth:`Log.described`."""
+    camera_frame: str = ""
+    """Name of the colour camera's optical frame; empty where the log has none."""
+    world_frame: str = ""
+    """Name of the frame that poses are in; empty where there are none."""
 
 
 ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
@@ -72,6 +76,8 @@ class Log:
         T_base_camera: ``(4, 4)`` float64, colour optical frame to the robot's base frame, whose
             z = 0 is the floor; None when the log's transforms don't hold it.
         base_frame: Name of that frame, or None.
+        camera_frame: Name of the colour camera's optical frame; empty where the log has none.
+        world_frame: Name of the frame that poses are in; empty where there are none.
         num_frames: Colour frames, all of them.
         has_poses: Whether the log knows where the camera stands in the world.
         description: What ``jaxdet info`` shows.
@@ -88,6 +94,8 @@ class Log:
         self.name = files.name
         self.calibration = found.calibrated.calibration
         self.T_base_camera, self.base_frame = found.base.T_base_camera, found.base.frame
+        self.camera_frame = found.calibrated.color_frame
+        self.world_frame = found.poses.world_frame
         self.num_frames, self.has_poses = found.frames.num_frames, found.poses.known
         self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
         self._depth_size = found.calibrated.depth_size
@@ -254,7 +262,8 @@ class Log:
             T_world_camera=self._poses(windows, size),
         )
         notes = total(window.notes for window in windows)
-        return Batch(frames, tuple(status), tuple(errors), notes)
+        names = self.camera_frame, self.world_frame
+        return Batch(frames, tuple(status), tuple(errors), notes, *names)
 
     def _poses(self, windows: Sequence[Window], size: int) -> np.ndarray | None:
         if not self.has_poses:

@@ -38,6 +38,8 @@ class PoseSource(NamedTuple):
     """TF frame; empty: not from TF."""
     topic: str = ""
     """Topic with poses; empty: not from one."""
+    parent: str = ""
+    """TF frame that the topic's poses are in."""
     T_child_camera: np.ndarray | None = None
     """``(4, 4)`` float64, from the camera to the frame that the topic's poses are of."""
 
@@ -45,6 +47,11 @@ class PoseSource(NamedTuple):
     def known(self) -> bool:
         """Whether the log has poses."""
         return bool(self.world or self.topic)
+
+    @property
+    def world_frame(self) -> str:
+        """The frame that poses are in; empty where there are none."""
+        return self.world or self.parent
 
     def moving(self, tree: TransformTree) -> list[str]:
         """What its samples are taken of: frames of the tree, or the topic."""
@@ -148,7 +155,8 @@ def _from_track(
         text = f"{printable(topic)} is not used: no static transform joins its frame {frames}"
         return PoseSource("poses: none that can be used", (text,))
     text = f"poses: topic {printable(topic)} of frame {printable(child)!r}"
-    return PoseSource(text, camera=camera_frame, topic=topic, T_child_camera=T_child_camera)
+    given = {"topic": topic, "parent": track.parent, "T_child_camera": T_child_camera}
+    return PoseSource(text, camera=camera_frame, **given)
 
 
 def _is_robot_pose(index: LogIndex, topic: str) -> bool:

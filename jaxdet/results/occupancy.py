@@ -1,5 +1,6 @@
 """The map of a whole log: how often each cell was an obstacle's, and how often free."""
 
+import zipfile
 from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
@@ -7,6 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from jaxdet.errors import InputError
 from jaxdet.results.free_floor import Polygons
 
 CELL_M = 0.05
@@ -193,7 +195,7 @@ def save_map(path: Path, image: MapImage) -> None:
     """Writes the map as npz.
 
     ``counts`` and ``free`` (H, W) int32, ``origin`` (2,), ``cell_m`` and ``path`` (F, 2), see
-    :class:`jaxdet.render.MapImage`.
+    :class:`MapImage`.
     """
     np.savez_compressed(
         path,
@@ -203,6 +205,21 @@ def save_map(path: Path, image: MapImage) -> None:
         cell_m=np.array(image.cell_m),
         path=image.path,
     )
+
+
+def load_map(path: Path) -> MapImage:
+    """The map that :func:`save_map` wrote.
+
+    Raises:
+        InputError: It is missing, or no map.
+    """
+    try:
+        with np.load(path) as parts:
+            x, y = parts["origin"].tolist()
+            cell = float(parts["cell_m"])
+            return MapImage(parts["counts"], parts["free"], (x, y), cell, parts["path"])
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError("is not a map", path=str(path), remedy="run jaxdet run again") from error
 
 
 def _cropped(image: MapImage) -> MapImage:

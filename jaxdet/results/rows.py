@@ -15,6 +15,7 @@ from jaxdet.results.metric import (
     corner_distances,
     extents,
     nearest,
+    quaternions,
     rectangles,
     to_world,
 )
@@ -47,8 +48,6 @@ class RowInputs(NamedTuple):
     """What the rows of a batch need of its detections, NumPy or JAX arrays."""
 
     num_features: Array
-    """``(B,)`` int32."""
-    num_kept: Array
     """``(B,)`` int32, features that are kept."""
     num_obstacles: Array
     """``(B,)`` int32."""
@@ -94,7 +93,6 @@ def row_inputs(found: Detections, slots: int | None = None) -> RowInputs:
         contour, points, heights = few(scene.contour), few(scene.contour_points), scene.bottom_top
         shapes = SceneInputs(scene.floor, contour, points, few(heights), scene.free, scene.free_end)
     return RowInputs(
-        features.valid.sum(axis=1, dtype=np.int32),
         features.kept.sum(axis=1, dtype=np.int32),
         found.labels.num_obstacles,
         features.overflow,
@@ -152,6 +150,7 @@ def batch_rows(
     plane = plane if fit is None else fit.plane
     frame_columns = _frame_columns(log, frames, plane, found, good)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
+    frame_columns |= _pose_columns(batch, count)
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
     frame_columns |= free_columns(free, good) if free else no_free_columns(count)
     obstacle_columns = _obstacle_columns(log, frames, plane, found, good, config)
@@ -188,12 +187,27 @@ def _frame_columns(
         "stamp_ns": frames.stamp_ns[:n],
         "depth_stamp_ns": np.ma.masked_less(frames.depth_stamp_ns[:n], 0),
         "num_features": counted(found.num_features),
-        "num_kept": counted(found.num_kept),
         "num_obstacles": counted(found.num_obstacles),
         "overflow": found.overflow & good,
         "camera_height_m": known(plane.height),
         "camera_pitch_rad": known(plane.pitch),
         "camera_roll_rad": known(plane.roll),
+    }
+
+
+def _pose_columns(batch: "Batch", count: int) -> dict[str, Any]:
+    """Where each frame's camera stands in the world."""
+    poses = batch.frames.T_world_camera
+    T = np.full((count, 4, 4), np.nan) if poses is None else poses[:count]
+
+    def named(frame: str) -> np.ndarray:
+        return np.ma.array(np.full(count, frame, object), mask=np.full(count, not frame))
+
+    return {
+        "camera_frame": named(batch.camera_frame),
+        "world_frame": named(batch.world_frame),
+        "camera_position_world": T[:, :3, 3],
+        "camera_orientation_world": quaternions(T[:, :3, :3]),
     }
 
 

@@ -21,82 +21,24 @@ import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.results.lists import Lists
+from jaxdet.results.metadata import Inputs, table_metadata
+from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
 
 ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
 
 _NAMES = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
-_DICTIONARIES = ["log", "status", "floor_source", "floor_refused"]
 _GENERATED = ("pictures/*.png", "map_*.npz", "map_*.png")
-
-
-def _schema(columns: Mapping[str, pa.DataType], nullable: tuple[str, ...]) -> pa.Schema:
-    return pa.schema([pa.field(n, t, nullable=n in nullable) for n, t in columns.items()])
-
-
-def _item(kind: pa.DataType) -> pa.Field:
-    return pa.field("item", kind, nullable=False)
-
-
-_CORNERS = pa.list_(_item(pa.float32()), 8)
-_LIST = pa.list_(_item(pa.float32()))
-_METRES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "x", "y", "z")
-
-FRAMES_SCHEMA = _schema(
-    {
-        "log": pa.string(),
-        "frame": pa.int64(),
-        "stamp_ns": pa.int64(),
-        "depth_stamp_ns": pa.int64(),
-        "status": pa.string(),
-        "num_features": pa.int32(),
-        "num_kept": pa.int32(),
-        "num_obstacles": pa.int32(),
-        "overflow": pa.bool_(),
-        "camera_height_m": pa.float32(),
-        "camera_pitch_rad": pa.float32(),
-        "camera_roll_rad": pa.float32(),
-        "floor_source": pa.string(),
-        "floor_refused": pa.string(),
-        **dict.fromkeys(("free_bearing_rad", "free_from_m", "free_to_m"), _LIST),
-        "free_end": pa.list_(_item(pa.int8())),
-        "drop_m": pa.float32(),
-    },
-    (
-        *("depth_stamp_ns", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
-        *("floor_refused", "free_bearing_rad", "free_from_m", "free_to_m", "free_end", "drop_m"),
-    ),
-)
-"""``frames.parquet``: one row for each colour frame of each log, none lost."""
-
-OBSTACLES_SCHEMA = _schema(
-    {
-        "log": pa.string(),
-        "frame": pa.int64(),
-        "stamp_ns": pa.int64(),
-        "obstacle": pa.int32(),
-        "num_points": pa.int32(),
-        **dict.fromkeys(("u_min", "u_max", "v_min", "v_max"), pa.int32()),
-        **dict.fromkeys(_METRES, pa.float32()),
-        "vertices": pa.int8(),
-        "corners_ground": _CORNERS,
-        "corners_world": _CORNERS,
-        **dict.fromkeys(("distance_m", "bottom_m", "top_m"), pa.float32()),
-        "contour": _LIST,
-    },
-    ("corners_world", "bottom_m", "top_m", "contour"),
-)
-"""``obstacles.parquet``: one row for each obstacle."""
 
 
 def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     """Rows as an Arrow table.
 
     Args:
-        columns: One array for each field: ``(R,)``, or ``(R, 8)`` for the corners. Nullable
+        columns: One array for each field: ``(R,)``, or ``(R, n)`` for lists of n. Nullable
             fields take a NumPy masked array, or floats with NaN, for null; fields of lists of any
             length take :class:`jaxdet.results.lists.Lists`.
-        schema: :data:`FRAMES_SCHEMA` or :data:`OBSTACLES_SCHEMA`.
+        schema: One of :mod:`jaxdet.results.schemas`.
 
     Returns:
         A table of R rows.
@@ -115,7 +57,7 @@ def _array(values: Any, field: pa.Field) -> pa.Array:
         values = np.where(mask, 0, np.ma.getdata(values))
     if not pa.types.is_fixed_size_list(field.type):
         return pa.array(values, field.type, mask=mask)
-    flat = pa.array(np.asarray(values, np.float32).reshape(-1))
+    flat = pa.array(np.asarray(values).reshape(-1), field.type.value_type)
     rows = None if mask is None else pa.array(mask.any(axis=1))
     return pa.FixedSizeListArray.from_arrays(flat, type=field.type, mask=rows)
 
@@ -175,7 +117,7 @@ class _Table:
             compression="zstd",
             compression_level=3,
             write_page_checksum=True,
-            use_dictionary=_DICTIONARIES,  # pyright: ignore[reportArgumentType]
+            use_dictionary=DICTIONARIES,  # pyright: ignore[reportArgumentType]
         )
 
     def add(self, table: pa.Table) -> None:
@@ -190,9 +132,10 @@ class _Table:
         self.writer.write_table(group.combine_chunks(), row_group_size=ROWS_PER_GROUP)
         self.pending, self.rows = [rest], rest.num_rows
 
-    def close(self) -> None:
+    def close(self, metadata: Mapping[str, str]) -> None:
         if self.rows:
             self._write_group()
+        self.writer.add_key_value_metadata(dict(metadata))
         self.writer.close()
 
 
@@ -220,6 +163,7 @@ class ResultWriter:
             ) from error
         self._frames = _Table(self.staging / "frames.parquet", FRAMES_SCHEMA)
         self._obstacles = _Table(self.staging / "obstacles.parquet", OBSTACLES_SCHEMA)
+        self._inputs = Inputs()
 
     def __enter__(self) -> "ResultWriter":
         return self
@@ -233,6 +177,7 @@ class ResultWriter:
 
     def add(self, rows: "Tables") -> None:
         """Appends rows, in order."""
+        self._inputs.add(rows.frames)
         self._frames.add(rows.frames)
         self._obstacles.add(rows.obstacles)
 
@@ -255,8 +200,9 @@ class ResultWriter:
 
     def commit(self, config: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
         """Writes the JSON files and moves everything to its final name, the summary last."""
-        self._frames.close()
-        self._obstacles.close()
+        metadata = table_metadata(config, summary, self._inputs)
+        self._frames.close(metadata)
+        self._obstacles.close(metadata)
         self.path("config.json").write_text(to_json(config), encoding="utf-8")
         self.path("summary.json").write_text(to_json(summary), encoding="utf-8")
         for old in [p for pattern in _GENERATED for p in self.directory.glob(pattern)]:

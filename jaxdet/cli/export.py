@@ -1,0 +1,54 @@
+"""``jaxdet export``: results in the formats of other programs."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from jaxdet.cli.flags import parse_flags
+from jaxdet.export import FORMATS
+
+DESCRIPTION = """\
+Writes the results of jaxdet run for another program.
+
+{formats}
+
+Examples:
+  jaxdet export results --to foxglove --output scenes
+  jaxdet export results --to ros2 --output bags --log drive.mcap
+  jaxdet export results --to nav2 --output maps
+"""
+
+
+@dataclass(frozen=True)
+class ExportCommand:
+    """What ``jaxdet export`` takes."""
+
+    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
+    """Folder that jaxdet run wrote."""
+    to: Literal["foxglove", "ros2", "nav2"]
+    """The format, see above."""
+    output: Annotated[Path, tyro.conf.arg(metavar="PATH")]
+    """What to write; must not be there yet."""
+    log: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG...")] = ()
+    """The logs of the results, where the format shows images or points of them."""
+
+
+def main(args: list[str]) -> int:
+    """Runs the command; returns the exit code."""
+    missing: Any = tyro.MISSING
+    formats = "\n".join(f"  {name:<10}{form.writes}" for name, form in FORMATS.items())
+    description = DESCRIPTION.format(formats=formats)
+    start = ExportCommand(missing, missing, missing)
+    command = parse_flags(start, args, "jaxdet export", description)
+    from jaxdet.export import export
+    from jaxdet.export.recordings import find
+    from jaxdet.results.reading import Results
+
+    with Results(command.results) as results:
+        recordings = find(results, command.log)
+        export(results, command.to, command.output, recordings)
+    print(f"written: {command.output}", file=sys.stderr)
+    return 0

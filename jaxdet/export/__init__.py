@@ -1,0 +1,73 @@
+"""Results in the formats of other programs; each format is a module that is loaded when used.
+
+A module ``NAME`` has ``export(results, output, recordings)``, which writes the file or folder
+``output``, that is not there yet, and may raise a :class:`jaxdet.errors.JaxdetError`.
+``recordings`` are the logs given with ``--log``, by their names in the results.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxdet.errors import ConfigError, InputError
+
+if TYPE_CHECKING:
+    from jaxdet.io import LogFiles
+    from jaxdet.results.reading import Results
+
+
+class Format(NamedTuple):
+    """What a format is for."""
+
+    writes: str
+    """What the output is."""
+    extra: str = ""
+    """The extra of jaxdet that its packages come with; empty: they are always there."""
+
+
+FORMATS = {
+    "foxglove": Format("a folder: an MCAP file to open beside each log, and a layout"),
+    "ros2": Format("a folder: an MCAP file of ROS 2 messages for each log"),
+    "nav2": Format("a folder: a map of each log as nav2's map_server loads it (PGM and YAML)"),
+}
+
+
+def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "LogFiles"]) -> None:
+    """Writes results in another format; whole, or nothing.
+
+    Args:
+        results: What a run wrote.
+        to: One of :data:`FORMATS`.
+        output: File or folder to write, see :class:`Format`.
+        recordings: Logs of the results by name, see :func:`jaxdet.export.recordings.find`.
+
+    Raises:
+        ConfigError: The output is there already, or a package is missing.
+        InputError: The output can't be written, or what the format shows is not in the results.
+    """
+    if output.is_file() or (output.is_dir() and any(output.iterdir())):
+        remedy = "give another --output, or remove it"
+        raise ConfigError("is there already", path=str(output), remedy=remedy)
+    try:
+        write: Callable[..., None] = import_module(f"jaxdet.export.{to}").export
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("jaxdet"):
+            raise
+        remedy = f"pip install 'jaxdet[{FORMATS[to].extra}]'"
+        raise ConfigError(f"--to {to} needs the package {error.name}", remedy=remedy) from error
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=".jaxdet-", dir=output.parent))
+    except OSError as error:
+        reason = f"can't be written to ({error.strerror})"
+        raise InputError(reason, path=str(output.parent)) from error
+    try:
+        write(results, staging / "output", recordings)
+        if output.is_dir():
+            output.rmdir()
+        (staging / "output").rename(output)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)

@@ -1,0 +1,121 @@
+"""The logs that results are of, read and looked at again where a format shows images or points."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.engine import decide_planes, start_up
+from jaxdet.errors import InputError, RescanError
+from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
+from jaxdet.pipeline import detect
+from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.rows import to_host
+from jaxdet.types import Detections
+
+BATCH = 16
+"""Frames read together."""
+
+
+class Seen(NamedTuple):
+    """Some frames of a log, and what was found in them."""
+
+    batch: Batch
+    """:data:`BATCH` frames; after the last row of the chunk the last frame is repeated."""
+    found: Detections
+    """NumPy arrays, of the same frames."""
+    chunk: Chunk
+    """Their rows of the results."""
+
+
+def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
+    """The logs of the results among files, folders and globs.
+
+    They are told by their names; a single one is that of results of a single log.
+
+    Returns:
+        By name in the results.
+
+    Raises:
+        InputError: One of them is no log of the results.
+    """
+    logs = find_logs(given) if given else []
+    if len(logs) == len(results.logs) == 1:
+        return {results.logs[0].name: logs[0]}
+    return {results.log(log.name).name: log for log in logs}
+
+
+def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[Batch, Chunk]]:
+    """The frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
+
+    Args:
+        results: What a run wrote.
+        log: One of its logs.
+        files: Where that is.
+
+    Raises:
+        InputError: It is another log, or it can't be read.
+    """
+    chunks = results.chunks(log, size=BATCH)
+    waiting = next(chunks, None)
+    for options in _ways(results.log_options):
+        try:
+            with open_log(files, options) as opened:
+                while waiting is not None:
+                    numbers = waiting.frames["frame"].to_numpy()
+                    if numbers.max() >= opened.num_frames:
+                        raise _other(log, files)
+                    last = np.full(BATCH - len(numbers), numbers[-1])
+                    batch = opened.read([*numbers.tolist(), *last.tolist()])
+                    stamps = batch.frames.stamp_ns[: len(numbers)]
+                    if not np.array_equal(stamps, waiting.frames["stamp_ns"].to_numpy()):
+                        raise _other(log, files)
+                    yield batch, waiting
+                    waiting = next(chunks, None)
+            return
+        except RescanError:
+            if options.scan:
+                raise
+
+
+def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Seen]:
+    """The frames of a log with all that is found in them, as the run found it.
+
+    Args:
+        results: What a run wrote.
+        log: One of its logs.
+        files: Where that is.
+
+    Raises:
+        InputError: It is another log, or it can't be read.
+    """
+    start_up()
+    config = results.method
+    for options in _ways(results.log_options):
+        try:
+            with open_log(files, options) as opened:
+                planes = decide_planes(opened, config, "jax")
+            break
+        except RescanError:
+            if options.scan:
+                raise
+    for batch, chunk in images(results, log, files):
+        frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
+        found = to_host(detect(frames, config, backend="jax"))
+        good = frames.valid & found.has_depth
+        counts = np.where(good, found.labels.num_obstacles, 0)[: chunk.frames.num_rows]
+        if not np.array_equal(counts, chunk.frames["num_obstacles"].to_numpy()):
+            raise _other(log, files)
+        yield Seen(batch, found, chunk)
+
+
+def _ways(options: LogOptions) -> Iterator[LogOptions]:
+    """By the log's index, and where that isn't enough by reading all of it."""
+    yield options
+    yield replace(options, scan=True)
+
+
+def _other(log: ResultLog, files: LogFiles) -> InputError:
+    problem = f"is not the log {log.name!r} that the results are of"
+    return InputError(problem, path=str(files.paths[0]), remedy="name the right one with --log")

@@ -1,0 +1,80 @@
+"""What a result table says of itself: format, version, configuration and inputs.
+
+It stands in the Parquet files' key-value metadata as text. Nothing of it depends on the time,
+the machine, the device, the batch or where files lie, since the tables' bytes must not.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+import jaxdet
+
+FORMAT = 1
+"""Number of the tables' format; another one has other columns, or some of another meaning."""
+
+FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"
+CONFIG_KEY, INPUTS_KEY = "jaxdet.config", "jaxdet.inputs"
+
+_CHANGES_NO_ROW = ("preset", "backend", "batch_size")
+"""Keys of ``config.json``."""
+
+
+class Inputs:
+    """What the rows' logs were: how many frames, and a digest of their stamps and calibration."""
+
+    def __init__(self) -> None:
+        self._frames: dict[str, int] = {}
+        self._digests: dict[str, Any] = {}
+
+    def add(self, frames: pa.Table) -> None:
+        """Takes in rows of ``frames.parquet``, in order."""
+        names = frames["log"].unique().to_pylist()
+        for name in names:
+            rows = frames if len(names) == 1 else frames.filter(pc.equal(frames["log"], name))
+            depth = rows["depth_stamp_ns"].fill_null(-1).to_numpy()
+            stamps = np.stack([rows["stamp_ns"].to_numpy(), depth], axis=1)
+            self._frames[name] = self._frames.get(name, 0) + rows.num_rows
+            digest = self._digests.setdefault(name, hashlib.sha256())
+            digest.update(stamps.astype("<i8").tobytes())
+
+    def fingerprints(self, summary: Mapping[str, Any]) -> dict[str, Any]:
+        """By log its frames and the digest, with the calibrations of ``summary.json``."""
+        calibrations = {log["log"]: log["calibration"] for log in summary.get("logs", ())}
+        found = {}
+        for name, digest in self._digests.items():
+            whole = digest.copy()
+            whole.update(_canonical(calibrations.get(name)).encode())
+            found[name] = {"frames": self._frames[name], "sha256": whole.hexdigest()}
+        return found
+
+
+def table_metadata(
+    config: Mapping[str, Any], summary: Mapping[str, Any], inputs: Inputs
+) -> dict[str, str]:
+    """The key-value metadata of both tables.
+
+    Args:
+        config: What ``config.json`` holds; of it only what can change a row is used.
+        summary: What ``summary.json`` holds; of it only the logs' calibrations are used.
+        inputs: What was read.
+    """
+    method = {key: value for key, value in config.items() if key not in _CHANGES_NO_ROW}
+    if "log" in method:  # how a log is opened changes none of its frames
+        method["log"] = {k: v for k, v in method["log"].items() if k != "scan"}
+    return {
+        FORMAT_KEY: str(FORMAT),
+        VERSION_KEY: jaxdet.__version__,
+        CONFIG_KEY: _canonical(method),
+        INPUTS_KEY: _canonical(inputs.fingerprints(summary)),
+    }
+
+
+def _canonical(value: Any) -> str:
+    """JSON of which there is one way to write it."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str)

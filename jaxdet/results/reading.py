@@ -1,0 +1,300 @@
+"""A results folder read back: what ``jaxdet run`` wrote, in order and without holding all of it."""
+
+import dataclasses
+import json
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jaxdet.config import Config
+from jaxdet.errors import InputError
+from jaxdet.io.options import LogOptions
+from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
+from jaxdet.results.names import file_names
+from jaxdet.results.occupancy import MapImage, load_map
+
+CHUNK_FRAMES = 1024
+"""Frames of a chunk, unless it is asked for otherwise."""
+
+_AGAIN = "run jaxdet run again, or name another folder"
+
+
+class ResultLog(NamedTuple):
+    """A log whose rows are in the tables."""
+
+    name: str
+    file_name: str
+    """What the names of its files begin with, different for each log of a run."""
+    summary: Mapping[str, Any]
+    """Its entry in ``summary.json``."""
+    first_frame: int
+    """Row of its first frame in ``frames.parquet``."""
+    first_obstacle: int
+    """Row of its first obstacle in ``obstacles.parquet``."""
+
+    @property
+    def num_frames(self) -> int:
+        """Rows of ``frames.parquet``."""
+        return self.summary["frames"]
+
+    @property
+    def num_obstacles(self) -> int:
+        """Rows of ``obstacles.parquet``."""
+        return self.summary["obstacles"]
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files that it was read from, as they were named then."""
+        return tuple(map(Path, self.summary["paths"]))
+
+    def topic(self, role: str) -> str:
+        """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
+        topics = (self.summary["description"] or {}).get("topics", ())
+        return next((t["topic"] for t in topics if role in t["chosen_as"].split()), "")
+
+
+class Chunk(NamedTuple):
+    """Whole frames of one log with all their obstacles, in order."""
+
+    frames: pa.Table
+    obstacles: pa.Table
+
+    @property
+    def first(self) -> np.ndarray:
+        """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
+        return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
+
+
+class Frame(NamedTuple):
+    """A row of ``frames.parquet`` and its rows of ``obstacles.parquet``, null as None."""
+
+    row: dict[str, Any]
+    obstacles: list[dict[str, Any]]
+
+
+class Results:
+    """What a run wrote; opening it reads no rows.
+
+    Args:
+        folder: The folder that ``jaxdet run --output`` was given.
+
+    Attributes:
+        folder: The same.
+        config: What ``config.json`` holds.
+        summary: What ``summary.json`` holds.
+        version: The jaxdet that wrote it.
+        logs: The logs that are in the tables, in their order there.
+
+    Raises:
+        InputError: It is no whole results folder, or of a format that this version doesn't read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        if not folder.is_dir():
+            raise InputError("no such folder", path=str(folder), remedy=_AGAIN)
+        self.summary = self._json("summary.json")
+        self.config = self._json("config.json")
+        self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
+        self.version = _text(self._frames, VERSION_KEY)
+        self.logs = tuple(self._logs())
+        for table, name in ((self._frames, "frames"), (self._obstacles, "obstacles")):
+            expected, found = self.summary[name], table.metadata.num_rows
+            if found != expected:
+                problem = f"{found} rows, but summary.json says {expected}"
+                raise InputError(problem, path=str(self._path(name)), remedy=_AGAIN)
+
+    def __enter__(self) -> "Results":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the tables."""
+        self._frames.close()
+        self._obstacles.close()
+
+    @cached_property
+    def method(self) -> Config:
+        """The configuration that the obstacles were found with."""
+        return _restored(Config, self.config)
+
+    @cached_property
+    def log_options(self) -> LogOptions:
+        """How the logs were read."""
+        return _restored(LogOptions, self.config["log"])
+
+    def log(self, name: str) -> ResultLog:
+        """The log of this name.
+
+        Raises:
+            InputError: There is none.
+        """
+        found = next((log for log in self.logs if log.name == name), None)
+        if found is None:
+            names = ", ".join(log.name for log in self.logs) or "no log"
+            raise InputError(f"no log {name!r}; it holds {names}", path=str(self.folder))
+        return found
+
+    def chunks(
+        self,
+        log: ResultLog | None = None,
+        frames: Sequence[str] | None = None,
+        obstacles: Sequence[str] | None = None,
+        size: int = CHUNK_FRAMES,
+    ) -> Iterator[Chunk]:
+        """The rows, some frames at a time, each chunk of one log.
+
+        Memory: a row group's chosen columns, and the chunk.
+
+        Args:
+            log: Of this log; None: of all, one after the other.
+            frames: Columns of the frames; None: all. ``log``, ``frame`` and ``num_obstacles``
+                come always.
+            obstacles: Columns of the obstacles; None: all. ``log`` and ``frame`` come always.
+            size: Most frames of a chunk.
+
+        Raises:
+            InputError: The tables can't be read, or don't belong together.
+        """
+        for one in self.logs if log is None else (log,):
+            start = one.first_frame, one.first_obstacle
+            rows = _Rows(self._frames, start[0], frames, ("log", "frame", "num_obstacles"))
+            parts = _Rows(self._obstacles, start[1], obstacles, ("log", "frame"))
+            left = one.num_frames
+            try:
+                while left:
+                    taken = rows.take(min(size, left))
+                    left -= taken.num_rows
+                    count = taken["num_obstacles"].to_numpy()
+                    chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
+                    self._check(one, chunk, count)
+                    yield chunk
+            except (pa.ArrowException, OSError) as error:
+                problem = f"the tables can't be read ({' '.join(str(error).split())})"
+                raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
+
+    def frames(self, log: ResultLog | None = None) -> Iterator[Frame]:
+        """The frames one by one, each with its obstacles; see :meth:`chunks`."""
+        for chunk in self.chunks(log):
+            rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
+            for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
+                yield Frame(row, obstacles[start:stop])
+
+    def map(self, log: ResultLog) -> MapImage | None:
+        """The map of a log; None where it has none."""
+        name = log.summary["map"]
+        return load_map(self.folder / f"{name}.npz") if name else None
+
+    def pictures(self, log: ResultLog) -> dict[int, Path]:
+        """The pictures that were drawn, by frame."""
+        paths = (self.folder / name for name in log.summary["pictures"])
+        return {int(path.stem.rpartition("_")[2]): path for path in paths if path.is_file()}
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.parquet"
+
+    def _json(self, name: str) -> dict[str, Any]:
+        path = self.folder / name
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError as error:
+            problem = f"is no whole results folder ({name} is missing)"
+            raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
+        except ValueError as error:
+            raise InputError("is not JSON", path=str(path), remedy=_AGAIN) from error
+
+    def _table(self, name: str) -> pq.ParquetFile:
+        path = self._path(name)
+        try:
+            table = pq.ParquetFile(path, page_checksum_verification=True)
+        except FileNotFoundError as error:
+            problem = f"is no whole results folder ({path.name} is missing)"
+            raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
+        except (pa.ArrowException, OSError) as error:
+            raise InputError("is not a Parquet file", path=str(path), remedy=_AGAIN) from error
+        if (found := _text(table, FORMAT_KEY)) != str(FORMAT):
+            problem = f"has format {found or 'none'} of the tables, not {FORMAT}"
+            raise InputError(problem, path=str(path), remedy="run jaxdet run again")
+        return table
+
+    def _logs(self) -> Iterator[ResultLog]:
+        frame = obstacle = 0
+        entries = self.summary["logs"]
+        names = [entry["log"] for entry in entries]
+        for entry, name, file_name in zip(entries, names, file_names(names), strict=True):
+            if not entry["error"]:
+                yield ResultLog(name, file_name, entry, frame, obstacle)
+                frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
+
+    def _check(self, log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
+        """The chunk is of this log, and its obstacles are of its frames."""
+        frame, of = chunk.frames["frame"].to_numpy(), chunk.obstacles["frame"].to_numpy()
+        names = {*chunk.frames["log"].unique().to_pylist()}
+        names |= {*chunk.obstacles["log"].unique().to_pylist()}
+        if names != {log.name} or not np.array_equal(np.repeat(frame, count), of):
+            problem = "frames.parquet and obstacles.parquet don't belong together"
+            raise InputError(problem, path=str(self.folder), remedy=_AGAIN)
+
+
+class _Rows:
+    """Rows of a table one after the other."""
+
+    def __init__(
+        self,
+        file: pq.ParquetFile,
+        start: int,
+        columns: Sequence[str] | None,
+        always: tuple[str, ...],
+    ) -> None:
+        named = None if columns is None else [*always, *(c for c in columns if c not in always)]
+        sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+        ends = np.cumsum(sizes, dtype=np.int64)
+        group = int(np.searchsorted(ends, start, side="right"))
+        groups = list(range(group, len(sizes)))
+        names = file.schema_arrow.names if named is None else named
+        self.schema = pa.schema([file.schema_arrow.field(name) for name in names])
+        self._batches = file.iter_batches(row_groups=groups, columns=named) if groups else iter(())
+        self._waiting: list[pa.RecordBatch] = []
+        self._skip = start - int(ends[group - 1]) if group else start
+
+    def take(self, count: int) -> pa.Table:
+        """The next ``count`` rows, fewer where the table ends."""
+        found: list[pa.RecordBatch] = []
+        while count:
+            batch = self._waiting.pop() if self._waiting else next(self._batches, None)
+            if batch is None:
+                break
+            skip, self._skip = min(self._skip, batch.num_rows), max(0, self._skip - batch.num_rows)
+            batch = batch.slice(skip)
+            part = batch.slice(0, count)
+            if part.num_rows < batch.num_rows:
+                self._waiting.append(batch.slice(count))
+            if part.num_rows:
+                found.append(part.select(self.schema.names))
+            count -= part.num_rows
+        return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
+
+
+def _text(table: pq.ParquetFile, key: str) -> str:
+    return (table.metadata.metadata or {}).get(key.encode(), b"").decode()
+
+
+def _restored(kind: type, values: Mapping[str, Any]) -> Any:
+    """A dataclass from what JSON holds of it."""
+    hints, found = typing.get_type_hints(kind), {}
+    for field in dataclasses.fields(kind):
+        if field.name in values:
+            value, hint = values[field.name], hints[field.name]
+            if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+                value = _restored(hint, value)
+            found[field.name] = tuple(value) if isinstance(value, list) else value
+    return kind(**found)

@@ -1,0 +1,115 @@
+"""The columns of the two result tables, each with its unit and what it says."""
+
+from typing import NamedTuple
+
+import pyarrow as pa
+
+
+class _Column(NamedTuple):
+    name: str
+    type: pa.DataType
+    unit: str
+    """``m``, ``rad``, ``ns``, ``pixel``; empty where there is none."""
+    description: str
+    nullable: bool = False
+
+
+def _item(kind: pa.DataType) -> pa.Field:
+    return pa.field("item", kind, nullable=False)
+
+
+def _schema(*columns: _Column) -> pa.Schema:
+    return pa.schema(
+        [
+            pa.field(c.name, c.type, c.nullable, {"unit": c.unit, "description": c.description})
+            for c in columns
+        ]
+    )
+
+
+_STRING, _BOOL = pa.string(), pa.bool_()
+_I8, _I32, _I64 = pa.int8(), pa.int32(), pa.int64()
+_F32, _F64 = pa.float32(), pa.float64()
+_CORNERS = pa.list_(_item(_F32), 8)
+_LIST = pa.list_(_item(_F32))
+
+FRAMES_SCHEMA = _schema(
+    _Column("log", _STRING, "", "name of the log"),
+    _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
+    _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
+    _Column("depth_stamp_ns", _I64, "ns", "header stamp of the paired depth image", True),
+    _Column("status", _STRING, "", "ok, or why the frame has no result"),
+    _Column(
+        "num_features", _I32, "", "corners and sampled cells with depth in range, above the floor"
+    ),
+    _Column("num_obstacles", _I32, "", "rows of the frame in obstacles.parquet"),
+    _Column("overflow", _BOOL, "", "more corners, surfaces or obstacles than there are slots"),
+    _Column("camera_height_m", _F32, "m", "optical centre above the floor used", True),
+    _Column("camera_pitch_rad", _F32, "rad", "downward tilt of the camera", True),
+    _Column("camera_roll_rad", _F32, "rad", "clockwise turn, seen from behind the camera", True),
+    _Column("camera_frame", _STRING, "", "frame_id of the colour camera (optical frame)", True),
+    _Column("world_frame", _STRING, "", "frame_id of the frame that poses are in", True),
+    _Column(
+        "camera_position_world", pa.list_(_item(_F64), 3), "m", "x y z of the optical centre", True
+    ),
+    _Column(
+        "camera_orientation_world",
+        pa.list_(_item(_F64), 4),
+        "",
+        "unit quaternion x y z w, w >= 0, that turns the optical frame's axes into the world's",
+        True,
+    ),
+    _Column("floor_source", _STRING, "", "where the floor comes from"),
+    _Column("floor_refused", _STRING, "", "why the frame's own depth did not decide", True),
+    _Column(
+        "free_bearing_rad", _LIST, "rad", "free floor: bearing of its end, clockwise, 0 ahead", True
+    ),
+    _Column("free_from_m", _LIST, "m", "where it begins, from the camera's foot", True),
+    _Column("free_to_m", _LIST, "m", "where it ends, from the camera's foot", True),
+    _Column(
+        "free_end",
+        pa.list_(_item(_I8)),
+        "",
+        "what ends it: 0 not known, 1 an obstacle, 2 a drop, 3 the depth range",
+        True,
+    ),
+    _Column("drop_m", _F32, "m", "distance of the nearest drop on the floor", True),
+)
+"""``frames.parquet``: one row for each colour frame of each log, none lost."""
+
+OBSTACLES_SCHEMA = _schema(
+    _Column("log", _STRING, "", "name of the log"),
+    _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
+    _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
+    _Column("obstacle", _I32, "", "label in the frame, numbered from the nearest, from 0"),
+    _Column("num_points", _I32, "", "its cells in the colour image, or its corners"),
+    _Column("u_min", _I32, "pixel", "first column of its box in the colour image"),
+    _Column("u_max", _I32, "pixel", "last column"),
+    _Column("v_min", _I32, "pixel", "first row"),
+    _Column("v_max", _I32, "pixel", "last row"),
+    _Column("x_min", _F32, "m", "left side of its box in the colour optical frame"),
+    _Column("x_max", _F32, "m", "right side"),
+    _Column("y_min", _F32, "m", "upper side; y points down"),
+    _Column("y_max", _F32, "m", "lower side"),
+    _Column("z_min", _F32, "m", "near side"),
+    _Column("z_max", _F32, "m", "far side"),
+    _Column("x", _F32, "m", "centroid in the colour optical frame, right"),
+    _Column("y", _F32, "m", "centroid, down"),
+    _Column("z", _F32, "m", "centroid, forward"),
+    _Column("vertices", _I8, "", "1 where a vertex stands out towards the camera, else 0"),
+    _Column(
+        "corners_ground",
+        _CORNERS,
+        "m",
+        "outline on the floor, right and forward of the camera in turn: A, B, beyond B, beyond A",
+    ),
+    _Column("corners_world", _CORNERS, "m", "the same corners, world x and y in turn", True),
+    _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),
+    _Column("bottom_m", _F32, "m", "lowest cell above the floor", True),
+    _Column("top_m", _F32, "m", "highest cell above the floor", True),
+    _Column("contour", _LIST, "m", "visible edge on the floor, right and forward in turn", True),
+)
+"""``obstacles.parquet``: one row for each obstacle."""
+
+DICTIONARIES = ["log", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"]
+"""Columns of few different values."""

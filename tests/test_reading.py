@@ -1,0 +1,158 @@
+"""A results folder read back: every row in order, whatever the chunks, and nothing half."""
+
+import json
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import jaxdet
+from jaxdet import engine
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import RunOptions
+from jaxdet.errors import InputError
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.results import writer
+from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
+from jaxdet.results.reading import Results
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.sim import SimConfig, write_log
+
+CONFIG = Config(ground=GroundConfig(max_depth_m=3.5))
+OPTIONS = LogOptions(pair_tolerance_s=0.1, color_intrinsics=(150.0, 150.0, 79.5, 59.5))
+
+
+def write_results(folder: Path) -> Path:
+    """Two logs, one of them broken between the others, in row groups of seven rows."""
+    for name, frames in (("a", 9), ("b", 4)):
+        write_log(folder / f"{name}.mcap", SimConfig(frames=frames, width=160, height=120))
+    (folder / "ab.mcap").write_bytes(b"no log")
+    found = find_logs([str(folder)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writer, "ROWS_PER_GROUP", 7)
+        run = RunOptions(folder / "out", backend="reference", batch_size=4, pictures=2)
+        engine.run(found, CONFIG, OPTIONS, run, preset="wheeled")
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_results(tmp_path_factory.mktemp("reading"))
+
+
+def copied(folder: Path, to: Path) -> Path:
+    to.mkdir()
+    for path in folder.glob("*.*"):
+        (to / path.name).write_bytes(path.read_bytes())
+    return to
+
+
+@pytest.mark.parametrize("size", [1, 3, 1000])
+def test_chunks_are_the_tables(folder: Path, size: int) -> None:
+    with Results(folder) as results:
+        assert [log.name for log in results.logs] == ["a", "b"]
+        whole = list(results.chunks(size=size))
+        parts = [chunk for log in results.logs for chunk in results.chunks(log, size=size)]
+    for number, name in enumerate(("frames", "obstacles")):
+        table = pq.read_table(folder / f"{name}.parquet")
+        for chunks in (whole, parts):
+            assert pa.concat_tables([chunk[number] for chunk in chunks]).equals(table)
+    assert {chunk.frames.num_rows for chunk in whole[:-2]} <= {min(size, 9), 4}
+    assert whole[0].obstacles.num_rows == whole[0].first[-1]
+
+
+def test_chunks_of_some_columns(folder: Path) -> None:
+    with Results(folder) as results:
+        (chunk,) = results.chunks(results.log("b"), ["stamp_ns"], ["distance_m"])
+    assert chunk.frames.column_names == ["log", "frame", "num_obstacles", "stamp_ns"]
+    assert chunk.obstacles.column_names == ["log", "frame", "distance_m"]
+
+
+def test_frames_have_their_obstacles(folder: Path) -> None:
+    with Results(folder) as results:
+        frames = list(results.frames())
+        assert len(frames) == 13 == sum(log.num_frames for log in results.logs)
+    for row, obstacles in frames:
+        assert len(obstacles) == row["num_obstacles"] and row["camera_orientation_world"]
+        assert all((o["log"], o["frame"]) == (row["log"], row["frame"]) for o in obstacles)
+    assert sum(len(frame.obstacles) for frame in frames) > 13
+
+
+def test_what_a_run_was_made_with(folder: Path) -> None:
+    with Results(folder) as results:
+        assert results.method == CONFIG and results.log_options == OPTIONS
+        assert results.version == jaxdet.__version__
+        log = results.log("a")
+        assert [path.name for path in log.paths] == ["a.mcap"]
+        assert log.topic("color") and log.topic("depth") and not log.topic("sound")
+        assert list(results.pictures(log)) == [0, 8]
+        image = results.map(log)
+        assert image is not None and image.path.shape == (9, 2) and image.counts.any()
+        with pytest.raises(InputError, match="no log 'ab'; it holds a, b"):
+            results.log("ab")
+
+
+def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
+    for name, schema in (("frames", FRAMES_SCHEMA), ("obstacles", OBSTACLES_SCHEMA)):
+        file = pq.ParquetFile(folder / f"{name}.parquet")
+        assert file.schema_arrow.equals(schema)
+        for field in file.schema_arrow:
+            about = {key.decode(): value.decode() for key, value in field.metadata.items()}
+            assert about["description"]
+            end = field.name.rpartition("_")[2]
+            if end in ("m", "rad", "ns"):
+                assert about["unit"] == end
+        about = {key.decode(): value.decode() for key, value in file.metadata.metadata.items()}
+        assert about[VERSION_KEY] == jaxdet.__version__
+        config = json.loads(about[CONFIG_KEY])
+        assert config["ground"]["max_depth_m"] == 3.5 and "backend" not in config
+        inputs = json.loads(about[INPUTS_KEY])
+        assert {log: of["frames"] for log, of in inputs.items()} == {"a": 9, "b": 4}
+        assert inputs["a"]["sha256"] != inputs["b"]["sha256"]
+        assert str(folder.parent) not in "".join(about.values())
+
+
+@pytest.mark.parametrize("name", ["summary.json", "config.json", "obstacles.parquet"])
+def test_half_a_folder_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
+    half = copied(folder, tmp_path / "half")
+    (half / name).unlink()
+    with pytest.raises(InputError, match=f"no whole results folder .{name}"):
+        Results(half)
+    (half / name).write_bytes(b"{")
+    with pytest.raises(InputError, match="is not"):
+        Results(half)
+
+
+def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) -> None:
+    other = copied(folder, tmp_path / "other")
+    table = pq.read_table(other / "frames.parquet")
+    about = pq.ParquetFile(other / "frames.parquet").metadata.metadata
+
+    def replace(rows: pa.Table, metadata: dict) -> None:
+        named = rows.replace_schema_metadata(metadata)
+        pq.write_table(named, other / "frames.parquet")
+
+    replace(table.slice(1), about)
+    with pytest.raises(InputError, match="12 rows, but summary"):
+        Results(other)
+    replace(pa.concat_tables([table.slice(1), table.slice(0, 1)]), about)
+    with Results(other) as results, pytest.raises(InputError, match="don't belong together"):
+        list(results.chunks())
+    replace(table, {**about, b"jaxdet.format": b"99"})
+    with pytest.raises(InputError, match="format 99 of the tables"):
+        Results(other)
+    replace(table, {})
+    with pytest.raises(InputError, match="format none of the tables"):
+        Results(other)
+    with pytest.raises(InputError, match="no such folder"):
+        Results(tmp_path / "missing")
+
+
+def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
+    torn = copied(folder, tmp_path / "torn")
+    data = bytearray((torn / "obstacles.parquet").read_bytes())
+    data[200:400] = bytes(200)
+    (torn / "obstacles.parquet").write_bytes(data)
+    with Results(torn) as results, pytest.raises(InputError, match="can't be read"):
+        list(results.frames())
