@@ -62,10 +62,12 @@ class Counts:
 
 @dataclass
 class LogSummary(Counts):
-    """One log of a run."""
+    """One log of a run, or of a log with several cameras one of them."""
 
     log: str
     paths: tuple[str, ...]
+    camera: str | None = None
+    """The camera's name; None: the log could not be opened."""
     seconds: float = 0.0
     """From the first batch asked for to the last row [s]."""
     first_batch_s: float = 0.0

@@ -26,7 +26,7 @@ ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
 
 _NAMES = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
-_DICTIONARIES = ["log", "status", "floor_source", "floor_refused"]
+_DICTIONARIES = ["log", "camera", "status", "floor_source", "floor_refused"]
 _GENERATED = ("pictures/*.png", "map_*.npz", "map_*.png")
 
 
@@ -45,6 +45,7 @@ _METRES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "x", "y", "z")
 FRAMES_SCHEMA = _schema(
     {
         "log": pa.string(),
+        "camera": pa.string(),
         "frame": pa.int64(),
         "stamp_ns": pa.int64(),
         "depth_stamp_ns": pa.int64(),
@@ -72,6 +73,7 @@ FRAMES_SCHEMA = _schema(
 OBSTACLES_SCHEMA = _schema(
     {
         "log": pa.string(),
+        "camera": pa.string(),
         "frame": pa.int64(),
         "stamp_ns": pa.int64(),
         "obstacle": pa.int32(),
