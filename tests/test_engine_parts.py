@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -65,7 +66,7 @@ def test_rows_of_a_part_are_those_of_the_whole(sim_log, whole, tmp_path, part, n
     summary = run(sim_log, tmp_path, LogOptions(**part), batch_size=2, pictures=2)
     assert summary.frames == len(numbers)
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
-        keep = pa.compute.is_in(all_rows["frame"], pa.array(numbers, pa.int64()))
+        keep = pc.is_in(all_rows["frame"], pa.array(numbers, pa.int64()))
         assert found.equals(all_rows.filter(keep))
         assert found.num_rows >= len(numbers)
     ends = {f"sim_{number:06d}.png" for number in (numbers[0], numbers[-1])}
@@ -78,7 +79,7 @@ def test_a_part_in_units_of_several_workers(sim_log, whole, tmp_path):
     summary = run(sim_log, tmp_path, LogOptions(start="0.1", every=2), batch_size=1, workers=2)
     assert summary.workers == 2 and summary.frames == 5
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
-        keep = pa.compute.is_in(all_rows["frame"], pa.array(range(2, 12, 2), pa.int64()))
+        keep = pc.is_in(all_rows["frame"], pa.array(range(2, 12, 2), pa.int64()))
         assert found.equals(all_rows.filter(keep))
 
 
@@ -94,7 +95,7 @@ def test_cameras_are_run_one_after_the_other(two_cameras, sim_log, whole, tmp_pa
         for camera in ("front", "rear"):
             run(two_cameras, tmp_path / camera, LogOptions(camera=camera), overwrite=True)
             alone = pq.read_table(tmp_path / camera / name)
-            assert found.filter(pa.compute.equal(found["camera"], camera)).equals(alone)
+            assert found.filter(pc.equal(found["camera"], camera)).equals(alone)
         drop = ["log", "camera"]
         assert alone.drop(drop).equals(rear[number].drop(drop))
     assert {path.name for path in (tmp_path / "both" / "pictures").iterdir()} == {

@@ -86,11 +86,12 @@ def choose_topics(
         return {choice.camera: choice}
     found: dict[str, Choice | TopicError] = {}
     for name in sorted(names):
-        own = [
-            [item for item in all_ if camera_name(item.topic) == name] for all_ in (colors, depths)
-        ]
+        color, depth = (
+            [item for item in items if camera_name(item.topic) == name]
+            for items in (colors, depths)
+        )
         try:
-            found[name] = _choose(index, options, *own, path)
+            found[name] = _choose(index, options, color, depth, path)
         except TopicError as error:
             found[name] = error
     return found
