@@ -1,12 +1,12 @@
 """Runs of parts of a log, and of logs with several cameras."""
 
 import json
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -47,6 +47,10 @@ def tables(folder: Path) -> list[pa.Table]:
     return [pq.read_table(folder / name) for name in TABLES]
 
 
+def rows_of(table: pa.Table, column: str, values: Collection) -> pa.Table:
+    return table.filter(pa.array([value in values for value in table[column].to_pylist()]))
+
+
 @pytest.fixture(scope="module")
 def whole(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[pa.Table]:
     folder = tmp_path_factory.mktemp("whole")
@@ -66,8 +70,7 @@ def test_rows_of_a_part_are_those_of_the_whole(sim_log, whole, tmp_path, part, n
     summary = run(sim_log, tmp_path, LogOptions(**part), batch_size=2, pictures=2)
     assert summary.frames == len(numbers)
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
-        keep = pc.is_in(all_rows["frame"], pa.array(numbers, pa.int64()))
-        assert found.equals(all_rows.filter(keep))
+        assert found.equals(rows_of(all_rows, "frame", numbers))
         assert found.num_rows >= len(numbers)
     ends = {f"sim_{number:06d}.png" for number in (numbers[0], numbers[-1])}
     assert {path.name for path in (tmp_path / "pictures").iterdir()} == ends
@@ -79,8 +82,7 @@ def test_a_part_in_units_of_several_workers(sim_log, whole, tmp_path):
     summary = run(sim_log, tmp_path, LogOptions(start="0.1", every=2), batch_size=1, workers=2)
     assert summary.workers == 2 and summary.frames == 5
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):
-        keep = pc.is_in(all_rows["frame"], pa.array(range(2, 12, 2), pa.int64()))
-        assert found.equals(all_rows.filter(keep))
+        assert found.equals(rows_of(all_rows, "frame", range(2, 12, 2)))
 
 
 def test_cameras_are_run_one_after_the_other(two_cameras, sim_log, whole, tmp_path):
@@ -95,7 +97,7 @@ def test_cameras_are_run_one_after_the_other(two_cameras, sim_log, whole, tmp_pa
         for camera in ("front", "rear"):
             run(two_cameras, tmp_path / camera, LogOptions(camera=camera), overwrite=True)
             alone = pq.read_table(tmp_path / camera / name)
-            assert found.filter(pc.equal(found["camera"], camera)).equals(alone)
+            assert rows_of(found, "camera", (camera,)).equals(alone)
         drop = ["log", "camera"]
         assert alone.drop(drop).equals(rear[number].drop(drop))
     assert {path.name for path in (tmp_path / "both" / "pictures").iterdir()} == {

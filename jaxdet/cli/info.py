@@ -58,7 +58,7 @@ def main(args: list[str]) -> int:
     start = InfoCommand(missing, preset=name, ground=config.ground, log=log_options)
     command = parse_flags(start, args, "jaxdet info", DESCRIPTION)
     from jaxdet.io import find_logs
-    from jaxdet.results.writer import to_json
+    from jaxdet.results.summary import to_json
 
     failed, found = 0, []
     for files in find_logs(given(command.logs)):

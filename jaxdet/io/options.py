@@ -6,7 +6,7 @@ The flags are ``--log.*``, but those of what is worked on: ``--camera --start --
 from dataclasses import dataclass, field
 
 from jaxdet.errors import ConfigError
-from jaxdet.io.part import parse_moment
+from jaxdet.io.moments import parse_moment
 
 SHORT = {"short": True}
 """Of fields whose flags have no ``log.`` before them."""

@@ -1,13 +1,13 @@
 """What a run reports beside its tables: ``summary.json`` and ``config.json``."""
 
 import dataclasses
+import json
 import math
 import platform
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -181,12 +181,19 @@ def versions() -> dict[str, str | None]:
 
 
 def _version(name: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version  # loads much
+
     try:
         return version(name)
     except PackageNotFoundError:
         import jaxdet
 
         return jaxdet.__version__ if name == "jaxdet" else None
+
+
+def to_json(value: Mapping[str, Any]) -> str:
+    """A mapping as indented JSON with a final newline; paths and enums become strings."""
+    return json.dumps(value, indent=2, ensure_ascii=False, default=str, allow_nan=False) + "\n"
 
 
 def plain(value: Any) -> Any:
