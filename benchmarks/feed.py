@@ -306,7 +306,7 @@ class Writing:
         """Returns the number of frames."""
         count = len(self._batch.status)
         for _ in range(self._turns):
-            given = "log", self._batch, self._plane, ("tf",) * count
+            given = "log", "camera", self._batch, self._plane, ("tf",) * count
             rows = batch_rows(*given, self._found, Config())
             for name, columns, schema in (
                 ("frames", rows.frames, FRAMES_SCHEMA),

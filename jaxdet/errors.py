@@ -38,6 +38,20 @@ class TopicError(JaxdetError):
     """The topics that the job needs are missing or ambiguous."""
 
 
+class CamerasError(TopicError):
+    """A log has several cameras and none was chosen.
+
+    Args:
+        cameras: Their names, of those that can be used.
+        path: The log.
+    """
+
+    def __init__(self, cameras: tuple[str, ...], *, path: str = "") -> None:
+        problem = f"the log has several cameras: {', '.join(cameras)}"
+        super().__init__(problem, path=path, remedy="choose one with --camera")
+        self.cameras = cameras
+
+
 class CalibrationError(JaxdetError):
     """A calibration is missing, unknown or contradicts itself."""
 

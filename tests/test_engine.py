@@ -92,7 +92,7 @@ class FakeLog:
 
     name, base_frame, T_base_camera = "fake", "base_link", None
     description = SimpleNamespace(warnings=("odd",))
-    num_frames = 10
+    num_frames, frames, camera, label = 10, range(10), "cam", "fake"
     status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
 
     def __init__(self) -> None:

@@ -24,7 +24,7 @@ class Sampled:
         self.heights, self.own = np.array(heights), np.array(own)
         self.T_base_camera = MOUNT if tf else None
         self.stamps_ns = np.arange(len(heights)) * 100_000_000
-        self.num_frames = len(heights)
+        self.num_frames, self.frames = len(heights), range(len(heights))
         self.priors: list[Any] = []
 
     def read(self, indices: list[int]) -> SimpleNamespace:

@@ -65,8 +65,8 @@ def test_chunks_are_the_tables(folder: Path, size: int) -> None:
 def test_chunks_of_some_columns(folder: Path) -> None:
     with Results(folder) as results:
         (chunk,) = results.chunks(results.log("b"), ["stamp_ns"], ["distance_m"])
-    assert chunk.frames.column_names == ["log", "frame", "num_obstacles", "stamp_ns"]
-    assert chunk.obstacles.column_names == ["log", "frame", "distance_m"]
+    assert chunk.frames.column_names == ["log", "camera", "frame", "num_obstacles", "stamp_ns"]
+    assert chunk.obstacles.column_names == ["log", "camera", "frame", "distance_m"]
 
 
 def test_frames_have_their_obstacles(folder: Path) -> None:

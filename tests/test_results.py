@@ -18,7 +18,7 @@ def frame_rows(start: int, stop: int) -> dict:
     n = np.arange(start, stop)
     count = n.astype(np.int32)
     return {
-        "log": np.full(n.size, "a", object),
+        **{name: np.full(n.size, "a", object) for name in ("log", "camera")},
         "frame": n,
         "stamp_ns": n * 10,
         "depth_stamp_ns": np.ma.masked_equal(np.where(n % 2, n * 10, -1), -1),
@@ -55,7 +55,8 @@ def obstacle_rows(start: int, stop: int) -> dict:
         rows[name] = n.astype(np.int32)
     corners = np.repeat(n[:, None], 8, axis=1).astype(np.float32)
     world = np.where(n[:, None] % 2, corners, np.nan)
-    rows |= {"log": np.full(n.size, "a", object), "frame": n, "stamp_ns": n}
+    rows |= {"log": np.full(n.size, "a", object), "camera": np.full(n.size, "c", object)}
+    rows |= {"frame": n, "stamp_ns": n}
     return rows | {
         "vertices": (n % 2).astype(np.int8),
         "corners_ground": corners,

@@ -58,7 +58,9 @@ def boxes() -> Batch:
 def columns(name: str, **options: Any) -> dict[str, dict]:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
-    rows = batch_rows("log", batch, batch.frames.plane, ["flags"] * 3, row_inputs(found), config)
+    rows = batch_rows(
+        "log", "cam", batch, batch.frames.plane, ["flags"] * 3, row_inputs(found), config
+    )
     return {"frames": rows.frames, "obstacles": rows.obstacles}
 
 
@@ -111,7 +113,9 @@ def test_without_a_floor_there_are_no_heights() -> None:
     config = replace(config, ground=replace(config.ground, source="none"))
     given = batch.frames._replace(plane=unknown_plane(3))
     found = detect(given, config, backend="reference")
-    rows = batch_rows("log", batch, unknown_plane(3), ["none"] * 3, row_inputs(found), config)
+    rows = batch_rows(
+        "log", "cam", batch, unknown_plane(3), ["none"] * 3, row_inputs(found), config
+    )
     frame, obstacle = (
         to_table(a, s) for a, s in zip((rows.frames, rows.obstacles), SCHEMAS.values(), strict=True)
     )
@@ -125,7 +129,7 @@ def tables(batch: Batch, found: Any, config: Config) -> list[pa.Table]:
     """Both tables of a batch whose floor is known."""
     plane = batch.frames.plane
     assert plane is not None
-    rows = batch_rows("log", batch, plane, ["flags"] * len(batch.status), found, config)
+    rows = batch_rows("log", "cam", batch, plane, ["flags"] * len(batch.status), found, config)
     parts = zip((rows.frames, rows.obstacles), SCHEMAS.values(), strict=True)
     return [to_table(*part) for part in parts]
 

@@ -27,7 +27,7 @@ def main(args: list[str]) -> int:
     """Runs the command; returns 0 when all checks pass, else 1."""
     command = tyro.cli(DoctorCommand, args=args, prog="jaxdet doctor", description=DESCRIPTION)
     from jaxdet.engine import start_up, versions
-    from jaxdet.results.writer import to_json
+    from jaxdet.results.summary import to_json
 
     start_up()
     about = {"jaxdet": jaxdet.__version__, **versions()}

@@ -2,7 +2,8 @@
 
 tyro shows an attribute docstring that goes over several lines with the line breaks of the
 source. So flags are parsed into twins of the dataclasses, whose fields carry the docstring as
-one line, and the twins are turned back.
+one line, and the twins are turned back. A field with ``short`` in its metadata gets a flag without
+the name of what it is in.
 """
 
 import ast
@@ -57,7 +58,12 @@ def _from_twin(value: Any) -> Any:
 def _twin(kind: type) -> type:
     hints = typing.get_type_hints(kind, include_extras=True)
     texts = _field_texts(kind)
-    fields = [(f.name, _hint(hints[f.name], texts.get(f.name))) for f in dataclasses.fields(kind)]
+    fields = []
+    for field in dataclasses.fields(kind):
+        hint = _hint(hints[field.name], texts.get(field.name))
+        if field.metadata.get("short"):
+            hint = Annotated[hint, tyro.conf.arg(prefix_name=False)]
+        fields.append((field.name, hint))
     namespace = {"__doc__": kind.__doc__, "origin": kind}
     return dataclasses.make_dataclass(kind.__name__, fields, frozen=True, namespace=namespace)
 

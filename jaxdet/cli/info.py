@@ -11,7 +11,7 @@ from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
 from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import JaxdetError
+from jaxdet.errors import CamerasError, JaxdetError
 from jaxdet.io.options import LogOptions
 
 if TYPE_CHECKING:
@@ -58,31 +58,44 @@ def main(args: list[str]) -> int:
     start = InfoCommand(missing, preset=name, ground=config.ground, log=log_options)
     command = parse_flags(start, args, "jaxdet info", DESCRIPTION)
     from jaxdet.io import find_logs
-    from jaxdet.results.writer import to_json
+    from jaxdet.results.summary import to_json
 
     failed, found = 0, []
     for files in find_logs(given(command.logs)):
         try:
             options = replace(command.log, scan=command.log.scan or command.check)
-            about, lines = describe(files, replace(config, ground=command.ground), options)
+            method = replace(config, ground=command.ground)
+            for about, lines in _each_camera(files, method, options):
+                found.append(about)
+                if not command.json:
+                    print("\n".join(lines))
         except JaxdetError as error:
             failed += 1
-            about, lines = {"log": files.name, "error": str(error)}, []
+            found.append({"log": files.name, "error": str(error)})
             print(f"jaxdet: error: {error}", file=sys.stderr)
-        found.append(about)
-        if not command.json and lines:
-            print("\n".join(lines))
     if command.json:
         print(to_json({"logs": found}), end="")
     return 1 if failed else 0
 
 
+def _each_camera(
+    files: "LogFiles", config: Config, options: LogOptions
+) -> Iterator[tuple[dict[str, Any], list[str]]]:
+    """What :func:`describe` says of all cameras of a log, or of the one of the options."""
+    try:
+        yield describe(files, config, options)
+    except CamerasError as error:
+        for camera in error.cameras:
+            yield describe(files, config, replace(options, camera=camera))
+
+
 def describe(
     files: "LogFiles", config: Config, options: LogOptions
 ) -> tuple[dict[str, Any], list[str]]:
-    """All that is known of a log, as JSON has it and as lines to read.
+    """All that is known of a camera of a log, as JSON has it and as lines to read.
 
     Raises:
+        CamerasError: The log has several, and none is chosen.
         JaxdetError: The log can't be used.
     """
     from jaxdet.engine import decide_planes, plain
@@ -92,20 +105,23 @@ def describe(
         planes = decide_planes(log, config, "reference")
         about = {
             "log": log.name,
+            "camera": log.camera,
             "frames": log.num_frames,
             "description": log.description,
             "calibration": log.calibration,
             "ground": planes.records,
             "warnings": planes.warnings,
         }
-        return plain(about), list(_lines(log.description, planes))
+        return plain(about), list(_lines(log.label, log.description, planes))
 
 
-def _lines(about: "LogDescription", planes: "Planes") -> Iterator[str]:
-    yield f"{about.name}: {about.num_frames} colour frames in {about.duration_s:.2f} s"
+def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[str]:
+    yield f"{label}: {about.num_frames} colour frames in {about.duration_s:.2f} s"
     yield from _section("files", [f"{file.path}: {file.text}" for file in about.integrity])
     yield from _section("topics", _topics(about.topics))
+    yield from _section("cameras", about.cameras)
     yield from _section("used", about.choices)
+    yield from _section("part", [about.part])
     yield from _section("pairs", [_pairing(about.pairing)] if about.pairing else [_UNCOUNTED])
     extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
     yield from _section("calibration", [*about.calibration, extrinsics])

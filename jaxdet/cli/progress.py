@@ -40,17 +40,24 @@ def _bars() -> Iterator["ProgressCallback"]:
         TimeRemainingColumn(),
     )
     bars = Progress(*columns, console=Console(stderr=True))
-    tasks: dict[int, int] = {}
+    known: list[tuple[int, str]] = []
+    """Number and name of the log of each bar; the last one is moving."""
 
     def show(now: "Progress") -> None:
         SPINNER.stop()
         bars.start()
-        if now.log_number not in tasks:
-            for task in bars.tasks[: len(tasks) + 1 - MAX_BARS]:
-                bars.update(task.id, visible=False)
-            tasks[now.log_number] = bars.add_task(f"{_which(now)}{now.log}", total=None, text="")
-        task = bars.tasks[tasks[now.log_number]].id
-        bars.update(task, total=now.total or None, completed=now.done, text=_text(now))
+        which = now.log_number, now.log
+        if not known or known[-1] != which:
+            # A log that has not been opened yet turns out to have several cameras.
+            if known and known[-1][0] == now.log_number and bars.tasks[-1].total is None:
+                known[-1] = which
+            else:
+                for task in bars.tasks[: len(known) + 1 - MAX_BARS]:
+                    bars.update(task.id, visible=False)
+                bars.add_task("", total=None, text="")
+                known.append(which)
+        state = {"total": now.total or None, "completed": now.done, "text": _text(now)}
+        bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
 
     try:
         yield show

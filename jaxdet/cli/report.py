@@ -14,9 +14,9 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
     text: list[str] = []
     for log in summary.logs:
         if log.error:
-            text.append(f"{log.log}: failed after {log.frames} frames")
+            text.append(f"{_label(log)}: failed after {log.frames} frames")
             continue
-        text += [f"{log.log}", *(f"  {line}" for line in _log_lines(log))]
+        text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
     rate = (
         f"{summary.frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
     )
@@ -26,6 +26,12 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
     text[-1] += f" ({rate})" if rate else ""
     failed = len(summary.failed) == len(summary.logs)
     return [*text, "nothing was written" if failed else f"results: {output}"]
+
+
+def _label(log: "LogSummary") -> str:
+    """The log, and the camera where it has several."""
+    several = log.description is not None and log.description.cameras
+    return f"{log.log}, {log.camera}" if several else log.log
 
 
 def _log_lines(log: "LogSummary") -> list[str]:

@@ -98,7 +98,7 @@ def main(args: list[str]) -> int:
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import run
     from jaxdet.io import find_logs
-    from jaxdet.results.writer import to_json
+    from jaxdet.results.summary import to_json
 
     logs = find_logs(given(command.logs))
     config = Config(

@@ -103,6 +103,8 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
     they show takes the place of what flags or TF say. Where neither says anything it is the prior
     only of a camera that keeps its place, see :class:`jaxdet.floor.sampled.SampledFloor`; else each
     frame is searched alone. Samples are spread evenly over the frames by number, paired or not.
+    They are of all frames of the log, or of each window with a frame of the part that is read, so
+    that the plane of a frame doesn't depend on the part.
 
     Args:
         log: An open log.
@@ -149,12 +151,13 @@ def evenly(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _windows(log: "Log", window_ns: int) -> list[tuple[int, np.ndarray]]:
-    """The frames of each time window, or of the whole log."""
+    """The frames of each time window that is needed, or of the whole log."""
     frames = np.arange(log.num_frames)
     if not window_ns:
         return [(0, frames)] if frames.size else []
     numbers = np.asarray(log.stamps_ns) // window_ns
-    return [(number, frames[numbers == number]) for number in np.unique(numbers).tolist()]
+    needed = np.unique(numbers[np.array(log.frames, int)])
+    return [(number, frames[numbers == number]) for number in needed.tolist()]
 
 
 def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane, tuple[str, ...]]:

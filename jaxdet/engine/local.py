@@ -18,12 +18,12 @@ from jaxdet.engine.plan import LogPlan, Observer
 from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.unit import LogWork, Part, save_work
-from jaxdet.errors import JaxdetError
+from jaxdet.errors import CamerasError, JaxdetError
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.names import file_names
+from jaxdet.results.names import camera_file_name, file_names
 from jaxdet.results.occupancy import OccupancyMap, save_map
 from jaxdet.results.summary import LogSummary, Summary, plain
 from jaxdet.results.writer import ResultWriter
@@ -48,6 +48,7 @@ class Progress(NamedTuple):
     """Where a run stands, given to the progress callback after each unit, and before the first."""
 
     log: str
+    """The log's name, and the camera's where the log has several."""
     log_number: int
     num_logs: int
     done: int
@@ -107,7 +108,7 @@ def run(
         for number, (files, name) in enumerate(zip(ordered, names, strict=True)):
             one = _LogRun(config, options, observers or {}, writer, pool, files.name, name)
             one.report = _reporter(progress, number, len(ordered))
-            summary.logs.append(one.run(files, log_options))
+            summary.logs += one.run(files, log_options)
             summary.workers = max(summary.workers, one.workers)
             summary.batch_size = max(summary.batch_size, one.batch)
         summary.seconds = time.perf_counter() - start
@@ -120,11 +121,11 @@ def run(
 
 def _reporter(
     progress: ProgressCallback | None, number: int, count: int
-) -> Callable[[LogSummary, int, str], None]:
-    def report(part: LogSummary, total: int, doing: str) -> None:
+) -> Callable[[LogSummary, str, int, str], None]:
+    def report(part: LogSummary, label: str, total: int, doing: str) -> None:
         if progress:
             state = part.frames, total, part.num_bad, part.frames_per_s, part.bottleneck
-            progress(Progress(part.log, number, count, *state, doing))
+            progress(Progress(label, number, count, *state, doing))
 
     return report
 
@@ -140,31 +141,41 @@ class _LogRun:
     pool: Pool
     name: str
     file_name: str
-    report: Callable[[LogSummary, int, str], None] = lambda summary, total, doing: None
+    report: Callable[[LogSummary, str, int, str], None] = lambda *_: None
     workers: int = 1
     """Processes that shared the frames."""
     batch: int = 0
     """Frames computed together."""
 
-    def run(self, files: "LogFiles", log_options: "LogOptions") -> LogSummary:
-        """The log's rows and pictures are in the results, or there are none and an error."""
+    def run(self, files: "LogFiles", log_options: "LogOptions") -> list[LogSummary]:
+        """The rows and pictures of a log are in the results, or there are none and an error.
+
+        Returns:
+            One for each camera, all cameras or the one of the options.
+        """
         about = LogSummary(files.name, tuple(map(str, files.paths)))
-        self.report(about, 0, "opening")
+        camera = f", {log_options.camera}" if log_options.camera else ""
+        self.report(about, files.name + camera, 0, "opening")
         try:
             with open_log(files, log_options) as log, self.writer.log_folder() as folder:
+                about.camera, about.file_name = log.camera, self._stem(log)
                 self._run(log, folder, about)
+        except CamerasError as error:
+            each = [replace(log_options, camera=camera) for camera in error.cameras]
+            return [about for options in each for about in self.run(files, options)]
         except JaxdetError as error:
             if isinstance(error, RescanError) and not log_options.scan:
                 return self.run(files, replace(log_options, scan=True))
             about.error = str(error)
-        return about
+        return [about]
 
     def _run(self, log: "Log", folder: "Path", about: LogSummary) -> None:
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
-        alone, slots = self._alone(log.num_frames), None
+        frames = len(log.frames)
+        alone, slots = self._alone(frames), None
         self.workers = 1 if alone else self.pool.count
-        self.report(about, log.num_frames, "looking for the floor")
+        self.report(about, log.label, frames, "looking for the floor")
         if not alone:
             self.pool.start()
         elif self.options.backend == "jax":
@@ -177,8 +188,8 @@ class _LogRun:
             plan = self._plan(log, folder, slots.frames, planes)
         else:
             self.batch = self.options.batch_size or CPU_BATCH
-            plan = self._plan(log, folder, min(self.batch, max(1, log.num_frames)), planes)
-        self.report(about, log.num_frames, "starting")
+            plan = self._plan(log, folder, min(self.batch, max(1, frames)), planes)
+        self.report(about, log.label, frames, "starting")
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
         clock = _Clock(about, self.workers)
@@ -192,28 +203,34 @@ class _LogRun:
             for counts in units:
                 about.add(counts)
                 clock.tick()
-                self.report(about, log.num_frames, "")
+                self.report(about, log.label, frames, "")
         notes = self._merge(plan, about)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[len(log.description.warnings) :]
         about.warnings += [about.floor_warning] if about.floor_warning else []
         about.seconds = clock.seconds
 
+    def _stem(self, log: "Log") -> str:
+        one = log.label == log.name
+        return self.file_name if one else camera_file_name(self.file_name, log.camera)
+
     def _plan(self, log: "Log", folder: "Path", batch: int, planes: Planes) -> LogPlan:
         """How a log is worked through; ``batch`` frames at a time."""
         count, config = self.options.pictures, self.config
-        drawn = evenly(np.arange(log.num_frames), count) if count else np.zeros(0, int)
+        drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
         return LogPlan(
             self.name,
-            log.num_frames,
+            log.camera,
+            log.label,
+            log.frames,
             config,
             self.options.backend,
             batch,
-            _unit_frames(log.num_frames, batch, self.workers, self.options.backend),
+            _unit_frames(len(log.frames), batch, self.workers, self.options.backend),
             planes,
             frozenset(drawn.tolist()),
             folder,
-            self.file_name,
+            self._stem(log),
             self.observers,
         )
 
@@ -244,10 +261,10 @@ class _LogRun:
                 seen[name] += made
         for name, observer in plan.observers.items():
             about.observed[name] = observer.summary(seen[name])
-        self._write_map(occupancy, about)
+        self._write_map(occupancy, plan, about)
         return notes
 
-    def _write_map(self, occupancy: OccupancyMap, about: LogSummary) -> None:
+    def _write_map(self, occupancy: OccupancyMap, plan: LogPlan, about: LogSummary) -> None:
         if not any(path.size for path in occupancy.path):
             about.warnings.append("no map: the log has no poses")
             return
@@ -257,9 +274,9 @@ class _LogRun:
         if image is None:
             about.warnings.append("no map: nothing seen in the world, or too wide an area")
             return
-        about.map = f"map_{self.file_name}"
+        about.map = f"map_{plan.file_name}"
         save_map(self.writer.path(f"{about.map}.npz"), image)
-        write_png(self.writer.path(f"{about.map}.png"), draw_map(image, about.log))
+        write_png(self.writer.path(f"{about.map}.png"), draw_map(image, plan.label))
 
 
 def _unit_frames(frames: int, batch: int, workers: int, backend: BackendName) -> int:

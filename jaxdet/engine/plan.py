@@ -29,7 +29,7 @@ class Observer(Protocol):
 
 
 class Unit(NamedTuple):
-    """A range of a log's frames: what a process takes at a time."""
+    """Frames of a log, those of the plan in a range: what a process takes at a time."""
 
     number: int
     start: int
@@ -42,7 +42,12 @@ class LogPlan(NamedTuple):
 
     log: str
     """The log's name."""
-    num_frames: int
+    camera: str
+    """The camera's."""
+    label: str
+    """The log's name, and the camera's where the log has several."""
+    frames: range
+    """Numbers of the frames."""
     config: Config
     backend: BackendName
     batch_size: int
@@ -61,10 +66,13 @@ class LogPlan(NamedTuple):
     def units(self) -> Iterator[Unit]:
         """The units, in the order of their frames."""
         size = self.unit_frames
-        for number, start in enumerate(range(0, self.num_frames, size)):
-            yield Unit(number, start, min(start + size, self.num_frames))
+        for number, first in enumerate(range(0, len(self.frames), size)):
+            part = self.frames[first : first + size]
+            yield Unit(number, part[0], part[-1] + 1)
 
     def where(self, unit: Unit) -> str:
         """The log and the frames of a unit."""
         first, last = unit.start, unit.stop - 1
-        return f"{self.log}, " + (f"frames {first} to {last}" if last > first else f"frame {last}")
+        return f"{self.label}, " + (
+            f"frames {first} to {last}" if last > first else f"frame {last}"
+        )

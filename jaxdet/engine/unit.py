@@ -162,7 +162,9 @@ class _NewPart:
         """Uses what was found in a batch."""
         plan, part, batch = self.plan, self.part, piece.batch
         sources = plan.planes.sources(batch.frames.stamp_ns)
-        rows = batch_rows(plan.log, batch, piece.plane, sources, found.inputs, plan.config)
+        rows = batch_rows(
+            plan.log, plan.camera, batch, piece.plane, sources, found.inputs, plan.config
+        )
         self.rows.append(Tables.of(rows.frames, rows.obstacles))
         part.counts.count(rows.frames)
         part.notes.append(batch.notes)
@@ -186,7 +188,7 @@ class _NewPart:
         for row, number in enumerate(piece.numbers):
             if number in plan.drawn and frames.valid[row]:
                 name = f"pictures/{plan.file_name}_{number:06d}.png"
-                title = f"{plan.log}   frame {number}"
+                title = f"{plan.label}   frame {number}"
                 picture = draw_frame(frames, found, corners, row, plan.config, title)
                 (plan.folder / name).parent.mkdir(exist_ok=True)
                 write_png(plan.folder / name, picture)

@@ -1,5 +1,6 @@
 """What ``jaxdet info`` tells about a log; plain data, no arrays of images."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +54,14 @@ class LogDescription(NamedTuple):
 
     name: str
     paths: tuple[str, ...]
+    camera: str
+    """The camera's name."""
+    cameras: tuple[str, ...]
+    """Of a log with several: each with its topics, or why it is not used."""
     num_frames: int
+    """Colour frames of the log."""
+    part: str
+    """Which of them are used; empty: all."""
     duration_s: float
     """From the first to the last colour stamp."""
     topics: tuple[TopicDescription, ...]
@@ -73,22 +81,26 @@ class LogDescription(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def describe(files: LogFiles, index: LogIndex, found: Findings) -> LogDescription:
+def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) -> LogDescription:
     """The description of a log.
 
     Args:
         files: Its files.
         index: What is in them.
         found: What is used.
+        numbers: The frames that are used.
     """
     warnings = [*index.warnings, *index.tree.warnings, *found.warnings]
-    warnings += [*found.calibrated.warnings, *found.poses.warnings]
+    warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count = found.frames.num_frames
-    ends = [found.frames.window(i, i + 1).color.stamps_ns[0] for i in (0, count - 1) if count]
+    ends = [found.frames.stamp_ns(number) for number in (0, count - 1) if count]
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
+        camera=found.choice.camera,
+        cameras=found.cameras.lines,
         num_frames=count,
+        part=_part_text(numbers, count, found.frames.stamp_ns),
         duration_s=float(ends[-1] - ends[0]) / 1e9 if count else 0.0,
         topics=describe_topics(index, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
@@ -153,6 +165,17 @@ def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescr
             )
         )
     return tuple(found)
+
+
+def _part_text(numbers: range, count: int, stamp_ns: Callable[[int], int]) -> str:
+    """Numbers and times of the frames that are used; empty where these are all."""
+    if len(numbers) == count:
+        return ""
+    which = f"{len(numbers)} of {count} frames, {numbers[0]} to {numbers[-1]}"
+    if numbers.step > 1:
+        which += f", multiples of {numbers.step}"
+    times = [(stamp_ns(number) - stamp_ns(0)) / 1e9 for number in (numbers[0], numbers[-1])]
+    return f"{which}, {times[0]:.2f} to {times[1]:.2f} s"
 
 
 def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxdet.errors import CalibrationError, RescanError
 from jaxdet.io.calibration import Calibrated, calibrate
+from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.notes import Notes
@@ -14,7 +15,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
 from jaxdet.io.streams import ImageSource, first_image
 from jaxdet.io.timeline import Timeline, Window, log_time_warnings, make_timeline
-from jaxdet.io.topics import Choice, choose_topics
+from jaxdet.io.topics import Choice
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
@@ -38,6 +39,15 @@ class ScannedFrames(NamedTuple):
         """What is to be said of all frames."""
         return self.timeline.notes(self.T_world_camera)
 
+    @property
+    def about_ns(self) -> np.ndarray:
+        """``(F,)`` int64, the stamps [ns]."""
+        return self.timeline.color.stamps_ns
+
+    def stamp_ns(self, number: int) -> int:
+        """The stamp of a frame [ns]."""
+        return int(self.timeline.color.stamps_ns[number])
+
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``."""
         return self.timeline.window(start, stop, self.T_world_camera)
@@ -46,6 +56,7 @@ class ScannedFrames(NamedTuple):
 class Findings(NamedTuple):
     """Topics, calibration, floor, poses and frames."""
 
+    cameras: Cameras
     choice: Choice
     calibrated: Calibrated
     base: Base
@@ -58,6 +69,7 @@ class Findings(NamedTuple):
 
 
 class _Parts(NamedTuple):
+    cameras: Cameras
     choice: Choice
     calibrated: Calibrated
     base: Base
@@ -68,10 +80,12 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     """What a log holds that was read as a whole.
 
     Raises:
-        TopicError: No or several topics can be colour or depth.
+        CamerasError: There are several cameras.
+        TopicError: No or several topics can be colour or depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
-    choice = choose_topics(index, options, path)
+    cameras = find_cameras(index, options, path)
+    choice = cameras.chosen(options, path)
     color, depth = index.streams[choice.color], index.streams[choice.depth]
     timeline = make_timeline(color, depth, options.pair_tolerance_s)
     tracks = {name: track.samples for name, track in index.poses.items()}
@@ -80,7 +94,7 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     def ever_known(source: PoseSource) -> bool:
         return _any_known(source.at(stamps, index.tree, tracks))
 
-    parts = _find(index, choice, options, ever_known, path)
+    parts = _find(index, cameras, choice, options, ever_known, path)
     return Findings(
         *parts,
         ScannedFrames(timeline, parts.poses.at(stamps, index.tree, tracks)),
@@ -94,13 +108,18 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     """What a log holds that was opened by its index.
 
     Raises:
-        TopicError: No or several topics can be colour or depth.
+        CamerasError: There are several cameras.
+        TopicError: No or several topics can be colour or depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
         RescanError: The first messages are such that the index isn't enough.
         DamageError: The file contradicts its index.
     """
     index = log.contents
-    choice = choose_topics(index, options, path)
+    cameras = find_cameras(index, options, path)
+    for error in cameras.incomplete.values():
+        if isinstance(error, CalibrationError) and not log.motions.whole:
+            raise RescanError(f"not found in a sample: {error.problem}", path=path)
+    choice = cameras.chosen(options, path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]
     for topic in (choice.color, choice.depth):
         if not index.streams[topic].column("stamp").any():
@@ -118,7 +137,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         raise RescanError("no sampled frame has a pose in the world frame", path=path)
 
     try:
-        parts = _find(index, choice, options, ever_known, path)
+        parts = _find(index, cameras, choice, options, ever_known, path)
     except CalibrationError as error:
         if log.motions.whole:
             raise
@@ -145,6 +164,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
 
 def _find(
     index: LogIndex,
+    cameras: Cameras,
     choice: Choice,
     options: LogOptions,
     ever_known: Callable[[PoseSource], bool],
@@ -154,7 +174,7 @@ def _find(
     frame = calibrated.color_frame
     base = find_base(index, options, frame, path)
     poses = find_poses(index, options, frame, base.frame, ever_known, path)
-    return _Parts(choice, calibrated, base, poses)
+    return _Parts(cameras, choice, calibrated, base, poses)
 
 
 def _any_known(T: np.ndarray | None) -> bool:

@@ -18,6 +18,7 @@ from jaxdet.io.index import LogIndex
 from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
+from jaxdet.io.part import find_part
 from jaxdet.io.reading import ImageReader
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import Window
@@ -72,6 +73,8 @@ class Log:
 
     Attributes:
         name: The log's name.
+        camera: Name of the camera that is read.
+        label: The log's name, and the camera's where the log has several.
         calibration: Of the chosen topics.
         T_base_camera: ``(4, 4)`` float64, colour optical frame to the robot's base frame, whose
             z = 0 is the floor; None when the log's transforms don't hold it.
@@ -79,6 +82,7 @@ class Log:
         camera_frame: Name of the colour camera's optical frame; empty where the log has none.
         world_frame: Name of the frame that poses are in; empty where there are none.
         num_frames: Colour frames, all of them.
+        frames: Numbers of those in the part of the log that is read; by default all.
         has_poses: Whether the log knows where the camera stands in the world.
         description: What ``jaxdet info`` shows.
     """
@@ -100,7 +104,13 @@ class Log:
         self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
         self._depth_size = found.calibrated.depth_size
         self._frames, self._store = found.frames, store
-        self.description = describe(files, index, found)
+        self.camera = found.choice.camera
+        several = len(found.cameras.names) > 1
+        self.label = f"{self.name}, {self.camera}" if several else self.name
+        part = options.start, options.stop, options.every
+        about_ns, stamp_ns = found.frames.about_ns, found.frames.stamp_ns
+        self.frames = find_part(about_ns, stamp_ns, *part, self._path)
+        self.description = describe(files, index, found, self.frames)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
         unit, limit = self.calibration.depth_unit, options.max_pixels
@@ -189,12 +199,12 @@ class Log:
         stop: int | None = None,
         images: ImageMemory | None = None,
     ) -> Iterator[Batch]:
-        """The frames ``start`` to ``stop`` (default: all) in batches, in order.
+        """The frames of the part that is read, or of a part of that, in batches, in order.
 
         Args:
             batch_size: Frames of each batch; the last is padded.
-            start: First frame.
-            stop: The frame after the last.
+            start: Least number of a frame.
+            stop: Greater than the numbers of all frames; None: there is no such bound.
             images: Where to decode to; by default new arrays.
 
         Raises:
@@ -204,9 +214,12 @@ class Log:
         stop = self.num_frames if stop is None else stop
         if batch_size < 1 or not 0 <= start <= stop <= self.num_frames:
             raise ValueError(f"batches of {batch_size}, frames {start} to {stop}")
-        for first in range(start, stop, batch_size):
+        numbers = self.frames
+        ends = [max(0, -(-(end - numbers.start) // numbers.step)) for end in (start, stop)]
+        numbers = numbers[ends[0] : ends[1]]
+        for first in range(0, len(numbers), batch_size):
             memory = images() if images else None
-            yield self._batch(range(first, min(first + batch_size, stop)), batch_size, memory)
+            yield self._batch(numbers[first : first + batch_size], batch_size, memory)
 
     def read(self, indices: Sequence[int]) -> Batch:
         """The frames of these numbers, in the order given, without padding.
@@ -278,14 +291,15 @@ class Log:
 
 
 def open_log(source: str | LogFiles, options: LogOptions | None = None) -> Log:
-    """Opens a log by its index, or reads all of it where that is missing, torn or wrong.
+    """Opens a camera of a log by its index, or reads all of it where that is missing or wrong.
 
     Args:
         source: A file, a folder or a glob with exactly one log, or one of :func:`find_logs`.
         options: What the user says about the log; default: nothing.
 
     Raises:
-        InputError: No file can be read, or there are several logs.
+        InputError: No file can be read, there are several logs, or no frame is in the part.
+        CamerasError: The log has several cameras, and the options choose none.
         TopicError: No or several topics can be colour or depth.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """

@@ -1,14 +1,32 @@
-"""What a user can say about a log; every field is a flag ``--log.*`` and a TOML key."""
+"""What a user can say about a log; every field is a flag and a TOML key of ``[log]``.
 
-from dataclasses import dataclass
+The flags are ``--log.*``, but those of what is worked on: ``--camera --start --stop --every``.
+"""
+
+from dataclasses import dataclass, field
 
 from jaxdet.errors import ConfigError
+from jaxdet.io.moments import parse_moment
+
+SHORT = {"short": True}
+"""Of fields whose flags have no ``log.`` before them."""
 
 
 @dataclass(frozen=True)
 class LogOptions:
     """How to read a log. Everything is found in the log itself unless it is given here."""
 
+    camera: str | None = field(default=None, metadata=SHORT)
+    """The camera, where a log has several; unset: all of them, one after the other. Its name is
+    what its topics have before colour and depth; jaxdet info lists the names."""
+    start: str | None = field(default=None, metadata=SHORT)
+    """Where to begin: seconds after the log's first colour frame (12.5 or 90s), or a header stamp
+    as time (2024-05-01T10:00:00Z; without a zone UTC) or in nanoseconds (1714557600000000000).
+    Frame numbers stay those of the whole log."""
+    stop: str | None = field(default=None, metadata=SHORT)
+    """Where to end, likewise; a frame with this very stamp is not among them."""
+    every: int = field(default=1, metadata=SHORT)
+    """Take the frames whose number in the log is a multiple of this."""
     color: str | None = None
     """Topic of the colour images; unset: found by schema, encoding and name."""
     depth: str | None = None
@@ -60,6 +78,11 @@ class LogOptions:
     """Read the whole log at opening, instead of trusting its index."""
 
     def __post_init__(self) -> None:
+        for name in ("start", "stop"):
+            if getattr(self, name) is not None:
+                parse_moment(getattr(self, name), f"--{name}")
+        if self.every < 1:
+            raise ConfigError(f"every {self.every}", remedy="give --every 1 or more")
         _require(0 <= self.pair_tolerance_s < 1e6, "pair-tolerance-s", "at least 0")
         unit = self.depth_unit_m
         _require(unit is None or 0 < unit < 1, "depth-unit-m", "between 0 and 1 m")

@@ -21,6 +21,13 @@ _COLOR_WORDS = {"color", "colour", "rgb"}
 _DEPTH_WORDS = {"depth", "stereo"}
 _NOT_COLOR = {"depth", "disparity", "confidence", "ir", "infra", "infra1", "infra2", "mask"}
 _NOT_DEPTH = {"confidence", "disparity", "ir", "infra", "infra1", "infra2", "amplitude"}
+_IMAGE_WORDS = (
+    _COLOR_WORDS
+    | _DEPTH_WORDS
+    | {"image", "raw", "rect", "rectified", "mono", "gray", "grey", "rgbd", "data", "sensor"}
+    | {"compressed", "compresseddepth", "aligned", "registered", "to", "sw", "hw", "transport"}
+)
+"""Of topics, no part of a camera's name."""
 _MAX_LISTED = 12
 
 
@@ -35,6 +42,8 @@ class Candidate(NamedTuple):
 class Choice(NamedTuple):
     """The topics used, and why."""
 
+    camera: str
+    """Its name."""
     color: str
     depth: str
     aligned_by_name: bool
@@ -46,16 +55,23 @@ def printable(text: str, limit: int = 160) -> str:
     return "".join(char if char.isprintable() else "?" for char in text)[:limit]
 
 
-def choose_topics(index: LogIndex, options: LogOptions, path: str) -> Choice:
-    """The colour and the depth topic.
+def choose_topics(
+    index: LogIndex, options: LogOptions, path: str
+) -> dict[str, Choice | TopicError]:
+    """The colour and the depth topic of each camera, by its name, in order.
 
-    Depth that its name says is aligned to colour goes before other depth, raw images before
-    compressed ones, separate images before RGBD messages. Among several cameras the one that
-    shares its namespace with the other image is taken; if that leaves several, nothing is
-    guessed.
+    There are several cameras where several names (see :func:`camera_name`) have both a colour and
+    a depth topic, and the user chooses neither. Depth that its name says is aligned to colour goes
+    before other depth, raw images before compressed ones, separate images before RGBD messages.
+
+    Where there is one camera at most, its name needn't be that of both topics: the one that shares
+    its namespace with the other image is taken; if that leaves several, nothing is guessed.
+
+    Returns:
+        At least one entry; of a camera with several topics that qualify, among others, the error.
 
     Raises:
-        TopicError: None or several qualify; the text lists them.
+        TopicError: None or, of the only camera, several qualify; the text lists them.
     """
     depths = _candidates(index, options.depth, True, path)
     prefer_rect = any("depth_registered" in item.topic for item in depths)
@@ -63,6 +79,49 @@ def choose_topics(index: LogIndex, options: LogOptions, path: str) -> Choice:
     if not colors or not depths:
         what = "colour and no depth" if not colors and not depths else "depth"
         raise _missing(index, what if not depths else "colour", path)
+    names = {camera_name(color.topic) for color in colors}
+    names &= {camera_name(depth.topic) for depth in depths}
+    if len(names) < 2 or options.color or options.depth:
+        choice = _choose(index, options, colors, depths, path)
+        return {choice.camera: choice}
+    found: dict[str, Choice | TopicError] = {}
+    for name in sorted(names):
+        color, depth = (
+            [item for item in items if camera_name(item.topic) == name]
+            for items in (colors, depths)
+        )
+        try:
+            found[name] = _choose(index, options, color, depth, path)
+        except TopicError as error:
+            found[name] = error
+    return found
+
+
+def camera_name(topic: str) -> str:
+    """The name of the camera that an image topic is of: its namespace.
+
+    That is the topic without the words that say what is in an image, for instance ``front`` of
+    ``/front/camera/color/image_raw``; ``camera`` where nothing is left.
+    """
+    parts: list[str] = []
+    for part in printable(topic).strip("/").split("/"):
+        words = [word for word in part.split("_") if word.lower() not in _IMAGE_WORDS]
+        kept = "_".join(words)
+        if len(words) < len(part.split("_")) and kept.replace("_", "").isdigit():
+            continue  # sensor_0, Color_0
+        if kept and not (parts and kept.startswith(parts[-1])):  # camera/camera, zed/zed_node
+            parts.append(kept)
+    return "/".join([part for part in parts if part != "camera"]) or "camera"
+
+
+def _choose(
+    index: LogIndex,
+    options: LogOptions,
+    colors: Sequence[Candidate],
+    depths: Sequence[Candidate],
+    path: str,
+) -> Choice:
+    """The colour and the depth topic among some candidates."""
     color_best, depth_best = _best(colors), _best(depths)
     if len(color_best) > 1 and len(depth_best) == 1:
         color_best = _nearest(color_best, depth_best[0].topic)
@@ -77,7 +136,8 @@ def choose_topics(index: LogIndex, options: LogOptions, path: str) -> Choice:
         f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}",
         f"depth: {printable(depth.topic)}, {depth.why}{_others(depths, depth)}",
     )
-    return Choice(color.topic, depth.topic, _says_aligned(depth.topic), reasons)
+    name = camera_name(color.topic)
+    return Choice(name, color.topic, depth.topic, _says_aligned(depth.topic), reasons)
 
 
 def encoding_of(stream: ImageStream, depth: bool) -> str:

@@ -235,6 +235,15 @@ class IndexedFrames:
         """Colour frames."""
         return len(self.color)
 
+    @property
+    def about_ns(self) -> np.ndarray:
+        """``(F,)`` int64, log times of the colour messages, in order [ns]."""
+        return self.color.messages.log_ns
+
+    def stamp_ns(self, number: int) -> int:
+        """The stamp of a frame [ns]."""
+        return int(self.color.stamp[self.color.ranked(number, number + 1)[0]])
+
     def with_poses(self, source: PoseSource) -> "IndexedFrames":
         """The same frames with poses."""
         given = self.color, self.depth, self._motions, source, self._tolerance_s, self._path

@@ -37,17 +37,31 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
     Returns:
         ``(B, R, C)`` cells; pixels right of and below the last whole cell are left out.
     """
-    camera = calibration.depth or calibration.color
-    side = cell_side(camera, config.cell_rad)
+    side = cell_side(calibration.depth or calibration.color, config.cell_rad)
+    d = block_depths(depth, calibration, config)
+    x, y, z = cell_centers(d, calibration, config)
+    return Cells(x, y, z, *_boxes(d, z > 0, side, calibration))
+
+
+def block_depths(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> np.ndarray:
+    """The depth of each cell of images ``(B, Hd, Wd)``, ``(B, R, C)`` int64 [depth units]."""
+    side = cell_side(calibration.depth or calibration.color, config.cell_rad)
     near = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
-    d = np.stack([_block_depth(image, side, near) for image in depth])
+    return np.stack([_block_depth(image, side, near) for image in depth])
+
+
+def cell_centers(
+    d: np.ndarray, calibration: Calibration, config: SurfaceConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the cells of :func:`block_depths` are, see :class:`jaxdet.types.Cells`."""
+    side = cell_side(calibration.depth or calibration.color, config.cell_rad)
     rays, offset = cell_rays(calibration, side)
     x, y, z = (
         np.where(d > 0, lateral(ray, d) + start, 0) for ray, start in zip(rays, offset, strict=True)
     )
     seen, z = (d > 0) & (z > 0), np.minimum(z, 65535)
     x, y, z = (np.where(seen, a, 0).astype(np.int32) for a in (x, y, z))
-    return Cells(x, y, z, *_boxes(d, seen, side, calibration))
+    return x, y, z
 
 
 def cover(grid: Cells, keep: np.ndarray, camera: Intrinsics) -> np.ndarray:

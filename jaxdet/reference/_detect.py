@@ -8,7 +8,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames, on_floor
 from jaxdet.floor.plane import depth_range, quadratic_table, step_table
-from jaxdet.reference._cells import cells, cover, margins
+from jaxdet.reference._cells import block_depths, cell_centers, cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import FloorFit, find_floor
@@ -92,8 +92,9 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
     """The floor of each frame alone, see :func:`jaxdet.reference.find_floor`."""
     calibration = frames.calibration
-    grid = cells(frames.depth, calibration, config.surface)
-    return find_floor(grid.x, grid.y, grid.z, prior, config.floor, calibration.depth_unit)
+    depths = block_depths(frames.depth, calibration, config.surface)
+    centers = cell_centers(depths, calibration, config.surface)
+    return find_floor(*centers, prior, config.floor, calibration.depth_unit)
 
 
 def surface_pairs(

@@ -64,20 +64,12 @@ class Plane(NamedTuple):
     height: int
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    bits = 2 * SINE_BITS - DOWN_BITS
-    return (a * b + (1 << (bits - 1))) >> bits
-
-
 def down_units(pitch: np.ndarray | int, roll: np.ndarray | int) -> np.ndarray:
     """:func:`jaxdet.floor.plane.down_vector`, ``DOWN_BITS`` fraction bits, ``(..., 3)`` int64."""
-    one = np.full(np.shape(pitch), 1 << SINE_BITS)
-    parts = (
-        _product(sine(roll), cosine(pitch)),
-        _product(cosine(roll), cosine(pitch)),
-        _product(one, sine(pitch)),
-    )
-    return np.stack(np.broadcast_arrays(*parts), axis=-1).astype(np.int64)
+    level = cosine(pitch)
+    parts = sine(roll) * level, cosine(roll) * level, sine(pitch) << SINE_BITS
+    bits = 2 * SINE_BITS - DOWN_BITS
+    return (np.stack(np.broadcast_arrays(*parts), axis=-1) + (1 << (bits - 1))) >> bits
 
 
 def floor_axes(plane: Plane) -> np.ndarray:
@@ -86,9 +78,8 @@ def floor_axes(plane: Plane) -> np.ndarray:
     Forward is the derivative of down by pitch; right, times the cosine of pitch, that by roll.
     """
     quarter = 90 * ANGLES
-    right = down_units(0, plane.roll + quarter)
-    down = down_units(plane.pitch, plane.roll)
-    return np.stack([right, down, down_units(plane.pitch + quarter, plane.roll)])
+    pitch = np.array([0, plane.pitch, plane.pitch + quarter])
+    return down_units(pitch, np.array([plane.roll + quarter, plane.roll, plane.roll]))
 
 
 def along(directions: np.ndarray, cells: Sample) -> np.ndarray:

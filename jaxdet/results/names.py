@@ -14,3 +14,8 @@ def file_names(logs: Iterable[str]) -> list[str]:
             name, number = f"{stem}_{number}", number + 1
         names.append(name)
     return names
+
+
+def camera_file_name(log: str, camera: str) -> str:
+    """For one of several cameras of a log, from the name of the log's files."""
+    return f"{log}@" + re.sub(r"[^\w.-]+", "_", camera.replace("/", "-"))  # no log's name has an @

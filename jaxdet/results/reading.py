@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import typing
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +18,6 @@ from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.io.options import LogOptions
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
-from jaxdet.results.names import file_names
 from jaxdet.results.occupancy import MapImage, load_map
 
 CHUNK_FRAMES = 1024
@@ -30,6 +30,9 @@ class ResultLog(NamedTuple):
     """A log whose rows are in the tables."""
 
     name: str
+    camera: str
+    label: str
+    """The name, and the camera's where the log has several."""
     file_name: str
     """What the names of its files begin with, different for each log of a run."""
     summary: Mapping[str, Any]
@@ -133,14 +136,14 @@ class Results:
         return _restored(LogOptions, self.config["log"])
 
     def log(self, name: str) -> ResultLog:
-        """The log of this name.
+        """The log of this name, or label where it has several cameras.
 
         Raises:
             InputError: There is none.
         """
-        found = next((log for log in self.logs if log.name == name), None)
+        found = next((log for log in self.logs if log.label == name), None)
         if found is None:
-            names = ", ".join(log.name for log in self.logs) or "no log"
+            names = ", ".join(log.label for log in self.logs) or "no log"
             raise InputError(f"no log {name!r}; it holds {names}", path=str(self.folder))
         return found
 
@@ -157,9 +160,10 @@ class Results:
 
         Args:
             log: Of this log; None: of all, one after the other.
-            frames: Columns of the frames; None: all. ``log``, ``frame`` and ``num_obstacles``
+            frames: Columns of the frames; None: all. ``log``, ``camera``, ``frame`` and
+                ``num_obstacles`` come always.
+            obstacles: Columns of the obstacles; None: all. ``log``, ``camera`` and ``frame``
                 come always.
-            obstacles: Columns of the obstacles; None: all. ``log`` and ``frame`` come always.
             size: Most frames of a chunk.
 
         Raises:
@@ -167,8 +171,10 @@ class Results:
         """
         for one in self.logs if log is None else (log,):
             start = one.first_frame, one.first_obstacle
-            rows = _Rows(self._frames, start[0], frames, ("log", "frame", "num_obstacles"))
-            parts = _Rows(self._obstacles, start[1], obstacles, ("log", "frame"))
+            rows = _Rows(
+                self._frames, start[0], frames, ("log", "camera", "frame", "num_obstacles")
+            )
+            parts = _Rows(self._obstacles, start[1], obstacles, ("log", "camera", "frame"))
             left = one.num_frames
             try:
                 while left:
@@ -229,18 +235,23 @@ class Results:
     def _logs(self) -> Iterator[ResultLog]:
         frame = obstacle = 0
         entries = self.summary["logs"]
-        names = [entry["log"] for entry in entries]
-        for entry, name, file_name in zip(entries, names, file_names(names), strict=True):
+        cameras = Counter(entry["log"] for entry in entries)
+        for entry in entries:
             if not entry["error"]:
-                yield ResultLog(name, file_name, entry, frame, obstacle)
+                name, camera = entry["log"], entry["camera"]
+                label = f"{name}, {camera}" if cameras[name] > 1 else name
+                yield ResultLog(name, camera, label, entry["file_name"], entry, frame, obstacle)
                 frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
 
     def _check(self, log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
         """The chunk is of this log, and its obstacles are of its frames."""
         frame, of = chunk.frames["frame"].to_numpy(), chunk.obstacles["frame"].to_numpy()
-        names = {*chunk.frames["log"].unique().to_pylist()}
-        names |= {*chunk.obstacles["log"].unique().to_pylist()}
-        if names != {log.name} or not np.array_equal(np.repeat(frame, count), of):
+        named = all(
+            {*table[column].unique().to_pylist()} <= {expected}
+            for table in chunk
+            for column, expected in (("log", log.name), ("camera", log.camera))
+        )
+        if not named or not np.array_equal(np.repeat(frame, count), of):
             problem = "frames.parquet and obstacles.parquet don't belong together"
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN)
 

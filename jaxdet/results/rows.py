@@ -113,6 +113,7 @@ def to_host(part: Any) -> Any:
 
 def batch_rows(
     log: str,
+    camera: str,
     batch: "Batch",
     plane: GroundPlane,
     sources: Sequence[str],
@@ -123,6 +124,7 @@ def batch_rows(
 
     Args:
         log: The log's name.
+        camera: The camera's.
         batch: What was read, with or without its images; its padding gives no rows.
         plane: The floor given to each frame, ``(B,)``, as the detections were made with; where
             frames show their own, that is used.
@@ -148,12 +150,15 @@ def batch_rows(
         fit = floor_fit(found.scene.floor, plane, unit)
         free = free_floor(found.scene.free, found.scene.free_end, unit)
     plane = plane if fit is None else fit.plane
-    frame_columns = _frame_columns(log, frames, plane, found, good)
+    frame_columns = _frame_columns(frames, plane, found, good)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _pose_columns(batch, count)
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
     frame_columns |= free_columns(free, good) if free else no_free_columns(count)
-    obstacle_columns = _obstacle_columns(log, frames, plane, found, good, config)
+    obstacle_columns = _obstacle_columns(frames, plane, found, good, config)
+    for columns in (frame_columns, obstacle_columns):
+        rows = len(columns["frame"])
+        columns["log"], columns["camera"] = (np.full(rows, n, object) for n in (log, camera))
     world, poses = None, frames.T_world_camera
     if free is not None and poses is not None:
         shown = free._replace(seen=free.seen & good[:, None])
@@ -171,7 +176,7 @@ def _first(part: Any, count: int) -> Any:
 
 
 def _frame_columns(
-    log: str, frames: Frames, plane: GroundPlane, found: RowInputs, good: np.ndarray
+    frames: Frames, plane: GroundPlane, found: RowInputs, good: np.ndarray
 ) -> dict[str, Any]:
     n = good.size
 
@@ -182,7 +187,6 @@ def _frame_columns(
         return np.where(plane.valid, values, np.nan).astype(np.float32)
 
     return {
-        "log": np.full(n, log, object),
         "frame": frames.number[:n],
         "stamp_ns": frames.stamp_ns[:n],
         "depth_stamp_ns": np.ma.masked_less(frames.depth_stamp_ns[:n], 0),
@@ -225,7 +229,6 @@ def _floor_columns(
 
 
 def _obstacle_columns(
-    log: str,
     frames: Frames,
     plane: GroundPlane,
     found: RowInputs,
@@ -239,7 +242,6 @@ def _obstacle_columns(
     obstacles = Obstacles(*(a[row, slot] for a in found.obstacles))
     box, corners = extents(obstacles, unit), rectangles(obstacles, unit, config.footprint)
     columns: dict[str, Any] = {
-        "log": np.full(row.size, log, object),
         "frame": frames.number[row],
         "stamp_ns": frames.stamp_ns[row],
         "obstacle": slot.astype(np.int32),

@@ -35,6 +35,7 @@ _LIST = pa.list_(_item(_F32))
 
 FRAMES_SCHEMA = _schema(
     _Column("log", _STRING, "", "name of the log"),
+    _Column("camera", _STRING, "", "name of the camera"),
     _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
     _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
     _Column("depth_stamp_ns", _I64, "ns", "header stamp of the paired depth image", True),
@@ -79,6 +80,7 @@ FRAMES_SCHEMA = _schema(
 
 OBSTACLES_SCHEMA = _schema(
     _Column("log", _STRING, "", "name of the log"),
+    _Column("camera", _STRING, "", "name of the camera"),
     _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
     _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
     _Column("obstacle", _I32, "", "label in the frame, numbered from the nearest, from 0"),
@@ -111,5 +113,7 @@ OBSTACLES_SCHEMA = _schema(
 )
 """``obstacles.parquet``: one row for each obstacle."""
 
-DICTIONARIES = ["log", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"]
+DICTIONARIES = [
+    *("log", "camera", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"),
+]
 """Columns of few different values."""

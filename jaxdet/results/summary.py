@@ -1,13 +1,13 @@
 """What a run reports beside its tables: ``summary.json`` and ``config.json``."""
 
 import dataclasses
+import json
 import math
 import platform
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +62,14 @@ class Counts:
 
 @dataclass
 class LogSummary(Counts):
-    """One log of a run."""
+    """One log of a run, or of a log with several cameras one of them."""
 
     log: str
     paths: tuple[str, ...]
+    camera: str | None = None
+    """The camera's name; None: the log could not be opened."""
+    file_name: str | None = None
+    """What the names of its files begin with."""
     seconds: float = 0.0
     """From the first batch asked for to the last row [s]."""
     first_batch_s: float = 0.0
@@ -179,12 +183,19 @@ def versions() -> dict[str, str | None]:
 
 
 def _version(name: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version  # loads much
+
     try:
         return version(name)
     except PackageNotFoundError:
         import jaxdet
 
         return jaxdet.__version__ if name == "jaxdet" else None
+
+
+def to_json(value: Mapping[str, Any]) -> str:
+    """A mapping as indented JSON with a final newline; paths and enums become strings."""
+    return json.dumps(value, indent=2, ensure_ascii=False, default=str, allow_nan=False) + "\n"
 
 
 def plain(value: Any) -> Any:

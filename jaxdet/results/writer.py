@@ -7,7 +7,6 @@ so a final name never holds half a file.
 """
 
 import contextlib
-import json
 import os
 import shutil
 import tempfile
@@ -23,6 +22,7 @@ from jaxdet.errors import ConfigError, InputError
 from jaxdet.results.lists import Lists
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.summary import to_json
 
 ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
@@ -213,11 +213,6 @@ class ResultWriter:
             (self.directory / name).parent.mkdir(exist_ok=True)
             os.replace(self.staging / name, self.directory / name)
         _sync(self.directory)
-
-
-def to_json(value: Mapping[str, Any]) -> str:
-    """A mapping as indented JSON with a final newline; paths and enums become strings."""
-    return json.dumps(value, indent=2, ensure_ascii=False, default=str, allow_nan=False) + "\n"
 
 
 def _check(directory: Path, overwrite: bool) -> None:

@@ -1,0 +1,37 @@
+"""Logs of several cameras, from logs of one."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+NAMESPACE = "/camera/camera/"
+"""Of the topics of a simulated log."""
+
+
+def join_cameras(logs: Mapping[str, Path], path: Path) -> Path:
+    """Writes a log with the cameras of several, each under its name; transforms are the first's."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "tests")
+        for number, (name, log) in enumerate(logs.items()):
+            schemas: dict[int, int] = {}
+            channels: dict[int, int] = {}
+            with log.open("rb") as file:
+                for schema, channel, message in make_reader(file).iter_messages():
+                    own = channel.topic.startswith(NAMESPACE)
+                    if number and not own:
+                        continue
+                    topic = channel.topic.replace(NAMESPACE, f"/{name}/camera/")
+                    if channel.id not in channels:
+                        assert schema is not None
+                        if schema.id not in schemas:
+                            given = schema.name, schema.encoding, schema.data
+                            schemas[schema.id] = writer.register_schema(*given)
+                        given = topic, channel.message_encoding, schemas[schema.id]
+                        channels[channel.id] = writer.register_channel(*given)
+                    at = message.log_time, message.data, message.publish_time
+                    writer.add_message(channels[channel.id], *at)
+        writer.finish()
+    return path

@@ -1,0 +1,149 @@
+"""Runs of parts of a log, and of logs with several cameras."""
+
+import json
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine
+from jaxdet.cli import info, progress
+from jaxdet.cli.main import main
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.sim import SimConfig, write_log
+from tests.camera_logs import join_cameras
+
+TABLES = ("frames.parquet", "obstacles.parquet")
+SIM = SimConfig(frames=12, width=160, height=120, rate_hz=5)
+
+
+@pytest.fixture(scope="module")
+def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sim") / "sim.mcap"
+    write_log(path, SIM)
+    return path
+
+
+@pytest.fixture(scope="module")
+def two_cameras(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cameras rear and front of one log; the second sees other things and fewer frames."""
+    folder = tmp_path_factory.mktemp("two")
+    write_log(folder / "other.mcap", replace(SIM, frames=9, seed=5))
+    return join_cameras({"rear": sim_log, "front": folder / "other.mcap"}, folder / "two.mcap")
+
+
+def run(log: Path, output: Path, options: LogOptions | None = None, **run: Any) -> engine.Summary:
+    given = RunOptions(output, **{"backend": "reference", "pictures": 0, **run})
+    return engine.run(find_logs([str(log)]), Config(), options or LogOptions(), given)
+
+
+def tables(folder: Path) -> list[pa.Table]:
+    return [pq.read_table(folder / name) for name in TABLES]
+
+
+def rows_of(table: pa.Table, column: str, values: Collection) -> pa.Table:
+    return table.filter(pa.array([value in values for value in table[column].to_pylist()]))
+
+
+@pytest.fixture(scope="module")
+def whole(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[pa.Table]:
+    folder = tmp_path_factory.mktemp("whole")
+    run(sim_log, folder)
+    return tables(folder)
+
+
+@pytest.mark.parametrize(
+    "part, numbers",
+    [
+        ({"start": "0.9", "stop": "2.0"}, range(5, 10)),
+        ({"every": 5}, range(0, 12, 5)),
+        ({"start": "1.0", "every": 2}, range(6, 12, 2)),
+    ],
+)
+def test_rows_of_a_part_are_those_of_the_whole(sim_log, whole, tmp_path, part, numbers):
+    summary = run(sim_log, tmp_path, LogOptions(**part), batch_size=2, pictures=2)
+    assert summary.frames == len(numbers)
+    for found, all_rows in zip(tables(tmp_path), whole, strict=True):
+        assert found.equals(rows_of(all_rows, "frame", numbers))
+        assert found.num_rows >= len(numbers)
+    ends = {f"sim_{number:06d}.png" for number in (numbers[0], numbers[-1])}
+    assert {path.name for path in (tmp_path / "pictures").iterdir()} == ends
+    written = json.loads((tmp_path / "config.json").read_text(encoding="utf-8"))
+    assert {name: written["log"][name] for name in part} == part
+
+
+def test_a_part_in_units_of_several_workers(sim_log, whole, tmp_path):
+    summary = run(sim_log, tmp_path, LogOptions(start="0.1", every=2), batch_size=1, workers=2)
+    assert summary.workers == 2 and summary.frames == 5
+    for found, all_rows in zip(tables(tmp_path), whole, strict=True):
+        assert found.equals(rows_of(all_rows, "frame", range(2, 12, 2)))
+
+
+def test_cameras_are_run_one_after_the_other(two_cameras, sim_log, whole, tmp_path):
+    summary = run(two_cameras, tmp_path / "both", pictures=1)
+    assert [(log.log, log.camera) for log in summary.logs] == [("two", "front"), ("two", "rear")]
+    rear = whole
+    for number, name in enumerate(TABLES):
+        found = pq.read_table(tmp_path / "both" / name)
+        assert found.schema.names[:3] == ["log", "camera", "frame"]
+        cameras = found["camera"].to_pylist()
+        assert cameras == sorted(cameras) and set(cameras) == {"front", "rear"}
+        for camera in ("front", "rear"):
+            run(two_cameras, tmp_path / camera, LogOptions(camera=camera), overwrite=True)
+            alone = pq.read_table(tmp_path / camera / name)
+            assert rows_of(found, "camera", (camera,)).equals(alone)
+        drop = ["log", "camera"]
+        assert alone.drop(drop).equals(rear[number].drop(drop))
+    assert {path.name for path in (tmp_path / "both" / "pictures").iterdir()} == {
+        "two@front_000000.png",
+        "two@rear_000000.png",
+    }
+    assert {path.name for path in (tmp_path / "both").glob("map_*.npz")} == {
+        "map_two@front.npz",
+        "map_two@rear.npz",
+    }
+
+
+def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys):
+    assert info.main([str(two_cameras)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    heads = [line for line in lines if line.startswith("two, ")]
+    assert [head.split(":")[0] for head in heads] == ["two, front", "two, rear"]
+    assert any(line.startswith("  front: /front/camera/color/image_raw, /fr") for line in lines)
+    assert info.main([str(two_cameras), "--camera", "rear", "--json", "--every", "5"]) == 0
+    about = json.loads(capsys.readouterr().out)["logs"]
+    assert [log["camera"] for log in about] == ["rear"]
+    assert about[0]["description"]["part"].startswith("3 of 12 frames, 0 to 10, multiples of 5, ")
+    given = ["--output", str(tmp_path / "out"), "--backend", "reference", "--pictures", "0"]
+    assert main(["run", str(two_cameras), *given, "--stop", "0.5"]) == 0
+    said = capsys.readouterr()
+    assert "two, front\n  frames     3" in said.out and "two, rear\n" in said.out
+    assert "two, front: 3/3 frames" in said.err
+    assert main(["run", str(sim_log), *given, "--overwrite", "--start", "100"]) == 1
+    assert "no colour frame is in --start 100; its 12 colour frames are" in capsys.readouterr().err
+
+
+def test_a_bar_for_each_camera(monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    seen = []
+    with progress.reporting(False) as show:
+        assert show is not None
+        for label, total, done in (
+            ("two", 0, 0),
+            ("two, front", 0, 0),
+            ("two, front", 9, 9),
+            ("two, rear", 0, 0),
+            ("two, rear", 12, 5),
+        ):
+            show(engine.Progress(label, 0, 1, done, total, 0, None, "", "" if done else "opening"))
+            bars = show.__closure__  # the bars are in the callback
+            cells = [cell.cell_contents for cell in bars or ()]
+            tasks = next(cell.tasks for cell in cells if hasattr(cell, "tasks"))
+            seen = [(task.description, task.completed, task.total) for task in tasks]
+    assert seen == [("two, front", 9, 9), ("two, rear", 5, 12)]

@@ -1,0 +1,114 @@
+"""Several cameras in one log: their names, the one that is read, and what is said of others."""
+
+import pytest
+
+from jaxdet.errors import CalibrationError, CamerasError, TopicError
+from jaxdet.io import LogOptions, open_log
+from jaxdet.io.topics import camera_name
+from tests.io_helpers import (
+    COLOR_FRAME,
+    COLOR_K,
+    COLOR_SIZE,
+    START,
+    LogFile,
+    Scene,
+    make_scene,
+    ros_image,
+    ros_info,
+)
+
+
+@pytest.mark.parametrize(
+    "topic, name",
+    [
+        ("/camera/color/image_raw", "camera"),
+        ("/camera/camera/depth/image_rect_raw", "camera"),
+        ("/camera/camera/aligned_depth_to_color/image_raw", "camera"),
+        ("/front/camera/color/image_raw/compressed", "front"),
+        ("/front/depth/image_rect_raw/compressedDepth", "front"),
+        ("/robot1/front_camera/rgb/image_rect_color", "robot1/front_camera"),
+        ("/robot1/front_camera/depth_registered/sw_registered/image_rect", "robot1/front_camera"),
+        ("/zed/zed_node/depth/depth_registered", "zed"),
+        ("/oak/stereo/image_raw", "oak"),
+        ("/depth_to_rgb/image_raw", "camera"),
+        ("/front_rgb", "front"),
+        ("/device_0/sensor_1/Color_0/image/data", "device_0"),
+        ("/camera_1/rgbd", "camera_1"),
+        ("rgb", "camera"),
+    ],
+)
+def test_names(topic, name):
+    assert camera_name(topic) == name
+
+
+def add_camera(log: LogFile, name: str, scene: Scene, info: bool = True) -> None:
+    """Colour and aligned depth of a camera, calibrated or not."""
+    if info:
+        message = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
+        log.ros(f"/{name}/color/camera_info", message, START)
+    depth_topic = f"/{name}/aligned_depth_to_color/image_raw"
+    for color, depth, at, depth_at in zip(*scene, strict=True):
+        image = ros_image(depth, "16UC1", int(depth_at), name)
+        log.ros(depth_topic, image, int(depth_at))
+        log.ros(f"/{name}/color/image_raw", ros_image(color, "rgb8", int(at), name), int(at))
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A log of the cameras rear, front, and one without a calibration."""
+    with LogFile(tmp_path / "log.mcap") as log:
+        for number, name in enumerate(("rear", "front", "side")):
+            add_camera(log, name, make_scene(3 + number, number, COLOR_SIZE), name != "side")
+    return str(tmp_path / "log.mcap")
+
+
+def test_one_is_to_be_chosen(path):
+    with pytest.raises(CamerasError) as caught:
+        open_log(path)
+    assert caught.value.cameras == ("front", "rear")
+    assert "several cameras: front, rear; choose one with --camera" in str(caught.value)
+    for name, frames in (("front", 4), ("rear", 3)):
+        with open_log(path, LogOptions(camera=name)) as log:
+            assert (log.camera, log.label, log.num_frames) == (name, f"log, {name}", frames)
+            assert f"/{name}/color/image_raw" in log.description.choices[0]
+            assert [line.split(":")[0] for line in log.description.cameras] == [
+                "front",
+                "rear",
+                "side",
+            ]
+            assert any("camera side is left out: " in text for text in log.description.warnings)
+            image = make_scene(frames, frames - 3, COLOR_SIZE).color[1]
+            assert (log.read([1]).frames.color[0] == image).all()
+
+
+def test_a_camera_that_is_asked_for_gives_its_own_error(path):
+    with pytest.raises(TopicError, match=r"there is no camera 'left'.*can be: front, rear, side"):
+        open_log(path, LogOptions(camera="left"))
+    with pytest.raises(CalibrationError, match=r"--log\.color-info"):
+        open_log(path, LogOptions(camera="side"))
+
+
+def test_topics_choose_a_camera_as_well(path):
+    with open_log(path, LogOptions(color="/rear/color/image_raw")) as log:
+        assert (log.camera, log.label) == ("rear", "log")
+        assert "/rear/aligned" in log.description.choices[1]
+
+
+def test_what_is_of_one_camera_asks_for_it(path):
+    options = {"color_intrinsics": (50.0, 50.0, 20.0, 15.0)}
+    with pytest.raises(
+        TopicError, match=r"--log\.color-intrinsics is of one; choose it with --cam"
+    ):
+        open_log(path, LogOptions(**options))
+    with open_log(path, LogOptions(**options, camera="side")) as log:
+        assert log.camera == "side"
+
+
+def test_of_two_cameras_the_complete_one_is_taken(tmp_path):
+    path = tmp_path / "log.mcap"
+    with LogFile(path) as log:
+        add_camera(log, "front", make_scene(3, 0, COLOR_SIZE))
+        add_camera(log, "side", make_scene(3, 1, COLOR_SIZE), info=False)
+    with open_log(str(path)) as log:
+        assert log.camera == "front" and log.label == "log, front"
+        assert any("camera side is left out" in text for text in log.description.warnings)

@@ -1,0 +1,153 @@
+"""Parts of a log: moments as a user gives them, and frames with the numbers of the whole log."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from jaxdet.errors import ConfigError, InputError, RescanError
+from jaxdet.io import LogOptions
+from jaxdet.io import open_log as open_only
+from jaxdet.io.moments import Moment, parse_moment
+from jaxdet.io.part import find_part
+from tests.io_both_ways import assert_same_batch, is_indexed, scanning
+from tests.io_helpers import START, make_scene, write_log
+
+PERIOD_NS = 33_333_333
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def log_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "log.mcap", make_scene(FRAMES), chunk_size=1)
+
+
+def numbers(path: Path, **part: Any) -> list[int]:
+    """Of the frames read, by the index and scanned."""
+    options = LogOptions(**part)
+    with open_only(str(path), options) as log, open_only(str(path), scanning(options)) as scanned:
+        assert is_indexed(log) and not is_indexed(scanned)
+        pairs = list(zip(log.batches(7), scanned.batches(7), strict=True))
+        for one, other in pairs:
+            assert_same_batch(one, other)
+        assert log.description.part == scanned.description.part
+        found = [n for one, _ in pairs for n in one.frames.number[: len(one.status)].tolist()]
+        assert found == list(log.frames) and log.num_frames == FRAMES
+        return found
+
+
+@pytest.mark.parametrize(
+    "text, moment",
+    [
+        ("12.5", Moment(12_500_000_000, False)),
+        (".5", Moment(500_000_000, False)),
+        ("90s", Moment(90_000_000_000, False)),
+        ("0", Moment(0, False)),
+        ("1714557600000000001", Moment(1714557600000000001, True)),
+        ("2024-05-01T10:00:00Z", Moment(1714557600000000000, True)),
+        ("2024-05-01T12:00:00.000001+02:00", Moment(1714557600000001000, True)),
+        ("2024-05-01 10:00:00", Moment(1714557600000000000, True)),
+    ],
+)
+def test_moments(text, moment):
+    assert parse_moment(text, "--start") == moment
+
+
+@pytest.mark.parametrize("text", ["", "-1", "5 m", "nan", "1e3", "today", "10:00", "१२"])
+def test_what_is_no_moment_is_said_with_its_flag(text):
+    with pytest.raises(ConfigError, match=r"--stop .* is no time; give it as 12.5, 90s, 2024"):
+        LogOptions(stop=text)
+
+
+def test_every_is_at_least_one():
+    with pytest.raises(ConfigError, match="--every 1 or more"):
+        LogOptions(every=0)
+
+
+def test_frames_between_two_moments(log_path):
+    assert numbers(log_path) == list(range(60))
+    assert numbers(log_path, start="1.0") == list(range(31, 60))  # frame 30 is at 0.99999999 s
+    assert numbers(log_path, start="1", stop="1.5s") == list(range(31, 46))
+    at = [str(START + n * PERIOD_NS) for n in (10, 12)]
+    assert numbers(log_path, start=at[0], stop=at[1]) == [10, 11]
+    assert numbers(log_path, start=str(int(at[0]) + 1), stop=at[1]) == [11]
+    time = "2023-11-14T22:13:20.5Z"
+    assert numbers(log_path, start=time) == list(range(16, 60))
+    assert numbers(log_path, stop="1000") == list(range(60))
+
+
+def test_parts_join_to_the_whole(log_path):
+    ends = ["0", "0.4", "1.1", "9"]
+    for every in (1, 7):
+        parts = [
+            numbers(log_path, start=start, stop=stop, every=every) for start, stop in pairwise(ends)
+        ]
+        joined = [number for part in parts for number in part]
+        assert joined == numbers(log_path, every=every) == list(range(0, 60, every))
+
+
+def test_a_part_has_the_images_stamps_and_partners_of_the_whole(log_path):
+    with open_only(str(log_path)) as whole:
+        for part in ({"start": "0.5", "stop": "1.2"}, {"every": 9}):
+            with open_only(str(log_path), LogOptions(**part)) as log:
+                (batch,) = log.batches(len(log.frames))
+                assert_same_batch(batch, whole.read(log.frames))
+
+
+def test_units_of_a_part(log_path):
+    with open_only(str(log_path), LogOptions(start="0.5", every=4)) as log:
+        assert list(log.frames) == list(range(16, 60, 4))
+        found = [batch.frames.number.tolist() for batch in log.batches(2, 17, 30)]
+        assert found == [[20, 24], [28, -1]]
+
+
+def test_nothing_in_the_range_names_the_span(log_path):
+    for part in ({"start": "5"}, {"stop": "0"}, {"start": "1", "stop": "0.5"}):
+        with pytest.raises(InputError) as caught:
+            open_only(str(log_path), LogOptions(**part))
+        text = str(caught.value)
+        assert all(f"--{name} {value}" in text for name, value in part.items())
+        assert "its 60 colour frames are from 0 to 1.967 s, 2023-11-14T22:13:20.000Z to " in text
+    with pytest.raises(InputError, match=r"no colour frame is in --start 1.9 --every 100"):
+        open_only(str(log_path), LogOptions(start="1.9", every=100))
+
+
+def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path):
+    with log_path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    at = START + 40 * PERIOD_NS  # log time of frame 40
+    torn = next(c for c in summary.chunk_indexes if c.message_start_time == at)
+    data = bytearray(log_path.read_bytes())
+    data[torn.chunk_start_offset + torn.chunk_length - 3] ^= 0xFF
+    damaged = tmp_path / "log.mcap"
+    damaged.write_bytes(data)
+    with open_only(str(damaged), LogOptions(stop="1.0")) as log:
+        assert is_indexed(log)
+        assert sum(len(batch.status) for batch in log.batches(8)) == 31
+    with open_only(str(damaged), LogOptions(start="0.8", stop="1.4")) as log:
+        if is_indexed(log):
+            with pytest.raises(RescanError):
+                list(log.batches(8))
+
+
+def test_the_search_looks_at_few_frames():
+    seen = []
+
+    def stamp_ns(number):
+        seen.append(number)
+        return 10 * number
+
+    random = np.random.default_rng(0)
+    for jitter in (0, 3, 20_000):
+        about_ns = 10 * np.arange(10**6) + 10**15 + random.integers(0, 10 * jitter + 1, 10**6)
+        about_ns.sort()
+        for first in (0, 1, 7, 500_000, 999_999):
+            seen.clear()
+            start = f"{10 * first / 1e9:.9f}"
+            assert find_part(about_ns, stamp_ns, start, None, 1, "log") == range(first, 10**6)
+            assert len(seen) < 40 and {abs(n - first) for n in seen if n} <= set(range(70_000))
+    assert find_part(about_ns[:0], stamp_ns, "1", None, 1, "log") == range(0)
