@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.engine import decide_planes, start_up
+from jaxdet.engine import Planes, decide_planes, start_up
 from jaxdet.errors import InputError, RescanError
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
@@ -92,14 +92,7 @@ def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Se
     """
     start_up()
     config = results.method
-    for options in _ways(results.log_options):
-        try:
-            with open_log(files, options) as opened:
-                planes = decide_planes(opened, config, "jax")
-            break
-        except RescanError:
-            if options.scan:
-                raise
+    planes = _planes(results, files)
     for batch, chunk in images(results, log, files):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
         found = to_host(detect(frames, config, backend="jax"))
@@ -108,6 +101,17 @@ def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Se
         if not np.array_equal(counts, chunk.frames["num_obstacles"].to_numpy()):
             raise _other(log, files)
         yield Seen(batch, found, chunk)
+
+
+def _planes(results: Results, files: LogFiles) -> Planes:
+    """The floor that the run gave each frame."""
+    options = results.log_options
+    try:
+        with open_log(files, options) as opened:
+            return decide_planes(opened, results.method, "jax")
+    except RescanError:
+        with open_log(files, replace(options, scan=True)) as opened:
+            return decide_planes(opened, results.method, "jax")
 
 
 def _ways(options: LogOptions) -> Iterator[LogOptions]:

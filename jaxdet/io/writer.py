@@ -19,6 +19,21 @@ from jaxdet.types import Distortion, Extrinsics, Intrinsics
 Compression = Literal["zstd", "lz4", "none"]
 
 
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+_LATCHED = f"""\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: 1
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+"""Reliable and transient local, as rosbag2 records it."""
+
+
 class Transform(NamedTuple):
     """A transform of the TF tree: ``T_parent_child``."""
 
@@ -42,13 +57,20 @@ def quaternion(R: np.ndarray) -> dict[str, float]:
     return dict(zip("xyzw", (row / np.linalg.norm(row)).tolist(), strict=True))
 
 
-def _xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
+def xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
+    """A vector of three as its message has it."""
     return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
 
 
-def _header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
+def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
+    """A ``std_msgs/Header``."""
     sec, nanosec = divmod(int(stamp_ns), 10**9)
     return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
+
+
+def pose_of(T: np.ndarray) -> dict[str, Any]:
+    """A rigid motion ``(4, 4)`` as a ``geometry_msgs/Pose``."""
+    return {"position": xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}
 
 
 class Ros2LogWriter:
@@ -87,15 +109,32 @@ class Ros2LogWriter:
             self._writer.finish()
             self._stream.close()
 
-    def write(self, topic: str, stamp_ns: int, type_name: str, message: Mapping[str, Any]) -> None:
-        """Write one message, with ``stamp_ns`` as its log and publish time."""
+    def write(
+        self,
+        topic: str,
+        stamp_ns: int,
+        type_name: str,
+        message: Mapping[str, Any],
+        *,
+        latched: bool = False,
+    ) -> None:
+        """Write one message.
+
+        Args:
+            topic: The topic.
+            stamp_ns: Its log and publish time [ns].
+            type_name: Such as ``sensor_msgs/Image``.
+            message: See :func:`jaxdet.io.writer_cdr.encode_cdr`.
+            latched: A player offers the topic's last message to those who subscribe later.
+        """
         if topic not in self._channels:
             if type_name not in self._schemas:
                 name = type_name.replace("/", "/msg/")
                 text = schema_text(type_name).encode()
                 self._schemas[type_name] = self._writer.register_schema(name, "ros2msg", text)
+            metadata = {"offered_qos_profiles": _LATCHED} if latched else {}
             self._channels[topic] = self._writer.register_channel(
-                topic, "cdr", self._schemas[type_name]
+                topic, "cdr", self._schemas[type_name], metadata
             )
         count = self._counts[topic] = self._counts.get(topic, -1) + 1
         data = encode_cdr(type_name, message)
@@ -115,7 +154,7 @@ class Ros2LogWriter:
         """
         pixels = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
         message = {
-            "header": _header(stamp_ns, frame_id), "height": array.shape[0],
+            "header": header(stamp_ns, frame_id), "height": array.shape[0],
             "width": array.shape[1], "encoding": encoding, "is_bigendian": 0,
             "step": pixels.nbytes // array.shape[0], "data": pixels.tobytes(),
         }  # fmt: skip
@@ -128,7 +167,7 @@ class Ros2LogWriter:
         plain = camera.distortion is Distortion.NONE
         fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
         message = {
-            "header": _header(stamp_ns, frame_id), "height": camera.height, "width": camera.width,
+            "header": header(stamp_ns, frame_id), "height": camera.height, "width": camera.width,
             "distortion_model": "plumb_bob" if plain else str(camera.distortion),
             "d": (0.0,) * 5 if plain else camera.coefficients,
             "k": (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
@@ -145,8 +184,8 @@ class Ros2LogWriter:
         """Write a ``tf2_msgs/TFMessage`` on ``/tf_static`` or ``/tf``."""
         stamped = [
             {
-                "header": _header(stamp_ns, parent), "child_frame_id": child,
-                "transform": {"translation": _xyz(T[:3, 3]), "rotation": quaternion(T[:3, :3])},
+                "header": header(stamp_ns, parent), "child_frame_id": child,
+                "transform": {"translation": xyz(T[:3, 3]), "rotation": quaternion(T[:3, :3])},
             }
             for parent, child, T in transforms
         ]  # fmt: skip
@@ -164,11 +203,10 @@ class Ros2LogWriter:
             pose: The base in the odometry frame.
             velocity: Forward speed [m/s] and turn rate to the left [rad/s], in the base's frame.
         """
-        T = pose.T
-        place = {"position": _xyz(T[:3, 3]), "orientation": quaternion(T[:3, :3])}
-        twist = {"linear": _xyz((velocity[0], 0, 0)), "angular": _xyz((0, 0, velocity[1]))}
+        place = pose_of(pose.T)
+        twist = {"linear": xyz((velocity[0], 0, 0)), "angular": xyz((0, 0, velocity[1]))}
         message = {
-            "header": _header(stamp_ns, pose.parent), "child_frame_id": pose.child,
+            "header": header(stamp_ns, pose.parent), "child_frame_id": pose.child,
             "pose": {"pose": place, "covariance": (0.0,) * 36},
             "twist": {"twist": twist, "covariance": (0.0,) * 36},
         }  # fmt: skip

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
-# Field lists of ROS 2 Jazzy's common_interfaces, geometry2 and realsense-ros; one line a field.
+# Field lists of ROS 2 Jazzy's common_interfaces, geometry2,
+# vision_msgs and realsense-ros; one line a field.
 _DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -35,9 +36,31 @@ _DEFINITIONS = {
     "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
     "nav_msgs/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
     "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
+    "nav_msgs/MapMetaData": "builtin_interfaces/Time map_load_time\nfloat32 resolution\n"
+    "uint32 width\nuint32 height\ngeometry_msgs/Pose origin",
+    "nav_msgs/OccupancyGrid": "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data",
+    "sensor_msgs/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count",
+    "sensor_msgs/PointCloud2": "std_msgs/Header header\nuint32 height\nuint32 width\n"
+    "sensor_msgs/PointField[] fields\nbool is_bigendian\nuint32 point_step\nuint32 row_step\n"
+    "uint8[] data\nbool is_dense",
+    "vision_msgs/ObjectHypothesis": "string class_id\nfloat64 score",
+    "vision_msgs/ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n"
+    "geometry_msgs/PoseWithCovariance pose",
+    "vision_msgs/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "vision_msgs/Detection3D": "std_msgs/Header header\n"
+    "vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id",
+    "vision_msgs/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
     "realsense2_camera_msgs/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
 }
-_FORMATS = {"bool": "?", "uint8": "B", "int32": "i", "uint32": "I", "float64": "d"}
+_FORMATS = {
+    "bool": "?",
+    "int8": "b",
+    "uint8": "B",
+    "int32": "i",
+    "uint32": "I",
+    "float32": "f",
+    "float64": "d",
+}
 
 
 class _Field(NamedTuple):
@@ -103,7 +126,8 @@ def encode_cdr(type_name: str, message: Mapping[str, Any]) -> bytes:
 
     Args:
         type_name: A type of this module, such as ``"sensor_msgs/Image"``.
-        message: Its fields by name, nested types as dictionaries, ``uint8[]`` as bytes.
+        message: Its fields by name, nested types as dictionaries, ``uint8[]`` and ``int8[]`` as
+            bytes.
 
     Raises:
         KeyError: The type is unknown or a field is missing.

@@ -36,7 +36,7 @@ class Inputs:
         """Takes in rows of ``frames.parquet``, in order."""
         names = frames["log"].unique().to_pylist()
         for name in names:
-            rows = frames if len(names) == 1 else frames.filter(pc.equal(frames["log"], name))
+            rows = frames if len(names) == 1 else frames.filter(pc.field("log") == name)
             depth = rows["depth_stamp_ns"].fill_null(-1).to_numpy()
             stamps = np.stack([rows["stamp_ns"].to_numpy(), depth], axis=1)
             self._frames[name] = self._frames.get(name, 0) + rows.num_rows

@@ -21,8 +21,9 @@ MAX_OUTLINE_CELLS = 1 << 22
 Tiles = defaultdict[tuple[int, int], np.ndarray]
 """By row and column of the tile, its counts, ``(TILE, TILE)`` int32."""
 
-_SHIFT = 6
-_UNITS = 1 << _SHIFT
+SHIFT = 6
+"""Fraction bits of places in cells, as OpenCV's drawing functions take them."""
+UNITS = 1 << SHIFT
 
 
 class MapImage(NamedTuple):
@@ -63,7 +64,7 @@ class OccupancyMap:
     def add(self, corners: np.ndarray) -> None:
         """Counts outlines ``(R, 8)`` float32, world X and Y [m]; NaN ones are left out."""
         known = corners[np.isfinite(corners).all(axis=1)].reshape(-1, 2)
-        outlines, low, size, fits = _placed(known, np.full(len(known) // 4, 4))
+        outlines, low, size, fits = placed(known, np.full(len(known) // 4, 4))
         self.skipped += int((~fits).sum())
         (used,) = np.nonzero(fits)
         outlines = outlines.reshape(-1, 4, 2)
@@ -83,13 +84,13 @@ class OccupancyMap:
         first = np.flatnonzero(np.diff(free.frame, prepend=-1))
         last = np.append(first[1:], len(free.frame))
         corners = np.concatenate([[0], np.cumsum(free.corners)])
-        points, low, size, fits = _placed(free.points, corners[last] - corners[first])
+        points, low, size, fits = placed(free.points, corners[last] - corners[first])
         self.skipped += int((~fits).sum())
         polygons = np.split(points, corners[1:-1])
         for g in np.flatnonzero(fits).tolist():
             mask = np.zeros(size[g, ::-1], np.int32)
             parts = polygons[first[g] : last[g]]
-            cv2.fillPoly(mask, parts, (1,), cv2.LINE_8, _SHIFT)
+            cv2.fillPoly(mask, parts, (1,), cv2.LINE_8, SHIFT)
             _add_to_tiles(self.free_tiles, mask, *low[g].tolist())
 
     def merge(self, later: "OccupancyMap") -> None:
@@ -115,11 +116,11 @@ class OccupancyMap:
         return _cropped(MapImage(counts, free, origin, CELL_M, path))
 
 
-class _Placed(NamedTuple):
+class Placed(NamedTuple):
     """Groups of points, each in the smallest box of cells around it."""
 
     points: np.ndarray
-    """``(P, 2)`` int32, from the middle of the box's first cell [``_UNITS`` to a cell]."""
+    """``(P, 2)`` int32, from the middle of the box's first cell [``UNITS`` to a cell]."""
     low: np.ndarray
     """``(G, 2)`` int64, column and row of the first cell."""
     size: np.ndarray
@@ -128,8 +129,13 @@ class _Placed(NamedTuple):
     """``(G,)`` bool, it has a place on the map."""
 
 
-def _placed(points: np.ndarray, count: np.ndarray) -> _Placed:
-    """Points ``(P, 2)`` [m], of so many for each group, ``(G,)``."""
+def placed(points: np.ndarray, count: np.ndarray) -> Placed:
+    """Points in cells, whose middles are whole numbers.
+
+    Args:
+        points: ``(P, 2)``, world X and Y of all groups, one after the other [m].
+        count: ``(G,)`` integer, how many each group has, at least one.
+    """
     cells, start = points.T.astype(np.float64, order="C"), np.cumsum(count) - count
     cells /= CELL_M
     cells -= 0.5
@@ -138,24 +144,24 @@ def _placed(points: np.ndarray, count: np.ndarray) -> _Placed:
     fits = (np.abs(low).max(axis=0) <= 1 << 30) & (size[0] * size[1] <= MAX_OUTLINE_CELLS)
     low, size = np.where(fits, [low, size], 0)
     cells -= np.repeat(low, count, axis=1)
-    cells *= _UNITS
+    cells *= UNITS
     if not fits.all():
         cells[:, np.repeat(~fits, count)] = 0
     units = np.rint(cells, out=cells).T.astype(np.int32, order="C")
-    return _Placed(units, low.T.astype(np.int64), size.T.astype(np.int64), fits)
+    return Placed(units, low.T.astype(np.int64), size.T.astype(np.int64), fits)
 
 
 def _add_outlines(tiles: Tiles, outlines: np.ndarray, low: np.ndarray, size: np.ndarray) -> None:
-    """Counts convex outlines ``(R, 4, 2)`` that are near to each other; see :class:`_Placed`.
+    """Counts convex outlines ``(R, 4, 2)`` that are near to each other; see :class:`Placed`.
 
     All are drawn on one sheet, their boxes one below the other.
     """
     below = np.cumsum(size[:, 1])
     top = below - size[:, 1]
     sheet = np.zeros((below[-1], size[:, 0].max()), np.uint8)
-    outlines[:, :, 1] += (top * _UNITS)[:, None]
+    outlines[:, :, 1] += (top * UNITS)[:, None]
     for outline in outlines:
-        cv2.fillConvexPoly(sheet, outline, 1, cv2.LINE_8, _SHIFT)
+        cv2.fillConvexPoly(sheet, outline, 1, cv2.LINE_8, SHIFT)
     row, column = np.divmod(np.flatnonzero(sheet.view(bool)), sheet.shape[1])
 
     origin = low.min(axis=0)

@@ -57,6 +57,11 @@ class ResultLog(NamedTuple):
         """The files that it was read from, as they were named then."""
         return tuple(map(Path, self.summary["paths"]))
 
+    @property
+    def poses_from_tf(self) -> bool:
+        """Whether the log's own transforms join the camera to the world."""
+        return (self.summary["description"] or {}).get("pose_source", "").startswith("poses: TF")
+
     def topic(self, role: str) -> str:
         """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
         topics = (self.summary["description"] or {}).get("topics", ())
@@ -194,6 +199,11 @@ class Results:
             rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
             for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
                 yield Frame(row, obstacles[start:stop])
+
+    def world_frame(self, log: ResultLog) -> str:
+        """The frame that poses, outlines in the world and the map are in; empty without poses."""
+        first = next(self.chunks(log, ["world_frame"], [], size=1), None)
+        return (first.frames["world_frame"][0].as_py() or "") if first else ""
 
     def map(self, log: ResultLog) -> MapImage | None:
         """The map of a log; None where it has none."""

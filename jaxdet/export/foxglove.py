@@ -1,0 +1,295 @@
+"""Scenes for Foxglove: an MCAP file to open beside each log, and a layout.
+
+Everything carries the log's stamps and frames. Obstacles are in the frame of the colour camera,
+the map is in the world's, and a transform adds the camera's floor frame, which is x right,
+y forward, z up. Each message replaces what the one before it showed, so that any moment of a log
+can be jumped to.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Grid_pb2 import Grid as GridMessage
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.Point2_pb2 import Point2
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap_protobuf.writer import Writer
+
+from jaxdet.export.grid import FREE, OCCUPIED, Grid, last_grid
+from jaxdet.export.shapes import (
+    Row,
+    T_camera_floor,
+    T_world_camera,
+    box,
+    camera_name,
+    contour,
+    corners,
+    floor_name,
+    heights,
+    label,
+    quaternion,
+)
+from jaxdet.io import LogFiles
+from jaxdet.render.canvas import color_of
+from jaxdet.results.reading import Frame, ResultLog, Results
+
+SCENE, BOXES, MAP, TF = "/jaxdet/obstacles", "/jaxdet/boxes", "/jaxdet/map", "/jaxdet/tf"
+
+_TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
+_DARK = Color(r=0.0, g=0.0, b=0.0, a=0.6)
+_CELL_COLORS = {OCCUPIED: (200, 40, 40, 200), FREE: (160, 190, 170, 110)}
+"""Red, green, blue, alpha; unknown cells are transparent."""
+_ABOUT = ("obstacle", "distance_m", "bottom_m", "top_m", "num_points")
+"""Columns that are shown when an obstacle is selected."""
+_CELL_FIELDS = ("red", "green", "blue", "alpha")
+
+
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+    """Writes ``LOG.jaxdet.mcap`` of each log and ``layout.json`` into a folder.
+
+    Args:
+        results: What a run wrote.
+        output: The folder.
+        recordings: Not used.
+    """
+    output.mkdir()
+    for log in results.logs:
+        path = output / f"{log.file_name}.jaxdet.mcap"
+        with path.open("wb") as stream, Writer(stream) as writer:
+            _write_log(writer, results, log)
+    text = json.dumps(layout(results), indent=2, ensure_ascii=False)
+    (output / "layout.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
+    sequence = 0
+    own_poses = not log.poses_from_tf
+    for sequence, frame in enumerate(results.frames(log)):
+        stamp_ns = frame.row["stamp_ns"]
+        if not sequence and (grid := last_grid(results, log)) is not None:
+            message = grid_message(grid, stamp_ns, frame.row["world_frame"] or "")
+            writer.write_message(MAP, message, stamp_ns, stamp_ns)
+        messages = {
+            TF: transforms(frame, own_poses=own_poses),
+            SCENE: scene(frame),
+            BOXES: annotations(frame),
+        }
+        for topic, message in messages.items():
+            writer.write_message(topic, message, stamp_ns, stamp_ns, sequence)
+
+
+def transforms(frame: Frame, *, own_poses: bool) -> FrameTransforms:
+    """The floor frame, and where the log's own transforms lack it the camera in the world.
+
+    Args:
+        frame: The frame.
+        own_poses: The log's transforms don't join the camera to the world.
+    """
+    row = frame.row
+    edges = [(camera_name(row), floor_name(row), T_camera_floor(row))]
+    T = T_world_camera(row)
+    if own_poses and T is not None and row["world_frame"]:
+        edges.append((row["world_frame"], camera_name(row), T))
+    found = []
+    for parent, child, motion in edges:
+        pose = _pose(motion)
+        ends = {"parent_frame_id": parent, "child_frame_id": child}
+        place = Vector3(x=pose.position.x, y=pose.position.y, z=pose.position.z)
+        stamp = _stamp(row["stamp_ns"])
+        turn = pose.orientation
+        found.append(FrameTransform(timestamp=stamp, translation=place, rotation=turn, **ends))
+    return FrameTransforms(transforms=found)
+
+
+def scene(frame: Frame) -> SceneUpdate:
+    """The obstacles of a frame in place of those of the frame before."""
+    stamp = _stamp(frame.row["stamp_ns"])
+    gone = SceneEntityDeletion(timestamp=stamp, type=SceneEntityDeletion.ALL)
+    T = T_camera_floor(frame.row)
+    pose = _pose(T)
+    entities = [_entity(frame.row, obstacle, T, pose) for obstacle in frame.obstacles]
+    return SceneUpdate(deletions=[gone], entities=entities)
+
+
+def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
+    """An obstacle: its contour as a wall from bottom to top, or a box, and its label."""
+    bottom, top = heights(row, obstacle)
+    edge, number = contour(obstacle), obstacle["obstacle"]
+    shape: dict[str, Any] = {}
+    if len(edge) > 1:
+        low, high = _points(edge, bottom), _points(edge, top)
+        color = _color(number, 0.55)
+        wall = {"points": [*low, *high], "indices": _wall(len(edge)), "color": color}
+        shape["triangles"] = [TriangleListPrimitive(pose=pose, **wall)]
+        line = {"type": LinePrimitive.LINE_STRIP, "thickness": 2.0, "scale_invariant": True}
+        bright = _color(number, 1.0)
+        shape["lines"] = [
+            LinePrimitive(pose=pose, points=points, color=bright, **line) for points in (low, high)
+        ]
+    else:
+        shape["cubes"] = [_cube(obstacle, T, bottom, top)]
+    near = edge[np.argmin((edge**2).sum(axis=1))] if len(edge) else corners(obstacle)[:2].mean(0)
+    at = T @ [*near, top + 0.08, 1.0]
+    text = TextPrimitive(
+        pose=Pose(position=_point(at), orientation=Quaternion(w=1.0)),
+        billboard=True,
+        font_size=14.0,
+        scale_invariant=True,
+        color=_TEXT,
+        text=label(obstacle),
+    )
+    known = {key: obstacle[key] for key in _ABOUT if obstacle[key] is not None}
+    about = [KeyValuePair(key=key, value=f"{value:.6g}") for key, value in known.items()]
+    return SceneEntity(
+        timestamp=_stamp(row["stamp_ns"]),
+        frame_id=camera_name(row),
+        id=f"obstacle {number}",
+        metadata=about,
+        texts=[text],
+        **shape,
+    )
+
+
+def _wall(count: int) -> list[int]:
+    """Triangles between two lines of ``count`` points, the second after the first."""
+    found: list[int] = []
+    for i in range(count - 1):
+        found += [i, i + 1, count + i, count + i, i + 1, count + i + 1]
+    return found
+
+
+def _cube(obstacle: Row, T: np.ndarray, bottom: float, top: float) -> CubePrimitive:
+    T_floor_box, size = box(obstacle, bottom, top)
+    color = _color(obstacle["obstacle"], 0.6)
+    return CubePrimitive(pose=_pose(T @ T_floor_box), size=_point(size), color=color)
+
+
+def annotations(frame: Frame) -> ImageAnnotations:
+    """The boxes and labels of a frame's obstacles in the colour image."""
+    stamp = _stamp(frame.row["stamp_ns"])
+    boxes, texts = [], []
+    for obstacle in frame.obstacles:
+        left, right = obstacle["u_min"], obstacle["u_max"] + 1
+        upper, lower = obstacle["v_min"], obstacle["v_max"] + 1
+        ring = [(left, upper), (right, upper), (right, lower), (left, lower)]
+        color = _color(obstacle["obstacle"], 1.0)
+        boxes.append(
+            PointsAnnotation(
+                timestamp=stamp,
+                type=PointsAnnotation.LINE_LOOP,
+                points=[Point2(x=x, y=y) for x, y in ring],
+                outline_color=color,
+                thickness=2.0,
+            )
+        )
+        texts.append(
+            TextAnnotation(
+                timestamp=stamp,
+                position=Point2(x=left, y=upper),
+                text=label(obstacle),
+                font_size=14.0,
+                text_color=_TEXT,
+                background_color=_DARK,
+            )
+        )
+    return ImageAnnotations(points=boxes, texts=texts)
+
+
+def grid_message(grid: Grid, stamp_ns: int, frame_id: str) -> GridMessage:
+    """The map, coloured, in the world."""
+    cells = np.zeros((*grid.states.shape, len(_CELL_FIELDS)), np.uint8)
+    for state, color in _CELL_COLORS.items():
+        cells[grid.states == state] = color
+    x, y = grid.origin
+    columns = grid.states.shape[1]
+    stride = len(_CELL_FIELDS)
+    return GridMessage(
+        timestamp=_stamp(stamp_ns),
+        frame_id=frame_id,
+        pose=Pose(position=Vector3(x=x, y=y), orientation=Quaternion(w=1.0)),
+        column_count=columns,
+        cell_size=Vector2(x=grid.cell_m, y=grid.cell_m),
+        row_stride=columns * stride,
+        cell_stride=stride,
+        fields=[
+            PackedElementField(name=name, offset=offset, type=PackedElementField.UINT8)
+            for offset, name in enumerate(_CELL_FIELDS)
+        ],
+        data=cells.tobytes(),
+    )
+
+
+def layout(results: Results) -> dict[str, Any]:
+    """A layout with the scene beside the colour image of the first log."""
+    view, image = "3D!jaxdet", "Image!jaxdet"
+    log = results.logs[0] if results.logs else None
+    first = next(results.frames(log), None) if log else None
+    color = log.topic("color") if log else ""
+    shown = {topic: {"visible": True} for topic in (SCENE, MAP)}
+    follow = first.row["world_frame"] or floor_name(first.row) if first else ""
+    return {
+        "configById": {
+            view: {
+                "followMode": "follow-none",
+                "followTf": follow,
+                "topics": shown,
+                "cameraState": {"distance": 8, "phi": 45, "perspective": True},
+            },
+            image: {
+                "imageMode": {
+                    "imageTopic": color,
+                    "annotations": {BOXES: {"visible": True}},
+                    "synchronize": False,
+                }
+            },
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {"direction": "row", "first": view, "second": image, "splitPercentage": 55},
+    }
+
+
+def _stamp(stamp_ns: int) -> Timestamp:
+    seconds, nanos = divmod(stamp_ns, 10**9)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def _color(number: int, alpha: float) -> Color:
+    r, g, b = (part / 255 for part in color_of(number))
+    return Color(r=r, g=g, b=b, a=alpha)
+
+
+def _point(xyz: Sequence[float] | np.ndarray) -> Vector3:
+    return Vector3(x=xyz[0], y=xyz[1], z=xyz[2])
+
+
+def _points(edge: np.ndarray, z: float) -> list[Point3]:
+    return [Point3(x=x, y=y, z=z) for x, y in edge.tolist()]
+
+
+def _pose(T: np.ndarray) -> Pose:
+    x, y, z, w = quaternion(T)
+    return Pose(position=_point(T[:3, 3]), orientation=Quaternion(x=x, y=y, z=z, w=w))

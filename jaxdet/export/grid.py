@@ -1,0 +1,122 @@
+"""The map as it was when the log ended: what was seen free after an obstacle had gone is free.
+
+The map of a run counts; this one weighs in the order of the frames, as OctoMap does (Hornung et
+al. 2013, "OctoMap: an efficient probabilistic 3D mapping framework", Section 4.2): an outline that
+covers a cell speaks for an obstacle there, free floor against one, and neither can outweigh more
+than a few frames.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxdet.export.shapes import T_world_camera
+from jaxdet.results.free_floor import FreeFloor
+from jaxdet.results.occupancy import SHIFT, placed
+from jaxdet.results.reading import Frame, ResultLog, Results
+
+OCCUPIED, FREE, UNKNOWN = 100, 0, -1
+"""States of a cell, as ``nav_msgs/OccupancyGrid`` has them."""
+
+HIT, MISS = 85, -40
+"""What an outline and free floor add to a cell's log-odds [1/100]: OctoMap's."""
+LEAST, MOST = -200, 350
+"""Bounds of a cell's log-odds [1/100]: OctoMap's; nine frames of free floor clear any cell."""
+
+NEIGHBOURS = 4
+"""Columns of cells whose free floor ends farther apart than this many cells are not joined."""
+
+_ADDED = np.array([0, MISS, HIT], np.int16)
+_FRAME_COLUMNS = (
+    *("camera_position_world", "camera_orientation_world"),
+    *("free_bearing_rad", "free_from_m", "free_to_m"),
+)
+
+
+class Grid(NamedTuple):
+    """The world's floor in cells; row 0 is the lowest Y."""
+
+    states: np.ndarray
+    """``(rows, columns)`` int8: OCCUPIED, FREE or UNKNOWN."""
+    origin: tuple[float, float]
+    """World X and Y of the outer corner of cell (0, 0) [m]."""
+    cell_m: float
+    """Side of a cell [m]."""
+
+
+def last_grid(results: Results, log: ResultLog) -> Grid | None:
+    """The map of a log at its end; None where the run made none.
+
+    Args:
+        results: What a run wrote.
+        log: One of its logs.
+    """
+    counted = results.map(log)
+    if counted is None:
+        return None
+    first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
+    odds = np.zeros(counted.counts.shape, np.int16)
+    seen = np.zeros(counted.counts.shape, bool)
+    gap = NEIGHBOURS * results.method.surface.cell_rad
+    for frame in _frames(results, log):
+        if (view := _cells(frame, gap)) is None:
+            continue
+        cells, low = view
+        x, y = (low - first).tolist()
+        rows, columns = odds.shape
+        here = slice(max(y, 0), max(y + cells.shape[0], 0)), slice(max(x, 0), x + cells.shape[1])
+        part = cells[max(-y, 0) : rows - y, max(-x, 0) : columns - x]
+        odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
+        seen[here] |= part > 0
+    states = np.where(odds > 0, OCCUPIED, FREE)
+    return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
+
+
+def _frames(results: Results, log: ResultLog) -> Iterator[Frame]:
+    """The frames with the columns that the map is made of."""
+    for chunk in results.chunks(log, _FRAME_COLUMNS, ("corners_world",)):
+        rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
+        for row, start, stop in zip(rows, chunk.first[:-1], chunk.first[1:], strict=True):
+            yield Frame(row, obstacles[start:stop])
+
+
+def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """What a frame says of cells: 1 free floor, 2 an outline; and column and row of the first."""
+    T = T_world_camera(frame.row)
+    if T is None:
+        return None
+    outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]
+    parts = [np.reshape(corners, (4, 2)) for corners in outlines]
+    covered = len(parts)
+    free = _free_floor(frame, gap).in_world(T[None])
+    parts += np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
+    if not parts:
+        return None
+    fits = placed(np.concatenate(parts), np.array([len(part) for part in parts])).fits
+    used = [part for part, fit in zip(parts, fits, strict=True) if fit]
+    covered = int(fits[:covered].sum())
+    if not used:
+        return None
+    together = placed(np.concatenate(used), np.array([sum(map(len, used))]))
+    if not together.fits[0]:
+        return None
+    points = np.split(together.points, np.cumsum([len(part) for part in used])[:-1])
+    cells = np.zeros(together.size[0, ::-1], np.uint8)
+    cv2.fillPoly(cells, points[covered:], (1,), cv2.LINE_8, SHIFT)
+    for outline in points[:covered]:
+        cv2.fillConvexPoly(cells, outline, (2,), cv2.LINE_8, SHIFT)
+    return cells, together.low[0]
+
+
+def _free_floor(frame: Frame, gap: float) -> FreeFloor:
+    """The free floor of a row, with an empty column where neighbours are apart."""
+    names = ("free_bearing_rad", "free_from_m", "free_to_m")
+    bearing, start, stop = (np.array(frame.row[name] or [], np.float64) for name in names)
+    apart = np.flatnonzero(np.abs(np.diff(bearing)) > gap) + 1
+    seen = np.insert(np.ones(bearing.size, bool), apart, False)
+    bearing, start, stop = (np.insert(a, apart, 0.0) for a in (bearing, start, stop))
+    way = np.sin(bearing) + 1j * np.cos(bearing)
+    parts = seen, way, bearing, start, stop, np.zeros(seen.size, np.int8)
+    return FreeFloor(*(part[None] for part in parts))

@@ -1,0 +1,64 @@
+"""Maps as nav2's map_server loads them: a PGM picture and a YAML file beside it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from jaxdet.errors import InputError
+from jaxdet.export.grid import FREE, OCCUPIED, Grid, last_grid
+from jaxdet.io import LogFiles
+from jaxdet.results.reading import Results
+
+OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205
+"""As nav2's map_saver writes them."""
+
+_YAML = """\
+# Map of {log}, in the frame {frame}.
+image: {image}
+mode: trinary
+resolution: {cell_m:.9g}
+origin: [{x:.9g}, {y:.9g}, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+# The grey of unknown cells is 0.19608 of the way to occupied.
+
+
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+    """Writes ``LOG.pgm`` and ``LOG.yaml`` of each log that has a map into a folder.
+
+    A cell is occupied where outlines of obstacles weigh more than later free floor, see
+    :mod:`jaxdet.export.grid`, free where floor was seen, and else unknown.
+
+    Args:
+        results: What a run wrote.
+        output: The folder.
+        recordings: Not used.
+
+    Raises:
+        InputError: No log has a map.
+    """
+    output.mkdir()
+    for log in results.logs:
+        grid = last_grid(results, log)
+        if grid is not None:
+            _write(output / log.file_name, grid, log.name, results.world_frame(log))
+    if not any(output.iterdir()):
+        remedy = "maps need logs with the camera's poses"
+        raise InputError("no log has a map", path=str(results.folder), remedy=remedy)
+
+
+def _write(path: Path, grid: Grid, log: str, frame: str) -> None:
+    """The two files of a map; row 0 of the picture is the highest Y."""
+    greys = np.full(grid.states.shape, UNKNOWN_GREY, np.uint8)
+    greys[grid.states == FREE] = FREE_GREY
+    greys[grid.states == OCCUPIED] = OCCUPIED_GREY
+    rows, columns = greys.shape
+    picture = path.with_name(f"{path.name}.pgm")
+    picture.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + greys[::-1].tobytes())
+    x, y = grid.origin
+    names = {"log": " ".join(log.split()), "frame": frame, "image": picture.name}
+    text = _YAML.format(**names, cell_m=grid.cell_m, x=x, y=y)
+    path.with_name(f"{path.name}.yaml").write_text(text, encoding="utf-8")

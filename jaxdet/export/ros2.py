@@ -1,0 +1,157 @@
+"""ROS 2 messages: detections, points, the map and the floor frame in an MCAP file for each log.
+
+Stamps and frames are the log's, so that it can be played beside the recording.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxdet.export.grid import Grid, last_grid
+from jaxdet.export.recordings import look_again
+from jaxdet.export.shapes import (
+    Row,
+    T_camera_floor,
+    T_world_camera,
+    box,
+    camera_name,
+    contour,
+    corners,
+    floor_name,
+    heights,
+)
+from jaxdet.io import LogFiles
+from jaxdet.io.writer import Ros2LogWriter, Transform, header, pose_of, xyz
+from jaxdet.results.reading import Frame, ResultLog, Results
+
+DETECTIONS, POINTS, MAP = "/jaxdet/detections", "/jaxdet/points", "/jaxdet/map"
+
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
+"""A point of the cloud, in the colour optical frame [m], and the obstacle's label."""
+_DATATYPES = {"<f4": 7, "<u4": 6}
+"""Of ``sensor_msgs/PointField``."""
+
+
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+    """Writes ``LOG.jaxdet.mcap`` of each log into a folder.
+
+    Args:
+        results: What a run wrote.
+        output: The folder.
+        recordings: Of these logs the points are the obstacles' own, else the corners of their
+            contours at the bottom and the top.
+    """
+    output.mkdir()
+    for log in results.logs:
+        with Ros2LogWriter(output / f"{log.file_name}.jaxdet.mcap") as writer:
+            files = recordings.get(log.name)
+            clouds = _own_points(results, log, files) if files else _contours(results, log)
+            _write_log(writer, results, log, clouds)
+
+
+def _write_log(
+    writer: Ros2LogWriter, results: Results, log: ResultLog, clouds: Iterator[np.ndarray]
+) -> None:
+    for number, (frame, cloud) in enumerate(zip(results.frames(log), clouds, strict=True)):
+        row, stamp = frame.row, frame.row["stamp_ns"]
+        if not number and (grid := last_grid(results, log)) is not None:
+            message = grid_message(grid, stamp, row["world_frame"] or "")
+            writer.write(MAP, stamp, "nav_msgs/OccupancyGrid", message, latched=True)
+        writer.write_transforms(stamp, list(_transforms(row, own_poses=not log.poses_from_tf)))
+        writer.write(DETECTIONS, stamp, "vision_msgs/Detection3DArray", detections(frame))
+        writer.write(POINTS, stamp, "sensor_msgs/PointCloud2", cloud_message(row, cloud))
+
+
+def _transforms(row: Row, *, own_poses: bool) -> Iterator[Transform]:
+    """The floor frame, and where the log's own transforms lack it the camera in the world."""
+    yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
+    T = T_world_camera(row)
+    if own_poses and T is not None and row["world_frame"]:
+        yield Transform(row["world_frame"], camera_name(row), T)
+
+
+def detections(frame: Frame) -> dict[str, Any]:
+    """A ``vision_msgs/Detection3DArray``: the outlines from bottom to top, in the camera."""
+    row = frame.row
+    head, T = header(row["stamp_ns"], camera_name(row)), T_camera_floor(row)
+    found = []
+    for obstacle in frame.obstacles:
+        T_floor_box, size = box(obstacle, *heights(row, obstacle))
+        center = pose_of(T @ T_floor_box)
+        result = {
+            "hypothesis": {"class_id": "obstacle", "score": 1.0},
+            "pose": {"pose": center, "covariance": (0.0,) * 36},
+        }
+        bounds = {"center": center, "size": xyz(size)}
+        number = str(obstacle["obstacle"])
+        found.append({"header": head, "results": [result], "bbox": bounds, "id": number})
+    return {"header": head, "detections": found}
+
+
+def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
+    """For each frame the corners of contours, else outlines, at the bottom and the top."""
+    for row, obstacles in results.frames(log):
+        T, parts = T_camera_floor(row), [np.zeros(0, POINT)]
+        for obstacle in obstacles:
+            edge = contour(obstacle)
+            edge = edge if len(edge) else corners(obstacle)
+            for height in heights(row, obstacle):
+                points = np.insert(edge, 2, height, axis=1) @ T[:3, :3].T + T[:3, 3]
+                parts.append(_cloud(points, np.full(len(edge), obstacle["obstacle"])))
+        yield np.concatenate(parts)
+
+
+def _own_points(results: Results, log: ResultLog, files: LogFiles) -> Iterator[np.ndarray]:
+    """For each frame the features that its obstacles are made of."""
+    for batch, found, chunk in look_again(results, log, files):
+        features, labels = found.features, found.labels.labels
+        unit = batch.frames.calibration.depth_unit
+        for i, count in enumerate(chunk.frames["num_obstacles"].to_pylist()):
+            used = features.valid[i] & (labels[i] >= 0) & (labels[i] < count)
+            xyz_units = np.stack([features.x[i], features.y[i], features.z[i]], axis=1)
+            yield _cloud(xyz_units[used] * unit, labels[i][used])
+
+
+def _cloud(points: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    cloud = np.empty(len(points), POINT)
+    cloud["x"], cloud["y"], cloud["z"] = points.T
+    cloud["obstacle"] = labels
+    return cloud
+
+
+def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
+    """A ``sensor_msgs/PointCloud2`` of :data:`POINT`."""
+    offsets = zip(POINT.names or (), POINT.descr, strict=True)
+    fields = [
+        {"name": name, "offset": 4 * i, "datatype": _DATATYPES[kind[1]], "count": 1}
+        for i, (name, kind) in enumerate(offsets)
+    ]
+    return {
+        "header": header(row["stamp_ns"], camera_name(row)),
+        "height": 1,
+        "width": len(cloud),
+        "fields": fields,
+        "is_bigendian": False,
+        "point_step": POINT.itemsize,
+        "row_step": cloud.nbytes,
+        "data": cloud.tobytes(),
+        "is_dense": True,
+    }
+
+
+def grid_message(grid: Grid, stamp_ns: int, frame_id: str) -> dict[str, Any]:
+    """A ``nav_msgs/OccupancyGrid``: 100 occupied, 0 free, -1 unknown."""
+    head = header(stamp_ns, frame_id)
+    rows, columns = grid.states.shape
+    origin = np.eye(4)
+    origin[:2, 3] = grid.origin
+    info = {
+        "map_load_time": head["stamp"],
+        "resolution": grid.cell_m,
+        "width": columns,
+        "height": rows,
+        "origin": pose_of(origin),
+    }
+    return {"header": head, "info": info, "data": grid.states.tobytes()}

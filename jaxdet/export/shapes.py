@@ -1,0 +1,98 @@
+"""Rows of the tables as shapes: where the camera and its floor are, and what stands on it.
+
+The *floor frame* of a camera has its origin on the floor below the optical centre, x right,
+y forward, z up: contours and outlines of the tables are its x and y, heights its z. Where the
+floor is unknown it is a level one at the height of the camera.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxdet.floor.plane import down_vector, forward_vector
+from jaxdet.io.motion import motion_matrix
+from jaxdet.results.metric import quaternions
+
+Row = Mapping[str, Any]
+
+
+def camera_name(row: Row) -> str:
+    """The colour camera's frame; ``camera`` where the log names none."""
+    return row["camera_frame"] or "camera"
+
+
+def floor_name(row: Row) -> str:
+    """What the floor frame of the camera is called."""
+    return f"{camera_name(row)}_floor"
+
+
+def T_camera_floor(row: Row) -> np.ndarray:
+    """``(4, 4)`` float64, floor frame to colour optical frame, of a row of frames [m]."""
+    known = row["camera_height_m"] is not None
+    height, pitch, roll = (row[f"camera_{k}"] or 0.0 for k in ("height_m", "pitch_rad", "roll_rad"))
+    down = np.array([[0.0, 1.0, 0.0]])
+    if known:
+        down = down_vector(np.array([pitch]), np.array([roll]))
+    forward = forward_vector(down)
+    T = np.eye(4)
+    T[:3, 0], T[:3, 1] = np.cross(down, forward)[0], forward[0]
+    T[:3, 2], T[:3, 3] = -down[0], height * down[0]
+    return T
+
+
+def T_world_camera(row: Row) -> np.ndarray | None:
+    """``(4, 4)`` float64, colour optical frame to world [m]; None where the pose is unknown."""
+    if row["camera_position_world"] is None:
+        return None
+    return motion_matrix(row["camera_position_world"], row["camera_orientation_world"])
+
+
+def quaternion(T: np.ndarray) -> list[float]:
+    """The unit quaternion x y z w of a rigid motion ``(4, 4)``."""
+    return quaternions(T[:3, :3]).tolist()
+
+
+def corners(obstacle: Row) -> np.ndarray:
+    """``(4, 2)`` float64, the outline in the floor frame [m], counter-clockwise or clockwise."""
+    return np.reshape(obstacle["corners_ground"], (4, 2)).astype(np.float64)
+
+
+def contour(obstacle: Row) -> np.ndarray:
+    """``(n, 2)`` float64, the visible edge in the floor frame [m]; n is 0 without one."""
+    return np.reshape(obstacle["contour"] or [], (-1, 2)).astype(np.float64)
+
+
+def heights(row: Row, obstacle: Row) -> tuple[float, float]:
+    """The lowest and the highest point in the floor frame [m].
+
+    Where the table has no heights they are those of the box in the camera, at its centroid.
+    """
+    if obstacle["bottom_m"] is not None:
+        return obstacle["bottom_m"], obstacle["top_m"]
+    x, z = obstacle["x"], obstacle["z"]
+    points = np.array([[x, obstacle["y_max"], z, 1.0], [x, obstacle["y_min"], z, 1.0]])
+    low, high = (points @ np.linalg.inv(T_camera_floor(row)).T)[:, 2].tolist()
+    return min(low, high), max(low, high)
+
+
+def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """The outline as a box that stands on the floor.
+
+    Returns:
+        ``(4, 4)`` float64, the box's frame to the floor frame: its origin is the middle, x goes
+        from A to B; and ``(3,)`` float64, its lengths [m].
+    """
+    ring = corners(obstacle)
+    along, across = ring[1] - ring[0], ring[3] - ring[0]
+    length = float(np.hypot(*along))
+    T = np.eye(4)
+    T[:2, 0] = along / length if length else (1.0, 0.0)
+    T[:2, 1] = -T[1, 0], T[0, 0]
+    T[:3, 3] = *ring.mean(axis=0), (bottom + top) / 2
+    return T, np.array([length, np.hypot(*across), top - bottom])
+
+
+def label(obstacle: Row) -> str:
+    """Its number and distance, as in the pictures."""
+    return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m"
