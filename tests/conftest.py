@@ -75,3 +75,17 @@ def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
         from tests.io_both_ways import open_both_ways
 
         monkeypatch.setattr(request.module, "open_log", open_both_ways)
+
+
+@pytest.fixture(scope="session")
+def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of a recording of a hand-held camera, which has no poses and no transforms."""
+    from jaxdet import engine
+    from jaxdet.config import Config
+    from jaxdet.engine import RunOptions
+    from jaxdet.io import LogOptions, find_logs
+
+    folder = tmp_path_factory.mktemp("aims") / "results"
+    found = find_logs([str(shared_data / "aims_slam")])
+    engine.run(found, Config(), LogOptions(), RunOptions(folder, pictures=2), preset="wheeled")
+    return folder

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxdet.errors import CalibrationError, TopicError
 from jaxdet.io import LogOptions, open_log
+from jaxdet.io.motion import quaternions
 from tests.io_foxglove import write_foxglove
 from tests.io_helpers import (
     COLOR_FRAME,
@@ -83,3 +85,16 @@ def test_without_tf_the_extrinsics_must_be_given(tmp_path):
     given = LogOptions(tf=False, color_from_depth=(0, 0, 0, *NO_TURN))
     with open_log(path, given) as log:
         assert log.T_base_camera is None and log.T_world_camera is None
+
+
+def test_quaternions_are_those_of_scipy() -> None:
+    turns = Rotation.random(200, random_state=1)
+    half = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0.6, 0.8, 0, 0]]
+    turns = Rotation.concatenate([turns, Rotation.from_quat(half)])
+    found = quaternions(turns.as_matrix())
+    assert (found[:, 3] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-15)
+    np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), turns.as_matrix(), atol=1e-14)
+    alone = [quaternions(R) for R in turns.as_matrix()]
+    np.testing.assert_array_equal(found, alone)
+    assert np.isnan(quaternions(np.full((1, 3, 3), np.nan))).all()

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.floor.plane import down_vector, forward_vector
-from jaxdet.io.motion import motion_matrix
-from jaxdet.results.metric import quaternions
+from jaxdet.io.motion import motion_matrix, quaternions
 
 Row = Mapping[str, Any]
 

@@ -13,6 +13,7 @@ import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from jaxdet.io.motion import quaternions
 from jaxdet.io.writer_cdr import encode_cdr, schema_text
 from jaxdet.types import Distortion, Extrinsics, Intrinsics
 
@@ -44,17 +45,8 @@ class Transform(NamedTuple):
 
 
 def quaternion(R: np.ndarray) -> dict[str, float]:
-    """The unit quaternion of a rotation ``(3, 3)``, the largest component positive."""
-    m = np.asarray(R, np.float64)
-    # Each row is 4 q_i (qx, qy, qz, qw); the row of the largest component is the most exact.
-    rows = np.array([
-        [1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
-        [m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
-        [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2], m[1, 0] - m[0, 1]],
-        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + np.trace(m)],
-    ])  # fmt: skip
-    row = rows[np.argmax(np.diag(rows))]
-    return dict(zip("xyzw", (row / np.linalg.norm(row)).tolist(), strict=True))
+    """The unit quaternion of a rotation ``(3, 3)`` as its message has it."""
+    return dict(zip("xyzw", quaternions(np.asarray(R, np.float64)).tolist(), strict=True))
 
 
 def xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:

@@ -256,34 +256,3 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
     x, y = corners[..., 0], corners[..., 1]
     X0, Y0 = (T_world_camera[:, i, 3][:, None, None] for i in (0, 1))
     return np.stack([y * sin + x * cos + X0, y * cos - x * sin + Y0], axis=-1)
-
-
-def quaternions(rotations: np.ndarray) -> np.ndarray:
-    """Unit quaternions of rotation matrices.
-
-    The largest of the four parts is taken from the diagonal, so that nothing small is divided by
-    (Shepperd 1978).
-
-    Args:
-        rotations: ``(..., 3, 3)`` float64, NaN where unknown.
-
-    Returns:
-        ``(..., 4)`` float64, x y z w with w at least 0; NaN where unknown.
-    """
-    R = rotations
-    xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    x = R[..., 2, 1] - R[..., 1, 2], R[..., 1, 0] + R[..., 0, 1], R[..., 0, 2] + R[..., 2, 0]
-    y = R[..., 0, 2] - R[..., 2, 0], x[1], R[..., 2, 1] + R[..., 1, 2]
-    z = R[..., 1, 0] - R[..., 0, 1], x[2], y[2]
-    # Row i is the quaternion times four times its part i.
-    rows = [
-        [1 + xx - yy - zz, x[1], x[2], x[0]],
-        [x[1], 1 - xx + yy - zz, y[2], y[0]],
-        [x[2], y[2], 1 - xx - yy + zz, z[0]],
-        [x[0], y[0], z[0], 1 + xx + yy + zz],
-    ]
-    all_rows = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    largest = np.argmax(np.diagonal(all_rows, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(all_rows, largest[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
-    return np.where(q[..., 3:] < 0, -q, q)

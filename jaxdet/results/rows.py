@@ -8,6 +8,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.units import FloorFit, floor_fit
+from jaxdet.io.motion import quaternions
 from jaxdet.results.free_floor import Polygons, free_columns, free_floor, no_free_columns
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import (
@@ -15,7 +16,6 @@ from jaxdet.results.metric import (
     corner_distances,
     extents,
     nearest,
-    quaternions,
     rectangles,
     to_world,
 )

@@ -1,0 +1,112 @@
+"""Results for the tests of exports: small simulated logs, and rows made by hand."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxdet import engine
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.presets import preset
+from jaxdet.results.lists import Lists
+from jaxdet.results.occupancy import MapImage, save_map
+from jaxdet.results.writer import ResultWriter, Tables
+from jaxdet.sim import SimConfig, write_log
+
+START_NS = 1_700_000_000_000_000_000
+
+
+def sim_log(path: Path, **options: Any) -> Path:
+    """A simulated log whose robot drives, so that each frame's pose is another."""
+    given = {"frames": 6, "width": 160, "height": 120, "rate_hz": 2.0, "start_ns": START_NS}
+    write_log(path, SimConfig(**(given | options)))
+    return path
+
+
+def run(log: Path, output: Path, name: str = "wheeled", options: LogOptions | None = None) -> Path:
+    """The results of a log."""
+    how = RunOptions(output, backend="reference", pictures=1)
+    config: Config = preset(name)
+    engine.run(find_logs([str(log)]), config, options or LogOptions(), how, preset=name)
+    return output
+
+
+def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]]) -> Path:
+    """Results of a camera at the origin of the world that looks along X, 1 m up.
+
+    Args:
+        folder: Where to write.
+        frames: For each frame the middles of obstacles, right and forward [m], each 0.2 m wide,
+            and how far the floor is free ahead, 0.5 m to each side at 1 m.
+    """
+    with ResultWriter(folder) as writer:
+        for number, (places, free_m) in enumerate(frames):
+            writer.add(Tables.of(*_rows(number, places, free_m)))
+        ones = np.ones((80, 80), np.int32)
+        image = MapImage(ones, ones, (-1.0, -2.0), 0.05, np.zeros((len(frames), 2)))
+        save_map(writer.path("map_hand.npz"), image)
+        total = sum(len(places) for places, _ in frames)
+        log = {"log": "hand", "paths": ["hand.mcap"], "frames": len(frames), "obstacles": total}
+        log |= {"error": None, "map": "map_hand", "pictures": [], "calibration": None}
+        log |= {"description": None}
+        config = {"surface": {"cell_rad": 0.1}, "log": {}}
+        writer.commit(config, {"frames": len(frames), "obstacles": total, "logs": [log]})
+    return folder
+
+
+def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
+    count = len(places)
+    bearing = np.linspace(-0.46, 0.46, 11)
+    free = {"free_bearing_rad": bearing, "free_from_m": 0 * bearing + 0.3}
+    free["free_to_m"] = free_m / np.cos(bearing)
+
+    def one(values: Any) -> Lists:
+        values = np.asarray(values)
+        return Lists.of_lengths(values, np.array([values.size]), np.array([False]))
+
+    frame = {
+        "log": np.array(["hand"], object),
+        "frame": np.array([number]),
+        "stamp_ns": np.array([START_NS + number * 10**8]),
+        "depth_stamp_ns": np.array([START_NS + number * 10**8]),
+        "status": np.array(["ok"], object),
+        "num_features": np.array([100]),
+        "num_obstacles": np.array([count]),
+        "overflow": np.array([False]),
+        "camera_height_m": np.array([1.0]),
+        "camera_pitch_rad": np.array([0.0]),
+        "camera_roll_rad": np.array([0.0]),
+        "camera_frame": np.array(["optical"], object),
+        "world_frame": np.array(["map"], object),
+        "camera_position_world": np.array([[0.0, 0.0, 1.0]]),
+        "camera_orientation_world": np.array([[-0.5, 0.5, -0.5, 0.5]]),
+        "floor_source": np.array(["frame"], object),
+        "floor_refused": np.ma.array(["far"], mask=[True], dtype=object),
+        "free_end": one(np.zeros(bearing.size, np.int8)),
+        "drop_m": np.array([np.nan]),
+        **{name: one(values.astype(np.float32)) for name, values in free.items()},
+    }
+    middle = np.reshape(places, (-1, 1, 2))
+    square = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    ground = middle + square
+    world = np.stack([ground[..., 1], -ground[..., 0]], axis=-1)
+    zeros = np.zeros(count)
+    obstacles = {name: zeros.astype(np.int32) for name in ("num_points", "vertices")}
+    obstacles |= {name: zeros.astype(np.int32) for name in ("u_min", "u_max", "v_min", "v_max")}
+    obstacles |= {f"{a}{end}": zeros for a in "xyz" for end in ("", "_min", "_max")}
+    obstacles |= {
+        "log": np.full(count, "hand", object),
+        "frame": np.full(count, number),
+        "stamp_ns": np.full(count, START_NS + number * 10**8),
+        "obstacle": np.arange(count, dtype=np.int32),
+        "vertices": zeros.astype(np.int8),
+        "corners_ground": ground.reshape(-1, 8).astype(np.float32),
+        "corners_world": world.reshape(-1, 8).astype(np.float32),
+        "distance_m": np.linalg.norm(middle[:, 0], axis=1),
+        "bottom_m": zeros,
+        "top_m": zeros + 0.5,
+        "contour": Lists.nulls(count),
+    }
+    return frame, obstacles

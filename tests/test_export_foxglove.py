@@ -1,0 +1,250 @@
+"""The sidecar for Foxglove, read by MCAP's own library, and its transforms resolved."""
+
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
+from scipy.spatial.transform import Rotation, Slerp
+
+from jaxdet.export import export
+from jaxdet.export.foxglove import BOXES, MAP, SCENE, TF
+from jaxdet.export.grid import FREE, OCCUPIED, last_grid
+from jaxdet.io import LogOptions
+from jaxdet.results.reading import Frame, Results
+from tests.export_results import run, sim_log
+
+Topics = dict[str, list[tuple[int, Any]]]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sim_log(tmp_path_factory.mktemp("log") / "sim.mcap")
+
+
+@pytest.fixture(scope="module")
+def folder(log: Path) -> Path:
+    return run(log, log.parent / "results")
+
+
+def messages(path: Path) -> Topics:
+    """The messages of a file with their log times."""
+    found = defaultdict(list)
+    with path.open("rb") as stream:
+        factories = [DecoderFactory(), Ros2DecoderFactory()]
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=factories)
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            assert message.log_time == message.publish_time
+            found[channel.topic].append((message.log_time, decoded))
+    return found
+
+
+def exported(folder: Path, to: Path) -> tuple[Topics, list[Frame]]:
+    """What the sidecar of a log holds, and the frames of the results."""
+    with Results(folder) as results:
+        export(results, "foxglove", to, {})
+        frames = list(results.frames())
+        return messages(to / f"{results.logs[0].file_name}.jaxdet.mcap"), frames
+
+
+def motion(place: Any, turn: Any) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+    T[:3, 3] = place.x, place.y, place.z
+    return T
+
+
+def moved(T: np.ndarray, points: Any) -> np.ndarray:
+    return np.array([[p.x, p.y, p.z] for p in points]) @ T[:3, :3].T + T[:3, 3]
+
+
+def recorded_camera(topics: Topics, stamp_ns: int, camera: str) -> np.ndarray:
+    """odom to camera by the recording's own TF, interpolated between its samples."""
+    edges: dict[str, tuple[str, list]] = {}
+    for topic in ("/tf_static", "/tf"):
+        for _, message in topics[topic]:
+            for item in message.transforms:
+                at = item.header.stamp.sec * 10**9 + item.header.stamp.nanosec
+                T = motion(item.transform.translation, item.transform.rotation)
+                parent = item.header.frame_id
+                edges.setdefault(item.child_frame_id, (parent, []))[1].append((at, T))
+    T = np.eye(4)
+    while camera != "odom":
+        camera, samples = edges[camera]
+        T = interpolated(samples, stamp_ns) @ T
+    return T
+
+
+def interpolated(samples: list, stamp_ns: int) -> np.ndarray:
+    if len(samples) == 1:
+        return samples[0][1]
+    times = np.array([at - stamp_ns for at, _ in samples]) / 1e9
+    poses = np.array([T for _, T in samples])
+    T = np.eye(4)
+    T[:3, :3] = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))(0.0).as_matrix()
+    T[:3, 3] = [np.interp(0.0, times, poses[:, i, 3]) for i in range(3)]
+    return T
+
+
+def outside(points: np.ndarray, corners: list[float]) -> float:
+    """How far the farthest point is out of an outline [m]."""
+    ring = np.reshape(corners, (4, 2))
+    sides = np.roll(ring, -1, axis=0) - ring
+    inward = ring.mean(axis=0) - ring
+    normal = np.stack([-sides[:, 1], sides[:, 0]], axis=1)
+    normal *= np.sign((normal * inward).sum(axis=1, keepdims=True))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    depth = ((points[:, None] - ring) * normal).sum(axis=2)
+    return float(-depth.min())
+
+
+def test_every_frame_replaces_the_one_before(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    stamps = [frame.row["stamp_ns"] for frame in frames]
+    for topic in (TF, SCENE, BOXES):
+        assert [at for at, _ in topics[topic]] == stamps
+    for (at, update), (row, obstacles) in zip(topics[SCENE], frames, strict=True):
+        (gone,) = update.deletions
+        assert gone.type == gone.ALL and gone.timestamp.ToNanoseconds() == at
+        assert len(update.entities) == len(obstacles) == row["num_obstacles"] > 0
+        assert len({entity.id for entity in update.entities}) == len(obstacles)
+        for entity, obstacle in zip(update.entities, obstacles, strict=True):
+            assert entity.frame_id == row["camera_frame"] == "camera_color_optical_frame"
+            assert entity.timestamp.ToNanoseconds() == at and entity.lifetime.ToNanoseconds() == 0
+            about = {item.key: item.value for item in entity.metadata}
+            assert float(about["distance_m"]) == pytest.approx(obstacle["distance_m"], rel=1e-5)
+            assert entity.texts[0].text.endswith(f"{obstacle['distance_m']:.2f} m")
+
+
+def test_contours_stand_in_the_world_beside_the_recording(
+    log: Path, folder: Path, tmp_path: Path
+) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    recording, walls = messages(log), 0
+    assert len(recording["/tf"]) > 5
+    for (at, update), (row, obstacles) in zip(topics[SCENE], frames, strict=True):
+        camera = recorded_camera(recording, at, row["camera_frame"])
+        np.testing.assert_allclose(camera[:3, 3], row["camera_position_world"], atol=1e-6)
+        for entity, obstacle in zip(update.entities, obstacles, strict=True):
+            if not entity.triangles:
+                continue  # the contour is a point
+            (wall,) = entity.triangles
+            walls += 1
+            T = camera @ motion(wall.pose.position, wall.pose.orientation)
+            points = moved(T, wall.points)
+            assert outside(points[:, :2], obstacle["corners_world"]) < 0.03
+            low, high = np.split(points[:, 2], 2)
+            np.testing.assert_allclose(low, obstacle["bottom_m"], atol=0.03)
+            np.testing.assert_allclose(high, obstacle["top_m"], atol=0.03)
+            half = len(points) // 2
+            assert {*wall.indices} == {*range(len(points))} and len(wall.indices) == 6 * (half - 1)
+            (text,) = entity.texts
+            shown = moved(camera, [text.pose.position])[0]
+            assert shown[2] == pytest.approx(obstacle["top_m"] + 0.08, abs=0.03)
+    assert walls > 0.8 * sum(len(frame.obstacles) for frame in frames)
+
+
+def test_without_the_log_s_tf_the_sidecar_has_the_poses(log: Path, tmp_path: Path) -> None:
+    found = run(log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
+    topics, frames = exported(found, tmp_path / "out")
+    count = 0
+    for (_, tree), (_, update), (row, obstacles) in zip(
+        topics[TF], topics[SCENE], frames, strict=True
+    ):
+        edges = {(t.parent_frame_id, t.child_frame_id): t for t in tree.transforms}
+        name = row["camera_frame"]
+        assert set(edges) == {("odom", name), (name, f"{name}_floor")}
+        edge = edges["odom", name]
+        camera = motion(edge.translation, edge.rotation)
+        for entity, obstacle in zip(update.entities, obstacles, strict=True):
+            (cube,) = entity.cubes
+            half = np.array([cube.size.x, cube.size.y]) / 2
+            ring = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+            T = camera @ motion(cube.pose.position, cube.pose.orientation)
+            corners = np.insert(ring, 2, 0.0, axis=1) @ T[:3, :3].T + T[:3, 3]
+            want = np.reshape(obstacle["corners_world"], (4, 2))
+            apart = np.linalg.norm(corners[:, None, :2] - want, axis=2)
+            assert apart.min(axis=0).max() < 0.002 and apart.min(axis=1).max() < 0.002
+            count += 1
+    assert count >= 6
+
+
+def test_the_floor_frame_is_where_the_table_says(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    for (_, tree), (row, _) in zip(topics[TF], frames, strict=True):
+        (edge,) = tree.transforms  # the log's own TF joins the camera to the world
+        T = motion(edge.translation, edge.rotation)
+        assert np.linalg.norm(T[:3, 3]) == pytest.approx(row["camera_height_m"], abs=1e-6)
+        # The optical axis dips below the floor's horizon by the pitch, and the image's x axis
+        # by the roll.
+        axis, right = np.linalg.inv(T)[:3, 2], np.linalg.inv(T)[:3, 0]
+        assert -np.arcsin(axis[2]) == pytest.approx(row["camera_pitch_rad"], abs=1e-6)
+        down = np.sin(row["camera_roll_rad"]) * np.cos(row["camera_pitch_rad"])
+        assert -right[2] == pytest.approx(down, abs=1e-6)
+        assert axis[0] == pytest.approx(0.0, abs=1e-6) and axis[1] > 0.9
+
+
+def test_boxes_are_in_the_colour_image(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    for (at, shown), (_, obstacles) in zip(topics[BOXES], frames, strict=True):
+        for box, text, o in zip(shown.points, shown.texts, obstacles, strict=True):
+            assert box.timestamp.ToNanoseconds() == text.timestamp.ToNanoseconds() == at
+            u, v = zip(*((p.x, p.y) for p in box.points), strict=True)
+            edges = min(u), max(u), min(v), max(v)
+            assert edges == (o["u_min"], o["u_max"] + 1, o["v_min"], o["v_max"] + 1)
+            assert box.type == box.LINE_LOOP and text.text == f"{o['obstacle']}   " + text.text[-6:]
+
+
+def test_the_map_is_a_grid_in_the_world(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    ((at, grid),) = topics[MAP]
+    assert at == frames[0].row["stamp_ns"] and grid.frame_id == "odom"
+    with Results(folder) as results:
+        want = last_grid(results, results.logs[0])
+    assert want is not None
+    assert [field.name for field in grid.fields] == ["red", "green", "blue", "alpha"]
+    cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.row_stride)
+    cells = cells.reshape(-1, grid.column_count, grid.cell_stride)
+    assert (cells[..., 3] > 0).tolist() == (want.states >= 0).tolist()
+    red = cells[..., 0].astype(int) - cells[..., 1]
+    assert ((red > 0) == (want.states == OCCUPIED)).all()
+    assert ((red < 0) == (want.states == FREE)).all()
+    assert (grid.pose.position.x, grid.pose.position.y) == want.origin
+    assert grid.cell_size.x == grid.cell_size.y == want.cell_m
+
+
+def test_the_layout_shows_what_is_there(log: Path, folder: Path, tmp_path: Path) -> None:
+    topics, _ = exported(folder, tmp_path / "out")
+    layout = json.loads((tmp_path / "out" / "layout.json").read_text())
+    panels = layout["configById"]
+    assert {layout["layout"]["first"], layout["layout"]["second"]} == set(panels)
+    scene, image = panels["3D!jaxdet"], panels["Image!jaxdet"]["imageMode"]
+    assert set(scene["topics"]) | set(image["annotations"]) <= set(topics)
+    assert image["imageTopic"] in messages(log) and scene["followTf"] == "odom"
+
+
+def test_a_recording_without_poses(aims_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(aims_results, tmp_path / "out")
+    assert MAP not in topics and len(frames) == 18
+    entities = [entity for _, update in topics[SCENE] for entity in update.entities]
+    assert len(entities) == sum(len(frame.obstacles) for frame in frames) > 30
+    for (_, tree), (_, update), (_, obstacles) in zip(
+        topics[TF], topics[SCENE], frames, strict=True
+    ):
+        (edge,) = tree.transforms
+        T = np.linalg.inv(motion(edge.translation, edge.rotation))  # camera to floor
+        for entity, obstacle in zip(update.entities, obstacles, strict=True):
+            middle = T @ [obstacle["x"], obstacle["y"], obstacle["z"], 1.0]
+            assert outside(middle[None, :2], obstacle["corners_ground"]) < 0.05
+            assert obstacle["bottom_m"] - 0.02 < middle[2] < obstacle["top_m"] + 0.02
+            for wall in entity.triangles:
+                points = moved(T @ motion(wall.pose.position, wall.pose.orientation), wall.points)
+                near = np.linalg.norm(points[:, :2], axis=1).min()
+                assert near == pytest.approx(obstacle["distance_m"], abs=1e-5)
+    layout = json.loads((tmp_path / "out" / "layout.json").read_text())
+    assert layout["configById"]["3D!jaxdet"]["followTf"] == "camera_color_optical_frame_floor"

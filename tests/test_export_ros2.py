@@ -1,0 +1,213 @@
+"""ROS 2 messages of results, read by rosbags; and the recordings that exports look at again."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
+
+from jaxdet.cli import main
+from jaxdet.errors import InputError
+from jaxdet.export import FORMATS, export
+from jaxdet.export.grid import last_grid
+from jaxdet.export.recordings import find, images, look_again
+from jaxdet.export.ros2 import DETECTIONS, MAP, POINTS
+from jaxdet.io import LogFiles
+from jaxdet.results.reading import Frame, Results
+from tests.export_results import run, sim_log
+
+POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")]
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sim_log(tmp_path_factory.mktemp("log") / "sim.mcap")
+
+
+@pytest.fixture(scope="module")
+def folder(log: Path) -> Path:
+    return run(log, log.parent / "results")
+
+
+def exported(folder: Path, to: Path, *logs: Path) -> tuple[dict[str, list], list[Frame]]:
+    """By topic what rosbags reads, with its time; and the frames of the results."""
+    given = ["--log", *map(str, logs)] if logs else []
+    assert main(["export", str(folder), "--to", "ros2", "--output", str(to), *given]) == 0
+    with Results(folder) as results:
+        frames = list(results.frames())
+        path = to / f"{results.logs[0].file_name}.jaxdet.mcap"
+    found: dict[str, list] = {}
+    with AnyReader([path]) as reader:
+        for connection, at, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((at, message))
+            if connection.topic == MAP:
+                (qos,) = connection.ext.offered_qos_profiles
+                assert qos.durability.name == "TRANSIENT_LOCAL"
+    return found, frames
+
+
+def motion(place: Any, turn: Any) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+    T[:3, 3] = place.x, place.y, place.z
+    return T
+
+
+def world(row: dict) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(row["camera_orientation_world"]).as_matrix()
+    T[:3, 3] = row["camera_position_world"]
+    return T
+
+
+def cloud_of(message: Any) -> np.ndarray:
+    assert [(f.name, f.offset, f.datatype) for f in message.fields] == [
+        ("x", 0, 7),
+        ("y", 4, 7),
+        ("z", 8, 7),
+        ("obstacle", 12, 6),
+    ]
+    cloud = np.frombuffer(message.data.tobytes(), POINT)
+    assert (message.width, message.point_step) == (len(cloud), 16)
+    return cloud
+
+
+def test_detections_are_the_outlines_in_the_world(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    assert [at for at, _ in topics[DETECTIONS]] == [f.row["stamp_ns"] for f in frames]
+    for (at, message), (row, obstacles) in zip(topics[DETECTIONS], frames, strict=True):
+        stamp = message.header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == at
+        assert message.header.frame_id == row["camera_frame"]
+        assert len(message.detections) == len(obstacles) > 0
+        for found, obstacle in zip(message.detections, obstacles, strict=True):
+            assert found.id == str(obstacle["obstacle"])
+            assert found.results[0].hypothesis.class_id == "obstacle"
+            size = found.bbox.size
+            half = np.array([size.x, size.y]) / 2
+            ring = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+            T = world(row) @ motion(found.bbox.center.position, found.bbox.center.orientation)
+            corners = np.insert(ring, 2, 0.0, axis=1) @ T[:3, :3].T + T[:3, 3]
+            want = np.reshape(obstacle["corners_world"], (4, 2))
+            apart = np.linalg.norm(corners[:, None, :2] - want, axis=2)
+            assert apart.min(axis=0).max() < 0.02 and apart.min(axis=1).max() < 0.02
+            assert size.z == pytest.approx(obstacle["top_m"] - obstacle["bottom_m"], abs=1e-6)
+            middle = (obstacle["top_m"] + obstacle["bottom_m"]) / 2
+            assert T[2, 3] == pytest.approx(middle, abs=0.03)
+
+
+def test_points_are_the_contours(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    for (_, message), (row, obstacles) in zip(topics[POINTS], frames, strict=True):
+        cloud = cloud_of(message)
+        points = np.stack([cloud["x"], cloud["y"], cloud["z"]], axis=1).astype(np.float64)
+        points = points @ world(row)[:3, :3].T + world(row)[:3, 3]
+        for obstacle in obstacles:
+            own = points[cloud["obstacle"] == obstacle["obstacle"]]
+            assert len(own) == len(obstacle["contour"])
+            heights = np.repeat([obstacle["bottom_m"], obstacle["top_m"]], len(own) // 2)
+            np.testing.assert_allclose(own[:, 2], heights, atol=0.03)
+            foot = world(row)[:2, 3]
+            near = np.linalg.norm(own[:, :2] - foot, axis=1).min()
+            assert near == pytest.approx(obstacle["distance_m"], abs=0.02)
+
+
+def test_points_are_the_obstacles_own_where_the_log_is_given(
+    log: Path, folder: Path, tmp_path: Path
+) -> None:
+    topics, frames = exported(folder, tmp_path / "out", log)
+    for (_, message), (_, obstacles) in zip(topics[POINTS], frames, strict=True):
+        cloud, some = cloud_of(message), 0
+        assert {*cloud["obstacle"].tolist()} <= {o["obstacle"] for o in obstacles}
+        for obstacle in obstacles:
+            own = cloud[cloud["obstacle"] == obstacle["obstacle"]]
+            some += len(own) > 0
+            for axis in "xyz":
+                low, high = obstacle[f"{axis}_min"], obstacle[f"{axis}_max"]
+                assert ((own[axis] > low - 0.05) & (own[axis] < high + 0.05)).all()
+        assert some >= 0.8 * len(obstacles)
+
+
+def test_the_map_is_an_occupancy_grid(folder: Path, tmp_path: Path) -> None:
+    topics, frames = exported(folder, tmp_path / "out")
+    ((at, message),) = topics[MAP]
+    with Results(folder) as results:
+        grid = last_grid(results, results.logs[0])
+    assert grid is not None and at == frames[0].row["stamp_ns"]
+    info = message.info
+    assert message.header.frame_id == "odom"
+    cells = np.asarray(message.data).reshape(info.height, info.width)
+    np.testing.assert_array_equal(cells, grid.states)
+    assert info.resolution == pytest.approx(grid.cell_m)
+    assert (info.origin.position.x, info.origin.position.y) == grid.origin
+
+
+def test_a_recording_without_poses(aims_results: Path, shared_data: Path, tmp_path: Path) -> None:
+    topics, frames = exported(aims_results, tmp_path / "out", shared_data / "aims_slam")
+    assert MAP not in topics and len(topics[DETECTIONS]) == len(frames) == 18
+    for (_, message), (row, obstacles) in zip(topics[POINTS], frames, strict=True):
+        assert message.header.frame_id == row["camera_frame"]
+        assert len({*cloud_of(message)["obstacle"].tolist()}) >= 0.7 * len(obstacles)
+    for _, message in topics["/tf"]:
+        (edge,) = message.transforms
+        assert edge.child_frame_id == "camera_color_optical_frame_floor"
+
+
+def test_the_log_is_seen_again_as_the_run_saw_it(log: Path, folder: Path) -> None:
+    with Results(folder) as results:
+        of, files = results.logs[0], find(results, [str(log)])["sim"]
+        for batch, chunk in images(results, of, files):
+            stamps = batch.frames.stamp_ns[: chunk.frames.num_rows]
+            assert stamps.tolist() == chunk.frames["stamp_ns"].to_pylist()
+        (seen,) = look_again(results, of, files)
+    assert seen.chunk.frames.num_rows == 6 < len(seen.batch.status)
+    counts = seen.chunk.frames["num_obstacles"].to_pylist()
+    assert seen.found.labels.num_obstacles[:6].tolist() == counts
+    boxes = [
+        seen.found.obstacles.uv_min[i, label].tolist()
+        for i, count in enumerate(counts)
+        for label in range(count)
+    ]
+    columns = (seen.chunk.obstacles[name].to_pylist() for name in ("u_min", "v_min"))
+    assert boxes == [list(pair) for pair in zip(*columns, strict=True)]
+
+
+def test_another_log_is_refused(log: Path, folder: Path, tmp_path: Path) -> None:
+    other = sim_log(tmp_path / "other.mcap", frames=6, seed=5)
+    later = sim_log(tmp_path / "later.mcap", start_ns=10**18)
+    short = sim_log(tmp_path / "short.mcap", frames=2)
+    with Results(folder) as results:
+        for path in (later, short):
+            with pytest.raises(InputError, match="is not the log 'sim'"):
+                list(images(results, results.logs[0], LogFiles("sim", (path,))))
+        with pytest.raises(InputError, match="is not the log 'sim'"):
+            list(look_again(results, results.logs[0], LogFiles("sim", (other,))))
+        with pytest.raises(InputError, match="no log 'later'; it holds sim"):
+            find(results, [str(later), str(short)])
+        with pytest.raises(InputError, match="is not the log 'sim'"):
+            export(results, "ros2", tmp_path / "out", find(results, [str(later)]))
+    assert not (tmp_path / "out").exists() and not list(tmp_path.glob(".jaxdet-*"))
+
+
+def test_the_command_says_what_is_wrong(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    def said(*args: str) -> str:
+        code = main(["export", *args])
+        error = capsys.readouterr().err
+        assert code in (1, 2) and error.count("\n") == 1
+        return error
+
+    out = str(tmp_path / "out")
+    assert "no such folder" in said(str(tmp_path / "x"), "--to", "nav2", "--output", out)
+    assert "summary.json is missing" in said(str(tmp_path), "--to", "nav2", "--output", out)
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    assert "is there already" in said(str(folder), "--to", "ros2", "--output", str(taken))
+    assert taken.read_text() == "mine"
+    assert "no such file" in said(str(folder), "--to", "ros2", "--output", out, "--log", "x.mcap")
+    assert main(["export", str(folder), "--to", "pdf", "--output", out]) == 2
+    error = capsys.readouterr().err
+    assert all(name in error for name in FORMATS)
