@@ -45,7 +45,8 @@ def exported(folder: Path, to: Path, *logs: Path) -> tuple[dict[str, list], list
             message = reader.deserialize(raw, connection.msgtype)
             found.setdefault(connection.topic, []).append((at, message))
             if connection.topic == MAP:
-                (qos,) = connection.ext.offered_qos_profiles
+                ext: Any = connection.ext
+                (qos,) = ext.offered_qos_profiles
                 assert qos.durability.name == "TRANSIENT_LOCAL"
     return found, frames
 

@@ -65,7 +65,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
             continue
         cells, low = view
         x, y = (low - first).tolist()
-        rows, columns = odds.shape
+        rows, columns = counted.counts.shape
         here = slice(max(y, 0), max(y + cells.shape[0], 0)), slice(max(x, 0), x + cells.shape[1])
         part = cells[max(-y, 0) : rows - y, max(-x, 0) : columns - x]
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)

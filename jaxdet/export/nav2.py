@@ -55,7 +55,7 @@ def _write(path: Path, grid: Grid, log: str, frame: str) -> None:
     greys = np.full(grid.states.shape, UNKNOWN_GREY, np.uint8)
     greys[grid.states == FREE] = FREE_GREY
     greys[grid.states == OCCUPIED] = OCCUPIED_GREY
-    rows, columns = greys.shape
+    rows, columns = grid.states.shape
     picture = path.with_name(f"{path.name}.pgm")
     picture.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + greys[::-1].tobytes())
     x, y = grid.origin

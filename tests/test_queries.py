@@ -1,0 +1,144 @@
+"""The queries of the help page, run out of the page itself: three engines, the same rows."""
+
+import ast
+import math
+import re
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from tests.export_results import run, sim_log
+
+PAGE = Path(__file__).resolve().parents[1] / "jaxdet" / "help" / "queries.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+SECTIONS = {
+    part.splitlines()[0]: dict(re.findall(r"```(.*?)\n(.*?)```", part, re.S))
+    for part in re.split(r"^## ", TEXT, flags=re.M)[1:]
+}
+START = SECTIONS.pop("The tables")
+ENGINES = {"python pandas", "python polars", "sql"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of two logs, with lost frames and drops put in, and an overhang."""
+    folder = tmp_path_factory.mktemp("queries")
+    (folder / "logs").mkdir()
+    for name in ("a", "b"):
+        sim_log(folder / "logs" / f"{name}.mcap", seed=ord(name))
+    run(folder / "logs", folder / "results")
+    path = folder / "results" / "frames.parquet"
+    rows = pq.read_table(path).to_pylist()
+    for i, status in ((2, "unpaired"), (5, "no_depth"), (9, "unpaired"), (10, "unpaired")):
+        rows[i] |= {"status": status, "free_bearing_rad": None, "free_to_m": None}
+    for i, drop in ((1, 1.25), (7, 1.5), (8, 3.0)):
+        rows[i]["drop_m"] = drop
+    rows[7]["camera_position_world"] = None
+    pq.write_table(pa.Table.from_pylist(rows, schema=FRAMES_SCHEMA), path)
+    path = folder / "results" / "obstacles.parquet"
+    table = pq.read_table(path)
+    rows = table.to_pylist()
+    rows[1]["bottom_m"], rows[3]["bottom_m"] = 0.5, 0.45
+    rows[4] |= {"bottom_m": None, "top_m": None, "corners_world": None}
+    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    return folder
+
+
+def last_value(text: str, names: dict[str, Any]) -> Any:
+    """Runs a block of Python and gives the value of its last line."""
+    *body, last = ast.parse(text).body
+    exec(compile(ast.Module(body, []), str(PAGE), "exec"), names)
+    assert isinstance(last, ast.Expr)
+    return eval(compile(ast.Expression(last.value), str(PAGE), "eval"), names)
+
+
+def answer(engine: str, start: str, text: str) -> tuple[list[str], list[tuple]]:
+    """The columns and rows that a query gives."""
+    if engine == "sql":
+        with duckdb.connect() as database:
+            database.execute(start)
+            found = database.execute(text)
+            return [column[0] for column in found.description], found.fetchall()
+    names: dict[str, Any] = {}
+    exec(compile(start, str(PAGE), "exec"), names)
+    table = last_value(text, names)
+    rows = table.itertuples(index=False) if engine.endswith("pandas") else table.iter_rows()
+    return list(table.columns), [tuple(row) for row in rows]
+
+
+def missing(value: Any) -> bool:
+    return value is None or (not isinstance(value, str) and math.isnan(value))
+
+
+def same(one: Any, other: Any) -> bool:
+    """Two values of engines are equal, numbers to float32's precision."""
+    if missing(one) or missing(other) or isinstance(one, str):
+        return one == other or (missing(one) and missing(other))
+    return math.isclose(one, other, rel_tol=1e-6)
+
+
+def test_the_page_has_ten_queries() -> None:
+    assert len(SECTIONS) == 10
+    assert all(set(blocks) == ENGINES for blocks in [START, *SECTIONS.values()])
+    numbers = [int(title.split(".")[0]) for title in SECTIONS]
+    assert numbers == list(range(1, 11))
+    assert max(map(len, TEXT.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("title", SECTIONS)
+def test_three_engines_agree(title: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    answers = {
+        engine: answer(engine, START[engine], text) for engine, text in SECTIONS[title].items()
+    }
+    columns, rows = answers.pop("sql")
+    assert len(rows) >= 2 and len(set(rows)) == len(rows)
+    for engine, (names, found) in answers.items():
+        assert names == columns, engine
+        for row, other in zip(rows, found, strict=True):
+            assert all(map(same, row, other)), engine
+
+
+def test_answers_are_those_of_the_tables(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    titles = list(SECTIONS)
+    obstacles = pq.read_table("results/obstacles.parquet").to_pylist()
+
+    def sql(number: int) -> list[tuple]:
+        return answer("sql", START["sql"], SECTIONS[titles[number - 1]]["sql"])[1]
+
+    by_frame = groupby(obstacles, key=lambda row: (row["log"], row["frame"]))
+    nearest = [(*key, min(row["distance_m"] for row in rows)) for key, rows in by_frame]
+    assert sql(1) == nearest
+    assert sum(count for *_, count in sql(2)) == sum(row["distance_m"] < 1 for row in obstacles)
+    assert sum(count for _, count in sql(3)) == len(obstacles)
+    assert {log: picture for log, _, picture, _ in sql(4)} == {
+        name: f"pictures/{name}_000000.png" for name in "ab"
+    }
+    assert sql(5) == [("a", "no_depth", 1), ("a", "unpaired", 1), ("b", "unpaired", 2)]
+    assert [bottom for *_, bottom, _ in sql(6)][:2] == [0.5, pytest.approx(0.45)]
+    assert len(sql(7)) == 8 and [frames for _, _, frames, _ in sql(8)] == [6, 6]
+    assert [seconds for *_, seconds in sql(8)] == [2.5, 2.5]
+    assert sum(seen for *_, seen in sql(9)) == len(obstacles) - 1
+    assert [(log, frame, drop) for log, frame, drop, *_ in sql(10)] == [
+        ("a", 1, 1.25),
+        ("b", 1, 1.5),
+    ]
+    assert sql(10)[1][3:] == (None, None)
+
+
+def test_the_schema_is_printed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    (block,) = re.findall(r"```python\n(.*?)```", TEXT, re.S)
+    exec(compile(block, str(PAGE), "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(OBSTACLES_SCHEMA)
+    assert any(line.split()[:2] == ["distance_m", "m"] for line in lines)
