@@ -50,7 +50,7 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
         total = sum(len(places) for places, _ in frames)
         log = {"log": "hand", "paths": ["hand.mcap"], "frames": len(frames), "obstacles": total}
         log |= {"error": None, "map": "map_hand", "pictures": [], "calibration": None}
-        log |= {"description": None}
+        log |= {"description": None, "camera": "camera", "file_name": "hand"}
         config = {"surface": {"cell_rad": 0.1}, "log": {}}
         writer.commit(config, {"frames": len(frames), "obstacles": total, "logs": [log]})
     return folder
@@ -68,6 +68,7 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
 
     frame = {
         "log": np.array(["hand"], object),
+        "camera": np.array(["camera"], object),
         "frame": np.array([number]),
         "stamp_ns": np.array([START_NS + number * 10**8]),
         "depth_stamp_ns": np.array([START_NS + number * 10**8]),
@@ -98,6 +99,7 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
     obstacles |= {f"{a}{end}": zeros for a in "xyz" for end in ("", "_min", "_max")}
     obstacles |= {
         "log": np.full(count, "hand", object),
+        "camera": np.full(count, "camera", object),
         "frame": np.full(count, number),
         "stamp_ns": np.full(count, START_NS + number * 10**8),
         "obstacle": np.arange(count, dtype=np.int32),

@@ -13,12 +13,12 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from scipy.spatial.transform import Rotation, Slerp
 
 from jaxdet.export import export
-from jaxdet.export.foxglove import BOXES, MAP, SCENE, TF
 from jaxdet.export.grid import FREE, OCCUPIED, last_grid
 from jaxdet.io import LogOptions
 from jaxdet.results.reading import Frame, Results
 from tests.export_results import run, sim_log
 
+SCENE, BOXES, MAP, TF = (f"/jaxdet/{name}" for name in ("obstacles", "boxes", "map", "tf"))
 Topics = dict[str, list[tuple[int, Any]]]
 
 

@@ -13,11 +13,11 @@ from jaxdet.errors import InputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.grid import last_grid
 from jaxdet.export.recordings import find, images, look_again
-from jaxdet.export.ros2 import DETECTIONS, MAP, POINTS
 from jaxdet.io import LogFiles
 from jaxdet.results.reading import Frame, Results
 from tests.export_results import run, sim_log
 
+DETECTIONS, POINTS, MAP = (f"/jaxdet/{name}" for name in ("detections", "points", "map"))
 POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")]
 Captured = pytest.CaptureFixture[str]
 

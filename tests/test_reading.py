@@ -108,8 +108,8 @@ def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
         config = json.loads(about[CONFIG_KEY])
         assert config["ground"]["max_depth_m"] == 3.5 and "backend" not in config
         inputs = json.loads(about[INPUTS_KEY])
-        assert {log: of["frames"] for log, of in inputs.items()} == {"a": 9, "b": 4}
-        assert inputs["a"]["sha256"] != inputs["b"]["sha256"]
+        assert [(one["log"], one["frames"]) for one in inputs] == [("a", 9), ("b", 4)]
+        assert len({one["sha256"] for one in inputs}) == 2
         assert str(folder.parent) not in "".join(about.values())
 
 

@@ -50,12 +50,14 @@ from jaxdet.export.shapes import (
     heights,
     label,
     quaternion,
+    topic,
 )
 from jaxdet.io import LogFiles
 from jaxdet.render.canvas import color_of
 from jaxdet.results.reading import Frame, ResultLog, Results
 
-SCENE, BOXES, MAP, TF = "/jaxdet/obstacles", "/jaxdet/boxes", "/jaxdet/map", "/jaxdet/tf"
+SCENE, BOXES, MAP, TF = "obstacles", "boxes", "map", "tf"
+"""Topics, see :func:`jaxdet.export.shapes.topic`."""
 
 _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 _DARK = Color(r=0.0, g=0.0, b=0.0, a=0.6)
@@ -90,14 +92,14 @@ def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
         stamp_ns = frame.row["stamp_ns"]
         if not sequence and (grid := last_grid(results, log)) is not None:
             message = grid_message(grid, stamp_ns, frame.row["world_frame"] or "")
-            writer.write_message(MAP, message, stamp_ns, stamp_ns)
+            writer.write_message(topic(log, MAP), message, stamp_ns, stamp_ns)
         messages = {
             TF: transforms(frame, own_poses=own_poses),
             SCENE: scene(frame),
             BOXES: annotations(frame),
         }
-        for topic, message in messages.items():
-            writer.write_message(topic, message, stamp_ns, stamp_ns, sequence)
+        for name, message in messages.items():
+            writer.write_message(topic(log, name), message, stamp_ns, stamp_ns, sequence)
 
 
 def transforms(frame: Frame, *, own_poses: bool) -> FrameTransforms:
@@ -244,10 +246,10 @@ def grid_message(grid: Grid, stamp_ns: int, frame_id: str) -> GridMessage:
 def layout(results: Results) -> dict[str, Any]:
     """A layout with the scene beside the colour image of the first log."""
     view, image = "3D!jaxdet", "Image!jaxdet"
-    log = results.logs[0] if results.logs else None
-    first = next(results.frames(log), None) if log else None
-    color = log.topic("color") if log else ""
-    shown = {topic: {"visible": True} for topic in (SCENE, MAP)}
+    logs = [log for log in results.logs if log.name == results.logs[0].name]
+    first = next(results.frames(logs[0]), None) if logs else None
+    color, boxes = (logs[0].topic("color"), topic(logs[0], BOXES)) if logs else ("", "")
+    shown = {topic(log, name): {"visible": True} for log in logs for name in (SCENE, MAP)}
     follow = first.row["world_frame"] or floor_name(first.row) if first else ""
     return {
         "configById": {
@@ -260,7 +262,7 @@ def layout(results: Results) -> dict[str, Any]:
             image: {
                 "imageMode": {
                     "imageTopic": color,
-                    "annotations": {BOXES: {"visible": True}},
+                    "annotations": {boxes: {"visible": True}},
                     "synchronize": False,
                 }
             },

@@ -44,7 +44,7 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     for log in results.logs:
         grid = last_grid(results, log)
         if grid is not None:
-            _write(output / log.file_name, grid, log.name, results.world_frame(log))
+            _write(output / log.file_name, grid, log.label, results.world_frame(log))
     if not any(output.iterdir()):
         remedy = "maps need logs with the camera's poses"
         raise InputError("no log has a map", path=str(results.folder), remedy=remedy)

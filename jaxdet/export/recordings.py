@@ -41,9 +41,14 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         InputError: One of them is no log of the results.
     """
     logs = find_logs(given) if given else []
-    if len(logs) == len(results.logs) == 1:
-        return {results.logs[0].name: logs[0]}
-    return {results.log(log.name).name: log for log in logs}
+    names = {log.name for log in results.logs}
+    if len(logs) == len(names) == 1:
+        return dict(zip(names, logs, strict=True))
+    for log in logs:
+        if log.name not in names:
+            problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"
+            raise InputError(problem, path=str(results.folder))
+    return {log.name: log for log in logs}
 
 
 def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[Batch, Chunk]]:
@@ -59,7 +64,7 @@ def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[
     """
     chunks = results.chunks(log, size=BATCH)
     waiting = next(chunks, None)
-    for options in _ways(results.log_options):
+    for options in _ways(results, log):
         try:
             with open_log(files, options) as opened:
                 while waiting is not None:
@@ -92,7 +97,7 @@ def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Se
     """
     start_up()
     config = results.method
-    planes = _planes(results, files)
+    planes = _planes(results, log, files)
     for batch, chunk in images(results, log, files):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
         found = to_host(detect(frames, config, backend="jax"))
@@ -103,23 +108,24 @@ def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Se
         yield Seen(batch, found, chunk)
 
 
-def _planes(results: Results, files: LogFiles) -> Planes:
+def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
     """The floor that the run gave each frame."""
-    options = results.log_options
+    by_index, whole = _ways(results, log)
     try:
-        with open_log(files, options) as opened:
+        with open_log(files, by_index) as opened:
             return decide_planes(opened, results.method, "jax")
     except RescanError:
-        with open_log(files, replace(options, scan=True)) as opened:
+        with open_log(files, whole) as opened:
             return decide_planes(opened, results.method, "jax")
 
 
-def _ways(options: LogOptions) -> Iterator[LogOptions]:
+def _ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
     """By the log's index, and where that isn't enough by reading all of it."""
+    options = replace(results.log_options, camera=log.camera)
     yield options
     yield replace(options, scan=True)
 
 
 def _other(log: ResultLog, files: LogFiles) -> InputError:
-    problem = f"is not the log {log.name!r} that the results are of"
+    problem = f"is not the log {log.label!r} that the results are of"
     return InputError(problem, path=str(files.paths[0]), remedy="name the right one with --log")

@@ -21,12 +21,14 @@ from jaxdet.export.shapes import (
     corners,
     floor_name,
     heights,
+    topic,
 )
 from jaxdet.io import LogFiles
 from jaxdet.io.writer import Ros2LogWriter, Transform, header, pose_of, xyz
 from jaxdet.results.reading import Frame, ResultLog, Results
 
-DETECTIONS, POINTS, MAP = "/jaxdet/detections", "/jaxdet/points", "/jaxdet/map"
+DETECTIONS, POINTS, MAP = "detections", "points", "map"
+"""Topics, see :func:`jaxdet.export.shapes.topic`."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")])
 """A point of the cloud, in the colour optical frame [m], and the obstacle's label."""
@@ -58,10 +60,13 @@ def _write_log(
         row, stamp = frame.row, frame.row["stamp_ns"]
         if not number and (grid := last_grid(results, log)) is not None:
             message = grid_message(grid, stamp, row["world_frame"] or "")
-            writer.write(MAP, stamp, "nav_msgs/OccupancyGrid", message, latched=True)
+            map_topic = topic(log, MAP)
+            writer.write(map_topic, stamp, "nav_msgs/OccupancyGrid", message, latched=True)
         writer.write_transforms(stamp, list(_transforms(row, own_poses=not log.poses_from_tf)))
-        writer.write(DETECTIONS, stamp, "vision_msgs/Detection3DArray", detections(frame))
-        writer.write(POINTS, stamp, "sensor_msgs/PointCloud2", cloud_message(row, cloud))
+        found = detections(frame)
+        writer.write(topic(log, DETECTIONS), stamp, "vision_msgs/Detection3DArray", found)
+        points = cloud_message(row, cloud)
+        writer.write(topic(log, POINTS), stamp, "sensor_msgs/PointCloud2", points)
 
 
 def _transforms(row: Row, *, own_poses: bool) -> Iterator[Transform]:

@@ -12,8 +12,14 @@ import numpy as np
 
 from jaxdet.floor.plane import down_vector, forward_vector
 from jaxdet.io.motion import motion_matrix, quaternions
+from jaxdet.results.reading import ResultLog
 
 Row = Mapping[str, Any]
+
+
+def topic(log: ResultLog, name: str) -> str:
+    """A topic for what is shown of a log; of one with several cameras each has its own."""
+    return f"/jaxdet/{name}" if log.label == log.name else f"/jaxdet/{log.camera}/{name}"
 
 
 def camera_name(row: Row) -> str:

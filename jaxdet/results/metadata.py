@@ -26,31 +26,37 @@ _CHANGES_NO_ROW = ("preset", "backend", "batch_size")
 
 
 class Inputs:
-    """What the rows' logs were: how many frames, and a digest of their stamps and calibration."""
+    """What the rows are of: for each camera of each log a digest of its stamps and calibration."""
 
     def __init__(self) -> None:
-        self._frames: dict[str, int] = {}
-        self._digests: dict[str, Any] = {}
+        self._frames: dict[tuple[str, str], int] = {}
+        self._digests: dict[tuple[str, str], Any] = {}
 
     def add(self, frames: pa.Table) -> None:
         """Takes in rows of ``frames.parquet``, in order."""
-        names = frames["log"].unique().to_pylist()
-        for name in names:
-            rows = frames if len(names) == 1 else frames.filter(pc.field("log") == name)
+        keys = frames.select(["log", "camera"]).group_by(["log", "camera"]).aggregate([])
+        for log, camera in zip(*(column.to_pylist() for column in keys.columns), strict=True):
+            mine = (pc.field("log") == log) & (pc.field("camera") == camera)
+            rows = frames if keys.num_rows == 1 else frames.filter(mine)
             depth = rows["depth_stamp_ns"].fill_null(-1).to_numpy()
             stamps = np.stack([rows["stamp_ns"].to_numpy(), depth], axis=1)
-            self._frames[name] = self._frames.get(name, 0) + rows.num_rows
-            digest = self._digests.setdefault(name, hashlib.sha256())
+            self._frames[log, camera] = self._frames.get((log, camera), 0) + rows.num_rows
+            digest = self._digests.setdefault((log, camera), hashlib.sha256())
             digest.update(stamps.astype("<i8").tobytes())
 
-    def fingerprints(self, summary: Mapping[str, Any]) -> dict[str, Any]:
-        """By log its frames and the digest, with the calibrations of ``summary.json``."""
-        calibrations = {log["log"]: log["calibration"] for log in summary.get("logs", ())}
-        found = {}
-        for name, digest in self._digests.items():
+    def fingerprints(self, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Each log and camera, its frames and the digest, which takes in the calibration.
+
+        Args:
+            summary: What ``summary.json`` holds; of it only the calibrations are used.
+        """
+        known = {(log["log"], log["camera"]): log["calibration"] for log in summary.get("logs", ())}
+        found = []
+        for (log, camera), digest in sorted(self._digests.items(), key=lambda item: item[0]):
             whole = digest.copy()
-            whole.update(_canonical(calibrations.get(name)).encode())
-            found[name] = {"frames": self._frames[name], "sha256": whole.hexdigest()}
+            whole.update(_canonical(known.get((log, camera))).encode())
+            about = {"frames": self._frames[log, camera], "sha256": whole.hexdigest()}
+            found.append({"log": log, "camera": camera, **about})
         return found
 
 
