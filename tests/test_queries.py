@@ -113,24 +113,25 @@ def test_answers_are_those_of_the_tables(folder: Path, monkeypatch: pytest.Monke
     def sql(number: int) -> list[tuple]:
         return answer("sql", START["sql"], SECTIONS[titles[number - 1]]["sql"])[1]
 
-    by_frame = groupby(obstacles, key=lambda row: (row["log"], row["frame"]))
+    by_frame = groupby(obstacles, key=lambda row: (row["log"], row["camera"], row["frame"]))
     nearest = [(*key, min(row["distance_m"] for row in rows)) for key, rows in by_frame]
     assert sql(1) == nearest
     assert sum(count for *_, count in sql(2)) == sum(row["distance_m"] < 1 for row in obstacles)
     assert sum(count for _, count in sql(3)) == len(obstacles)
-    assert {log: picture for log, _, picture, _ in sql(4)} == {
+    assert {log: picture for log, _, _, picture, _ in sql(4)} == {
         name: f"pictures/{name}_000000.png" for name in "ab"
     }
-    assert sql(5) == [("a", "no_depth", 1), ("a", "unpaired", 1), ("b", "unpaired", 2)]
+    lost = [(log, status, count) for log, _, status, count in sql(5)]
+    assert lost == [("a", "no_depth", 1), ("a", "unpaired", 1), ("b", "unpaired", 2)]
     assert [bottom for *_, bottom, _ in sql(6)][:2] == [0.5, pytest.approx(0.45)]
-    assert len(sql(7)) == 8 and [frames for _, _, frames, _ in sql(8)] == [6, 6]
+    assert len(sql(7)) == 8 and [frames for *_, frames, _ in sql(8)] == [6, 6]
     assert [seconds for *_, seconds in sql(8)] == [2.5, 2.5]
     assert sum(seen for *_, seen in sql(9)) == len(obstacles) - 1
-    assert [(log, frame, drop) for log, frame, drop, *_ in sql(10)] == [
+    assert [(log, frame, drop) for log, _, frame, drop, *_ in sql(10)] == [
         ("a", 1, 1.25),
         ("b", 1, 1.5),
     ]
-    assert sql(10)[1][3:] == (None, None)
+    assert sql(10)[1][4:] == (None, None)
 
 
 def test_the_schema_is_printed(
