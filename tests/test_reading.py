@@ -108,8 +108,9 @@ def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
         config = json.loads(about[CONFIG_KEY])
         assert config["ground"]["max_depth_m"] == 3.5 and "backend" not in config
         inputs = json.loads(about[INPUTS_KEY])
-        assert {log: of["frames"] for log, of in inputs.items()} == {"a": 9, "b": 4}
-        assert inputs["a"]["sha256"] != inputs["b"]["sha256"]
+        found = {log: of["camera"] for log, of in inputs.items()}
+        assert {log: of["frames"] for log, of in found.items()} == {"a": 9, "b": 4}
+        assert found["a"]["sha256"] != found["b"]["sha256"]
         assert str(folder.parent) not in "".join(about.values())
 
 

@@ -59,7 +59,7 @@ def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[
     """
     chunks = results.chunks(log, size=BATCH)
     waiting = next(chunks, None)
-    for options in _ways(results.log_options):
+    for options in _ways(results.options_of(log)):
         try:
             with open_log(files, options) as opened:
                 while waiting is not None:
@@ -92,7 +92,7 @@ def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Se
     """
     start_up()
     config = results.method
-    for options in _ways(results.log_options):
+    for options in _ways(results.options_of(log)):
         try:
             with open_log(files, options) as opened:
                 planes = decide_planes(opened, config, "jax")

@@ -7,11 +7,11 @@ the machine, the device, the batch or where files lie, since the tables' bytes m
 import hashlib
 import json
 from collections.abc import Mapping
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 import jaxdet
 
@@ -21,6 +21,7 @@ FORMAT = 1
 FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"
 CONFIG_KEY, INPUTS_KEY = "jaxdet.config", "jaxdet.inputs"
 
+_KEYS = ("log", "camera")
 _CHANGES_NO_ROW = ("preset", "backend", "batch_size")
 """Keys of ``config.json``."""
 
@@ -29,28 +30,29 @@ class Inputs:
     """What the rows' logs were: how many frames, and a digest of their stamps and calibration."""
 
     def __init__(self) -> None:
-        self._frames: dict[str, int] = {}
-        self._digests: dict[str, Any] = {}
+        self._frames: dict[tuple[str, str], int] = {}
+        self._digests: dict[tuple[str, str], Any] = {}
 
     def add(self, frames: pa.Table) -> None:
         """Takes in rows of ``frames.parquet``, in order."""
-        names = frames["log"].unique().to_pylist()
-        for name in names:
-            rows = frames if len(names) == 1 else frames.filter(pc.equal(frames["log"], name))
-            depth = rows["depth_stamp_ns"].fill_null(-1).to_numpy()
-            stamps = np.stack([rows["stamp_ns"].to_numpy(), depth], axis=1)
-            self._frames[name] = self._frames.get(name, 0) + rows.num_rows
+        # As lists: Arrow's groups and arrays for NumPy import pandas.
+        columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns", "depth_stamp_ns")]
+        for name, same in groupby(zip(*columns, strict=True), key=lambda row: row[:2]):
+            rows = [(at, -1 if depth is None else depth) for *_, at, depth in same]
+            self._frames[name] = self._frames.get(name, 0) + len(rows)
             digest = self._digests.setdefault(name, hashlib.sha256())
-            digest.update(stamps.astype("<i8").tobytes())
+            digest.update(np.array(rows, "<i8").tobytes())
 
     def fingerprints(self, summary: Mapping[str, Any]) -> dict[str, Any]:
-        """By log its frames and the digest, with the calibrations of ``summary.json``."""
-        calibrations = {log["log"]: log["calibration"] for log in summary.get("logs", ())}
-        found = {}
+        """By log and camera the frames and digest, with the calibrations of ``summary.json``."""
+        logs = summary.get("logs", ())
+        calibrations = {(log["log"], log["camera"]): log["calibration"] for log in logs}
+        found: dict[str, Any] = {}
         for name, digest in self._digests.items():
             whole = digest.copy()
             whole.update(_canonical(calibrations.get(name)).encode())
-            found[name] = {"frames": self._frames[name], "sha256": whole.hexdigest()}
+            about = {"frames": self._frames[name], "sha256": whole.hexdigest()}
+            found.setdefault(name[0], {})[name[1]] = about
         return found
 
 
