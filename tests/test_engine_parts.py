@@ -157,7 +157,8 @@ def test_a_bar_for_each_camera(monkeypatch):
             ("two, rear", 0, 0),
             ("two, rear", 12, 5),
         ):
-            show(engine.Progress(label, 0, 1, done, total, 0, None, "", "" if done else "opening"))
+            doing = "" if done else "opening"
+            show(engine.Progress(label, 0, 1, done, total, 0, None, "", {}, doing))
             bars = show.__closure__  # the bars are in the callback
             cells = [cell.cell_contents for cell in bars or ()]
             tasks = next(cell.tasks for cell in cells if hasattr(cell, "tasks"))

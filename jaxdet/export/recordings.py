@@ -41,9 +41,10 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         InputError: One of them is no log of the results.
     """
     logs = find_logs(given) if given else []
-    if len(logs) == len(results.logs) == 1:
+    names = {log.name for log in results.logs}
+    if len(logs) == len(names) == 1:
         return {results.logs[0].name: logs[0]}
-    return {results.log(log.name).name: log for log in logs}
+    return {log.name if log.name in names else results.log(log.name).name: log for log in logs}
 
 
 def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[Batch, Chunk]]:
