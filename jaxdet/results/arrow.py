@@ -30,7 +30,7 @@ def to_array(values: Any, field: pa.Field) -> pa.Array:
         none = np.ma.getmaskarray(values)
         if np.issubdtype(data.dtype, np.floating):
             none = none | np.isnan(data)
-        data, null = np.where(none, 0, data), none.any(axis=tuple(range(1, none.ndim)))
+        data, null = np.where(none, 0, data), np.asarray(none.any(axis=tuple(range(1, none.ndim))))
     if pa.types.is_fixed_size_list(field.type):
         flat = _numbers(data.reshape(-1), field.type.value_type)
         return _array(field.type, null, [], [flat])
