@@ -193,7 +193,8 @@ def test_an_interrupt_leaves_nothing(fake_logs: list, tmp_path: Path) -> None:
         seen.append(now.doing)
         if not now.doing:
             assert (now.done, now.total, now.bad) == (4, 10, 1)
-            assert now.bottleneck.split()[0] in ("read", "detect", "write")
+            assert now.bottleneck in ("read", "decode", "compute", "write")
+            assert set(now.rates) <= {"read", "decode", "compute", "write"}
             raise KeyboardInterrupt
 
     seen: list[str] = []

@@ -15,7 +15,8 @@ from jaxdet.cli import info, progress
 from jaxdet.cli.main import main
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.results.reading import Results
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 
@@ -110,6 +111,21 @@ def test_cameras_are_run_one_after_the_other(two_cameras, sim_log, whole, tmp_pa
     }
 
 
+def test_results_of_several_cameras_are_read_back(two_cameras, tmp_path):
+    run(two_cameras, tmp_path, pictures=1)
+    with Results(tmp_path) as results:
+        assert [log.label for log in results.logs] == ["two, front", "two, rear"]
+        assert [log.file_name for log in results.logs] == ["two@front", "two@rear"]
+        log = results.log("two, rear")
+        assert [path.stem for path in results.pictures(log).values()] == ["two@rear_000000"]
+        assert results.map(log) is not None
+        rows = [frame.row for frame in results.frames(log)]
+        assert [(row["camera"], row["frame"]) for row in rows] == [("rear", n) for n in range(12)]
+        with open_log(find_logs([str(two_cameras)])[0], results.options_of(log)) as opened:
+            assert opened.camera == "rear"
+            assert opened.stamps_ns.tolist() == [row["stamp_ns"] for row in rows]
+
+
 def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys):
     assert info.main([str(two_cameras)]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -141,7 +157,8 @@ def test_a_bar_for_each_camera(monkeypatch):
             ("two, rear", 0, 0),
             ("two, rear", 12, 5),
         ):
-            show(engine.Progress(label, 0, 1, done, total, 0, None, "", "" if done else "opening"))
+            doing = "" if done else "opening"
+            show(engine.Progress(label, 0, 1, done, total, 0, None, "", {}, doing))
             bars = show.__closure__  # the bars are in the callback
             cells = [cell.cell_contents for cell in bars or ()]
             tasks = next(cell.tasks for cell in cells if hasattr(cell, "tasks"))

@@ -1,6 +1,8 @@
 """The results folder: schema, nulls, bytes that do not depend on the batch, nothing half."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from jaxdet.results import writer
 from jaxdet.results.lists import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.writer import ResultWriter, Tables
+from tests.conftest import ROOT
 
 
 def frame_rows(start: int, stop: int) -> dict:
@@ -131,3 +134,21 @@ def test_output_that_is_a_file(tmp_path: Path) -> None:
     (tmp_path / "f").write_bytes(b"")
     with pytest.raises(ConfigError, match="is a file"):
         ResultWriter(tmp_path / "f")
+
+
+def test_rows_are_written_without_pandas(tmp_path: Path) -> None:
+    code = """
+import sys
+from pathlib import Path
+from tests.test_results import frame_rows, obstacle_rows
+from jaxdet.results.metadata import Inputs
+from jaxdet.results.writer import Tables, join_tables
+tables = Tables.of(frame_rows(0, 9), obstacle_rows(0, 9))
+join_tables([tables, tables]).save(Path(sys.argv[1]))
+assert Tables.load(Path(sys.argv[1])).frames.num_rows == 18
+rows = Inputs()
+rows.add(tables.frames)
+assert "pandas" not in sys.modules
+"""
+    found = subprocess.run([sys.executable, "-c", code, str(tmp_path / "part")], cwd=ROOT)
+    assert found.returncode == 0

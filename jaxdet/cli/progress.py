@@ -83,13 +83,27 @@ def _which(now: "Progress") -> str:
 
 
 def _text(now: "Progress") -> str:
-    """Frames, rate, what takes most of the time, and frames that are not ok."""
+    """Frames, rate, which step is the slowest, and frames that are not ok."""
     if now.doing:
         return now.doing
     parts = [
         f"{now.done}/{now.total} frames",
         f"{now.frames_per_s:.1f} frames/s" if now.frames_per_s else "",
-        f"most time: {now.bottleneck}" if now.bottleneck else "",
+        _steps_text(now) if now.bottleneck else "",
         f"{now.bad} not ok" if now.bad else "",
     ]
     return ", ".join(part for part in parts if part)
+
+
+def _steps_text(now: "Progress") -> str:
+    """The step that the others wait for, and how fast each would be alone."""
+    others = [
+        f"{what} {_thousands(rate)}" for what, rate in now.rates.items() if what != now.bottleneck
+    ]
+    slowest = f"slowest: {now.bottleneck} {_thousands(now.rates[now.bottleneck])}/s"
+    return f"{slowest} ({', '.join(others)})" if others else slowest
+
+
+def _thousands(rate: float) -> str:
+    """A rate in two or three digits."""
+    return f"{rate:.0f}" if rate < 1000 else f"{rate / 1000:.{1 if rate < 10_000 else 0}f}k"

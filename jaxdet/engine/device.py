@@ -2,8 +2,9 @@
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -26,6 +27,8 @@ class Found(NamedTuple):
     """What rows need."""
     whole: Detections | None
     """All of it, where it was asked for."""
+    busy_s: Mapping[str, float] = MappingProxyType({})
+    """How long others worked on it, see :attr:`jaxdet.results.summary.Counts.busy_s`."""
 
 
 class Device(Protocol):
@@ -33,6 +36,8 @@ class Device(Protocol):
 
     ahead: int
     """Batches that are started before the first of them is finished."""
+    doing: str
+    """What this process does meanwhile: ``compute``, or ``wait`` for who does."""
 
     @property
     def images(self) -> ImageMemory | None:
@@ -84,6 +89,7 @@ class OwnDevice:
     """
 
     images: ImageMemory | None = None
+    doing = "compute"
 
     def __init__(self, config: Config, backend: BackendName, ahead: int) -> None:
         self.ahead = ahead

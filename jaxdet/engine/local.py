@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -59,7 +60,9 @@ class Progress(NamedTuple):
     """Frames of this log that are not ok."""
     frames_per_s: float | None
     bottleneck: str = ""
-    """What takes most of the time, see :attr:`jaxdet.results.summary.LogSummary.bottleneck`."""
+    """The step that others wait for, see :attr:`jaxdet.results.summary.LogSummary.bottleneck`."""
+    rates: Mapping[str, float] = MappingProxyType({})
+    """Frames a second of each step alone."""
     doing: str = ""
     """What goes on before the first unit is through."""
 
@@ -125,7 +128,7 @@ def _reporter(
     def report(part: LogSummary, label: str, total: int, doing: str) -> None:
         if progress:
             state = part.frames, total, part.num_bad, part.frames_per_s, part.bottleneck
-            progress(Progress(label, number, count, *state, doing))
+            progress(Progress(label, number, count, *state, part.rates, doing))
 
     return report
 
@@ -174,7 +177,8 @@ class _LogRun:
         about.warnings += log.description.warnings
         frames = len(log.frames)
         alone, slots = self._alone(frames), None
-        self.workers = 1 if alone else self.pool.count
+        self.workers = about.workers = 1 if alone else self.pool.count
+        about.devices = len(self.pool.devices)
         self.report(about, log.label, frames, "looking for the floor")
         if not alone:
             self.pool.start()

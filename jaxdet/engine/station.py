@@ -10,12 +10,15 @@ import mmap
 import os
 import queue
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -153,6 +156,8 @@ class Reply(NamedTuple):
     packing: Packing | None
     whole: Detections | None
     error: Exception | None
+    busy_s: Mapping[str, float] = MappingProxyType({})
+    """Its share of the times of its batch."""
 
 
 class Piped(NamedTuple):
@@ -304,6 +309,8 @@ class _LogStation:
                     for piece, reply in zip(flying[0], replies, strict=True):
                         self._send(piece, reply)
             flying = started
+        if lane is not None:
+            lane.close()
 
     def _collect(self, *, block: bool) -> tuple[list[Piece], bool]:
         """The pieces that wait, at most a batch, and whether more may come."""
@@ -362,6 +369,20 @@ class _Results(NamedTuple):
     """See :meth:`Packing.view`."""
 
 
+class _Started(NamedTuple):
+    """A batch on a device."""
+
+    found: Detections
+    inputs: RowInputs
+    packed: Any
+    copied: float
+    """Time when its images were there, by ``time.perf_counter`` [s]."""
+    copying_s: float
+    """How long that took [s]."""
+    ready: "Future[float]"
+    """Time when it is computed."""
+
+
 class _Lane:
     """One device and what belongs to it."""
 
@@ -372,12 +393,20 @@ class _Lane:
         self.log, self.device, self.rows = log, device, log.served.pieces * slots.frames
         shapes = (self.rows, *slots.color), (self.rows, *slots.depth)
         self.uploader = Uploader(*shapes, device)
+        self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
+        self._ready = 0.0
+        """Time when the last batch was computed."""
         log.page_lock(log.memory, device)
 
-    def start(self, pieces: list[Piece]) -> tuple[Detections, RowInputs, Any]:
+    def close(self) -> None:
+        """Ends its thread."""
+        self._watch.shutdown()
+
+    def start(self, pieces: list[Piece]) -> _Started:
         """Copies the pieces and starts to compute them."""
-        log = self.log
+        log, begin = self.log, time.perf_counter()
         images: Any = self.uploader.upload([log.images[piece.slot] for piece in pieces])
+        copied = time.perf_counter()
         nothing = np.zeros(self.rows, np.int64)
         missing = self.rows - len(pieces) * log.slots.frames
         plane = _joined([*(piece.plane for piece in pieces), unknown_plane(missing)])
@@ -385,23 +414,35 @@ class _Lane:
         frames = Frames(images[0], images[1], log.served.calibration, *known, plane=plane)
         found = detect(frames, log.served.config)
         inputs, packed = _pack()(_without_prior(found))
-        return found, inputs, packed
+        ready = self._watch.submit(_time_when_ready, packed)
+        return _Started(found, inputs, packed, copied, copied - begin, ready)
 
-    def finish(
-        self, pieces: list[Piece], started: tuple[Detections, RowInputs, Any]
-    ) -> list[Reply]:
+    def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Waits for the results and copies them to the slots."""
-        found, inputs, packed = started
-        results = self.log.results_of(inputs)
+        results = self.log.results_of(started.inputs)
         self.log.page_lock(results.memory, self.device)
-        self.uploader.download(packed, [results.rows[piece.slot] for piece in pieces])
+        ready, begin = started.ready.result(), time.perf_counter()
+        self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
+        copying_s = started.copying_s + time.perf_counter() - begin
+        # A batch is computed after the one before.
+        computing_s = ready - max(self._ready, started.copied)
+        self._ready = ready
+        times = {"transfer": copying_s, "compute": computing_s}
+        busy_s = {what: taken / max(1, len(pieces)) for what, taken in times.items()}
         replies, size = [], self.log.slots.frames
-        everything = to_host(found) if any(piece.whole for piece in pieces) else None
+        whole_batch = any(piece.whole for piece in pieces)
+        everything = to_host(started.found) if whole_batch else None
         for number, piece in enumerate(pieces):
             part = slice(number * size, (number + 1) * size)
             whole = _map(lambda a, part=part: a[part], everything) if piece.whole else None
-            replies.append(Reply(piece.slot, results.packing, whole, None))
+            replies.append(Reply(piece.slot, results.packing, whole, None, busy_s))
         return replies
+
+
+def _time_when_ready(found: Any) -> float:
+    """Waits for an array; now, by ``time.perf_counter`` [s]."""
+    found.block_until_ready()
+    return time.perf_counter()
 
 
 @lru_cache(maxsize=1)
@@ -436,7 +477,7 @@ class SharedDevice:
         piped: The worker's way to the station.
     """
 
-    ahead = SLOTS - 1
+    ahead, doing = SLOTS - 1, "wait"
 
     def __init__(self, slots: Slots, piped: Piped) -> None:
         self._slots, self._piped = slots, piped
@@ -462,13 +503,13 @@ class SharedDevice:
         while started not in self._replies:
             reply: Reply = self._piped.pipe.recv()
             self._replies[reply.slot] = reply
-        _, packing, whole, error = self._replies.pop(started)
+        _, packing, whole, error, busy_s = self._replies.pop(started)
         if error:
             raise error
         assert packing
         if self._results is None or self._results[0].path != packing.path:
             self._results = packing, packing.view(_attached(packing.path), self._slots)
-        return Found(packing.unpacked(self._results[1][started]), whole)
+        return Found(packing.unpacked(self._results[1][started]), whole, busy_s)
 
 
 class _Memory:

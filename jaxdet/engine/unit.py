@@ -107,20 +107,25 @@ class LogWork:
         for unit in units:
             batches = self.log.batches(self.plan.batch_size, unit.start, unit.stop, **given)
             while (batch := self._timed("read", next, batches, None)) is not None:
+                self._busy["decode"] += batch.decoding_s  # pyright: ignore
+                self._busy["read"] -= batch.decoding_s  # pyright: ignore
                 yield unit, batch
 
     def _start(self, unit: Unit, batch: "Batch") -> "_Piece":
         numbers = batch.frames.number[: len(batch.status)].tolist()
         plane = self.plan.planes.of(batch.frames.stamp_ns)
         whole = bool(self.plan.observers) or not self.plan.drawn.isdisjoint(numbers)
-        started = self._timed("detect", partial(self.device.start, batch, plane, whole=whole))
+        started = self._timed(
+            self.device.doing, partial(self.device.start, batch, plane, whole=whole)
+        )
         return _Piece(unit, numbers, batch, plane, started)
 
     def _finish(self, piece: "_Piece", building: list["_NewPart"]) -> Iterator[Counts]:
         """Waits for a batch; with the last one of a unit its part is whole."""
         if not building:
             building.append(_NewPart(self.plan))
-        found = self._timed("detect", self.device.finish, piece.started)
+        found = self._timed(self.device.doing, self.device.finish, piece.started)
+        self._busy.update(found.busy_s)
         self._timed("write", building[0].add, piece, found)
         if piece.numbers[-1] + 1 == piece.unit.stop:
             part = building.pop().whole()

@@ -47,6 +47,8 @@ class Batch(NamedTuple):
     """One line for each of them, empty where the status is OK."""
     notes: Notes = Notes()
     """What else was seen, for :meth:`Log.described`."""
+    decoding_s: float = 0.0
+    """How long its images were decoded [s]; the rest of the time they were read."""
     camera_frame: str = ""
     """Name of the colour camera's optical frame; empty where the log has none."""
     world_frame: str = ""
@@ -275,8 +277,8 @@ class Log:
             T_world_camera=self._poses(windows, size),
         )
         notes = total(window.notes for window in windows)
-        names = self.camera_frame, self.world_frame
-        return Batch(frames, tuple(status), tuple(errors), notes, *names)
+        rest = notes, self._reader.decoding_s(), self.camera_frame, self.world_frame
+        return Batch(frames, tuple(status), tuple(errors), *rest)
 
     def _poses(self, windows: Sequence[Window], size: int) -> np.ndarray | None:
         if not self.has_poses:

@@ -4,6 +4,7 @@ A chunk that isn't packed is read by one call: the pixels go straight into their
 are what the rows hold, everything else beside them, and all of it through the CRC.
 """
 
+import time
 from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -76,6 +77,8 @@ class ImageReader:
         self._color, self._depth = color, depth
         self._same = color.topic == depth.topic
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
+        self._took: list[float] = []
+        """Times of threads since :meth:`decoding_s` was called [s]."""
 
     def read(self, window: Window, color: np.ndarray, depth: np.ndarray) -> list[FrameError | None]:
         """Decodes the paired frames of a window into the rows of ``color`` and ``depth``.
@@ -110,6 +113,11 @@ class ImageReader:
         color[empty], depth[empty] = 0, 0
         return errors
 
+    def decoding_s(self) -> float:
+        """How long images were decoded since the last call, all threads at a time [s]."""
+        took, self._took = self._took, []
+        return sum(took) / self._store.threads
+
     def _requests(self, window: Window) -> list[Request]:
         found = _requests(window.color, self._color, window.depth.stamps_ns >= 0, False)
         if not self._same:
@@ -133,7 +141,7 @@ class ImageReader:
             problem = f"the file can't be read any more ({error})"
             lost = FrameError(problem, status=FrameStatus.DECODE_ERROR)
             return [(request.row, request.depth, lost) for request in requests]
-        failures = []
+        failures, start = [], time.perf_counter()
         for request, payload in zip(requests, payloads, strict=True):
             try:
                 if payload is not None:
@@ -141,6 +149,7 @@ class ImageReader:
             except FrameError as error:
                 # Its traceback would hold the images.
                 failures.append((request.row, request.depth, error.with_traceback(None)))
+        self._took.append(time.perf_counter() - start)
         return failures
 
     def _read_plain(

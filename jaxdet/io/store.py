@@ -42,8 +42,9 @@ class ChunkStore:
         self.files, self.cache_bytes = files, cache_bytes
         self.checked: set[Place] = set()
         """Chunks that were read as a whole, and are as their CRC says."""
-        threads = threads or cores()
-        self._pool = ThreadPoolExecutor(threads, "jaxdet-read") if threads > 1 else None
+        self.threads = threads or cores()
+        several = self.threads > 1
+        self._pool = ThreadPoolExecutor(self.threads, "jaxdet-read") if several else None
         self._heads: OrderedDict[Place, ChunkHead] = OrderedDict()
         self._chunks: OrderedDict[Place, bytes] = OrderedDict()
         self._ahead: set[Place] = set()

@@ -7,11 +7,11 @@ the machine, the device, the batch or where files lie, since the tables' bytes m
 import hashlib
 import json
 from collections.abc import Mapping
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 import jaxdet
 
@@ -21,6 +21,7 @@ FORMAT = 1
 FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"
 CONFIG_KEY, INPUTS_KEY = "jaxdet.config", "jaxdet.inputs"
 
+_KEYS = ("log", "camera")
 _CHANGES_NO_ROW = ("preset", "backend", "batch_size")
 """Keys of ``config.json``."""
 
@@ -34,15 +35,13 @@ class Inputs:
 
     def add(self, frames: pa.Table) -> None:
         """Takes in rows of ``frames.parquet``, in order."""
-        keys = frames.select(["log", "camera"]).group_by(["log", "camera"]).aggregate([])
-        for log, camera in zip(*(column.to_pylist() for column in keys.columns), strict=True):
-            mine = (pc.field("log") == log) & (pc.field("camera") == camera)
-            rows = frames if keys.num_rows == 1 else frames.filter(mine)
-            depth = rows["depth_stamp_ns"].fill_null(-1).to_numpy()
-            stamps = np.stack([rows["stamp_ns"].to_numpy(), depth], axis=1)
-            self._frames[log, camera] = self._frames.get((log, camera), 0) + rows.num_rows
-            digest = self._digests.setdefault((log, camera), hashlib.sha256())
-            digest.update(stamps.astype("<i8").tobytes())
+        # As lists: Arrow's groups and arrays for NumPy import pandas.
+        columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns", "depth_stamp_ns")]
+        for name, same in groupby(zip(*columns, strict=True), key=lambda row: row[:2]):
+            rows = [(at, -1 if depth is None else depth) for *_, at, depth in same]
+            self._frames[name] = self._frames.get(name, 0) + len(rows)
+            digest = self._digests.setdefault(name, hashlib.sha256())
+            digest.update(np.array(rows, "<i8").tobytes())
 
     def fingerprints(self, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Each log and camera, its frames and the digest, which takes in the calibration.

@@ -17,6 +17,9 @@ from jaxdet.errors import FrameStatus
 
 PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
 
+STEPS = ("read", "decode", "transfer", "compute", "write")
+ON_DEVICES = ("transfer", "compute")
+"""What GPUs do, where there are any."""
 MANY_REFUSED = 0.1
 """More of the frames without a floor of their own are worth a warning."""
 
@@ -36,8 +39,8 @@ class Counts:
     floor_refused: Counter[str] = field(default_factory=Counter)
     """Likewise, where a frame's own depth does not decide its floor."""
     busy_s: Counter[str] = field(default_factory=Counter)
-    """How long processes took to ``read`` (and decode), ``detect`` (or wait for it) and ``write``
-    rows, all together [s]."""
+    """How long all together took to ``read`` (and unpack), ``decode`` images, ``transfer`` to GPUs
+    and back, ``compute``, ``write`` rows, and to ``wait`` for those who compute [s]."""
 
     def count(self, rows: Mapping[str, Any]) -> None:
         """Adds the columns of ``frames.parquet`` of a batch."""
@@ -66,6 +69,10 @@ class LogSummary(Counts):
 
     log: str
     paths: tuple[str, ...]
+    workers: int = 1
+    """Processes that share the frames."""
+    devices: int = 0
+    """GPUs that compute for them; 0: each computes itself."""
     camera: str | None = None
     """The camera's name; None: the log could not be opened."""
     file_name: str | None = None
@@ -93,7 +100,8 @@ class LogSummary(Counts):
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it, what observers say under their names."""
-        values = {"log": self.log, **plain(self)}
+        values = {"log": self.log, "bottleneck": self.bottleneck, "rates": plain(self.rates)}
+        values |= plain(self)
         return {"score": None, **values, **values.pop("observed")}
 
     @property
@@ -113,10 +121,30 @@ class LogSummary(Counts):
         )
 
     @property
+    def rates(self) -> dict[str, float]:
+        """Frames a second of each step, if all that do it did nothing else."""
+        return {
+            what: self.frames * self._lanes(what) / self.busy_s[what]
+            for what in STEPS
+            if self.busy_s[what] > 0 and self.frames
+        }
+
+    @property
     def bottleneck(self) -> str:
-        """What takes most of the processes' time, for instance ``read 71 %``; empty at first."""
-        (name, most), *_ = [*self.busy_s.most_common(1), ("", 0.0)]
-        return f"{name} {most / self.busy_s.total():.0%}" if most else ""
+        """The step that others wait for; empty at first.
+
+        That is the longest of those that the busiest do: the workers all steps but those of GPUs.
+        """
+        groups = (ON_DEVICES, tuple(what for what in STEPS if what not in ON_DEVICES))
+        groups = [*((what,) for what in groups[0]), groups[1]] if self.devices else [STEPS]
+        taken = [sum(self.busy_s[what] / self._lanes(what) for what in group) for group in groups]
+        busiest = groups[taken.index(max(taken))]
+        slowest = max(busiest, key=lambda what: self.busy_s[what])
+        return slowest if self.busy_s[slowest] > 0 else ""
+
+    def _lanes(self, what: str) -> int:
+        """How many do a step at a time."""
+        return self.devices if self.devices and what in ON_DEVICES else self.workers
 
     @property
     def num_bad(self) -> int:

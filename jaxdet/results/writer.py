@@ -14,12 +14,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
-from jaxdet.results.lists import Lists
+from jaxdet.results.arrow import to_array
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import to_json
@@ -35,37 +34,13 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     """Rows as an Arrow table.
 
     Args:
-        columns: One array for each field: ``(R,)``, or ``(R, n)`` for lists of n. Nullable
-            fields take a NumPy masked array, or floats with NaN, for null; fields of lists of any
-            length take :class:`jaxdet.results.lists.Lists`.
+        columns: One for each field, see :func:`jaxdet.results.arrow.to_array`.
         schema: One of :mod:`jaxdet.results.schemas`.
 
     Returns:
         A table of R rows.
     """
-    return pa.Table.from_arrays([_array(columns[f.name], f) for f in schema], schema=schema)
-
-
-def _array(values: Any, field: pa.Field) -> pa.Array:
-    mask = None
-    if pa.types.is_list(field.type):
-        return _lists(values, field.type)
-    if field.nullable:
-        mask = np.ma.getmaskarray(values)
-        if np.issubdtype(np.ma.getdata(values).dtype, np.floating):
-            mask = mask | np.isnan(np.ma.getdata(values))
-        values = np.where(mask, 0, np.ma.getdata(values))
-    if not pa.types.is_fixed_size_list(field.type):
-        return pa.array(values, field.type, mask=mask)
-    flat = pa.array(np.asarray(values).reshape(-1), field.type.value_type)
-    rows = None if mask is None else pa.array(mask.any(axis=1))
-    return pa.FixedSizeListArray.from_arrays(flat, type=field.type, mask=rows)
-
-
-def _lists(lists: Lists, kind: pa.ListType) -> pa.Array:
-    values = pa.array(lists.values, kind.value_type)
-    offsets, null = pa.array(lists.offsets), pa.array(lists.null)
-    return pa.ListArray.from_arrays(offsets, values, type=kind, mask=null)
+    return pa.Table.from_arrays([to_array(columns[f.name], f) for f in schema], schema=schema)
 
 
 class Tables(NamedTuple):

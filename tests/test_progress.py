@@ -1,0 +1,42 @@
+"""What a run says while it goes on: the step that others wait for, and the rate of each."""
+
+from collections import Counter
+
+import pytest
+
+from jaxdet.cli.progress import _text
+from jaxdet.engine import LogSummary, Progress
+
+
+def about(workers: int, devices: int, **busy_s: float) -> LogSummary:
+    found = LogSummary("a", (), workers=workers, devices=devices)
+    found.frames, found.busy_s = 1200, Counter(busy_s)
+    return found
+
+
+def test_a_process_does_one_step_after_the_other() -> None:
+    found = about(2, 0, read=1.0, decode=4.0, compute=3.0, write=0.5)
+    assert found.bottleneck == "decode"
+    assert found.rates == {"read": 2400, "decode": 600, "compute": 800, "write": 4800}
+
+
+def test_gpus_compute_while_workers_read() -> None:
+    busy = {"read": 10.0, "decode": 20.0, "write": 2.0, "wait": 90.0, "transfer": 1.0}
+    assert about(16, 1, **busy, compute=1.9).bottleneck == "decode"
+    assert about(16, 1, **busy, compute=2.1).bottleneck == "compute"
+    assert about(16, 2, **busy, compute=2.1).bottleneck == "decode"
+    assert about(16, 2, **busy, compute=2.1).rates["compute"] == pytest.approx(2400 / 2.1)
+
+
+def test_nothing_is_slow_at_first() -> None:
+    assert about(2, 0).bottleneck == "" and about(2, 0).rates == {}
+
+
+def test_line() -> None:
+    found = about(16, 1, read=1.2, decode=19.2, transfer=0.02, compute=0.01, write=1.2, wait=9.0)
+    state = found.bottleneck, found.rates
+    now = Progress("a", 0, 1, 1200, 4000, 0, 950.04, *state)
+    assert _text(now) == (
+        "1200/4000 frames, 950.0 frames/s, slowest: decode 1.0k/s "
+        "(read 16k, transfer 60k, compute 120k, write 16k)"
+    )
