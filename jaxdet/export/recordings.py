@@ -121,7 +121,7 @@ def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
 
 def _ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
     """By the log's index, and where that isn't enough by reading all of it."""
-    options = replace(results.log_options, camera=log.camera)
+    options = results.options_of(log)
     yield options
     yield replace(options, scan=True)
 

@@ -140,6 +140,10 @@ class Results:
         """How the logs were read."""
         return _restored(LogOptions, self.config["log"])
 
+    def options_of(self, log: ResultLog) -> LogOptions:
+        """How to open the log, or the camera of a log, that some rows are of."""
+        return dataclasses.replace(self.log_options, camera=log.camera)
+
     def log(self, name: str) -> ResultLog:
         """The log of this name, or label where it has several cameras.
 
