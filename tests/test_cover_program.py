@@ -52,7 +52,8 @@ def test_corners(size: tuple[int, int], use_mask: bool, is_aligned: bool, device
     def sample(values: np.ndarray) -> np.ndarray:
         return values[SAMPLED_CELLS].reshape(batch, -1)
 
-    shown, middle = keep & grid.in_view, np.moveaxis(grid.middle, -1, 0)
+    shown = keep & grid.in_view
+    middle = np.moveaxis(grid.middle.astype(np.int32), -1, 0)
     columns = [*middle, grid.x, grid.y, grid.z, shown, shown]
     sampled = Features(*map(sample, columns), overflow=expected.overflow)
     of_cells = np.where(grid.in_view & (label < MAX_OBSTACLES), label, -1)

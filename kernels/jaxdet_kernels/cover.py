@@ -31,8 +31,8 @@ _COVER = """
     for (int b = team.index; b < z.shape[0]; b += shares) {
         const size_t i = (size_t)b * cells;
         const Cover cover{team, height, width, cells, keep.data + i, in_view.data + i, z.data + i,
-                          uv_min.data + 2 * i, uv_max.data + 2 * i, depth_range.data,
-                          scratch + scratch_out.shape[1] - 1 - cells};
+                          (const int*)uv_min.data + i, (const int*)uv_max.data + i,
+                          depth_range.data, scratch + scratch_out.shape[1] - 1 - cells};
 """
 
 
@@ -73,6 +73,7 @@ def mask_bits(
     "bits.h",
     "lanes.h",
     "pixel_bits.h",
+    "pixel_pair.h",
     "cover.h",
     body=_COVER
     + """
@@ -90,8 +91,8 @@ def cover_mask(
     keep: wp.array3d[wp.bool],
     in_view: wp.array3d[wp.bool],
     z: wp.array3d[wp.int32],
-    uv_min: wp.array4d[wp.int32],
-    uv_max: wp.array4d[wp.int32],
+    uv_min: wp.array4d[wp.int16],
+    uv_max: wp.array4d[wp.int16],
     depth_range: wp.array[wp.int32],
     height: int,
     width: int,
@@ -124,6 +125,7 @@ def cover_mask(
     "bits.h",
     "lanes.h",
     "pixel_bits.h",
+    "pixel_pair.h",
     "cover.h",
     body="""
     const int height = ray_x.shape[0], width = ray_x.shape[1];
@@ -151,8 +153,8 @@ def cover_features(
     keep: wp.array3d[wp.bool],
     in_view: wp.array3d[wp.bool],
     z: wp.array3d[wp.int32],
-    uv_min: wp.array4d[wp.int32],
-    uv_max: wp.array4d[wp.int32],
+    uv_min: wp.array4d[wp.int16],
+    uv_max: wp.array4d[wp.int16],
     depth_range: wp.array[wp.int32],
     x: wp.array3d[wp.int32],
     y: wp.array3d[wp.int32],

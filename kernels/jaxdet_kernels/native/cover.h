@@ -5,13 +5,14 @@
 #include "bits.h"
 #include "lanes.h"
 #include "pixel_bits.h"
+#include "pixel_pair.h"
 
 struct Cover {
     Team team;
     int height, width;           // Of the colour image.
     int cells;                   // Of the grid.
     const bool *keep, *in_view;  // (cells)
-    const int *z, *low, *high;   // (cells) and (cells, 2): depth, first and last column and row.
+    const int *z, *low, *high;   // (cells): depth; a `PixelPair` each, first and last pixel.
     const int* range;            // (2), least and largest depth; of kept cells only the second counts.
     int* list;                   // Scratch: (1 + cells), how many take part, and which.
 
@@ -20,8 +21,9 @@ struct Cover {
     };
 
     Box box(int cell) const {
-        const int left = low[2 * cell] - 1, top = low[2 * cell + 1] - 1;
-        const int right = high[2 * cell] + 1, bottom = high[2 * cell + 1] + 1;
+        const PixelPair first(low[cell]), last(high[cell]);
+        const int left = first.column() - 1, top = first.row() - 1;
+        const int right = last.column() + 1, bottom = last.row() + 1;
         return {left < 0 ? 0 : left, top < 0 ? 0 : top, right < width ? right : width - 1,
                 bottom < height ? bottom : height - 1};
     }
@@ -129,9 +131,9 @@ struct SampledCells {
                 const int k = from + 2 * i;
                 const bool seen = cover.in_view[k], is_kept = seen & cover.keep[k];
                 const int right = x[k], down = y[k], depth = cover.z[k], own = label[k];
-                const int u = (cover.low[2 * k] + cover.high[2 * k]) >> 1;
-                const int v = (cover.low[2 * k + 1] + cover.high[2 * k + 1]) >> 1;
-                out.put(to + i, u, v, is_kept);
+                const PixelPair low(cover.low[k]), high(cover.high[k]);
+                out.put(to + i, (low.column() + high.column()) >> 1, (low.row() + high.row()) >> 1,
+                        is_kept);
                 out.place(to + i, right, down, depth, seen ? own : -1, is_kept);
             }
         }
