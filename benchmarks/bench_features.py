@@ -17,7 +17,7 @@ from jaxdet import reference, stages
 from jaxdet.floor.plane import depth_range
 from jaxdet.reference._cells import cover
 from jaxdet.stages._corners import corner_settings
-from jaxdet.stages._cover import corners_on_cells
+from jaxdet.stages._cover import CellFeatures, features_on_cells
 from jaxdet.stages._features import rays
 from jaxdet.types import Features, Keep
 
@@ -112,13 +112,15 @@ def _on_cells() -> Case:
     """Corners on the kept cells, beside the reference."""
     given, seen = inputs("640x480"), on_cells("640x480")
     camera, config = given.calibration, CONFIG.ground
-    far = depth_range(config.min_depth_m, config.max_depth_m, camera.depth_unit)[1]
-    keep = seen.of("keep", seen.surfaces) & seen.cells.in_view & (seen.cells.z <= far)
+    bounds = depth_range(config.min_depth_m, config.max_depth_m, camera.depth_unit)
+    above = seen.of("keep", seen.surfaces)
+    keep = above & seen.cells.in_view & (seen.cells.z <= bounds[1])
     label = np.zeros(keep.shape, np.int32)
+    settings = corner_settings(CORNERS), np.array(bounds, np.int32)
     arguments = jax.device_put(
-        (given.color, seen.cells, keep, label, rays(camera.color), corner_settings(CORNERS))
+        (given.color, seen.cells, above, label, rays(camera.color), *settings)
     )
-    program = jax.jit(corners_on_cells, static_argnames="slots")
+    program = jax.jit(features_on_cells, static_argnames="slots")
 
     def peer() -> Features:
         over = cover(seen.cells, keep, camera.color)
@@ -126,13 +128,17 @@ def _on_cells() -> Case:
         z = np.where(there, seen.cells.z.reshape(BATCH, -1)[frame, over], 0).astype(np.uint16)
         return reference.features(given.color, Keep(there, z, there.any((1, 2))), camera, CORNERS)
 
+    def corners(found: CellFeatures) -> Features:
+        columns = (a[:, : CORNERS.max_corners] for a in found.features[:-1])
+        return Features(*columns, overflow=found.features.overflow)
+
     return Case(
         name="on_cells.vs_reference",
         run=lambda: program(*arguments, slots=CORNERS.max_corners),
         frames=BATCH,
         peer=peer,
         equal=True,
-        compared=lambda result: result[0],
+        compared=corners,
     )
 
 

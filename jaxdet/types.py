@@ -165,15 +165,15 @@ class Cells(NamedTuple):
     z: Array
     """``(B, R, C)`` int32, forward [depth units], 0 = no measurement."""
     uv_min: Array
-    """``(B, R, C, 2)`` int32, the first colour column and row that the cell covers [pixel]."""
+    """``(B, R, C, 2)`` int16, the first colour column and row that the cell covers [pixel]."""
     uv_max: Array
-    """``(B, R, C, 2)`` int32, the last."""
+    """``(B, R, C, 2)`` int16, the last."""
     in_view: Array
     """``(B, R, C)`` bool, measured and at least partly in the colour image."""
 
     @property
     def middle(self) -> Array:
-        """``(B, R, C, 2)`` int32, column and row in the middle of what a cell covers [pixel]."""
+        """``(B, R, C, 2)`` int16, column and row in the middle of what a cell covers [pixel]."""
         return (self.uv_min + self.uv_max) >> 1
 
 

@@ -116,7 +116,7 @@ def drawn(
         for number in range(label[b].max() + 1):
             places = np.argwhere(label[b] == number)
             in_view[b][tuple(rng.choice(places))] = True
-    uv = np.sort(rng.integers(0, 2000, (2, *shape, 2)), axis=0).astype(np.int32)
+    uv = np.sort(rng.integers(0, 2000, (2, *shape, 2)), axis=0).astype(np.int16)
     xyz = np.stack([x, y, z]).astype(np.int32)
     low = (label < 0) & (rng.random(shape) < 0.8)
     places = (right, forward, height, in_view)

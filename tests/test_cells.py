@@ -56,7 +56,8 @@ def test_grid_of_whole_cells() -> None:
     assert grid.uv_min.tolist() == [[[[0, 0], [2, 0]], [[0, 2], [0, 0]]]]
     assert grid.uv_max.tolist() == [[[[1, 1], [3, 1]], [[1, 3], [0, 0]]]]
     assert grid.in_view.tolist() == [[[True, True], [True, False]]]
-    assert {a.dtype.name for a in (grid.x, grid.y, grid.z, grid.uv_min, grid.uv_max)} == {"int32"}
+    assert {a.dtype.name for a in (grid.x, grid.y, grid.z)} == {"int32"}
+    assert {a.dtype.name for a in (grid.uv_min, grid.uv_max)} == {"int16"}
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def _boxes(
     if calibration.is_aligned:
         first = np.broadcast_to(np.stack([left, top], axis=-1), (batch, rows, columns, 2))
         first, last = (np.where(seen[..., None], a, 0) for a in (first, first + side - 1))
-        return first.astype(np.int32), last.astype(np.int32), seen
+        return first.astype(np.int16), last.astype(np.int16), seen
     assert calibration.depth is not None
     splat, color = splat_parameters(calibration), calibration.color
     x, y = corner_rays(calibration.depth)
@@ -139,4 +139,4 @@ def _boxes(
     last = np.array([color.width - 1, color.height - 1])
     inside &= ((high >= 0) & (low <= last)).all(axis=-1)
     low, high = (np.where(inside[..., None], np.clip(a, 0, last), 0) for a in (low, high))
-    return low.astype(np.int32), high.astype(np.int32), inside
+    return low.astype(np.int16), high.astype(np.int16), inside

@@ -1,70 +1,74 @@
-"""Corners on cells, under ``jax.jit``."""
+"""Features on cells, under ``jax.jit``: corners, and a sample of the cells."""
 
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from jaxdet.stages._corners import strongest_corners
 from jaxdet.stages._features import Rays
 from jaxdet.stages._teams import TeamKernel
-from jaxdet.types import Cells, Features
+from jaxdet.types import MAX_OBSTACLES, SAMPLED_CELLS, Cells, Features
 from jaxdet_kernels import cover as kernels
 from jaxdet_kernels.features import row_words
 
-_mask = TeamKernel(kernels.cover_mask, num_outputs=1)
-_corners = TeamKernel(kernels.cover_corners, num_outputs=5)
+_mask = TeamKernel(kernels.cover_mask, num_outputs=2)
+_features = TeamKernel(kernels.cover_features, num_outputs=8)
 
 
-class CellCorners(NamedTuple):
-    """Corners, and what they take from their cells."""
+class CellFeatures(NamedTuple):
+    """The features of a batch, and what they take from their cells."""
 
     features: Features
-    """``N`` slots a frame."""
-    cell: jax.Array
-    """``(B, N)`` int32, the corner's cell as index of the flattened grid; -1 where it has none."""
+    """``N`` slots of corners a frame, then the sample; ``overflow`` is of the corners alone."""
     label: jax.Array
-    """``(B, N)`` int32, that cell's label, or -1."""
+    """``(B, N + S)`` int32, the cells' labels below ``MAX_OBSTACLES``, or -1."""
+    has_depth: jax.Array
+    """``(B,)`` bool, some cell in view is in range."""
 
 
-def corners_on_cells(
+def features_on_cells(
     color: jax.Array,
     grid: Cells,
     keep: jax.Array,
     label: jax.Array,
     rays: Rays,
     settings: jax.Array,
+    depth_range: jax.Array,
     slots: int,
-) -> CellCorners:
-    """The strongest corners, each with depth and label of the nearest kept cell over it.
+) -> CellFeatures:
+    """The strongest corners on kept cells, then a sample of the cells.
+
+    A corner has the depth and the label of the nearest cell over it, of those that are kept, in
+    view and in range.
 
     Args:
         color: ``(B, H, W, 3)`` uint8, RGB.
         grid: The cells.
-        keep: ``(B, R, C)`` bool, those that corners may lie on, all of them in view.
-        label: ``(B, R, C)`` int32.
+        keep: ``(B, R, C)`` bool, above the floor and not too near.
+        label: ``(B, R, C)`` int32, -1 = none.
         rays: The colour camera's.
         settings: From :func:`~jaxdet.stages._corners.corner_settings`.
+        depth_range: ``(2,)`` int32, least and largest depth [depth units].
         slots: ``N``, static.
     """
     with jax.named_scope("features"):
         batch, height, width, _ = color.shape
-        boxes = keep, grid.z, grid.uv_min, grid.uv_max
         cells = keep.shape[1] * keep.shape[2]
-        (mask,) = _mask(
+        boxes = keep, grid.in_view, grid.z, grid.uv_min, grid.uv_max, depth_range
+        mask, has_depth = _mask(
             *boxes, height, width,
             batch=batch,
-            shapes={"mask_out": (batch, height, row_words(width))},
+            shapes={"mask_out": (batch, height, row_words(width)), "has_depth_out": (batch,)},
             scratch=kernels.mask_scratch(cells),
         )  # fmt: skip
         u, v, count = strongest_corners(color, mask, settings, slots)
-        names = "cell_out", "label_out", "x_out", "y_out", "z_out"
-        cell, label, x, y, z = _corners(
-            *boxes, label, *rays, u, v, count,
+        _, *sampled = (len(range(n)[of]) for n, of in zip(keep.shape, SAMPLED_CELLS, strict=True))
+        names = "u_out", "v_out", "x_out", "y_out", "z_out", "label_out", "valid_out", "kept_out"
+        *places, of_cells, valid, kept = _features(
+            *boxes, grid.x, grid.y, label, MAX_OBSTACLES, *rays, u, v, count,
             batch=batch,
-            shapes=dict.fromkeys(names, u.shape),
+            shapes=dict.fromkeys(names, (batch, slots + sampled[0] * sampled[1])),
             scratch=kernels.cover_scratch(cells, height, width, slots),
         )  # fmt: skip
-        valid = jnp.arange(slots, dtype=jnp.int32)[None, :] < count[:, None]
-        found = Features(u, v, x, y, z, valid, cell >= 0, overflow=count > slots)
-        return CellCorners(found, cell, label)
+        found = Features(*places, valid, kept, overflow=count > slots)
+        return CellFeatures(found, of_cells, has_depth)

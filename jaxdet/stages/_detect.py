@@ -14,17 +14,14 @@ from jaxdet.floor.plane import band_table, depth_range
 from jaxdet.floor.units import SINES, FloorFit, Scale, floor_fit, prior_units
 from jaxdet.stages import _cells, _features, _floor, _free, _obstacles, _outlines, _spread
 from jaxdet.stages import _surfaces as surface_stage
-from jaxdet.stages._cover import corners_on_cells
+from jaxdet.stages._cover import features_on_cells
 from jaxdet.stages._points import clusters
 from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
-    SAMPLED_CELLS,
     Array,
     Calibration,
-    Cells,
     Detections,
-    Features,
     Frames,
     GroundPlane,
     Labels,
@@ -167,52 +164,24 @@ def _detect(
         grid.x, grid.y, grid.z, _frame(floor, given.frame), shared.surfaces, shared.surface
     )
     on_floor = surfaces.right, surfaces.forward, surfaces.height
-    free = (grid.z >= shared.depth_range[0]) & ~surfaces.keep
     view = _obstacles.View(grid.x, grid.y, grid.z, *on_floor, grid.in_view)
-    label, count = _obstacles.obstacles(surfaces.label, free, view, shared.trees, shared.obstacle)
-    points, labels = _points(color, grid, surfaces, label, count, shared, static)
+    label, count = _obstacles.obstacles(
+        surfaces.label, surfaces.free, view, shared.trees, shared.obstacle
+    )
+    points, of_points, has_depth = features_on_cells(
+        color, grid, surfaces.keep, label, shared.rays, shared.corners, shared.depth_range,
+        static.slots,
+    )  # fmt: skip
+    too_many = (count > MAX_OBSTACLES) | (surfaces.num_surfaces > MAX_SURFACES)
+    points = points._replace(overflow=points.overflow | too_many)
+    labels = Labels(of_points, jnp.minimum(count, MAX_OBSTACLES))
     outlined = _outlines.outlines(label, count, grid, on_floor, shared.bands, shared.outline)
     line, end = _free.free_floor(
         label, surfaces.low, grid.z, on_floor, shared.free, shared.free_settings
     )
-    nearest, farthest = shared.depth_range
-    in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
     lost = cast(GroundPlane, None)  # it stays on the host
     scene = Scene(floor, lost, *outlined[1:], line, end)
-    return Detections(points, labels, outlined.obstacles, in_range.any(axis=(1, 2)), scene)
-
-
-def _points(
-    color: jax.Array,
-    grid: Cells,
-    surfaces: surface_stage.Surfaces,
-    label: jax.Array,
-    count: jax.Array,
-    shared: _Tables,
-    static: _Static,
-) -> tuple[Features, Labels]:
-    """Corners on kept cells and a sample of the cells as features, with their obstacles."""
-    batch = len(color)
-    keep = surfaces.keep & grid.in_view
-    near = keep & (grid.z <= shared.depth_range[1])
-    corners, _, of_corners = corners_on_cells(
-        color, grid, near, label, shared.rays, shared.corners, static.slots
-    )
-
-    few = jax.tree.map(lambda a: a[SAMPLED_CELLS], grid)
-    kept, (u, v) = keep[SAMPLED_CELLS], jnp.moveaxis(few.middle, -1, 0)
-    columns = {"u": u, "v": v, "x": few.x, "y": few.y, "z": few.z, "valid": kept, "kept": kept}
-    sampled = {k: a.reshape(batch, -1) for k, a in columns.items()}
-    of_cells = jnp.where(few.in_view, label[SAMPLED_CELLS], -1).reshape(batch, -1)
-    points = Features(
-        **{k: jnp.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
-        overflow=corners.overflow
-        | (count > MAX_OBSTACLES)
-        | (surfaces.num_surfaces > MAX_SURFACES),
-    )
-    labels = jnp.concatenate([of_corners, of_cells], axis=1)
-    labels = jnp.where(labels < MAX_OBSTACLES, labels, -1)
-    return points, Labels(labels, jnp.minimum(count, MAX_OBSTACLES))
+    return Detections(points, labels, outlined.obstacles, has_depth, scene)
 
 
 def _frame(found: jax.Array, given: Array) -> jax.Array:

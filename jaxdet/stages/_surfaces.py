@@ -11,7 +11,7 @@ from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
 
-_surfaces = TeamKernel(kernels.surfaces, 7)
+_surfaces = TeamKernel(kernels.surfaces, 8)
 
 
 class SurfaceSettings(NamedTuple):
@@ -40,10 +40,7 @@ class SurfaceTables(NamedTuple):
 
 
 class Surfaces(NamedTuple):
-    """The cells of a batch on the floor and in surfaces.
-
-    Cells measured to be free are those with ``(z >= nearest) & ~keep``.
-    """
+    """The cells of a batch on the floor and in surfaces."""
 
     right: jax.Array
     """``(B, R, C)`` int32, on the floor [depth units]."""
@@ -55,6 +52,8 @@ class Surfaces(NamedTuple):
     """``(B, R, C)`` int32, below MAX_SURFACES, -1 = none."""
     keep: jax.Array
     """``(B, R, C)`` bool, in range and above the floor."""
+    free: jax.Array
+    """``(B, R, C)`` bool, measured to be free: floor, or beyond the range."""
     low: jax.Array
     """``(B, R, C)`` bool, measured and no higher than the step."""
     num_surfaces: jax.Array
@@ -105,7 +104,15 @@ def surfaces(
         What the reference finds, to the bit.
     """
     batch, rows, columns = shape = z.shape
-    names = ("right_out", "forward_out", "height_out", "label_out", "keep_out", "low_out")
+    names = (
+        "right_out",
+        "forward_out",
+        "height_out",
+        "label_out",
+        "keep_out",
+        "free_out",
+        "low_out",
+    )
     shapes = {**dict.fromkeys(names, shape), "count_out": (batch,)}
     scratch = kernels.surfaces_words(rows, columns)
     out = _surfaces(x, y, z, floor, *tables, settings, batch=batch, shapes=shapes, scratch=scratch)

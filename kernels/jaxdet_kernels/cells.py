@@ -15,6 +15,7 @@ wp.set_module_options(
 @native_kernel(
     "lanes.h",
     "cell_depth.h",
+    "pixel_pair.h",
     "projection.h",
     "cells.h",
     body="""
@@ -27,7 +28,7 @@ wp.set_module_options(
                  near.data, rays.data, offset.data, corner_x.data, corner_y.data,
                  {parameters.data, model}, last.data, aligned != 0,
                  x_out.data + i, y_out.data + i, z_out.data + i,
-                 uv_min_out.data + 2 * i, uv_max_out.data + 2 * i, in_view_out.data + i}
+                 (int*)uv_min_out.data + i, (int*)uv_max_out.data + i, in_view_out.data + i}
             .run(team);
     }
 """,
@@ -50,8 +51,8 @@ def cells(
     x_out: wp.array3d[wp.int32],
     y_out: wp.array3d[wp.int32],
     z_out: wp.array3d[wp.int32],
-    uv_min_out: wp.array4d[wp.int32],
-    uv_max_out: wp.array4d[wp.int32],
+    uv_min_out: wp.array4d[wp.int16],
+    uv_max_out: wp.array4d[wp.int16],
     in_view_out: wp.array3d[wp.bool],
     scratch_out: wp.array2d[wp.int32],
 ):

@@ -33,6 +33,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
     "bits.h",
     "listed.h",
     "obstacle_cells.h",
+    "pixel_pair.h",
     "ranks.h",
     "measures.h",
     "outlines.h",
@@ -59,8 +60,8 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         measures.xyz[1] = y.data + at;
         measures.xyz[2] = z.data + at;
         measures.height = height.data + at;
-        measures.uv_min = uv_min.data + 2 * at;
-        measures.uv_max = uv_max.data + 2 * at;
+        measures.uv_min = (const int*)uv_min.data + at;
+        measures.uv_max = (const int*)uv_max.data + at;
         measures.count_out = num_points_out.data + slot;
         measures.uv_min_out = uv_min_out.data + 2 * slot;
         measures.uv_max_out = uv_max_out.data + 2 * slot;
@@ -102,8 +103,8 @@ def outlines(
     forward: wp.array3d[wp.int32],
     height: wp.array3d[wp.int32],
     in_view: wp.array3d[wp.bool],
-    uv_min: wp.array4d[wp.int32],
-    uv_max: wp.array4d[wp.int32],
+    uv_min: wp.array4d[wp.int16],
+    uv_max: wp.array4d[wp.int16],
     bands: wp.array2d[wp.int32],
     directions: wp.array2d[wp.int32],
     settings: wp.array[wp.int32],

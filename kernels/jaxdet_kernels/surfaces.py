@@ -40,6 +40,7 @@ def surfaces_words(rows: int, columns: int) -> int:
         surfaces.height = height_out.data + at;
         surfaces.label_out = label_out.data + at;
         surfaces.keep = (unsigned char*)keep_out.data + at;
+        surfaces.free = (unsigned char*)free_out.data + at;
         surfaces.low = (unsigned char*)low_out.data + at;
         surfaces.count_out = count_out.data + b;
         surfaces.scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
@@ -64,6 +65,7 @@ def surfaces(
     height_out: wp.array3d[wp.int32],
     label_out: wp.array3d[wp.int32],
     keep_out: wp.array3d[wp.bool],
+    free_out: wp.array3d[wp.bool],
     low_out: wp.array3d[wp.bool],
     count_out: wp.array[wp.int32],
     scratch_out: wp.array2d[wp.int32],
@@ -88,6 +90,7 @@ def surfaces(
         label_out: ``(B, R, C)``, surfaces in the order of their first cell; -1 = none, or beyond
             the 512th.
         keep_out: ``(B, R, C)``, in range and above the floor.
+        free_out: ``(B, R, C)``, measured to be free: floor, or beyond the range.
         low_out: ``(B, R, C)``, measured and no higher than the step.
         count_out: ``(B,)``, how many surfaces there are, those without a label included.
         scratch_out: ``(teams, surfaces_words(R, C))``.

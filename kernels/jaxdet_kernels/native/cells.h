@@ -4,6 +4,7 @@
 #include "team.h"
 #include "cell_depth.h"
 #include "lanes.h"
+#include "pixel_pair.h"
 #include "projection.h"
 
 struct CellGrid {
@@ -17,7 +18,8 @@ struct CellGrid {
     Projection projection;
     const int* last;                // The colour image's last column and row.
     bool aligned;
-    int *x_out, *y_out, *z_out, *uv_min_out, *uv_max_out;
+    int *x_out, *y_out, *z_out;
+    int *uv_min_out, *uv_max_out;   // Each a `PixelPair`.
     bool* in_view_out;
 
     CellDepth cell(int row, int column) const {
@@ -58,10 +60,8 @@ struct CellGrid {
         const bool inside = (z_out[k] > 0) & one.seen & two.seen & (high_u >= 0) &
                             (high_v >= 0) & (low_u <= last[0]) & (low_v <= last[1]);
         const int shown = -(int)inside;
-        uv_min_out[2 * k] = clamp(low_u, last[0]) & shown;
-        uv_min_out[2 * k + 1] = clamp(low_v, last[1]) & shown;
-        uv_max_out[2 * k] = clamp(high_u, last[0]) & shown;
-        uv_max_out[2 * k + 1] = clamp(high_v, last[1]) & shown;
+        uv_min_out[k] = PixelPair(clamp(low_u, last[0]), clamp(low_v, last[1])).word & shown;
+        uv_max_out[k] = PixelPair(clamp(high_u, last[0]), clamp(high_v, last[1])).word & shown;
         in_view_out[k] = inside;
     }
 

@@ -1,29 +1,54 @@
-// The colour pixels under kept cells, and the nearest kept cell over a corner.
-// Twin of `cover` in jaxdet/reference/_cells.py. A cell covers its box, a pixel wider at each side.
+// The colour pixels under kept cells, the nearest kept cell over a corner, and a sample of the cells.
+// Twin of `cover` in jaxdet/reference/_cells.py and of `_points` in jaxdet/reference/_detect.py. A
+// cell covers its box, a pixel wider at each side.
 #pragma once
+#include "bits.h"
+#include "lanes.h"
 #include "pixel_bits.h"
+#include "pixel_pair.h"
 
 struct Cover {
     Team team;
     int height, width;           // Of the colour image.
     int cells;                   // Of the grid.
-    const bool* keep;            // (cells), those that take part.
-    const int *z, *low, *high;   // (cells) and (cells, 2): depth, first and last column and row.
-    int* list;                   // Scratch: (1 + cells), how many are kept, and which.
+    const bool *keep, *in_view;  // (cells)
+    const int *z, *low, *high;   // (cells): depth; a `PixelPair` each, first and last pixel.
+    const int* range;            // (2), least and largest depth; of kept cells only the second counts.
+    int* list;                   // Scratch: (1 + cells), how many take part, and which.
 
     struct Box {
         int left, top, right, bottom;
     };
 
     Box box(int cell) const {
-        const int left = low[2 * cell] - 1, top = low[2 * cell + 1] - 1;
-        const int right = high[2 * cell] + 1, bottom = high[2 * cell + 1] + 1;
+        const PixelPair first(low[cell]), last(high[cell]);
+        const int left = first.column() - 1, top = first.row() - 1;
+        const int right = last.column() + 1, bottom = last.row() + 1;
         return {left < 0 ? 0 : left, top < 0 ? 0 : top, right < width ? right : width - 1,
                 bottom < height ? bottom : height - 1};
     }
 
-    // Lists the kept cells, in no order. Most are not kept, so eight are looked at together.
+    // Whether any cell in view is in range; all threads get it.
+    bool any_in_range() const {
+        enum { AHEAD = 64 };
+        for (int first = 0; first < cells; first += AHEAD * team.size) {
+            const int last = first + AHEAD * team.size < cells ? first + AHEAD * team.size : cells;
+            bool some = false;
+            for (int i = first + team.rank; i < last; i += team.size)
+                some |= in_view[i] & (z[i] >= range[0]) & (z[i] <= range[1]);
+            if (team.any(some)) return true;
+        }
+        return false;
+    }
+
+    bool takes_part(int cell) const {
+        return keep[cell] & in_view[cell] & (z[cell] <= range[1]);
+    }
+
+    // Lists the cells that take part, in no order.
     void gather() const {
+#if defined(__CUDA_ARCH__)
+        // Most are not kept, so eight are looked at together.
         typedef unsigned long long Eight;
         if (team.rank == 0) *list = 0;
         team.sync();
@@ -33,9 +58,21 @@ struct Cover {
             const bool is_whole = first >= 0 && first + 8 <= cells;
             if (is_whole && *(const Eight*)(keep + first) == 0) continue;
             for (int cell = first < 0 ? 0 : first; cell < first + 8 && cell < cells; ++cell)
-                if (keep[cell]) list[1 + team.count(list)] = cell;
+                if (keep[cell] && takes_part(cell)) list[1 + team.count(list)] = cell;
         }
         team.sync();
+#else
+        int n = 0;
+        for (int first = 0; first < cells; first += BitRows::WIDTH) {
+            unsigned char taken[BitRows::WIDTH];
+            const int left = cells - first;
+            const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
+            for (int k = 0; k < wide; ++k) taken[k] = takes_part(first + k);
+            for (unsigned those = BitRows::packed(taken, 0, wide); those; those &= those - 1)
+                list[1 + n++] = first + BitRows::first(those);
+        }
+        *list = n;
+#endif
     }
 
     // Whether each pixel lies under a kept cell: (height, PixelBits::words(width)).
@@ -53,6 +90,56 @@ struct Cover {
     }
 };
 
+// What is told of the features of a frame, each by slot.
+struct FeatureSlots {
+    int *u, *v, *x, *y, *z, *label;
+    bool *valid, *kept;
+    int most;  // Labels from here on become -1.
+
+    void put(int i, int column, int row, bool is_valid) const {
+        u[i] = column;
+        v[i] = row;
+        valid[i] = is_valid;
+    }
+
+    void place(int i, int right, int down, int depth, int own, bool is_kept) const {
+        x[i] = right;
+        y[i] = down;
+        z[i] = depth;
+        label[i] = own < most ? own : -1;
+        kept[i] = is_kept;
+    }
+};
+
+// Every second cell of every second row.
+struct SampledCells {
+    Cover cover;
+    int rows, columns;
+    const int *x, *y, *label;  // (cells)
+    FeatureSlots out;
+    int first;                 // Its slot of the first of them.
+
+    void run() const {
+        const Lanes lanes(cover.team);
+        const int across = columns / 2;
+        for (int row = lanes.index; row < rows / 2; row += lanes.count) {
+            const int from = (2 * row + 1) * columns + 1, to = first + row * across;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int i = lanes.rank; i < across; i += Lanes::size) {
+                const int k = from + 2 * i;
+                const bool seen = cover.in_view[k], is_kept = seen & cover.keep[k];
+                const int right = x[k], down = y[k], depth = cover.z[k], own = label[k];
+                const PixelPair low(cover.low[k]), high(cover.high[k]);
+                out.put(to + i, (low.column() + high.column()) >> 1, (low.row() + high.row()) >> 1,
+                        is_kept);
+                out.place(to + i, right, down, depth, seen ? own : -1, is_kept);
+            }
+        }
+    }
+};
+
 // Corners are listed by square tiles of the image; a cell's box asks those that it overlaps.
 struct CoveredCorners {
     Cover cover;
@@ -61,9 +148,9 @@ struct CoveredCorners {
     int* words;               // Scratch: 3 slots, and the tiles.
     const int* label;         // (cells)
     const int *ray_x, *ray_y; // (height, width), fixed point of RAY_BITS.
-    // (slots), of each corner: the nearest cell over it, of equal ones the first, and its label, or
-    // -1; its depth and coordinates x and y, or 0.
-    int *cell_out, *label_out, *x_out, *y_out, *z_out;
+    // Of each corner: the depth and the label of the nearest cell over it, of equal ones the first,
+    // and its coordinates; 0 and -1 without one.
+    FeatureSlots out;
 
     enum { CELL_BITS = 18, TILE = 8, RAY_BITS = 20 };
 
@@ -99,12 +186,10 @@ struct CoveredCorners {
         for (int i = team.rank; i < slots; i += team.size) {
             const bool is_covered = nearest[i] != nothing;
             const int cell = (int)(nearest[i] & ((1ull << CELL_BITS) - 1));
-            const int z = is_covered ? cover.z[cell] : 0, pixel = v[i] * cover.width + u[i];
-            cell_out[i] = is_covered ? cell : -1;
-            label_out[i] = is_covered ? label[cell] : -1;
-            x_out[i] = is_covered ? lateral(ray_x[pixel], z) : 0;
-            y_out[i] = is_covered ? lateral(ray_y[pixel], z) : 0;
-            z_out[i] = z;
+            const int depth = is_covered ? cover.z[cell] : 0, pixel = v[i] * cover.width + u[i];
+            out.put(i, u[i], v[i], i < count);
+            out.place(i, lateral(ray_x[pixel], depth), lateral(ray_y[pixel], depth), depth,
+                      is_covered ? label[cell] : -1, is_covered);
         }
     }
 

@@ -2,6 +2,7 @@
 // the floor. Twin of jaxdet/reference/_footprint.py.
 #pragma once
 #include "obstacle_cells.h"
+#include "pixel_pair.h"
 #include "ranks.h"
 
 struct Measures {
@@ -13,7 +14,8 @@ struct Measures {
     const Lanes& lanes;
     int trim, threshold;
     const int* bands;  // (DEPTHS, 2), by the nearest distance: to the side, behind the nearest
-    const int *xyz[3], *height, *uv_min, *uv_max;
+    const int *xyz[3], *height;
+    const int *uv_min, *uv_max;  // each a `PixelPair`
     // By slot.
     int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
     int *a_out, *b_out, *c_out, *bottom_top_out;
@@ -102,11 +104,11 @@ struct Measures {
         const int most = ObstacleCells::LARGEST;
         int low[2] = {most, most}, high[2] = {-most, -most};
         for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
-            const int k = 2 * cells.cell[i];
-            for (int j = 0; j < 2; ++j) {
-                low[j] = uv_min[k + j] < low[j] ? uv_min[k + j] : low[j];
-                high[j] = uv_max[k + j] > high[j] ? uv_max[k + j] : high[j];
-            }
+            const PixelPair first(uv_min[cells.cell[i]]), last(uv_max[cells.cell[i]]);
+            low[0] = first.column() < low[0] ? first.column() : low[0];
+            low[1] = first.row() < low[1] ? first.row() : low[1];
+            high[0] = last.column() > high[0] ? last.column() : high[0];
+            high[1] = last.row() > high[1] ? last.row() : high[1];
         }
         for (int j = 0; j < 2; ++j) {
             uv_min_out[2 * number + j] = lanes.least(low[j]);

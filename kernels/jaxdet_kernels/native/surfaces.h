@@ -38,6 +38,7 @@ struct Surfaces {
     int* height;
     int* label_out;
     unsigned char* keep;
+    unsigned char* free;
     unsigned char* low;
     int* count_out;
     int* scratch;
@@ -128,6 +129,7 @@ struct Surfaces {
                 forward[at[k]] = ahead;
                 height[at[k]] = high;
                 keep[at[k]] = on;
+                free[at[k]] = (d[k] >= nearest) & !on;
                 low[at[k]] = (d[k] > 0) & !above;
             }
         }
@@ -151,13 +153,14 @@ struct Surfaces {
 
     static void keep_row(
         const int* __restrict__ z, const int* __restrict__ height, const int* __restrict__ rise,
-        unsigned char* __restrict__ keep, unsigned char* __restrict__ low, int* __restrict__ depth,
-        int nearest, int farthest, int n
+        unsigned char* __restrict__ keep, unsigned char* __restrict__ free,
+        unsigned char* __restrict__ low, int* __restrict__ depth, int nearest, int farthest, int n
     ) {
         for (int c = 0; c < n; ++c) {
             const int d = z[c];
-            const bool above = height[c] > rise[c];
-            keep[c] = (d >= nearest) & (d <= farthest) & above;
+            const bool above = height[c] > rise[c], on = (d >= nearest) & (d <= farthest) & above;
+            keep[c] = on;
+            free[c] = (d >= nearest) & !on;
             low[c] = (d > 0) & !above;
             depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
         }
@@ -174,8 +177,8 @@ struct Surfaces {
             place_row(frame, x + k, y + k, z + k, right + k, forward + k, height + k, columns);
             for (int c = 0; c < columns; ++c) rise[c] = rises[z[k + c]];
             keep_row(
-                z + k, height + k, rise, keep + k, low + k, in.depth + at, settings[NEAREST],
-                settings[FARTHEST], columns
+                z + k, height + k, rise, keep + k, free + k, low + k, in.depth + at,
+                settings[NEAREST], settings[FARTHEST], columns
             );
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
                 const int c = in.kept.column(i);
@@ -551,7 +554,9 @@ struct Surfaces {
                 if (!(has[i] >> k & 1)) continue;
                 const int number = numbers[label_out[first + k]];
                 label_out[first + k] = number < MOST ? number : -1;
-                if (number < 0) keep[first + k] = 0;
+                if (number >= 0) continue;
+                keep[first + k] = 0;
+                free[first + k] = 1;
             }
         }
         team.sync();
