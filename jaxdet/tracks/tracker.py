@@ -1,0 +1,171 @@
+"""A log's tracks, from its obstacles a window of frames after the other."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.links import link_frames, link_tracklets
+from jaxdet.tracks.motion import motion_of
+from jaxdet.tracks.outlines import Outlines
+from jaxdet.tracks.pairs import chain_starts
+from jaxdet.tracks.things import Things, join_things, whole_things
+
+
+class Track(NamedTuple):
+    """One thing over time."""
+
+    in_world: bool
+    """Whether its path is in the world, else in the camera's ground frame."""
+    first_frame: int
+    last_frame: int
+    first_stamp_ns: int
+    last_stamp_ns: int
+    frames: int
+    """In which it was seen."""
+    obstacles: int
+    """Rows of ``obstacles.parquet`` that show it."""
+    moving: bool
+    mean_speed_mps: float
+    """0 where it does not move [m/s]."""
+    max_speed_mps: float
+    """[m/s]."""
+    length_m: float
+    """The longer side of its outline, median [m]."""
+    width_m: float
+    """The shorter side [m]."""
+    top_m: float
+    """Its highest point above the floor, median; NaN where that is not known [m]."""
+    path: np.ndarray
+    """``(P, 2)`` float32, the outline's middle in each frame from the first to the last; one point
+    where it does not move [m]."""
+    speed: np.ndarray
+    """``(P,)`` float32, in each frame from the first to the last [m/s]."""
+
+
+class Tracker:
+    """Links the obstacles of a log.
+
+    Keeps the sightings of tracks that may go on, the frames' stamps, and of each obstacle the
+    track.
+
+    Args:
+        config: What links obstacles.
+    """
+
+    def __init__(self, config: TrackConfig) -> None:
+        self.config = config
+        self.things: Things | None = None
+        self.number = np.zeros(0, np.int64)
+        """Numbers of the things that are kept, in the log."""
+        self.before = np.zeros(0, np.int64)
+        self.stamps: list[np.ndarray] = []
+        self.thing_of: list[np.ndarray] = []
+        self.count = 0
+        self.tracks: list[tuple[int, Track, np.ndarray]] = []
+
+    def add(self, stamps: np.ndarray, seen: Things, size: np.ndarray) -> None:
+        """Takes the next frames of the log in.
+
+        Args:
+            stamps: Their stamps, of all frames, with or without obstacles [ns].
+            seen: ``N`` obstacles; frames are numbered from the log's first.
+            size: ``(N,)``, the obstacles' cells in the image.
+        """
+        self.stamps.append(stamps)
+        things, thing = whole_things(seen, size, self.config)
+        self.thing_of.append(thing + self.count)
+        first, new = len(self.before), len(things.frame)
+        self.number = np.concatenate([self.number, self.count + np.arange(new)])
+        self.count += new
+        self.things = things if self.things is None else join_things(self.things, things)
+        before = np.concatenate([self.before, np.full(new, -1)])
+        before = link_frames(self.things, before, first, self.config)
+        self.before = link_tracklets(self.things, before, first, self.config)
+        if len(stamps):
+            self._close(int(stamps[-1]) - round(self.config.max_gap_s * 1e9))
+
+    def finish(self) -> tuple[list[Track], np.ndarray]:
+        """The log's tracks, by their first obstacle, and the track of each obstacle, or -1."""
+        self._close(None)
+        self.tracks.sort(key=lambda track: track[0])
+        track_of = np.full(self.count, -1, np.int32)
+        for number, (_, _, things) in enumerate(self.tracks):
+            track_of[things] = number
+        rows = np.concatenate(self.thing_of) if self.thing_of else np.zeros(0, np.int64)
+        return [track for _, track, _ in self.tracks], track_of[rows]
+
+    def _close(self, until_ns: int | None) -> None:
+        """Makes tracks of the chains that end before a stamp, all without one; forgets them."""
+        things = self.things
+        if things is None or not len(self.before):
+            return
+        start, chain = np.unique(chain_starts(self.before), return_inverse=True)
+        last = np.full(len(start), np.iinfo(np.int64).min)
+        np.maximum.at(last, chain, things.stamp_ns)
+        ended = np.ones(len(start), bool) if until_ns is None else last < until_ns
+        seen = np.bincount(chain, minlength=len(start))
+        self._keep(chain, ended & (seen >= self.config.min_frames))
+        left = ~ended[chain]
+        row = np.cumsum(left) - 1
+        before = self.before[left]
+        self.before = np.where(before >= 0, row[before], -1)
+        self.things, self.number = things[left], self.number[left]
+
+    def _keep(self, chain: np.ndarray, kept: np.ndarray) -> None:
+        assert self.things is not None
+        rows = np.flatnonzero(kept[chain])
+        if not len(rows):
+            return
+        rows = rows[np.argsort(chain[rows], kind="stable")]
+        first = np.flatnonzero(np.diff(chain[rows], prepend=-1))
+        things, number = self.things[rows], self.number[rows]
+        stamps = np.concatenate(self.stamps)
+        self.stamps = [stamps]
+        motion = motion_of(things, first, stamps, self.config)
+        points = np.split(motion.place.astype(np.float32), motion.first[1:])
+        speeds = np.split(np.hypot(*motion.velocity.T), motion.first[1:])
+        parts = np.split(np.arange(len(rows)), first[1:])
+        for points_of, speed, moving, part in zip(points, speeds, motion.moving, parts, strict=True):
+            track = _track(things[part], points_of, speed, bool(moving))
+            self.tracks.append((int(number[part[0]]), track, number[part]))
+
+
+def _track(seen: Things, points: np.ndarray, speed: np.ndarray, moving: bool) -> Track:
+    half = np.median(seen.outline.half, axis=0)
+    top = seen.top_m[~np.isnan(seen.top_m)]
+    return Track(
+        bool(seen.in_world[0]),
+        int(seen.frame[0]),
+        int(seen.frame[-1]),
+        int(seen.stamp_ns[0]),
+        int(seen.stamp_ns[-1]),
+        len(seen.frame),
+        int(seen.obstacles.sum()),
+        moving,
+        float(speed.mean()),
+        float(speed.max()),
+        float(2 * half.max()),
+        float(2 * half.min()),
+        float(np.median(top)) if len(top) else float("nan"),
+        points if moving else np.median(points, axis=0)[None],
+        speed.astype(np.float32),
+    )
+
+
+def obstacles_seen(
+    frame: np.ndarray, stamp_ns: np.ndarray, ground: np.ndarray, world: np.ndarray, top_m: np.ndarray
+) -> Things:
+    """Obstacles as things: in the world where a pose is known, else in the camera's ground frame.
+
+    Args:
+        frame: ``(N,)``.
+        stamp_ns: ``(N,)``.
+        ground: ``(N, 8)`` outlines in the ground frame [m].
+        world: ``(N, 8)`` in the world, NaN without a pose [m].
+        top_m: ``(N,)``.
+    """
+    known = np.isfinite(world).all(axis=1)
+    outline = Outlines.of_corners(np.where(known[:, None], world, ground))
+    one = np.ones(len(frame), np.int64)
+    return Things(frame, stamp_ns, outline, top_m.astype(np.float64), known, one)
