@@ -20,6 +20,10 @@ class TrackConfig:
     overlap: float = 0.5
     """Outlines of a frame that overlap by this share of the smaller, along every side, are one
     thing, unless it is a long one."""
+    floats_m: float = 0.25
+    """What begins higher above the floor and touches a larger thing is a part of it [m]."""
+    touch_m: float = 0.05
+    """Outlines that are nearer to each other than this touch [m]."""
     long_m: float = 1.6
     """Things longer than this are walls, hedges or shelves, before which others stand [m]."""
     min_frames: int = 4
@@ -36,6 +40,8 @@ class TrackConfig:
             "max-gap-frames": self.max_gap_frames >= 1,
             "max-gap-s": self.max_gap_s > 0,
             "overlap": 0 < self.overlap <= 1,
+            "floats-m": self.floats_m >= 0,
+            "touch-m": self.touch_m >= 0,
             "long-m": self.long_m > 0,
             "min-frames": self.min_frames >= 1,
             "moving-m": self.moving_m > 0,

@@ -8,6 +8,11 @@ from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.pairs import ranges
 from jaxdet.tracks.things import Things
 
+GUESSED = 0.05
+"""Weight of a frame between sightings."""
+STEADY_S = 0.02
+"""Fits over less time than this are drawn to standing still [s]."""
+
 
 class Motion(NamedTuple):
     """``K`` tracks; ``P`` points, those of the first track first, one a frame."""
@@ -48,8 +53,8 @@ def motion_of(
     reach = np.stack([things.outline.reach(np.broadcast_to(way, things.outline.axis.shape))
                       for way in np.eye(2)], 1)
     edges = np.hstack([things.outline.center - reach, things.outline.center + reach])
-    edges = _filled(things, edges, starts, first, track, frame, stamp)
-    line, slope = _fitted(track, time, edges, config.smooth_s)
+    edges, weight = _filled(things, edges, starts, first, stamp)
+    line, slope = _fitted(track, time, edges, weight, config.smooth_s)
     low, high = line[:, :2], line[:, 2:]
     base = line[starts][track]
     shift = np.stack([line - base, np.roll(line - base, 2, axis=1)])
@@ -63,22 +68,27 @@ def motion_of(
     return Motion(starts, count, (low + high) / 2, velocity, moving)
 
 
-def _filled(things, edges, starts, first, track, frame, stamp):
-    """Edges in all frames, ``(P, 4)``, by lines between sightings."""
-    seen_track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
-    point = starts[seen_track] + things.frame - things.frame[first][seen_track]
-    known = np.zeros(len(track), bool)
+def _filled(
+    things: Things, edges: np.ndarray, starts: np.ndarray, first: np.ndarray, stamp: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Edges in all frames, ``(P, 4)``, by lines between sightings, and their weights, ``(P,)``."""
+    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
+    point = starts[track] + things.frame - things.frame[first][track]
+    known = np.zeros(len(stamp), bool)
     known[point] = True
     before = np.cumsum(known) - 1
     after = np.minimum(before + ~known, len(point) - 1)
     whole = np.maximum(stamp[point[after]] - stamp[point[before]], 1)
     share = (stamp - stamp[point[before]]) / whole
-    return edges[before] + share[:, None] * (edges[after] - edges[before])
+    filled = edges[before] + share[:, None] * (edges[after] - edges[before])
+    return filled, np.where(known, things.weight[before], GUESSED)
 
 
-def _fitted(track: np.ndarray, time: np.ndarray, values: np.ndarray, reach_s: float):
+def _fitted(
+    track: np.ndarray, time: np.ndarray, values: np.ndarray, weight: np.ndarray, reach_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Lines through the values within ``reach_s`` of each point: value and slope, ``(P, V)``."""
-    n = np.ones(len(track))
+    n = weight.copy()
     st, stt = np.zeros(len(track)), np.zeros(len(track))
     sv, stv = np.zeros_like(values), np.zeros_like(values)
     for sign in (-1, 1):
@@ -89,15 +99,14 @@ def _fitted(track: np.ndarray, time: np.ndarray, values: np.ndarray, reach_s: fl
             near = (track[there] == track[here]) & (np.abs(t) <= reach_s)
             if not near.any():
                 break
-            t = np.where(near, t, 0.0)
-            shift = (values[there] - values[here]) * near[:, None]
-            n[here] += near
-            st[here] += t
-            stt[here] += t * t
-            sv[here] += shift
-            stv[here] += t[:, None] * shift
+            w = np.where(near, weight[there], 0.0)
+            wt, shift = w * t, values[there] - values[here]
+            n[here] += w
+            st[here] += wt
+            stt[here] += wt * t
+            sv[here] += w[:, None] * shift
+            stv[here] += wt[:, None] * shift
     mean_t, mean_v = st / n, sv / n[:, None]
     spread = stt / n - mean_t**2
-    slope = (stv / n[:, None] - mean_t[:, None] * mean_v) / np.maximum(spread, 1e-12)[:, None]
-    slope[spread < 1e-12] = 0.0
+    slope = (stv / n[:, None] - mean_t[:, None] * mean_v) / (spread + STEADY_S**2)[:, None]
     return values + mean_v - slope * mean_t[:, None], slope

@@ -63,6 +63,19 @@ def overlap(a: Outlines, b: Outlines) -> np.ndarray:
     return least
 
 
+def gap(a: Outlines, b: Outlines) -> np.ndarray:
+    """How far apart the two are, along the side on which that is most; negative if they overlap.
+
+    Returns:
+        ``(N,)`` float64 [m]; of two corners that face each other, less than their distance.
+    """
+    shift, most = b.center - a.center, np.full(len(a.center), -np.inf)
+    for axis in (a.axis, turned(a.axis), b.axis, turned(b.axis)):
+        apart = np.abs((shift * axis).sum(1)) - a.reach(axis) - b.reach(axis)
+        most = np.maximum(most, apart)
+    return most
+
+
 def displacement(a: Outlines, b: Outlines) -> np.ndarray:
     """How far ``b`` has moved from ``a``, whose visible part may have grown or shrunk.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.tracks.config import TrackConfig
-from jaxdet.tracks.outlines import Outlines, overlap, turned
+from jaxdet.tracks.outlines import Outlines, gap, overlap, turned
 from jaxdet.tracks.pairs import components, pairs_in_frames
 
 
@@ -18,8 +18,12 @@ class Things(NamedTuple):
     """``(N,)`` int64."""
     outline: Outlines
     """``(N,)`` on the floor."""
+    bottom_m: np.ndarray
+    """``(N,)`` float64, lowest point above the floor, NaN where it is not known [m]."""
     top_m: np.ndarray
-    """``(N,)`` float64, NaN where it is not known [m]."""
+    """``(N,)`` float64, highest point, likewise [m]."""
+    weight: np.ndarray
+    """``(N,)`` float64, how much its outline says about where it is, 1 for a near and whole one."""
     in_world: np.ndarray
     """``(N,)`` bool, whether the outline is in the world, else in the camera's ground frame."""
     obstacles: np.ndarray
@@ -44,7 +48,8 @@ def join_things(first: Things, second: Things) -> Things:
 def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[Things, np.ndarray]:
     """Joins obstacles of a frame that can't be two things, as their outlines overlap.
 
-    Of a person who walks a frame may show two legs; of a pillar, its face and a piece of its side.
+    Of a person who walks a frame may show two legs, which stand within each other's outlines, or an
+    arm, which floats beside the body.
 
     Args:
         seen: ``N`` obstacles.
@@ -59,7 +64,10 @@ def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[T
     short = 2 * seen.outline.half.max(axis=1) <= config.long_m
     same = short[a] & short[b] & (seen.in_world[a] == seen.in_world[b])
     a, b, larger = a[same], b[same], larger[same]
-    held = overlap(seen.outline[a], seen.outline[b]) >= config.overlap
+    shared = overlap(seen.outline[a], seen.outline[b])
+    floats = np.where(larger == a, seen.bottom_m[b], seen.bottom_m[a]) > config.floats_m
+    near = gap(seen.outline[a], seen.outline[b]) <= config.touch_m
+    held = (shared >= config.overlap) | (floats & near)
     a, b = a[held], b[held]
     root = components(len(seen.frame), a, b)
     leaders, thing = np.unique(root, return_inverse=True)
@@ -84,8 +92,17 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
         np.maximum.at(high, thing, along + reach)
         center += ((low + high) / 2)[:, None] * way
         half[:, side] = (high - low) / 2
-    top = np.full(count, np.nan)
+    bottom, top = np.full((2, count), np.nan)
+    np.fmin.at(bottom, thing, seen.bottom_m)
     np.fmax.at(top, thing, seen.top_m)
+    weight = np.ones(count)
+    np.minimum.at(weight, thing, seen.weight)
     obstacles = np.bincount(thing, seen.obstacles, count).astype(np.int64)
     kept = seen[lead]
-    return kept._replace(outline=Outlines(center, axis, half), top_m=top, obstacles=obstacles)
+    return kept._replace(
+        outline=Outlines(center, axis, half),
+        bottom_m=bottom,
+        top_m=top,
+        weight=weight,
+        obstacles=obstacles,
+    )

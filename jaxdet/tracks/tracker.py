@@ -1,5 +1,6 @@
 """A log's tracks, from its obstacles a window of frames after the other."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,13 @@ from jaxdet.tracks.motion import motion_of
 from jaxdet.tracks.outlines import Outlines
 from jaxdet.tracks.pairs import chain_starts
 from jaxdet.tracks.things import Things, join_things, whole_things
+
+CUT = 0.05
+"""Weight of an outline that the image's left or right border cuts: its middle isn't the thing's."""
+BORDER_PX = 1
+"""So near to it [pixel]."""
+NOISE_M = 3.0
+"""Where the noise of depth, which grows with its square, is as large as what is left near by [m]."""
 
 
 class Track(NamedTuple):
@@ -154,18 +162,26 @@ def _track(seen: Things, points: np.ndarray, speed: np.ndarray, moving: bool) ->
 
 
 def obstacles_seen(
-    frame: np.ndarray, stamp_ns: np.ndarray, ground: np.ndarray, world: np.ndarray, top_m: np.ndarray
+    frame: np.ndarray,
+    stamp_ns: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+    width: int,
 ) -> Things:
     """Obstacles as things: in the world where a pose is known, else in the camera's ground frame.
 
     Args:
         frame: ``(N,)``.
         stamp_ns: ``(N,)``.
-        ground: ``(N, 8)`` outlines in the ground frame [m].
-        world: ``(N, 8)`` in the world, NaN without a pose [m].
-        top_m: ``(N,)``.
+        columns: Of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN without a
+            pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``.
+        width: Of the colour image [pixel].
     """
+    world = columns["corners_world"]
     known = np.isfinite(world).all(axis=1)
-    outline = Outlines.of_corners(np.where(known[:, None], world, ground))
+    outline = Outlines.of_corners(np.where(known[:, None], world, columns["corners_ground"]))
+    cut = (columns["u_min"] <= BORDER_PX) | (columns["u_max"] >= width - 1 - BORDER_PX)
+    noise = 1 + (columns["distance_m"].astype(np.float64) / NOISE_M) ** 4
+    weight = np.where(cut, CUT, 1.0) / noise
+    bottom, top = (columns[name].astype(np.float64) for name in ("bottom_m", "top_m"))
     one = np.ones(len(frame), np.int64)
-    return Things(frame, stamp_ns, outline, top_m.astype(np.float64), known, one)
+    return Things(frame, stamp_ns, outline, bottom, top, weight, known, one)
