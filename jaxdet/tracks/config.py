@@ -17,20 +17,20 @@ class TrackConfig:
     """Outlines this many frames apart are linked by their edges alone."""
     max_gap_s: float = 2.5
     """A thing that was not seen for longer begins a new track [s]."""
-    overlap: float = 0.5
+    overlap: float = 0.4
     """Outlines of a frame that overlap by this share of the smaller, along every side, are one
     thing, unless it is a long one."""
     floats_m: float = 0.25
     """What begins higher above the floor and touches a larger thing is a part of it [m]."""
-    touch_m: float = 0.05
+    touch_m: float = 0.1
     """Outlines that are nearer to each other than this touch [m]."""
     long_m: float = 1.6
     """Things longer than this are walls, hedges or shelves, before which others stand [m]."""
     min_frames: int = 4
     """A track is seen in at least so many frames."""
-    moving_m: float = 0.3
+    moving_m: float = 0.25
     """A thing moves if both of its ends leave their places by more [m]."""
-    smooth_s: float = 0.5
+    smooth_s: float = 0.7
     """Positions and speeds are fitted over so much time before and after a frame [s]."""
 
     def __post_init__(self) -> None:

@@ -63,7 +63,7 @@ def motion_of(
     least = np.minimum(ends, middle).max(axis=1)
     farthest = np.maximum.reduceat(least, starts)
     size = np.maximum.reduceat((high - low).max(axis=1), starts)
-    moving = farthest > np.maximum(config.moving_m, 0.3 * size)
+    moving = farthest > np.maximum(config.moving_m, 0.2 * size)
     velocity = (slope[:, :2] + slope[:, 2:]) / 2 * moving[track, None]
     return Motion(starts, count, (low + high) / 2, velocity, moving)
 

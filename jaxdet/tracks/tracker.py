@@ -12,7 +12,7 @@ from jaxdet.tracks.outlines import Outlines
 from jaxdet.tracks.pairs import chain_starts
 from jaxdet.tracks.things import Things, join_things, whole_things
 
-CUT = 0.05
+CUT = 0.2
 """Weight of an outline that the image's left or right border cuts: its middle isn't the thing's."""
 BORDER_PX = 1
 """So near to it [pixel]."""
