@@ -30,6 +30,9 @@ class TrackConfig:
     """A track is seen in at least so many frames."""
     moving_m: float = 0.25
     """A thing moves if both of its ends leave their places by more [m]."""
+    noise_m: float = 0.25
+    """A thing whose ends jump about their way by more, root mean square, stands: a part of a wall
+    [m]."""
     smooth_s: float = 0.7
     """Positions and speeds are fitted over so much time before and after a frame [s]."""
 
@@ -45,6 +48,7 @@ class TrackConfig:
             "long-m": self.long_m > 0,
             "min-frames": self.min_frames >= 1,
             "moving-m": self.moving_m > 0,
+            "noise-m": self.noise_m > 0,
             "smooth-s": self.smooth_s > 0,
         }
         for name, kept in rules.items():

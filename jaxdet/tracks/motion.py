@@ -10,6 +10,8 @@ from jaxdet.tracks.things import Things
 
 GUESSED = 0.05
 """Weight of a frame between sightings."""
+LONGER, MERGED = 1.6, 0.1
+"""An outline so much longer than usual holds something else; its weight."""
 STEADY_S = 0.02
 """Fits over less time than this are drawn to standing still [s]."""
 
@@ -29,9 +31,7 @@ class Motion(NamedTuple):
     """``(K,)`` bool."""
 
 
-def motion_of(
-    things: Things, first: np.ndarray, stamps: np.ndarray, config: TrackConfig
-) -> Motion:
+def motion_of(things: Things, first: np.ndarray, stamps: np.ndarray, config: TrackConfig) -> Motion:
     """Fits the ways of tracks.
 
     Between sightings the outline's edges are interpolated; over ``smooth_s`` before and after each
@@ -47,25 +47,54 @@ def motion_of(
     count = things.frame[last] - things.frame[first] + 1
     starts = np.cumsum(count) - count
     track = np.repeat(np.arange(len(first)), count)
-    frame = ranges(things.frame[first], count)
-    stamp = stamps[frame]
+    stamp = stamps[ranges(things.frame[first], count)]
     time = (stamp - stamp[starts][track]) * 1e-9
-    reach = np.stack([things.outline.reach(np.broadcast_to(way, things.outline.axis.shape))
-                      for way in np.eye(2)], 1)
-    edges = np.hstack([things.outline.center - reach, things.outline.center + reach])
-    edges, weight = _filled(things, edges, starts, first, stamp)
+    edges, weight = _filled(_weighed(things, first), _edges(things), starts, first, stamp)
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
-    low, high = line[:, :2], line[:, 2:]
-    base = line[starts][track]
-    shift = np.stack([line - base, np.roll(line - base, 2, axis=1)])
-    middle = np.abs(shift.sum(0)[:, :2] / 2)
-    ends = np.minimum(*np.abs(np.split(line - base, 2, axis=1)))
-    least = np.minimum(ends, middle).max(axis=1)
-    farthest = np.maximum.reduceat(least, starts)
-    size = np.maximum.reduceat((high - low).max(axis=1), starts)
-    moving = farthest > np.maximum(config.moving_m, 0.2 * size)
+    moving = _moves(line, edges, weight, starts, track, config)
     velocity = (slope[:, :2] + slope[:, 2:]) / 2 * moving[track, None]
-    return Motion(starts, count, (low + high) / 2, velocity, moving)
+    return Motion(starts, count, (line[:, :2] + line[:, 2:]) / 2, velocity, moving)
+
+
+def _edges(things: Things) -> np.ndarray:
+    """``(N, 4)``, least x and y and greatest x and y of each outline [m]."""
+    outline = things.outline
+    ways = (np.broadcast_to(way, outline.axis.shape) for way in np.eye(2))
+    reach = np.stack([outline.reach(way) for way in ways], axis=1)
+    return np.hstack([outline.center - reach, outline.center + reach])
+
+
+def _weighed(things: Things, first: np.ndarray) -> Things:
+    """Outlines much longer than is usual in their track, which hold something else too, count less."""
+    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
+    length = things.outline.half.max(axis=1)
+    order = np.lexsort((length, track))
+    seen = np.diff(np.append(first, len(length)))
+    usual = length[order][first + seen // 2][track]
+    return things._replace(weight=np.where(length > LONGER * usual, MERGED, 1) * things.weight)
+
+
+def _moves(
+    line: np.ndarray,
+    edges: np.ndarray,
+    weight: np.ndarray,
+    starts: np.ndarray,
+    track: np.ndarray,
+    config: TrackConfig,
+) -> np.ndarray:
+    """Which tracks move, ``(K,)``: both ends and the middle leave their places, by more than noise.
+
+    Pieces of a wall that come and go have ends that jump.
+    """
+    shift = line - line[starts][track]
+    low, high = shift[:, :2], shift[:, 2:]
+    least = np.minimum(np.minimum(np.abs(low), np.abs(high)), np.abs(low + high) / 2).max(axis=1)
+    size = np.maximum.reduceat((line[:, 2:] - line[:, :2]).max(axis=1), starts)
+    square = np.add.reduceat(weight[:, None] * (edges - line) ** 2, starts)
+    noise = np.sqrt(square / np.add.reduceat(weight, starts)[:, None]).max(axis=1)
+    far = np.maximum.reduceat(least, starts)
+    limit = np.maximum(config.moving_m, np.maximum(0.2 * size, 3 * noise))
+    return (far > limit) & (noise <= config.noise_m)
 
 
 def _filled(

@@ -48,7 +48,7 @@ class Track(NamedTuple):
     """``(P, 2)`` float32, the outline's middle in each frame from the first to the last; one point
     where it does not move [m]."""
     speed: np.ndarray
-    """``(P,)`` float32, in each frame from the first to the last [m/s]."""
+    """``(P,)`` float32, at each point of the path [m/s]."""
 
 
 class Tracker:
@@ -121,6 +121,7 @@ class Tracker:
         self.things, self.number = things[left], self.number[left]
 
     def _keep(self, chain: np.ndarray, kept: np.ndarray) -> None:
+        """Makes tracks of some chains."""
         assert self.things is not None
         rows = np.flatnonzero(kept[chain])
         if not len(rows):
@@ -134,7 +135,9 @@ class Tracker:
         points = np.split(motion.place.astype(np.float32), motion.first[1:])
         speeds = np.split(np.hypot(*motion.velocity.T), motion.first[1:])
         parts = np.split(np.arange(len(rows)), first[1:])
-        for points_of, speed, moving, part in zip(points, speeds, motion.moving, parts, strict=True):
+        for points_of, speed, moving, part in zip(
+            points, speeds, motion.moving, parts, strict=True
+        ):
             track = _track(things[part], points_of, speed, bool(moving))
             self.tracks.append((int(number[part[0]]), track, number[part]))
 
@@ -157,7 +160,7 @@ def _track(seen: Things, points: np.ndarray, speed: np.ndarray, moving: bool) ->
         float(2 * half.min()),
         float(np.median(top)) if len(top) else float("nan"),
         points if moving else np.median(points, axis=0)[None],
-        speed.astype(np.float32),
+        (speed if moving else speed[:1]).astype(np.float32),
     )
 
 
@@ -165,7 +168,7 @@ def obstacles_seen(
     frame: np.ndarray,
     stamp_ns: np.ndarray,
     columns: Mapping[str, np.ndarray],
-    width: int,
+    width: int | None,
 ) -> Things:
     """Obstacles as things: in the world where a pose is known, else in the camera's ground frame.
 
@@ -174,12 +177,13 @@ def obstacles_seen(
         stamp_ns: ``(N,)``.
         columns: Of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN without a
             pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``.
-        width: Of the colour image [pixel].
+        width: Of the colour image, None where that is not known [pixel].
     """
     world = columns["corners_world"]
     known = np.isfinite(world).all(axis=1)
     outline = Outlines.of_corners(np.where(known[:, None], world, columns["corners_ground"]))
-    cut = (columns["u_min"] <= BORDER_PX) | (columns["u_max"] >= width - 1 - BORDER_PX)
+    right = np.inf if width is None else width - 1 - BORDER_PX
+    cut = (columns["u_min"] <= BORDER_PX) | (columns["u_max"] >= right)
     noise = 1 + (columns["distance_m"].astype(np.float64) / NOISE_M) ** 4
     weight = np.where(cut, CUT, 1.0) / noise
     bottom, top = (columns[name].astype(np.float64) for name in ("bottom_m", "top_m"))
