@@ -12,7 +12,7 @@ from jaxdet.sim.scene import Box, Model, Path, Scene
 DURATION_S = 30.0
 """So long nobody walks through anything [s]."""
 _TIMES_S = np.arange(0.0, DURATION_S, 0.1)
-_RADIUS_M = {"walker": 0.4, "cart": 0.75}
+_RADIUS_M = {"walker": 0.4, "cart": 0.6}
 _CLEAR_M = 0.35
 _ROBOT_M = 0.7
 
@@ -28,7 +28,7 @@ def moving(draft: Draft) -> Scene:
         length, speed = rng.uniform((0.8, 0.25), (1.6, 0.6)).tolist()
         path = Path(length=length, speed=speed, weave=float(rng.uniform(0, 0.06)))
     ways = [(_way(path), _ROBOT_M)]
-    for _ in range(int(rng.integers(1, 4))):
+    for _ in range(int(rng.integers(1, 3))):
         kind = str(rng.choice(["bin", "box", "bucket", "cone", "chair", "person"]))
         draft.thing(kind, *draft.place(2.6, 4.0, 0.3))
     if rng.random() < 0.6:
@@ -37,7 +37,7 @@ def moving(draft: Draft) -> Scene:
         look = pick(rng, CONCRETE, WOOD)
         draft.boxes.append(Box((x, y), (side, side, 1.9), turn, look, name="pillar"))
     ways += [(np.array([[x, y]]), radius) for x, y, radius in draft.taken]
-    kinds = ["walker"] * int(rng.integers(1, 4)) + ["cart"] * int(rng.integers(0, 3))
+    kinds = ["cart"] * int(rng.integers(0, 3)) + ["walker"] * int(rng.integers(1, 4))
     for kind in kinds:
         _send(draft, kind, ways)
     scene = draft.finish("moving", outdoors=bool(rng.random() < 0.3))

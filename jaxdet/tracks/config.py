@@ -28,11 +28,11 @@ class TrackConfig:
     """Things longer than this are walls, hedges or shelves, before which others stand [m]."""
     min_frames: int = 4
     """A track is seen in at least so many frames."""
-    moving_m: float = 0.25
-    """A thing moves if both of its ends leave their places by more [m]."""
-    noise_m: float = 0.25
-    """A thing whose ends jump about their way by more, root mean square, stands: a part of a wall
+    moving_m: float = 0.3
+    """A thing moves if its middle leaves its place by more, and both of its ends by half of it
     [m]."""
+    noise_m: float = 0.25
+    """A long thing whose ends jump about their way by more, root mean square, stands [m]."""
     smooth_s: float = 0.7
     """Positions and speeds are fitted over so much time before and after a frame [s]."""
 

@@ -49,9 +49,12 @@ def motion_of(things: Things, first: np.ndarray, stamps: np.ndarray, config: Tra
     track = np.repeat(np.arange(len(first)), count)
     stamp = stamps[ranges(things.frame[first], count)]
     time = (stamp - stamp[starts][track]) * 1e-9
-    edges, weight = _filled(_weighed(things, first), _edges(things), starts, first, stamp)
+    length, usual = _lengths(things, first)
+    longer = length > LONGER * np.repeat(usual, np.diff(np.append(first, len(length))))
+    things = things._replace(weight=np.where(longer, MERGED, 1) * things.weight)
+    edges, weight = _filled(things, _edges(things), starts, first, stamp)
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
-    moving = _moves(line, edges, weight, starts, track, config)
+    moving = _moves(line, edges, weight, starts, track, usual, config)
     velocity = (slope[:, :2] + slope[:, 2:]) / 2 * moving[track, None]
     return Motion(starts, count, (line[:, :2] + line[:, 2:]) / 2, velocity, moving)
 
@@ -64,14 +67,12 @@ def _edges(things: Things) -> np.ndarray:
     return np.hstack([outline.center - reach, outline.center + reach])
 
 
-def _weighed(things: Things, first: np.ndarray) -> Things:
-    """Outlines much longer than is usual in their track, which hold something else too, count less."""
+def _lengths(things: Things, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each sighting, ``(N,)``, the longer side, and its median in each track, ``(K,)`` [m]."""
     track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
-    length = things.outline.half.max(axis=1)
-    order = np.lexsort((length, track))
+    length = 2 * things.outline.half.max(axis=1)
     seen = np.diff(np.append(first, len(length)))
-    usual = length[order][first + seen // 2][track]
-    return things._replace(weight=np.where(length > LONGER * usual, MERGED, 1) * things.weight)
+    return length, length[np.lexsort((length, track))][first + seen // 2]
 
 
 def _moves(
@@ -80,11 +81,13 @@ def _moves(
     weight: np.ndarray,
     starts: np.ndarray,
     track: np.ndarray,
+    usual: np.ndarray,
     config: TrackConfig,
 ) -> np.ndarray:
     """Which tracks move, ``(K,)``: both ends and the middle leave their places, by more than noise.
 
-    Pieces of a wall that come and go have ends that jump.
+    Of long things, ``usual`` ``(K,)`` [m], more is asked: of a wall pieces come and go, whose ends
+    jump.
     """
     shift = line - line[starts][track]
     low, high = shift[:, :2], shift[:, 2:]
@@ -93,8 +96,10 @@ def _moves(
     square = np.add.reduceat(weight[:, None] * (edges - line) ** 2, starts)
     noise = np.sqrt(square / np.add.reduceat(weight, starts)[:, None]).max(axis=1)
     far = np.maximum.reduceat(least, starts)
-    limit = np.maximum(config.moving_m, np.maximum(0.2 * size, 3 * noise))
-    return (far > limit) & (noise <= config.noise_m)
+    middle = np.maximum.reduceat(np.hypot(*(low + high).T) / 2, starts)
+    short = (far > config.moving_m / 2) & (middle > np.maximum(config.moving_m, 1.2 * noise))
+    long = (far > np.maximum(0.2 * size, 3 * noise)) & (far > config.moving_m)
+    return np.where(usual <= config.long_m, short, long & (noise <= config.noise_m))
 
 
 def _filled(
