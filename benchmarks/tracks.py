@@ -80,8 +80,10 @@ def main(options: Options) -> int:
     speed = np.concatenate([s.speed_errors for s in scores.values()])
     standing = np.concatenate([s.standing_errors for s in scores.values()])
     missed = sum((s.missed for s in scores.values()), Counter())
-    print(f"\nspeed error, moving: mean {speed.mean():.3f} m/s, median {np.median(speed):.3f}, "
-          f"90 % {np.quantile(speed, 0.9):.3f}; standing: mean {standing.mean():.4f}")
+    print(
+        f"\nspeed error, moving: mean {speed.mean():.3f} m/s, median {np.median(speed):.3f}, "
+        f"90 % {np.quantile(speed, 0.9):.3f}; standing: mean {standing.mean():.4f}"
+    )
     print("missed frames: " + ", ".join(f"{n} {why}" for why, n in missed.most_common()))
     print(f"{_rate(results):,.0f} frames/s, tables read, linked and written")
     return 0
@@ -101,8 +103,15 @@ def _simulate(options: Options) -> list[str]:
 
 def _config(options: Options, seed: int) -> SimConfig:
     size = options.width, options.width * 3 // 4
-    return SimConfig("moving", options.frames, seed, options.rate_hz, *size,
-                     camera_height_m=0.5, depth_error=options.depth_error)
+    return SimConfig(
+        "moving",
+        options.frames,
+        seed,
+        options.rate_hz,
+        *size,
+        camera_height_m=0.5,
+        depth_error=options.depth_error,
+    )
 
 
 def _rate(results: Path) -> float:
@@ -219,8 +228,17 @@ def _score(log: _Log) -> Score:
 
 
 def _table(scores: dict[str, Score]) -> str:
-    metrics = ["num_frames", "num_objects", "mota", "motp", "idf1", "num_misses",
-               "num_false_positives", "num_switches", "num_fragmentations"]
+    metrics = [
+        "num_frames",
+        "num_objects",
+        "mota",
+        "motp",
+        "idf1",
+        "num_misses",
+        "num_false_positives",
+        "num_switches",
+        "num_fragmentations",
+    ]
     found = motmetrics.metrics.create().compute_many(
         [s.mot for s in scores.values()], names=list(scores), metrics=metrics, generate_overall=True
     )

@@ -54,9 +54,8 @@ def track_results(
 ) -> list[LogTracks]:
     """Links the obstacles of each log of a results folder over time.
 
-    Writes ``tracks.parquet`` (:data:`~jaxdet.tracks.schemas.TRACKS_SCHEMA`), ``track_links.parquet``
-    (:data:`~jaxdet.tracks.schemas.LINKS_SCHEMA`) and, where there are maps, ``tracks_LOG.png``;
-    ``tracks.parquet`` is there only when all of them are.
+    Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.tracks.schemas`) and, where
+    there are maps, ``tracks_LOG.png``; ``tracks.parquet`` is there only when all of them are.
 
     Args:
         folder: What ``jaxdet run`` wrote; tracks that are there are replaced.

@@ -78,8 +78,6 @@ class Tracklets(NamedTuple):
     """``(K,)`` int64, things."""
     velocity: np.ndarray
     """``(K, 2, 2)`` float64, at the start and at the end [m/s]."""
-    place: np.ndarray
-    """``(K, 2, 2)`` float64, where the fitted middle is at the start and at the end [m]."""
 
 
 def tracklets_of(things: Things, before: np.ndarray) -> Tracklets:
@@ -94,15 +92,12 @@ def tracklets_of(things: Things, before: np.ndarray) -> Tracklets:
         t = (things.stamp_ns - things.stamp_ns[at][chain]) * 1e-9
         chosen = np.abs(t) <= FIT_S
         shift = things.outline.center - things.outline.center[at][chain]
-        fits.append(_lines(chain[chosen], t[chosen], shift[chosen], count))
-    place = np.stack([things.outline.center[at] + fit[0] for at, fit in zip((start, end), fits)], 1)
-    return Tracklets(start, end, length, np.stack([fit[1] for fit in fits], 1), place)
+        fits.append(_slopes(chain[chosen], t[chosen], shift[chosen], count))
+    return Tracklets(start, end, length, np.stack(fits, axis=1))
 
 
-def _lines(
-    group: np.ndarray, t: np.ndarray, xy: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lines through the points of each group: value at 0 and slope, ``(count, 2)`` each."""
+def _slopes(group: np.ndarray, t: np.ndarray, xy: np.ndarray, count: int) -> np.ndarray:
+    """Slopes of lines through the points of each group, ``(count, 2)``."""
     n = np.maximum(np.bincount(group, minlength=count), 1)[:, None]
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -111,8 +106,7 @@ def _lines(
     middle_t, spread = mean(t), mean(t * t)
     middle = np.hstack([mean(xy[:, 0]), mean(xy[:, 1])])
     both = np.hstack([mean(t * xy[:, 0]), mean(t * xy[:, 1])])
-    slope = (both - middle_t * middle) / (spread - middle_t**2 + _STEADY_S**2)
-    return middle - slope * middle_t, slope
+    return (both - middle_t * middle) / (spread - middle_t**2 + _STEADY_S**2)
 
 
 def link_tracklets(

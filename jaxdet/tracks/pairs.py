@@ -1,4 +1,4 @@
-"""Pairs of rows: whose frames are so far apart, which of them choose each other, what hangs on them.
+"""Pairs of rows: whose frames are so far apart, which of them choose each other, chains.
 
 Rows are sorted by frame. All of it is array code over the pairs of many frames at once.
 """

@@ -17,7 +17,7 @@ CUT = 0.2
 BORDER_PX = 1
 """So near to it [pixel]."""
 NOISE_M = 3.0
-"""Where the noise of depth, which grows with its square, is as large as what is left near by [m]."""
+"""Where the noise of depth, which grows with its square, is as large as that near by [m]."""
 
 
 class Track(NamedTuple):
