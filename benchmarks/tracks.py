@@ -255,15 +255,16 @@ def _score(log: _Log) -> Score:
         numbers = [tracks[i] for i in kept]
         fast |= {(frame, tracks[i]): float(speeds[i]) for i in kept}
         accumulator.update(things.tolist(), numbers, away[:, kept], frameid=frame)
-    for (frame, _), event in accumulator.mot_events.iterrows():
+    events: Any = accumulator.mot_events.reset_index()
+    for event in events.itertuples():
         if event.Type in ("MATCH", "SWITCH"):
             j = int(event.OId)
-            error = abs(fast[int(frame), int(event.HId)] - speed[int(frame), j])
+            error = abs(fast[event.FrameId, int(event.HId)] - speed[event.FrameId, j])
             thing = log.scene.objects[j]
             moves = isinstance(thing, Model) and thing.path is not None
             (score.speed_errors if moves else score.standing_errors).append(error)
         elif event.Type == "MISS":
-            score.missed[log.cause(int(frame), int(event.OId))] += 1
+            score.missed[log.cause(event.FrameId, int(event.OId))] += 1
     return score
 
 

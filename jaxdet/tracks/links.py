@@ -53,7 +53,7 @@ def _frame_cost(
     things: Things, a: np.ndarray, b: np.ndarray, config: TrackConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cost of each pair [m], and whether it can be one thing."""
-    one, other = things.outline[a], things.outline[b]
+    one, other = things.outline.take(a), things.outline.take(b)
     gap_s = (things.stamp_ns[b] - things.stamp_ns[a]) * 1e-9
     moved = np.maximum(displacement(one, other), displacement(other, one))
     middle = np.hypot(*(other.center - one.center).T)
@@ -147,7 +147,7 @@ def _gap_cost(
     """Cost of going on from tracklets ``a`` to ``b`` [m], and whether it can be."""
     end, start = track.end[a], track.start[b]
     gap = ((things.stamp_ns[start] - things.stamp_ns[end]) * 1e-9)[:, None]
-    one, other = things.outline[end], things.outline[start]
+    one, other = things.outline.take(end), things.outline.take(start)
     forth = one._replace(center=one.center + track.velocity[a, 1] * gap)
     back = other._replace(center=other.center - track.velocity[b, 0] * gap)
     missed = (displacement(forth, other) + displacement(back, one)) / 2

@@ -20,9 +20,8 @@ class Motion(NamedTuple):
     """``K`` tracks; ``P`` points, those of the first track first, one a frame."""
 
     first: np.ndarray
-    """``(K,)`` int64, the first point of each."""
-    count: np.ndarray
-    """``(K,)`` int64, its points: its frames from the first to the last."""
+    """``(K,)`` int64, the first point of each; it has one for each frame from its first to its
+    last."""
     place: np.ndarray
     """``(P, 2)`` float64, middle of the outline [m]."""
     velocity: np.ndarray
@@ -56,7 +55,7 @@ def motion_of(things: Things, first: np.ndarray, stamps: np.ndarray, config: Tra
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
     moving = _moves(line, edges, weight, starts, track, usual, config)
     velocity = (slope[:, :2] + slope[:, 2:]) / 2 * moving[track, None]
-    return Motion(starts, count, (line[:, :2] + line[:, 2:]) / 2, velocity, moving)
+    return Motion(starts, (line[:, :2] + line[:, 2:]) / 2, velocity, moving)
 
 
 def _edges(things: Things) -> np.ndarray:

@@ -15,9 +15,9 @@ class Outlines(NamedTuple):
     half: np.ndarray
     """``(N, 2)`` float64, half of the first side and of the one across it [m]."""
 
-    def __getitem__(self, which: "np.ndarray | slice") -> "Outlines":  # type: ignore[override]
-        """Some of them."""
-        return Outlines(*(part[which] for part in tuple(self)))
+    def take(self, rows: np.ndarray) -> "Outlines":
+        """Those of some rows, or of a mask."""
+        return Outlines(*(part[rows] for part in self))
 
     @classmethod
     def of_corners(cls, corners: np.ndarray) -> "Outlines":

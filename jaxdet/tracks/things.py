@@ -29,9 +29,10 @@ class Things(NamedTuple):
     obstacles: np.ndarray
     """``(N,)`` int64, obstacles joined to it."""
 
-    def __getitem__(self, which: "np.ndarray | slice") -> "Things":  # type: ignore[override]
-        """Some of them."""
-        return Things(*(part[which] for part in tuple(self)))
+    def take(self, rows: np.ndarray) -> "Things":
+        """Those of some rows, or of a mask."""
+        rest = {name: getattr(self, name)[rows] for name in Things._fields if name != "outline"}
+        return Things(outline=self.outline.take(rows), **rest)
 
 
 def join_things(first: Things, second: Things) -> Things:
@@ -64,9 +65,9 @@ def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[T
     short = 2 * seen.outline.half.max(axis=1) <= config.long_m
     same = short[a] & short[b] & (seen.in_world[a] == seen.in_world[b])
     a, b, larger = a[same], b[same], larger[same]
-    shared = overlap(seen.outline[a], seen.outline[b])
+    shared = overlap(seen.outline.take(a), seen.outline.take(b))
     floats = np.where(larger == a, seen.bottom_m[b], seen.bottom_m[a]) > config.floats_m
-    near = gap(seen.outline[a], seen.outline[b]) <= config.touch_m
+    near = gap(seen.outline.take(a), seen.outline.take(b)) <= config.touch_m
     held = (shared >= config.overlap) | (floats & near)
     a, b = a[held], b[held]
     root = components(len(seen.frame), a, b)
@@ -98,7 +99,7 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
     weight = np.ones(count)
     np.minimum.at(weight, thing, seen.weight)
     obstacles = np.bincount(thing, seen.obstacles, count).astype(np.int64)
-    kept = seen[lead]
+    kept = seen.take(lead)
     return kept._replace(
         outline=Outlines(center, axis, half),
         bottom_m=bottom,

@@ -118,7 +118,7 @@ class Tracker:
         row = np.cumsum(left) - 1
         before = self.before[left]
         self.before = np.where(before >= 0, row[before], -1)
-        self.things, self.number = things[left], self.number[left]
+        self.things, self.number = things.take(left), self.number[left]
 
     def _keep(self, chain: np.ndarray, kept: np.ndarray) -> None:
         """Makes tracks of some chains."""
@@ -128,7 +128,7 @@ class Tracker:
             return
         rows = rows[np.argsort(chain[rows], kind="stable")]
         first = np.flatnonzero(np.diff(chain[rows], prepend=-1))
-        things, number = self.things[rows], self.number[rows]
+        things, number = self.things.take(rows), self.number[rows]
         stamps = np.concatenate(self.stamps)
         self.stamps = [stamps]
         motion = motion_of(things, first, stamps, self.config)
@@ -138,7 +138,7 @@ class Tracker:
         for points_of, speed, moving, part in zip(
             points, speeds, motion.moving, parts, strict=True
         ):
-            track = _track(things[part], points_of, speed, bool(moving))
+            track = _track(things.take(part), points_of, speed, bool(moving))
             self.tracks.append((int(number[part[0]]), track, number[part]))
 
 
@@ -180,7 +180,7 @@ def obstacles_seen(
         width: Of the colour image, None where that is not known [pixel].
     """
     world = columns["corners_world"]
-    known = np.isfinite(world).all(axis=1)
+    known = np.asarray(np.isfinite(world).all(axis=1))
     outline = Outlines.of_corners(np.where(known[:, None], world, columns["corners_ground"]))
     right = np.inf if width is None else width - 1 - BORDER_PX
     cut = (columns["u_min"] <= BORDER_PX) | (columns["u_max"] >= right)
