@@ -51,7 +51,7 @@ def motion_of(things: Things, first: np.ndarray, stamps: np.ndarray, config: Tra
     length, usual = _lengths(things, first)
     longer = length > LONGER * np.repeat(usual, np.diff(np.append(first, len(length))))
     things = things._replace(weight=np.where(longer, MERGED, 1) * things.weight)
-    edges, weight = _filled(things, _edges(things), starts, first, stamp)
+    edges, weight = _filled(things, _edges(things) + _unseen(things, first), starts, first, stamp)
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
     moving = _moves(line, edges, weight, starts, track, usual, config)
     velocity = (slope[:, :2] + slope[:, 2:]) / 2 * moving[track, None]
@@ -64,6 +64,21 @@ def _edges(things: Things) -> np.ndarray:
     ways = (np.broadcast_to(way, outline.axis.shape) for way in np.eye(2))
     reach = np.stack([outline.reach(way) for way in ways], axis=1)
     return np.hstack([outline.center - reach, outline.center + reach])
+
+
+def _unseen(things: Things, first: np.ndarray) -> np.ndarray:
+    """``(N, 4)``, how far the edges of what the border cuts off would be shifted, were it whole.
+
+    It is as wide along the image as it usually is where nothing cuts it off [m].
+    """
+    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
+    cut = (things.cut != 0).any(axis=1)
+    shown = np.where(cut, 2 * things.outline.reach(things.cut), things.outline.half.sum(axis=1))
+    order = np.lexsort((shown, cut, track))  # whole ones first
+    whole = np.bincount(track[~cut], minlength=len(first))
+    usual = np.where(whole > 2, shown[order][first + whole // 2], 0.0)[track]
+    shift = np.where(cut, np.maximum(usual - shown, 0.0) / 2, 0.0)[:, None] * things.cut
+    return np.hstack([shift, shift])
 
 
 def _lengths(things: Things, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,6 +24,9 @@ class Things(NamedTuple):
     """``(N,)`` float64, highest point, likewise [m]."""
     weight: np.ndarray
     """``(N,)`` float64, how much its outline says about where it is, 1 for a near and whole one."""
+    cut: np.ndarray
+    """``(N, 2)`` float64, unit vector on the floor towards where the image's border cuts it off, 0
+    where it doesn't."""
     in_world: np.ndarray
     """``(N,)`` bool, whether the outline is in the world, else in the camera's ground frame."""
     obstacles: np.ndarray
@@ -105,5 +108,13 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
         bottom_m=bottom,
         top_m=top,
         weight=weight,
+        cut=_cut_off(seen, thing, count),
         obstacles=obstacles,
     )
+
+
+def _cut_off(seen: Things, thing: np.ndarray, count: int) -> np.ndarray:
+    """Towards where each thing is cut off, as most of its obstacles are."""
+    way = np.stack([np.bincount(thing, part, count) for part in seen.cut.T], axis=1)
+    length = np.hypot(*way.T)
+    return np.where(length[:, None] > 0.5, way / np.maximum(length, 1e-9)[:, None], 0.0)
