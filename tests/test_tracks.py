@@ -257,7 +257,7 @@ def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
         pq.read_table(folder / "tracks.parquet"),
         pq.read_table(folder / "track_links.parquet"),
     )
-    keys = ["log", "frame", "obstacle"]
+    keys = ["log", "camera", "frame", "obstacle"]
     assert links.select(keys).equals(pq.read_table(folder / "obstacles.parquet", columns=keys))
     rows = tracks.to_pylist()
     assert len(rows) > 1 and [row["track"] for row in rows] == list(range(len(rows)))

@@ -124,7 +124,7 @@ def main(args: list[str]) -> int:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
         print("\n".join(summary_lines(summary, command.run.output)))
-    if command.tracks and len(summary.failed) < len(logs):
+    if command.tracks and len(summary.failed) < len(summary.logs):
         from jaxdet.cli.track import track_lines
         from jaxdet.tracks import track_results
 

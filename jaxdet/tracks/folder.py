@@ -38,6 +38,7 @@ class LogTracks(NamedTuple):
     """What was found in a log."""
 
     log: str
+    """Its name, and the camera's where it has several."""
     tracks: int
     moving: int
     obstacles: int
@@ -77,15 +78,15 @@ def track_results(
         ):
             for log in results.logs:
                 if progress:
-                    progress(log.name)
+                    progress(log.label)
                 tracks, numbers, rows = _log_tracks(results, log, config)
-                table.write(_track_table(log.name, tracks, numbers))
+                table.write(_track_table(log, tracks, numbers))
                 links.write(rows)
-                found.append(_summary(log.name, tracks, rows))
+                found.append(_summary(log.label, tracks, rows))
                 image = results.map(log)
                 if image is not None:
                     paths = [(t.path, t.moving) for t in tracks if t.in_world]
-                    picture = draw_map(image, log.name, paths)
+                    picture = draw_map(image, log.label, paths)
                     write_png(staging / f"tracks_{log.file_name}.png", picture)
         _commit(staging, folder)
     return found
@@ -98,7 +99,8 @@ def _log_tracks(
     color = (log.summary["calibration"] or {}).get("color") or {}
     tracker, start = Tracker(config), 0
     numbers: list[np.ndarray] = [np.zeros(0, np.int64)]
-    rows = [pa.schema(list(LINKS_SCHEMA)[:3]).empty_table()]
+    keys = pa.schema(list(LINKS_SCHEMA)[:-1])
+    rows = [keys.empty_table()]
     for chunk in results.chunks(log, ("frame", "stamp_ns"), _READ, WINDOW_FRAMES):
         numbers.append(chunk.frames["frame"].to_numpy())
         stamps, first = chunk.frames["stamp_ns"].to_numpy(), chunk.first
@@ -107,7 +109,7 @@ def _log_tracks(
         columns |= {name: _corners(chunk, name) for name in ("corners_ground", "corners_world")}
         seen = obstacles_seen(start + frame, stamps[frame], columns, color.get("width"))
         tracker.add(stamps, seen, chunk.obstacles["num_points"].to_numpy())
-        rows.append(chunk.obstacles.select(["log", "frame", "obstacle"]).cast(rows[0].schema))
+        rows.append(chunk.obstacles.select(keys.names).cast(keys))
         start += len(stamps)
     tracks, track_of = tracker.finish()
     labels = pa.array(track_of, pa.int32(), mask=track_of < 0)
@@ -125,11 +127,12 @@ def _corners(chunk: Chunk, name: str) -> np.ndarray:
     return np.where(known[:, None], values, np.float32(np.nan))
 
 
-def _track_table(log: str, tracks: list[Track], numbers: np.ndarray) -> pa.Table:
+def _track_table(log: ResultLog, tracks: list[Track], numbers: np.ndarray) -> pa.Table:
     first = numbers[[t.first_frame for t in tracks]] if tracks else []
     last = numbers[[t.last_frame for t in tracks]] if tracks else []
     columns = [
-        [log] * len(tracks), range(len(tracks)), [t.in_world for t in tracks], first, last,
+        [log.name] * len(tracks), [log.camera] * len(tracks), range(len(tracks)),
+        [t.in_world for t in tracks], first, last,
         [t.first_stamp_ns for t in tracks], [t.last_stamp_ns for t in tracks],
         [t.frames for t in tracks], [t.obstacles for t in tracks], [t.moving for t in tracks],
         [t.mean_speed_mps for t in tracks], [t.max_speed_mps for t in tracks],
@@ -157,7 +160,7 @@ class _Writer:
             compression="zstd",
             compression_level=3,
             write_page_checksum=True,
-            use_dictionary=["log"],  # pyright: ignore[reportArgumentType]
+            use_dictionary=["log", "camera"],  # pyright: ignore[reportArgumentType]
         )
 
     def __enter__(self) -> "_Writer":

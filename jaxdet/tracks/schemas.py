@@ -13,7 +13,8 @@ _LIST = pa.list_(pa.field("item", _F32, nullable=False))
 TRACKS_SCHEMA = pa.schema(
     [
         _field("log", _STRING, "", "name of the log"),
-        _field("track", _I32, "", "number of the track in the log, from 0, by its first obstacle"),
+        _field("camera", _STRING, "", "name of the camera"),
+        _field("track", _I32, "", "number in the log and camera, from 0, by its first obstacle"),
         _field("in_world", pa.bool_(), "", "path in the world, else in the camera's ground frame"),
         _field("first_frame", _I64, "", "colour frame that shows it first"),
         _field("last_frame", _I64, "", "and last"),
@@ -40,6 +41,7 @@ TRACKS_SCHEMA = pa.schema(
 LINKS_SCHEMA = pa.schema(
     [
         _field("log", _STRING, "", "name of the log"),
+        _field("camera", _STRING, "", "name of the camera"),
         _field("frame", _I64, "", "number of the colour frame in the log"),
         _field("obstacle", _I32, "", "label in the frame"),
         _field("track", _I32, "", "number of its track; null where it is in none", True),
