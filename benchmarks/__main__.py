@@ -1,6 +1,7 @@
 """``python -m benchmarks cpu --json FILE``: time the stages on a device, write the metrics.
 
-``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`.
+``python -m benchmarks feed --json FILE`` times whole logs, see :mod:`benchmarks.feed`;
+``python -m benchmarks tracks`` scores tracks, see :mod:`benchmarks.tracks`.
 """
 
 import sys
@@ -100,4 +101,9 @@ if __name__ == "__main__":
 
         feed_options = tyro.cli(feed.Options, args=sys.argv[2:], prog="python -m benchmarks feed")
         sys.exit(feed.main(feed_options))
+    if sys.argv[1:2] == ["tracks"]:
+        from benchmarks import tracks  # needs motmetrics
+
+        chosen = tyro.cli(tracks.Options, args=sys.argv[2:], prog="python -m benchmarks tracks")
+        sys.exit(tracks.main(chosen))
     sys.exit(main(tyro.cli(Options, prog="python -m benchmarks")))

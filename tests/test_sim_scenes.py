@@ -22,6 +22,7 @@ HEIGHTS = {
     "cone": (0.49, 1.01), "bucket": (0.24, 0.56), "bin": (0.35, 1.0), "tree_trunk": (3.0, 6.0),
     "street_light": (5.0, 6.3), "table": (0.71, 0.77), "chair": (0.7, 0.95),
     "sofa": (0.69, 0.91), "round_table": (0.69, 0.77), "cable_drum": (0.059, 0.21),
+    "cart": (0.89, 1.13),
 }  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from jaxdet.errors import ConfigError, JaxdetError
 
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
+    "track": "link the obstacles of results over time: paths, speeds, what moves",
     "export": "write results for other programs: foxglove, ros2, nav2",
     "info": "say what is in a log, and what would be used of it and why",
     "sim": "simulate a log with known obstacles",

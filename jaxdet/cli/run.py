@@ -55,6 +55,8 @@ class RunCommand:
     """TOML file with sections as below."""
     truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
     """A simulated log whose truth the results are compared with."""
+    tracks: Flag = False
+    """Link the obstacles over time when all logs are done, as jaxdet track does."""
     quiet: Flag = False
     """Say nothing but errors."""
     json: Flag = False
@@ -122,6 +124,13 @@ def main(args: list[str]) -> int:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
         print("\n".join(summary_lines(summary, command.run.output)))
+    if command.tracks and len(summary.failed) < len(summary.logs):
+        from jaxdet.cli.track import track_lines
+        from jaxdet.tracks import track_results
+
+        found = track_results(command.run.output)
+        if not silent:
+            print("\n".join(track_lines(found)))
     for log in summary.failed:
         print(f"jaxdet: error: {log.error}", file=sys.stderr)
     return 1 if summary.failed else 0

@@ -1,5 +1,7 @@
 """The picture of a whole log: outline counts, free floor, the robot's path, a scale bar."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -11,14 +13,19 @@ HEADER, FOOTER, MARGIN = 46, 46, 24
 PATH: canvas.Color = (64, 180, 255)
 START: canvas.Color = (80, 214, 120)
 END: canvas.Color = (255, 92, 92)
+STANDS: canvas.Color = (240, 240, 240)
 
 
-def draw_map(image: MapImage, title: str) -> np.ndarray:
+def draw_map(
+    image: MapImage, title: str, tracks: Sequence[tuple[np.ndarray, bool]] | None = None
+) -> np.ndarray:
     """A picture of a map, X to the right and Y up.
 
     Args:
         image: The map.
         title: Heads the picture.
+        tracks: Paths ``(P, 2)`` in the world [m] of things that were followed and whether they
+            move: a line that ends in a dot, or a small square. The map is drawn darker under them.
 
     Returns:
         ``(h, w, 3)`` uint8, RGB.
@@ -34,6 +41,8 @@ def draw_map(image: MapImage, title: str) -> np.ndarray:
         )
 
     _paint_counts(panel, image, low, scale)
+    if tracks is not None:
+        panel = cv2.addWeighted(panel, 0.45, np.full_like(panel, canvas.PANEL), 0.55, 0)
     step = _round_length(90 / scale)
     _draw_grid(panel, low, scale, step)
     if len(image.path):
@@ -42,7 +51,19 @@ def draw_map(image: MapImage, title: str) -> np.ndarray:
         canvas.line(panel, path, PATH, 2)
         canvas.dots(panel, path[:1], START, 6.0)
         canvas.dots(panel, path[-1:], END, 6.0)
-    return _framed(panel, image, title, scale, step)
+    for number, (way, moves) in enumerate(tracks or ()):
+        _draw_track(panel, pixels(way), canvas.color_of(number), moves)
+    return _framed(panel, image, title, scale, step, tracks)
+
+
+def _draw_track(panel: np.ndarray, way: np.ndarray, color: canvas.Color, moves: bool) -> None:
+    if moves:
+        canvas.line(panel, way, (8, 10, 14), 5)
+        canvas.line(panel, way, color, 2)
+        canvas.dots(panel, way[-1:], color, 5.0)
+    else:
+        square = way[:1] + np.array([[-4, -4], [4, -4], [4, 4], [-4, 4]])
+        canvas.polygon(panel, square, STANDS, width=1)
 
 
 def _bounds(image: MapImage) -> tuple[np.ndarray, np.ndarray]:
@@ -98,16 +119,25 @@ def _round_length(metres: float) -> float:
 
 
 def _framed(
-    panel: np.ndarray, image: MapImage, title: str, scale: float, step: float
+    panel: np.ndarray,
+    image: MapImage,
+    title: str,
+    scale: float,
+    step: float,
+    tracks: Sequence[tuple[np.ndarray, bool]] | None,
 ) -> np.ndarray:
     height, width = panel.shape[:2]
     total = max(width, 640) + 2 * MARGIN
     framed = canvas.canvas(height + HEADER + FOOTER, total)
     left = (total - width) // 2
     framed[HEADER : HEADER + height, left : left + width] = panel
-    canvas.write(framed, f"{title}   map", (MARGIN, 30), size=19, bold=True)
+    what = "map" if tracks is None else "tracks"
+    canvas.write(framed, f"{title}   {what}", (MARGIN, 30), size=19, bold=True)
     length = float(np.sum(np.linalg.norm(np.diff(image.path, axis=0), axis=1)))
     about = f"path {length:.1f} m, cells of {image.cell_m:g} m, X right, Y up"
+    if tracks is not None:
+        moving = sum(moves for _, moves in tracks)
+        about = f"{moving} move (lines, dot at the end), {len(tracks) - moving} stand (squares)"
     canvas.write(framed, about, (total - MARGIN, 30), canvas.FAINT, align="right")
     y = height + HEADER + 28
     bar = np.array([[0, -6], [0, 0], [step * scale, 0], [step * scale, -6]]) + (MARGIN, y)

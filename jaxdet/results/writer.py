@@ -27,7 +27,7 @@ ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
 
 _NAMES = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
-_GENERATED = ("pictures/*.png", "map_*.npz", "map_*.png")
+_GENERATED = ("pictures/*.png", "map_*.npz", "map_*.png", "track*.parquet", "tracks_*.png")
 
 
 def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:

@@ -29,8 +29,8 @@ class SimConfig:
     scene: str = "demo"
     """Scene: demo, empty, single_box, row, posts; drawn by the seed: people_and_vehicle,
     roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue, low_things, pedestrian, and
-    the harder corridor, wall_in_range, room, low_clutter, drops, ramps, tables; or a TOML or JSON
-    file."""
+    the harder corridor, wall_in_range, room, low_clutter, drops, ramps, tables; moving, where
+    people walk and carts cross; or a TOML or JSON file."""
     frames: int = 60
     """Number of colour frames."""
     seed: int = 0

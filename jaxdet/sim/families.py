@@ -12,6 +12,7 @@ import numpy as np
 from jaxdet.sim import indoors, terrain
 from jaxdet.sim.draft import Draft
 from jaxdet.sim.looks import POST, Texture, pick
+from jaxdet.sim.moving import moving
 from jaxdet.sim.scene import Cylinder, Model, Path, Scene
 
 DISTANCES_M = (3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
@@ -155,6 +156,7 @@ _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "low_things": _low_things,
     "pedestrian": _pedestrian,
     **{name: _fixed(draw) for name, draw in _HARD.items()},
+    "moving": _fixed(moving),
 }
 FAMILIES = tuple(_FAMILIES)
 """Names of all families."""

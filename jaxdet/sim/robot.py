@@ -39,7 +39,7 @@ def pose_at(path: Path, time_s: float) -> Pose:
     """
     if path.length <= 0:
         return Pose(*path.start, path.yaw, 0.0)
-    phase = 2 * path.speed / path.length * time_s
+    phase = 2 * path.speed / path.length * (time_s + path.lead_s)
     along = path.length * (1 - np.cos(phase)) / 2
     k = 2 * np.pi / path.weave_length
     local = np.array([along, path.weave * np.sin(k * along)])

@@ -156,6 +156,8 @@ class Path:
     """Sideways amplitude [m]."""
     weave_length: float = 3.0
     """Length of one weave [m]."""
+    lead_s: float = 0.0
+    """How long it has been under way at the first frame [s]."""
 
 
 @dataclass(frozen=True)

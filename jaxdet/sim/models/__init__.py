@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxdet.errors import ConfigError
 from jaxdet.sim.mesh import Mesh
+from jaxdet.sim.models.cart import cart
 from jaxdet.sim.models.furniture import chair, round_table, sofa, table
 from jaxdet.sim.models.low import LOW_THINGS, low_thing
 from jaxdet.sim.models.outdoors import street_light, tree_trunk
@@ -35,6 +36,7 @@ _LATER: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
     "sofa": sofa,
     "round_table": round_table,
     "cable_drum": cable_drum,
+    "cart": cart,
 }
 """After the low things: a model's place among all draws it."""
 

@@ -1,0 +1,59 @@
+"""``jaxdet track``: the obstacles of results linked over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxdet.cli.flags import parse_flags
+from jaxdet.tracks.config import TrackConfig
+
+if TYPE_CHECKING:
+    from jaxdet.tracks import LogTracks
+
+DESCRIPTION = """\
+Links the obstacles of each log over time: in the world where the log has poses, else in the
+camera's floor frame. Writes tracks.parquet (one row a track: path, speed, whether it moves),
+track_links.parquet (the track of each row of obstacles.parquet, in its order) and a picture of
+each map with the paths, into the results folder; tracks that are there are replaced.
+
+Example:
+  jaxdet track results
+"""
+
+
+@dataclass(frozen=True)
+class TrackCommand:
+    """What ``jaxdet track`` takes."""
+
+    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
+    """Folder that jaxdet run wrote."""
+    track: Annotated[TrackConfig, tyro.conf.arg(name="")] = field(default_factory=TrackConfig)
+    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Say nothing but errors."""
+
+
+def main(args: list[str]) -> int:
+    """Runs the command; returns the exit code."""
+    missing: Any = tyro.MISSING
+    command = parse_flags(TrackCommand(missing), args, "jaxdet track", DESCRIPTION)
+    from jaxdet.tracks import track_results
+
+    found = track_results(command.results, command.track)
+    if not command.quiet:
+        print("\n".join(track_lines(found)))
+    return 0
+
+
+def track_lines(found: Sequence["LogTracks"]) -> list[str]:
+    """What is said of the tracks, a line a log."""
+    lines = []
+    for log in found:
+        where = "" if log.in_world == log.tracks else ", in the camera's frame (no poses)"
+        lines.append(
+            f"{log.log}: {log.tracks} tracks, {log.moving} moving{where}; "
+            f"{log.linked} of {log.obstacles} obstacles are in one"
+        )
+    return lines

@@ -1,0 +1,79 @@
+"""People who walk and carts that cross, before and behind things that stand."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxdet.sim.draft import Draft
+from jaxdet.sim.looks import CONCRETE, WOOD, pick
+from jaxdet.sim.robot import pose_at
+from jaxdet.sim.scene import Box, Model, Path, Scene
+
+DURATION_S = 30.0
+"""So long nobody walks through anything [s]."""
+_TIMES_S = np.arange(0.0, DURATION_S, 0.1)
+_RADIUS_M = {"walker": 0.4, "cart": 0.6}
+_CLEAR_M = 0.35
+_ROBOT_M = 0.7
+
+
+def moving(draft: Draft) -> Scene:
+    """One to three people on their ways, up to two carts, things and a pillar between them.
+
+    In half of the draws the robot stands, else it drives forth and back.
+    """
+    rng = draft.rng
+    path = Path(length=0.0)
+    if rng.random() < 0.5:
+        length, speed = rng.uniform((0.8, 0.25), (1.6, 0.6)).tolist()
+        path = Path(length=length, speed=speed, weave=float(rng.uniform(0, 0.06)))
+    ways = [(_way(path), _ROBOT_M)]
+    for _ in range(int(rng.integers(1, 3))):
+        kind = str(rng.choice(["bin", "box", "bucket", "cone", "chair", "person"]))
+        draft.thing(kind, *draft.place(2.6, 4.0, 0.3))
+    if rng.random() < 0.6:
+        x, y = draft.place(2.0, 3.0, 0.25)
+        side, turn = float(rng.uniform(0.2, 0.4)), float(rng.normal(0, 0.3))
+        look = pick(rng, CONCRETE, WOOD)
+        draft.boxes.append(Box((x, y), (side, side, 1.9), turn, look, name="pillar"))
+    ways += [(np.array([[x, y]]), radius) for x, y, radius in draft.taken]
+    kinds = ["cart"] * int(rng.integers(0, 3)) + ["walker"] * int(rng.integers(1, 4))
+    for kind in kinds:
+        _send(draft, kind, ways)
+    scene = draft.finish("moving", outdoors=bool(rng.random() < 0.3))
+    return replace(scene, path=path)
+
+
+def _way(path: Path) -> np.ndarray:
+    """Where something is over time, ``(T, 2)`` [m]."""
+    poses = [pose_at(path, float(t)) for t in _TIMES_S]
+    return np.array([[pose.x, pose.y] for pose in poses])
+
+
+def _send(draft: Draft, kind: str, ways: list[tuple[np.ndarray, float]]) -> None:
+    """Something on a way that meets nothing; left out where there is no such way."""
+    radius = _RADIUS_M[kind]
+    for _ in range(60):
+        path = _crossing(draft.rng, kind)
+        way = _way(path)
+        gaps = [np.hypot(*(way - other).T).min() - r for other, r in ways]
+        if min(gaps) > radius + _CLEAR_M:
+            ways.append((way, radius))
+            seed = int(draft.rng.integers(1 << 30))
+            draft.models.append(Model(kind, seed=seed, path=path))
+            return
+
+
+def _crossing(rng: np.random.Generator, kind: str) -> Path:
+    """A way across the view, or of people half of the time one that comes nearer."""
+    length, speed = rng.uniform((2.5, 0.6), (6.0, 1.5)).tolist()
+    side = float(rng.choice([-1.0, 1.0]))
+    if kind == "walker" and rng.random() < 0.5:
+        start = rng.uniform((4.0, -1.2), (6.0, 1.2)).tolist()
+        yaw = np.pi + float(rng.normal(0, 0.5))
+        length = min(length, start[0] - 1.2)
+    else:
+        start = [float(rng.uniform(1.6, 3.9)), -side * length * float(rng.uniform(0.35, 0.65))]
+        yaw = side * np.pi / 2 + float(rng.normal(0, 0.25))
+    lead = float(rng.uniform(0.0, np.pi * length / speed))
+    return Path((start[0], start[1]), yaw, length, speed, lead_s=lead)

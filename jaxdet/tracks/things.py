@@ -1,0 +1,120 @@
+"""What is seen of things: the obstacles of a frame, those joined whose outlines overlap."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.outlines import Outlines, gap, overlap, turned
+from jaxdet.tracks.pairs import components, pairs_in_frames
+
+
+class Things(NamedTuple):
+    """``N`` sightings of things, by frame."""
+
+    frame: np.ndarray
+    """``(N,)`` int64, ascending."""
+    stamp_ns: np.ndarray
+    """``(N,)`` int64."""
+    outline: Outlines
+    """``(N,)`` on the floor."""
+    bottom_m: np.ndarray
+    """``(N,)`` float64, lowest point above the floor, NaN where it is not known [m]."""
+    top_m: np.ndarray
+    """``(N,)`` float64, highest point, likewise [m]."""
+    weight: np.ndarray
+    """``(N,)`` float64, how much its outline says about where it is, 1 for a near and whole one."""
+    cut: np.ndarray
+    """``(N, 2)`` float64, unit vector on the floor towards where the image's border cuts it off, 0
+    where it doesn't."""
+    in_world: np.ndarray
+    """``(N,)`` bool, whether the outline is in the world, else in the camera's ground frame."""
+    obstacles: np.ndarray
+    """``(N,)`` int64, obstacles joined to it."""
+
+    def take(self, rows: np.ndarray) -> "Things":
+        """Those of some rows, or of a mask."""
+        rest = {name: getattr(self, name)[rows] for name in Things._fields if name != "outline"}
+        return Things(outline=self.outline.take(rows), **rest)
+
+
+def join_things(first: Things, second: Things) -> Things:
+    """Those of ``first``, then those of ``second``."""
+    outline = Outlines(*map(np.concatenate, zip(first.outline, second.outline, strict=True)))
+    rest = {
+        name: np.concatenate([getattr(first, name), getattr(second, name)])
+        for name in Things._fields
+        if name != "outline"
+    }
+    return Things(outline=outline, **rest)
+
+
+def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[Things, np.ndarray]:
+    """Joins obstacles of a frame that can't be two things, as their outlines overlap.
+
+    Of a person who walks a frame may show two legs, which stand within each other's outlines, or an
+    arm, which floats beside the body.
+
+    Args:
+        seen: ``N`` obstacles.
+        size: ``(N,)``, their cells in the image; a thing is turned as its largest obstacle.
+        config: How much they overlap.
+
+    Returns:
+        The things, and ``(N,)`` int64, the thing of each obstacle.
+    """
+    a, b = pairs_in_frames(seen.frame)
+    larger = np.where(size[b] > size[a], b, a)
+    short = 2 * seen.outline.half.max(axis=1) <= config.long_m
+    same = short[a] & short[b] & (seen.in_world[a] == seen.in_world[b])
+    a, b, larger = a[same], b[same], larger[same]
+    shared = overlap(seen.outline.take(a), seen.outline.take(b))
+    floats = np.where(larger == a, seen.bottom_m[b], seen.bottom_m[a]) > config.floats_m
+    near = gap(seen.outline.take(a), seen.outline.take(b)) <= config.touch_m
+    held = (shared >= config.overlap) | (floats & near)
+    a, b = a[held], b[held]
+    root = components(len(seen.frame), a, b)
+    leaders, thing = np.unique(root, return_inverse=True)
+    if len(leaders) == len(root):
+        return seen, thing
+    # The largest obstacle of each thing, the first of equals.
+    order = np.lexsort((np.arange(len(root)), -size, thing))
+    lead = order[np.searchsorted(thing[order], np.arange(len(leaders)))]
+    return _joined(seen, thing, lead), thing
+
+
+def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
+    """The rectangle around all obstacles of each thing, turned as its leader's."""
+    count = len(lead)
+    axis, middle = seen.outline.axis[lead], seen.outline.center[lead]
+    shift = seen.outline.center - middle[thing]
+    center, half = middle.copy(), np.empty((count, 2))
+    for side, way in enumerate((axis, turned(axis))):
+        along, reach = (shift * way[thing]).sum(1), seen.outline.reach(way[thing])
+        low, high = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(low, thing, along - reach)
+        np.maximum.at(high, thing, along + reach)
+        center += ((low + high) / 2)[:, None] * way
+        half[:, side] = (high - low) / 2
+    bottom, top = np.full((2, count), np.nan)
+    np.fmin.at(bottom, thing, seen.bottom_m)
+    np.fmax.at(top, thing, seen.top_m)
+    weight = np.ones(count)
+    np.minimum.at(weight, thing, seen.weight)
+    obstacles = np.bincount(thing, seen.obstacles, count).astype(np.int64)
+    kept = seen.take(lead)
+    return kept._replace(
+        outline=Outlines(center, axis, half),
+        bottom_m=bottom,
+        top_m=top,
+        weight=weight,
+        cut=_cut_off(seen, thing, count),
+        obstacles=obstacles,
+    )
+
+
+def _cut_off(seen: Things, thing: np.ndarray, count: int) -> np.ndarray:
+    """Towards where each thing is cut off, as most of its obstacles are."""
+    way = np.stack([np.bincount(thing, part, count) for part in seen.cut.T], axis=1)
+    length = np.hypot(*way.T)
+    return np.where(length[:, None] > 0.5, way / np.maximum(length, 1e-9)[:, None], 0.0)

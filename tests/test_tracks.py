@@ -1,0 +1,315 @@
+"""Tracks by hand: crossings, occlusions, pieces, what moves; and the tables in a results folder."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+
+from jaxdet import engine
+from jaxdet.cli import main
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import RunOptions
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.tracks import Track, TrackConfig, Tracker, track_results
+from jaxdet.tracks.outlines import Outlines, displacement, gap, overlap
+from jaxdet.tracks.pairs import chain_starts, choose, components, pairs_in_frames
+from jaxdet.tracks.tracker import obstacles_seen
+
+RATE_HZ = 15.0
+PERSON = (0.5, 0.4)
+
+
+def corners_of(x: float, y: float, size: tuple[float, float] = PERSON, yaw: float = 0.0) -> list:
+    half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
+    c, s = np.cos(yaw), np.sin(yaw)
+    return (half @ np.array([[c, s], [-s, c]]) + (x, y)).ravel().tolist()
+
+
+def follow(
+    frames: list[list[list[float]]],
+    *,
+    poses: bool = True,
+    window: int = 10_000,
+    bottom: dict[tuple[int, int], float] | None = None,
+    config: TrackConfig | None = None,
+) -> tuple[list[Track], list[list[int]]]:
+    """Tracks of outlines by frame, and the track of each of them."""
+    tracker = Tracker(config or TrackConfig())
+    stamps = (np.arange(len(frames)) / RATE_HZ * 1e9).astype(np.int64) + 10**9
+    for start in range(0, max(len(frames), 1), window):
+        part = frames[start : start + window]
+        rows = [(start + f, i, box) for f, boxes in enumerate(part) for i, box in enumerate(boxes)]
+        frame = np.array([f for f, _, _ in rows], np.int64)
+        boxes = np.array([box for _, _, box in rows], np.float32).reshape(-1, 8)
+        low = [(bottom or {}).get((f, i), 0.0) for f, i, _ in rows]
+        count = len(rows)
+        columns = {
+            "corners_ground": boxes,
+            "corners_world": boxes if poses else np.full_like(boxes, np.nan),
+            "bottom_m": np.array(low, np.float32),
+            "top_m": np.full(count, 1.7, np.float32),
+            "distance_m": np.full(count, 2.0, np.float32),
+            "u_min": np.full(count, 100),
+            "u_max": np.full(count, 200),
+        }
+        seen = obstacles_seen(frame, stamps[frame], columns, 640)
+        size = Outlines.of_corners(boxes).area
+        tracker.add(stamps[start : start + window], seen, size)
+    tracks, of = tracker.finish()
+    ends = np.cumsum([len(boxes) for boxes in frames])[:-1]
+    return tracks, [part.tolist() for part in np.split(of, ends)]
+
+
+def test_a_thing_that_stands_and_one_that_walks():
+    frames = [[corners_of(2, 1), corners_of(3, -1 + f / RATE_HZ)] for f in range(30)]
+    (stands, walks), of = follow(frames)
+    assert of == [[0, 1]] * 30
+    assert not stands.moving and stands.mean_speed_mps == 0 and stands.path.shape == (1, 2)
+    np.testing.assert_allclose(stands.path, [[2, 1]], atol=1e-6)
+    assert walks.moving and walks.path.shape == (30, 2) and walks.in_world
+    np.testing.assert_allclose(walks.path[:, 1], -1 + np.arange(30) / RATE_HZ, atol=5e-3)
+    np.testing.assert_allclose(walks.speed, 1.0, atol=0.02)
+    assert (walks.first_frame, walks.last_frame, walks.frames, walks.obstacles) == (0, 29, 30, 30)
+    np.testing.assert_allclose((walks.length_m, walks.width_m, walks.top_m), (0.5, 0.4, 1.7))
+
+
+def test_two_people_cross():
+    """Each keeps its number though they pass 0.6 m from each other and change their order."""
+    frames = []
+    for f in range(45):
+        along = f / RATE_HZ - 1.5
+        pair = [corners_of(2.0, along), corners_of(2.6, -along)]
+        frames.append(pair if f % 2 else pair[::-1])
+    tracks, of = follow(frames)
+    assert len(tracks) == 2 and all(track.moving for track in tracks)
+    first = of[0][::-1]
+    assert all((row if f % 2 else row[::-1]) == first for f, row in enumerate(of))
+
+
+def test_behind_a_pillar():
+    """A person who is hidden for a second is the same one, with a point in each frame."""
+    frames = []
+    for f in range(60):
+        y = f / RATE_HZ - 2
+        boxes = [corners_of(2, 0, (0.4, 0.4))]
+        frames.append(boxes if abs(y) < 0.5 else [*boxes, corners_of(3, y)])
+    (pillar, person), of = follow(frames)
+    assert not pillar.moving and person.moving and person.frames < 50
+    assert person.path.shape == (60, 2)
+    np.testing.assert_allclose(person.path[:, 1], np.arange(60) / RATE_HZ - 2, atol=0.02)
+    assert [of[0][1], of[59][1]] == [1] * 2
+
+
+def test_hidden_for_too_long():
+    frames = [[corners_of(2, 0)] if f < 20 or f > 60 else [] for f in range(80)]
+    tracks, of = follow(frames)
+    assert len(tracks) == 2 and of[0] == [0] and of[79] == [1]
+
+
+def test_pieces_of_a_thing():
+    """Legs whose outlines overlap and an arm that floats beside the body are one person; a low
+    thing at the same place stands beside it."""
+    body, leg, arm = (
+        corners_of(2, 0),
+        corners_of(2.05, 0.05, (0.2, 0.2)),
+        corners_of(1.7, 0, (0.1, 0.1)),
+    )
+    frames = [[body, leg, arm]] * 10
+    (person,), of = follow(frames, bottom={(f, 2): 0.8 for f in range(10)})
+    assert of == [[0, 0, 0]] * 10 and person.obstacles == 30 and person.frames == 10
+    tracks, of = follow(frames)
+    assert len(tracks) == 2 and of == [[0, 0, 1]] * 10
+
+
+def test_a_thing_that_comes_into_sight_does_not_move():
+    """What is seen of it grows at one end."""
+    frames = [[corners_of(2, 0.25 + f / 40, (0.5, 0.5 + f / 20))] for f in range(30)]
+    (shelf,), _ = follow(frames)
+    assert not shelf.moving
+
+
+def test_a_glimpse_is_no_track():
+    frames = [[corners_of(2, 0)] * (f < 3) for f in range(30)]
+    assert follow(frames) == ([], [[-1]] * 3 + [[]] * 27)
+
+
+def test_without_poses():
+    frames = [[corners_of(2, f / RATE_HZ)] for f in range(20)]
+    (track,), _ = follow(frames, poses=False)
+    assert not track.in_world and track.moving
+
+
+def test_no_frames_and_no_obstacles():
+    assert follow([]) == ([], [[]])
+    assert follow([[], []]) == ([], [[], []])
+
+
+def random_frames(seed: int, frames: int) -> list[list[list[float]]]:
+    """People who walk, some of them hidden now and then."""
+    rng = np.random.default_rng(seed)
+    start, speed = rng.uniform(-3, 3, (5, 2)), rng.uniform(-1, 1, (5, 2))
+    found = []
+    for f in range(frames):
+        places = start + speed * f / RATE_HZ + rng.normal(0, 0.02, (5, 2))
+        found.append([corners_of(*place) for place in places if rng.random() < 0.8])
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_same_again_and_in_windows(seed):
+    """A track goes on from window to window: only which gaps are looked at together may differ."""
+    frames = random_frames(seed, 120)
+    whole, of = follow(frames)
+    again, same = follow(frames)
+    assert same == of
+    for one, other in zip(whole, again, strict=True):
+        assert one[:-2] == other[:-2] and (one.path == other.path).all()
+    parts, of_parts = follow(frames, window=50)
+    assert len(parts) == len(whole) and of_parts == of
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=30, deadline=None)
+def test_choosing_takes_the_cheapest_first(seed):
+    """As a loop does; and with one pair for each row it is the best assignment."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 12))
+    a, b = rng.integers(0, 6, (2, count))
+    b = b + 6
+    cost = rng.integers(0, 5, count).astype(float)
+    taken, used = [], set()
+    for k in np.lexsort((b, a, cost)).tolist():
+        if a[k] not in used and b[k] not in used:
+            taken.append(k)
+            used |= {int(a[k]), int(b[k])}
+    assert choose(a, b, cost, 12).tolist() == sorted(taken)
+    apart = 10.0 * np.abs(np.subtract.outer(np.arange(4), rng.permutation(4)))
+    rows, columns = np.divmod(np.arange(16), 4)
+    best = choose(rows, columns + 4, apart.ravel(), 8)
+    assert (columns[best] == linear_sum_assignment(apart)[1]).all()
+
+
+def test_pairs_chains_and_components():
+    a, b = pairs_in_frames(np.array([0, 0, 0, 2, 3, 3]))
+    assert list(zip(a.tolist(), b.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 2), (4, 5)]
+    assert chain_starts(np.array([-1, 0, -1, 1, 2, 3])).tolist() == [0, 0, 2, 0, 2, 0]
+    assert components(6, np.array([4, 1]), np.array([5, 4])).tolist() == [0, 1, 2, 3, 1, 1]
+    assert components(5, np.array([3, 2, 1]), np.array([4, 3, 2])).tolist() == [0, 1, 1, 1, 1]
+
+
+def test_rectangles():
+    a = Outlines.of_corners(np.array([corners_of(0, 0, (2, 1)), corners_of(0, 0, (2, 1))]))
+    b = Outlines.of_corners(np.array([corners_of(1, 0, (2, 1)), corners_of(3, 0, (2, 1))]))
+    np.testing.assert_allclose(overlap(a, b), [0.5, -0.5])
+    np.testing.assert_allclose(gap(a, b), [-1 + 0, 1], atol=1e-12)
+    np.testing.assert_allclose(displacement(a, b), [1, 3])
+    grown = Outlines.of_corners(
+        np.array([corners_of(0.5, 0, (3, 1)), corners_of(0, 0, (3, 3), 0.3)])
+    )
+    np.testing.assert_allclose(displacement(a, grown), [0, 0], atol=1e-12)
+    point = Outlines.of_corners(np.array([[1.0, 2.0] * 4]))
+    assert (point.center == [[1, 2]]).all() and (point.half == 0).all() and point.area == 0
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(TrackConfig)])
+def test_settings_out_of_range(field):
+    with pytest.raises(ConfigError, match=f"{field.replace('_', '-')} is out of its range"):
+        TrackConfig(**{field: -1})
+
+
+def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: object) -> Path:
+    """The results of simulated logs."""
+    write_log(folder / f"{name}.mcap", sim)
+    out = folder / name
+    engine.run(
+        find_logs([str(folder / f"{name}.mcap")]),
+        Config(ground=GroundConfig(max_depth_m=far_m)),
+        LogOptions(),
+        RunOptions(out, backend="reference", pictures=0, **run),
+        preset="wheeled",
+    )
+    return out
+
+
+SIM = SimConfig("moving", 12, 3, 8.0, 160, 120, camera_height_m=0.5)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return results(tmp_path_factory.mktemp("tracks"), "log", SIM)
+
+
+def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
+    obstacles = (folder / "obstacles.parquet").read_bytes()
+    assert main(["track", str(folder)]) == 0
+    assert "tracks" in capsys.readouterr().out
+    assert (folder / "obstacles.parquet").read_bytes() == obstacles
+    tracks, links = (
+        pq.read_table(folder / "tracks.parquet"),
+        pq.read_table(folder / "track_links.parquet"),
+    )
+    keys = ["log", "camera", "frame", "obstacle"]
+    assert links.select(keys).equals(pq.read_table(folder / "obstacles.parquet", columns=keys))
+    rows = tracks.to_pylist()
+    assert len(rows) > 1 and [row["track"] for row in rows] == list(range(len(rows)))
+    counts = links["track"].value_counts().to_pylist()
+    counted = {c["values"]: c["counts"] for c in counts if c["values"] is not None}
+    assert counted == {row["track"]: row["num_obstacles"] for row in rows}
+    for row in rows:
+        frames = row["last_frame"] - row["first_frame"] + 1
+        assert len(row["path"]) == 2 * len(row["speed_mps"]) == 2 * (frames if row["moving"] else 1)
+        assert row["num_frames"] <= frames and row["in_world"]
+    assert all(f.metadata[b"description"] for f in tracks.schema)
+    assert (folder / "tracks_log.png").exists() and not list(folder.glob(".jaxdet*"))
+
+
+def test_the_same_bytes(folder: Path, tmp_path: Path):
+    """Again, and whatever the batch of the run."""
+    track_results(folder)
+    other = results(tmp_path, "log", SIM, batch_size=5)
+    track_results(other)
+    for name in ("tracks.parquet", "track_links.parquet", "tracks_log.png"):
+        before = (folder / name).read_bytes()
+        assert (other / name).read_bytes() == before
+        track_results(folder)
+        assert (folder / name).read_bytes() == before
+
+
+def test_other_settings_replace_them(folder: Path, tmp_path: Path):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    track_results(copy, TrackConfig(min_frames=1000))
+    assert pq.read_table(copy / "tracks.parquet").num_rows == 0
+    links = pq.read_table(copy / "track_links.parquet")
+    assert links["track"].null_count == links.num_rows > 0
+
+
+def test_logs_without_obstacles_or_poses(tmp_path: Path):
+    empty = results(tmp_path, "empty", dataclasses.replace(SIM, scene="empty", frames=2), 1.0)
+    (found,) = track_results(empty)
+    assert found.tracks == found.obstacles == 0
+    assert pq.read_table(empty / "tracks.parquet").num_rows == 0
+    blind = results(tmp_path, "blind", dataclasses.replace(SIM, frames=6, odometry_hz=0))
+    (found,) = track_results(blind)
+    assert found.tracks and not found.in_world and not (blind / "tracks_blind.png").exists()
+
+
+def test_damaged_folders(folder: Path, tmp_path: Path):
+    with pytest.raises(InputError, match="no such folder"):
+        track_results(tmp_path / "none")
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    track_results(copy)
+    table = pq.read_table(copy / "obstacles.parquet")
+    pq.write_table(pa.concat_tables([table, table]), copy / "obstacles.parquet")
+    before = (copy / "tracks.parquet").read_bytes()
+    with pytest.raises(InputError):
+        track_results(copy)
+    assert (copy / "tracks.parquet").read_bytes() == before and not list(copy.glob(".jaxdet*"))
