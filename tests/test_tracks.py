@@ -10,6 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from scipy.optimize import linear_sum_assignment
 
 from jaxdet import engine
@@ -282,6 +284,41 @@ def test_the_same_bytes(folder: Path, tmp_path: Path):
         assert (other / name).read_bytes() == before
         track_results(folder)
         assert (folder / name).read_bytes() == before
+
+
+def split(log: Path, count: int, to: Path) -> None:
+    """The messages of a log in ``count`` files, in the order of their times."""
+    to.mkdir()
+    with log.open("rb") as file:
+        messages = list(make_reader(file).iter_messages())
+    for k, part in enumerate(np.array_split(np.arange(len(messages)), count)):
+        with (to / f"log_{k}.mcap").open("wb") as file:
+            writer, channels = Writer(file), {}
+            writer.start("ros2")
+            for schema, channel, message in (messages[i] for i in part):
+                if channel.id not in channels:
+                    assert schema is not None
+                    about = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[channel.id] = writer.register_channel(
+                        channel.topic, channel.message_encoding, about, dict(channel.metadata)
+                    )
+                times = message.log_time, message.publish_time
+                writer.add_message(channels[channel.id], times[0], message.data, times[1])
+            writer.finish()
+
+
+def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
+    split(folder.parent / "log.mcap", 5, tmp_path / "log")
+    out = tmp_path / "out"
+    options = RunOptions(out, backend="reference", pictures=0)
+    config = Config(ground=GroundConfig(max_depth_m=4.0))
+    [log] = find_logs([str(tmp_path / "log")])
+    assert len(log.paths) == 5
+    engine.run([log], config, LogOptions(), options, preset="wheeled")
+    track_results(out)
+    track_results(folder)
+    for name in ("tracks.parquet", "track_links.parquet"):
+        assert (out / name).read_bytes() == (folder / name).read_bytes()
 
 
 def test_other_settings_replace_them(folder: Path, tmp_path: Path):
