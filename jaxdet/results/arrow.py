@@ -49,8 +49,9 @@ def _numbers(values: np.ndarray, kind: pa.DataType, null: np.ndarray | None = No
 
 
 def _strings(values: np.ndarray, null: np.ndarray) -> pa.Array:
-    pairs = zip(values.tolist(), null.tolist(), strict=True)
-    texts = [b"" if none else text.encode() for text, none in pairs]
+    given = np.where(null, "", values).tolist()
+    known = {text: text.encode() for text in set(given)}
+    texts = [known[text] for text in given]
     ends = np.zeros(len(texts) + 1, np.int32)
     np.cumsum([len(text) for text in texts], out=ends[1:])
     return _array(pa.string(), null, [pa.py_buffer(ends), pa.py_buffer(b"".join(texts))])
