@@ -38,30 +38,30 @@ def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) ->
         ``(B, R, C)`` cells; pixels right of and below the last whole cell are left out.
     """
     side = cell_side(calibration.depth or calibration.color, config.cell_rad)
-    d = block_depths(depth, calibration, config)
-    x, y, z = cell_centers(d, calibration, config)
+    x, y, z, d = cell_centers(depth, calibration, config)
     return Cells(x, y, z, *_boxes(d, z > 0, side, calibration))
 
 
-def block_depths(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> np.ndarray:
-    """The depth of each cell of images ``(B, Hd, Wd)``, ``(B, R, C)`` int64 [depth units]."""
+def cell_centers(
+    depth: np.ndarray, calibration: Calibration, config: SurfaceConfig, part: slice = slice(None)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where the cells are, or a part of their rows and columns, and the depth of each.
+
+    Returns:
+        x, y and z as :class:`jaxdet.types.Cells` has them, ``(B, R, C)`` int32, and the depth in
+        the depth image, int64 [depth units].
+    """
     side = cell_side(calibration.depth or calibration.color, config.cell_rad)
     near = quadratic_table(config.step_m, config.step_per_m, calibration.depth_unit)
-    return np.stack([_block_depth(image, side, near) for image in depth])
-
-
-def cell_centers(
-    d: np.ndarray, calibration: Calibration, config: SurfaceConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the cells of :func:`block_depths` are, see :class:`jaxdet.types.Cells`."""
-    side = cell_side(calibration.depth or calibration.color, config.cell_rad)
+    d = np.stack([_block_depth(image, side, near, part) for image in depth])
     rays, offset = cell_rays(calibration, side)
     x, y, z = (
-        np.where(d > 0, lateral(ray, d) + start, 0) for ray, start in zip(rays, offset, strict=True)
+        np.where(d > 0, lateral(ray[part, part], d) + start, 0)
+        for ray, start in zip(rays, offset, strict=True)
     )
     seen, z = (d > 0) & (z > 0), np.minimum(z, 65535)
     x, y, z = (np.where(seen, a, 0).astype(np.int32) for a in (x, y, z))
-    return x, y, z
+    return x, y, z, d
 
 
 def cover(grid: Cells, keep: np.ndarray, camera: Intrinsics) -> np.ndarray:
@@ -93,11 +93,12 @@ def margins(columns: int) -> np.ndarray:
     return (column < width) | (column >= columns - width)
 
 
-def _block_depth(image: np.ndarray, side: int, near: np.ndarray) -> np.ndarray:
-    """The depth of each block, ``(R, C)`` int64 [depth units]."""
-    rows, columns = image.shape[0] // side, image.shape[1] // side
+def _block_depth(image: np.ndarray, side: int, near: np.ndarray, part: slice) -> np.ndarray:
+    """The depth of each block of a part of the rows and columns, int64 [depth units]."""
+    rows, columns = (size // side for size in image.shape)
     blocks = image[: rows * side, : columns * side].reshape(rows, side, columns, side)
-    values = blocks.transpose(0, 2, 1, 3).reshape(rows, columns, side * side).astype(np.int64)
+    blocks = blocks.transpose(0, 2, 1, 3)[part, part]
+    values = blocks.reshape(*blocks.shape[:2], side * side).astype(np.int64)
     measured = values > 0
     count = measured.sum(axis=-1)
     ordered = np.sort(np.where(measured, values, 65536), axis=-1)

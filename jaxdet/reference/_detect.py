@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames, on_floor
 from jaxdet.floor.plane import depth_range, quadratic_table, step_table
-from jaxdet.reference._cells import block_depths, cell_centers, cells, cover, margins
+from jaxdet.reference._cells import cell_centers, cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
-from jaxdet.reference._floor import FloorFit, find_floor
+from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
 from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, free_floor
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
@@ -92,9 +93,11 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
     """The floor of each frame alone, see :func:`jaxdet.reference.find_floor`."""
     calibration = frames.calibration
-    depths = block_depths(frames.depth, calibration, config.surface)
-    centers = cell_centers(depths, calibration, config.surface)
-    return find_floor(*centers, prior, config.floor, calibration.depth_unit)
+    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    height, width = frames.depth.shape[1:]
+    part = used_cells((height // side, width // side), config.floor)
+    *centers, _ = cell_centers(frames.depth, calibration, config.surface, part)
+    return floor_of_cells(*centers, prior, config.floor, calibration.depth_unit)
 
 
 def surface_pairs(

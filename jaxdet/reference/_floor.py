@@ -1,5 +1,6 @@
 """The floor of each frame, found in its own depth."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -88,6 +89,25 @@ def find_floor(
         The planes, and why they are not the frames' own. A camera pitched by more than 85 degrees
         keeps its prior.
     """
+    part = used_cells(z.shape[1:], config)
+    return floor_of_cells(*(a[:, part, part] for a in (x, y, z)), prior, config, depth_unit)
+
+
+def used_cells(shape: tuple[int, ...], config: FloorConfig) -> slice:
+    """Which rows and columns of a grid of cells ``(R, C)`` are used."""
+    step = stride(math.prod(shape), config)
+    return slice(step // 2, None, step)
+
+
+def floor_of_cells(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    prior: GroundPlane,
+    config: FloorConfig,
+    depth_unit: float,
+) -> FloorFit:
+    """:func:`find_floor` of the cells in :func:`used_cells` alone."""
     scale = Scale(depth_unit, config.noise_per_m)
     given = prior_units(prior, scale).tolist()
     found = np.zeros((len(z), 8), np.int32)
@@ -100,10 +120,8 @@ def find_floor(
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
-    """The cells used, and every second of them in rows and columns."""
-    step = stride(z.size, config)
-    part = slice(step // 2, None, step)
-    x, y, z = (a[part, part].astype(np.int64) for a in (x, y, z))
+    """The cells with depth, and every second of them in rows and columns."""
+    x, y, z = (a.astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)
     used = (z > 0) & (z <= round(config.max_depth_m / scale.unit))
