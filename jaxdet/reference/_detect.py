@@ -96,8 +96,8 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
     side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
     height, width = frames.depth.shape[1:]
     part = used_cells((height // side, width // side), config.floor)
-    *centers, _ = cell_centers(frames.depth, calibration, config.surface, part)
-    return floor_of_cells(*centers, prior, config.floor, calibration.depth_unit)
+    x, y, z, _ = cell_centers(frames.depth, calibration, config.surface, part)
+    return floor_of_cells(x, y, z, prior, config.floor, calibration.depth_unit)
 
 
 def surface_pairs(

@@ -90,7 +90,8 @@ def find_floor(
         keeps its prior.
     """
     part = used_cells(z.shape[1:], config)
-    return floor_of_cells(*(a[:, part, part] for a in (x, y, z)), prior, config, depth_unit)
+    x, y, z = (a[:, part, part] for a in (x, y, z))
+    return floor_of_cells(x, y, z, prior, config, depth_unit)
 
 
 def used_cells(shape: tuple[int, ...], config: FloorConfig) -> slice:
