@@ -1,4 +1,4 @@
-"""Obstacles from RGB-D camera logs: ``open_log`` reads, ``detect`` finds.
+"""Obstacles from RGB-D cameras: ``Detector`` takes frames, ``open_log`` reads logs of them.
 
 Names are loaded when they are first used, so ``import jaxdet`` alone loads no heavy package.
 """
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxdet.config import Config
+    from jaxdet.detector import BatchResult, Detector, FrameResult, Obstacle
     from jaxdet.errors import FrameStatus, JaxdetError
+    from jaxdet.floor.mount import Mount
     from jaxdet.floor.plane import flat_plane
     from jaxdet.io import LogOptions, find_logs, open_log
     from jaxdet.pipeline import detect, estimate_plane, find_floors
@@ -33,6 +35,8 @@ _HOMES = {
     "jaxdet.config": ("Config",),
     "jaxdet.presets": ("PRESETS", "preset"),
     "jaxdet.errors": ("FrameStatus", "JaxdetError"),
+    "jaxdet.detector": ("BatchResult", "Detector", "FrameResult", "Obstacle"),
+    "jaxdet.floor.mount": ("Mount",),
     "jaxdet.io": ("LogOptions", "find_logs", "open_log"),
     "jaxdet.results.metric": ("extents", "rectangles", "to_world"),
     "jaxdet.pipeline": ("detect", "estimate_plane", "find_floors"),
@@ -54,12 +58,15 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "PRESETS",
+    "BatchResult",
     "Calibration",
     "Config",
     "Detections",
+    "Detector",
     "Distortion",
     "Extrinsics",
     "Features",
+    "FrameResult",
     "FrameStatus",
     "Frames",
     "GroundPlane",
@@ -67,6 +74,8 @@ __all__ = [
     "JaxdetError",
     "Labels",
     "LogOptions",
+    "Mount",
+    "Obstacle",
     "Obstacles",
     "__version__",
     "detect",

@@ -1,6 +1,7 @@
 """``detect``: floor, surfaces, obstacles and outlines of a batch of frames, on either backend."""
 
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Literal, Protocol, cast
 
@@ -11,6 +12,7 @@ from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.floor.plane import flagged_plane, repeat_plane, unknown_plane
 from jaxdet.floor.sampled import SampledFloor, sampled_floor
+from jaxdet.quiet import quiet_warp
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
@@ -25,10 +27,13 @@ class Backend(Protocol):
     Their results are equal to the bit.
     """
 
-    def detect(self, frames: Frames, plane: GroundPlane, config: Config) -> Detections: ...
+    def detect(
+        self, frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
+    ) -> Detections: ...
     def find_floors(self, frames: Frames, prior: GroundPlane, config: Config) -> "FloorFit": ...
 
 
+@cache
 def load_backend(name: BackendName) -> Backend:
     """The module that implements a backend.
 
@@ -38,11 +43,17 @@ def load_backend(name: BackendName) -> Backend:
     modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
     if name not in modules:
         raise ConfigError(f"no backend {name!r}", remedy=f"use one of {', '.join(modules)}")
+    if name == "jax":
+        quiet_warp()  # standard output is the caller's
     return cast(Backend, import_module(modules[name]))
 
 
 def detect(
-    frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
+    frames: Frames,
+    config: Config | None = None,
+    *,
+    backend: BackendName = "jax",
+    with_cells: bool = False,
 ) -> Detections:
     """Finds the obstacles in a batch of frames.
 
@@ -57,6 +68,8 @@ def detect(
         config: The method's parameters; by default the preset ``wheeled``.
         backend: ``jax`` for the compiled program or ``reference`` for plain NumPy; both return
             equal arrays.
+        with_cells: Give the depth cells with their obstacles as well
+            (:attr:`jaxdet.types.Detections.cells`), where obstacles are made of surfaces.
 
     Returns:
         Features, labels and obstacles of each frame, see :class:`jaxdet.types.Detections`; with
@@ -70,11 +83,15 @@ def detect(
             take, or depth images hold no cell or too many (:func:`jaxdet.checks.check_cells`).
     """
     config = config or Config()
+    if not isinstance(config, Config):
+        raise ConfigError(
+            f"config is {config!r}", remedy="give a Config, for instance jaxdet.preset('wheeled')"
+        )
     check_frames(frames)
     if not config.cluster.points:
         check_cells(frames.calibration, config.surface)
     plane = floor_of(frames, config, backend=backend)
-    return load_backend(backend).detect(frames, plane, _searching(config))
+    return load_backend(backend).detect(frames, plane, _searching(config), with_cells)
 
 
 def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax") -> "FloorFit":

@@ -1,5 +1,6 @@
 """Presets: configurations for robots and cameras, by name."""
 
+import difflib
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,8 @@ from jaxdet.config import (
     SurfaceConfig,
 )
 from jaxdet.errors import ConfigError
+
+DEFAULT_PRESET = "wheeled"
 
 
 def _with(**ground: Any) -> Config:
@@ -74,5 +77,7 @@ def preset(name: str) -> Config:
         ConfigError: There is no such preset.
     """
     if name not in PRESETS:
-        raise ConfigError(f"no preset {name!r}", remedy=f"use one of {', '.join(PRESETS)}")
+        near = difflib.get_close_matches(name, PRESETS, 1)
+        meant = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(f"no preset {name!r}", remedy=f"{meant}use one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -14,13 +14,18 @@ the bit. The metric results are computed from these integers once, in :mod:`jaxd
 Arrays are NumPy arrays in :mod:`jaxdet.reference` and JAX arrays in :mod:`jaxdet.stages`.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum, StrEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxdet.errors import CalibrationError
 
 Array = Any
-"""A NumPy or a JAX array."""
+"""A NumPy or a JAX array: what both have (``shape``, ``dtype``, indices, sums) can be used, and
+``np.asarray`` makes the first of either. Where a signature says ``np.ndarray`` it is one."""
 
 
 MAX_CONTOUR = 512
@@ -56,6 +61,30 @@ class Distortion(StrEnum):
     """RealSense's depth-side model, ``k1 k2 p1 p2 k3``."""
 
 
+def focal_and_center(K: ArrayLike) -> tuple[float, float, float, float]:
+    """``fx fy cx cy`` of a camera matrix ``(3, 3)``.
+
+    Raises:
+        CalibrationError: It is none: of another shape, with skew, transposed or scaled.
+    """
+    try:
+        matrix = np.asarray(K, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (3, 3):
+        shape = getattr(K, "shape", np.shape(matrix))
+        raise CalibrationError(
+            f"a camera matrix of shape {tuple(shape)}", remedy="give a (3, 3) array of numbers"
+        )
+    fx, skew, cx, low, fy, cy, *last = matrix.ravel().tolist()
+    if skew or low or last != [0.0, 0.0, 1.0]:
+        raise CalibrationError(
+            f"{matrix.tolist()} is no camera matrix",
+            remedy="give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
+        )
+    return fx, fy, cx, cy
+
+
 class Intrinsics(NamedTuple):
     """A camera's image size, matrix and lens; hashable, so derived tables can be cached."""
 
@@ -73,6 +102,43 @@ class Intrinsics(NamedTuple):
         """The camera matrix ``(3, 3)`` float64, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @classmethod
+    def from_matrix(
+        cls,
+        K: ArrayLike,
+        width: int,
+        height: int,
+        distortion: Sequence[float] | np.ndarray = (),
+        model: str | None = None,
+    ) -> Self:
+        """From a camera matrix and lens coefficients as OpenCV and ROS have them.
+
+        Args:
+            K: ``(3, 3)``, pixels.
+            width: Of the images [pixel].
+            height: Of the images [pixel].
+            distortion: The lens coefficients; none: images without distortion.
+            model: A :class:`Distortion`; by default ``plumb_bob`` for 4 or 5 coefficients and
+                ``rational_polynomial`` for 8.
+
+        Raises:
+            CalibrationError: ``K`` is no camera matrix, or the model is unknown.
+
+        Example:
+            >>> Intrinsics.from_matrix([[600, 0, 320], [0, 610, 240], [0, 0, 1]], 640, 480).fy
+            610.0
+        """
+        values = tuple(float(value) for value in np.ravel(np.asarray(distortion, np.float64)))
+        if model is None:
+            defaults = {0: "none", 4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
+            model = defaults.get(len(values))
+        if model not in tuple(Distortion):
+            raise CalibrationError(
+                f"{len(values)} distortion coefficients of the lens model {model}",
+                remedy=f"model can be {', '.join(Distortion)}",
+            )
+        return cls(width, height, *focal_and_center(K), Distortion(model), values)
+
 
 class Extrinsics(NamedTuple):
     """A rigid motion ``T_target_source``, hashable."""
@@ -89,6 +155,29 @@ class Extrinsics(NamedTuple):
         T[:3, :3] = np.reshape(self.rotation, (3, 3))
         T[:3, 3] = self.translation
         return T
+
+    @classmethod
+    def from_matrix(cls, T: ArrayLike) -> Self:
+        """From a matrix ``(4, 4)``, its translation in metres.
+
+        Raises:
+            CalibrationError: It is no matrix of a rigid motion.
+
+        Example:
+            >>> Extrinsics.from_matrix(np.eye(4)).translation
+            (0.0, 0.0, 0.0)
+        """
+        try:
+            matrix = np.asarray(T, np.float64)
+        except (TypeError, ValueError):
+            matrix = np.zeros(0)
+        if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+            raise CalibrationError(
+                f"a transform of shape {tuple(getattr(T, 'shape', matrix.shape))}",
+                remedy="give a (4, 4) array whose last row is 0 0 0 1",
+            )
+        x, y, z = matrix[:3, 3].tolist()
+        return cls(tuple(matrix[:3, :3].ravel().tolist()), (x, y, z))
 
 
 class Calibration(NamedTuple):
@@ -320,6 +409,14 @@ class Scene(NamedTuple):
     """``(B, C)`` int32, what ends it, see :class:`FreeEnd`."""
 
 
+class CellLabels(NamedTuple):
+    """The depth cells, each with its obstacle."""
+
+    label: Array
+    """``(B, R, C)`` int32, -1 = none."""
+    cells: Cells
+
+
 class Detections(NamedTuple):
     """All that is found in a batch."""
 
@@ -330,3 +427,5 @@ class Detections(NamedTuple):
     """``(B,)`` bool, some pixel of the frame has a depth in range."""
     scene: Scene | None = None
     """Outlines, floor and free floor; None where obstacles are clusters of points."""
+    cells: CellLabels | None = None
+    """Where they are asked for and obstacles are made of surfaces."""

@@ -9,10 +9,11 @@ import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
-from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given
+from jaxdet.cli.settings import defaults, given
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import CamerasError, JaxdetError
 from jaxdet.io.options import LogOptions
+from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes

@@ -9,7 +9,7 @@ import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
-from jaxdet.cli.settings import DEFAULT_PRESET, defaults, given
+from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.config import (
     ClusterConfig,
@@ -23,6 +23,7 @@ from jaxdet.config import (
 )
 from jaxdet.engine.options import Flag, RunOptions
 from jaxdet.io.options import LogOptions
+from jaxdet.presets import DEFAULT_PRESET
 
 DESCRIPTION = """\
 Finds the obstacles in every frame of logs and writes frames.parquet, obstacles.parquet,

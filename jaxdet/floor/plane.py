@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
@@ -22,17 +23,17 @@ DIRECTION_BITS = 9
 
 
 def flat_plane(
-    height: np.ndarray, pitch: np.ndarray, roll: np.ndarray, valid: np.ndarray | None = None
+    height: ArrayLike, pitch: ArrayLike, roll: ArrayLike, valid: np.ndarray | None = None
 ) -> GroundPlane:
     """A floor without ramps.
 
     Args:
-        height: ``(B,)`` float64, optical centre above the floor [m].
+        height: ``(B,)`` float64, optical centre above the floor [m]; numbers are of one frame.
         pitch: ``(B,)`` float64 [rad], positive looks down.
         roll: ``(B,)`` float64 [rad], positive clockwise seen from behind.
         valid: ``(B,)`` bool; None: all of them.
     """
-    height, pitch, roll = (np.asarray(a, np.float64) for a in (height, pitch, roll))
+    height, pitch, roll = (np.atleast_1d(a).astype(np.float64) for a in (height, pitch, roll))
     valid = np.ones(height.shape, bool) if valid is None else np.asarray(valid, bool)
     return GroundPlane(height, pitch, roll, valid, np.full(height.shape, np.inf), 0 * height)
 

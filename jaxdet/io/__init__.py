@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jaxdet.io.description import LogDescription
     from jaxdet.io.files import LogFiles, find_logs
     from jaxdet.io.log import Batch, Log, open_log
+    from jaxdet.io.log_frame import LogFrame
     from jaxdet.io.notes import Notes
     from jaxdet.io.options import LogOptions
 
@@ -21,6 +22,7 @@ _MODULES = {
     "Log": "io.log",
     "LogDescription": "io.description",
     "LogFiles": "io.files",
+    "LogFrame": "io.log_frame",
     "LogOptions": "io.options",
     "Notes": "io.notes",
     "RescanError": "errors",
@@ -32,6 +34,7 @@ __all__ = [
     "Log",
     "LogDescription",
     "LogFiles",
+    "LogFrame",
     "LogOptions",
     "Notes",
     "RescanError",

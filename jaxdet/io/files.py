@@ -1,8 +1,10 @@
 """From what the user names (files, folders, globs) to logs."""
 
 import glob
+import os
 import re
 from collections.abc import Iterable, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +21,7 @@ class LogFiles(NamedTuple):
     paths: tuple[Path, ...]
 
 
-def find_logs(inputs: Sequence[str]) -> list[LogFiles]:
+def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> list[LogFiles]:
     """The logs in files, folders (searched with their subfolders) and globs.
 
     Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are the splits of one log called
@@ -31,7 +33,8 @@ def find_logs(inputs: Sequence[str]) -> list[LogFiles]:
     Raises:
         InputError: An input doesn't exist or holds no ``.mcap`` file.
     """
-    paths = {path.resolve(): path for text in inputs for path in _files(text)}
+    named = [inputs] if isinstance(inputs, str | PathLike) else inputs
+    paths = {path.resolve(): path for item in named for path in _files(os.fspath(item))}
     groups: dict[tuple[Path, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
         match = _SPLIT.fullmatch(path.name)

@@ -4,8 +4,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
+from operator import index as as_index
+from os import PathLike
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, ScannedFrames, find_indexed, find_scanned
 from jaxdet.io.index import LogIndex
+from jaxdet.io.log_frame import LogFrame, one_by_one
 from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
@@ -53,6 +56,10 @@ class Batch(NamedTuple):
     """Name of the colour camera's optical frame; empty where the log has none."""
     world_frame: str = ""
     """Name of the frame that poses are in; empty where there are none."""
+
+    def one_by_one(self) -> Iterator[LogFrame]:
+        """The frames without the padding."""
+        return one_by_one(self.frames, self.status, self.errors)
 
 
 ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
@@ -143,6 +150,33 @@ class Log:
     def close(self) -> None:
         """Closes the files and stops the threads."""
         self._store.close()
+
+    def __len__(self) -> int:
+        """``num_frames``."""
+        return self.num_frames
+
+    def __iter__(self) -> Iterator[LogFrame]:
+        """Its frames one by one, in order; some are read at a time."""
+        for batch in self.batches(self._at_once):
+            yield from batch.one_by_one()
+
+    @overload
+    def __getitem__(self, index: int) -> LogFrame: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[LogFrame]: ...
+    def __getitem__(self, index: Any) -> Any:
+        """A frame, or those of a slice; negative numbers count from the end.
+
+        Raises:
+            IndexError: There is no such frame.
+            RescanError: The log isn't as its index lets expect.
+        """
+        if isinstance(index, slice):
+            return list(self.read(range(self.num_frames)[index]).one_by_one())
+        number = as_index(index)
+        if not -self.num_frames <= number < self.num_frames:
+            raise IndexError(f"frame {number} of {self.num_frames}")
+        return next(self.read([number % self.num_frames]).one_by_one())
 
     @property
     def stamps_ns(self) -> np.ndarray:
@@ -292,7 +326,7 @@ class Log:
         return poses
 
 
-def open_log(source: str | LogFiles, options: LogOptions | None = None) -> Log:
+def open_log(source: str | PathLike[str] | LogFiles, options: LogOptions | None = None) -> Log:
     """Opens a camera of a log by its index, or reads all of it where that is missing or wrong.
 
     Args:
@@ -306,11 +340,11 @@ def open_log(source: str | LogFiles, options: LogOptions | None = None) -> Log:
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
     options = options or LogOptions()
-    if isinstance(source, str):
+    if not isinstance(source, LogFiles):
         logs = find_logs([source])
         if len(logs) > 1:
             problem, remedy = f"there are {len(logs)} logs here", "name one of them"
-            raise InputError(problem, path=source, remedy=remedy)
+            raise InputError(problem, path=str(source), remedy=remedy)
         source = logs[0]
     opened = open_files(source, options)
     store = ChunkStore(opened.files)

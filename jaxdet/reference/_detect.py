@@ -26,6 +26,7 @@ from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
     SAMPLED_CELLS,
+    CellLabels,
     Cells,
     Detections,
     Features,
@@ -54,7 +55,9 @@ class Found(NamedTuple):
     """There are more surfaces than ``MAX_SURFACES``."""
 
 
-def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+def detect(
+    frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
+) -> Detections:
     """Finds floor, surfaces, obstacles, their outlines and the free floor of each frame.
 
     Args:
@@ -63,6 +66,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
             the frame's own depth where that shows enough floor.
         config: The method; with ``cluster.points`` it is the paper's
             (:func:`jaxdet.reference._points.clusters`).
+        with_cells: Give the cells with their obstacles as well, where they are made of surfaces.
 
     Returns:
         Features are the corners, then every second cell of every second row; the obstacles are
@@ -87,7 +91,13 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         outlines,
         in_range.any(axis=(1, 2)),
         Scene(fit.found, plane, *shapes, *_free(found, unit, config)),
+        _cell_labels(grid, found) if with_cells else None,
     )
+
+
+def _cell_labels(grid: Cells, found: list[Found]) -> CellLabels:
+    label = np.stack([one.label for one in found])
+    return CellLabels(np.where(label < MAX_OBSTACLES, label, -1).astype(np.int32), grid)
 
 
 def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:

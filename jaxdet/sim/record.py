@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxdet.io.writer import Ros2LogWriter, Transform
+from jaxdet.quiet import quiet_warp
 from jaxdet.sim.config import SimConfig, calibration_of
 from jaxdet.sim.frames import SimFrame, simulate_frame
 from jaxdet.sim.robot import OPTICAL, WHEEL_RADIUS_M, drifted, mount, pose_at, velocity_at
@@ -34,6 +35,7 @@ def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
         InputError: The scene's file can't be read.
     """
     config = config or SimConfig()
+    quiet_warp()  # standard output is the caller's
     scene, calibration = scene_of(config), calibration_of(config)
     truth = TruthWriter(truth_path(path), config, scene)
     with Ros2LogWriter(path, config.compression) as writer:

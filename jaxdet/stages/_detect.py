@@ -21,6 +21,7 @@ from jaxdet.types import (
     MAX_SURFACES,
     Array,
     Calibration,
+    CellLabels,
     Detections,
     Frames,
     GroundPlane,
@@ -68,9 +69,13 @@ class _Static(NamedTuple):
     slots: int
     floor: FloorConfig
     unit: float
+    with_cells: bool
+    """Whether the cells are given back with their obstacles."""
 
 
-def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
+def detect(
+    frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
+) -> Detections:
     """Equals :func:`jaxdet.reference.detect`.
 
     Args:
@@ -79,6 +84,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
             are, so leave them alone until the results are ready.
         plane: What is known of each frame's floor.
         config: The method.
+        with_cells: Give the cells with their obstacles as well.
 
     Returns:
         What the reference finds, still being computed perhaps, see :func:`_spread.in_parts`.
@@ -92,6 +98,7 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     tables, static = _tables(frames.calibration, config)
     unit = frames.calibration.depth_unit
     scale = Scale(unit, config.floor.noise_per_m)
+    static = static._replace(with_cells=with_cells)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         given = _Given(prior_units(known, scale), floor_frames(known, unit))
@@ -142,7 +149,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     made = jax.tree.map(jnp.asarray, made)
     # Of the floor's configuration only this says how much memory is needed.
     sizes = FloorConfig(max_cells=config.floor.max_cells)
-    return made, _Static(static, config.features.max_corners, sizes, unit)
+    return made, _Static(static, config.features.max_corners, sizes, unit, False)
 
 
 @partial(jax.jit, static_argnames="static")
@@ -181,7 +188,10 @@ def _detect(
     )
     lost = cast(GroundPlane, None)  # it stays on the host
     scene = Scene(floor, lost, *outlined[1:], line, end)
-    return Detections(points, labels, outlined.obstacles, has_depth, scene)
+    cells = None
+    if static.with_cells:
+        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), grid)
+    return Detections(points, labels, outlined.obstacles, has_depth, scene, cells)
 
 
 def _frame(found: jax.Array, given: Array) -> jax.Array:

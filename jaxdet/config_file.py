@@ -1,0 +1,187 @@
+"""Configurations from files: TOML, and the ``config.json`` of earlier results."""
+
+import dataclasses
+import difflib
+import json
+import os
+import tomllib
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from jaxdet.angles import parse_angle
+from jaxdet.config import Config
+from jaxdet.errors import ConfigError
+from jaxdet.io.options import LogOptions
+from jaxdet.presets import DEFAULT_PRESET, PRESETS, preset
+
+SECTIONS = tuple(part.name for part in dataclasses.fields(Config)) + ("log",)
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Section = TypeVar("Section", bound="DataclassInstance")
+
+
+class Settings(NamedTuple):
+    """What a file says, on top of its preset."""
+
+    config: Config
+    log: LogOptions
+    """How to read logs."""
+    preset: str
+
+
+def find_config(source: str | PathLike[str]) -> Config:
+    """The configuration of a preset's name or of a file.
+
+    Args:
+        source: ``wheeled``, ``mine.toml`` or ``results/config.json``.
+
+    Raises:
+        ConfigError: There is neither, or the file is wrong.
+    """
+    name = os.fspath(source)
+    if name in PRESETS:
+        return preset(name)
+    path = Path(name)
+    if isinstance(source, str) and not (path.suffix in (".toml", ".json") or path.exists()):
+        preset(name)  # which says what presets there are
+    return read_settings(path).config
+
+
+def read_settings(path: Path | None, preset_name: str | None = None) -> Settings:
+    """The settings of a file.
+
+    Args:
+        path: TOML with the sections ``[ground]``, ``[surface]``, ... and ``[log]`` and perhaps a
+            ``preset``, or the ``config.json`` of results; None: the preset alone.
+        preset_name: The preset to start from; goes before the file's.
+
+    Raises:
+        ConfigError: The preset or a key of the file is unknown, or a value doesn't fit.
+    """
+    table = read_table(path) if path else {}
+    named = table.pop("preset", None)
+    name = preset_name or named or DEFAULT_PRESET
+    config, log = preset(name), LogOptions()
+    for section, values in table.items():
+        if section == "log":
+            log = changed(log, values, section, str(path))
+        else:
+            part = changed(getattr(config, section), values, section, str(path))
+            config = dataclasses.replace(config, **{section: part})
+    return Settings(config, log, name)
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """The sections of a configuration file, and perhaps a ``preset``.
+
+    Raises:
+        ConfigError: It can't be read, or has an unknown section.
+    """
+    where = str(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"can't be read ({error.strerror})", path=where) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"is no text: {error}", path=where) from error
+    if path.suffix == ".json":
+        return _of_results(text, where)
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"is not TOML: {error}", path=where) from error
+    for key, value in table.items():
+        if key == "preset" and isinstance(value, str):
+            continue
+        if key not in SECTIONS or not isinstance(value, dict):
+            known = ", ".join(f"[{name}]" for name in SECTIONS)
+            remedy = f"{meant(key, SECTIONS)}use {known}"
+            raise ConfigError(f"no section [{key}]", path=where, remedy=remedy)
+    return table
+
+
+def _of_results(text: str, where: str) -> dict[str, Any]:
+    """The sections of a ``config.json``, which says more of its run, without what is not set."""
+    try:
+        table = json.loads(text)
+    except ValueError as error:
+        raise ConfigError(f"is not JSON: {error}", path=where) from error
+    if not isinstance(table, dict) or not all(
+        isinstance(table.get(name), dict) for name in SECTIONS
+    ):
+        raise ConfigError(
+            "is no config.json of results", path=where, remedy="give that, or a TOML file"
+        )
+    sections: dict[str, Any] = {
+        name: {key: value for key, value in table[name].items() if value is not None}
+        for name in SECTIONS
+    }
+    named = table.get("preset")
+    return sections | ({"preset": named} if named in PRESETS else {})
+
+
+def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -> Section:
+    """A configuration section with these values.
+
+    Keys of angles may lack their ``_rad`` and then have a unit: ``camera_pitch = "10deg"``.
+
+    Raises:
+        ConfigError: A key is unknown or a value doesn't fit; names both and the file.
+    """
+    hints, clean = typing.get_type_hints(type(section)), {}
+    for key, value in values.items():
+        field, given = key, value
+        if f"{key}_rad" in hints or (key.endswith("_rad") and isinstance(value, str)):
+            field = key if key in hints else f"{key}_rad"
+            try:
+                given = parse_angle(value)
+            except ValueError as error:
+                raise ConfigError(f"[{name}] {key} = {value!r}: {error}", path=path) from None
+        if field not in hints:
+            known = ", ".join(hints) or "nothing"
+            problem = f"no key {key!r} in [{name}]"
+            raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {known}")
+        if not _fits(given, hints[field]):
+            wanted = getattr(hints[field], "__name__", str(hints[field]))
+            raise ConfigError(f"[{name}] {key} = {value!r} is not {wanted}", path=path)
+        clean[field] = _as(given, hints[field])
+    try:
+        return dataclasses.replace(section, **clean)
+    except ConfigError as error:
+        raise ConfigError(error.problem, path=path, remedy=error.remedy) from error
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """``did you mean X? `` where a known word is near, else nothing."""
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, part) for part in typing.get_args(hint))
+    if origin is tuple:
+        parts = typing.get_args(hint)
+        same = isinstance(value, list) and len(value) == len(parts)
+        return same and all(_fits(v, part) for v, part in zip(value, parts, strict=True))
+    if origin is typing.Literal:
+        return value in typing.get_args(hint)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, hint)
+
+
+def _as(value: Any, hint: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(float(part) for part in value)
+    wants_float = hint is float or float in typing.get_args(hint)
+    return float(value) if wants_float and isinstance(value, int) else value

@@ -1,0 +1,6 @@
+"""``Detector``: obstacles of frames that a program holds in its hands, one or many at a time."""
+
+from jaxdet.detector.detector import Detector
+from jaxdet.detector.result import BatchResult, FrameResult, FreeFloorLine, Obstacle
+
+__all__ = ["BatchResult", "Detector", "FrameResult", "FreeFloorLine", "Obstacle"]

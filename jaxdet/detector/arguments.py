@@ -1,0 +1,297 @@
+"""What callers give a detector, as the arrays and calibrations that the pipeline takes.
+
+Everything is checked here, and errors name the argument.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxdet.checks import check_calibration
+from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
+from jaxdet.types import Calibration, Extrinsics, Intrinsics, focal_and_center
+
+ColorOrder = Literal["rgb", "bgr"]
+Pinhole = tuple[float, float, float, float]
+"""``fx fy cx cy`` of a camera whose image size is not known yet."""
+MAX_UNITS = 65535
+
+
+@contextmanager
+def named(argument: str, remedy: str = "") -> Iterator[None]:
+    """Errors in the block name an argument, and what it takes where flags would be named."""
+    try:
+        yield
+    except JaxdetError as error:
+        said = remedy or error.remedy
+        raise type(error)(error.problem, topic=argument, remedy=said) from None
+
+
+class Cameras:
+    """The calibration of a detector: complete as soon as the first images tell their sizes.
+
+    Args:
+        K: Of the colour camera, see :class:`jaxdet.detector.Detector`.
+        depth_K: Of the depth camera; None: depth is aligned to colour.
+        T_color_depth: From depth camera to colour camera; None likewise.
+        depth_unit_m: Metres in a unit of a uint16 depth image.
+
+    Raises:
+        CalibrationError: See :class:`jaxdet.detector.Detector`.
+    """
+
+    def __init__(
+        self,
+        K: ArrayLike | Intrinsics,
+        depth_K: ArrayLike | Intrinsics | None,
+        T_color_depth: ArrayLike | Extrinsics | None,
+        depth_unit_m: float,
+    ) -> None:
+        self.depth_unit_m = depth_unit_m
+        self._color, self._depth = _camera("K", K), None
+        self._motion = None
+        self._known: Calibration | None = None
+        if (depth_K is None) != (T_color_depth is None):
+            given, missing = ("depth_K", "T_color_depth")[:: 1 if T_color_depth is None else -1]
+            raise CalibrationError(
+                f"{missing} is missing beside {given}",
+                remedy="give both for depth on its own camera's pixels, neither for aligned depth",
+            )
+        if depth_K is not None and T_color_depth is not None:
+            self._depth = _camera("depth_K", depth_K)
+            with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
+                self._motion = _motion(T_color_depth)
+        # What does not depend on the images' size is checked at once.
+        small = [_sized(camera, (2, 2)) for camera in (self._color, self._depth)]
+        self._check(Calibration(small[0] or _NOTHING, small[1], self._motion, depth_unit_m))
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> "Cameras":
+        """Those of a log."""
+        depth, motion = calibration.depth, calibration.color_from_depth
+        return cls(calibration.color, depth, motion, calibration.depth_unit)
+
+    def calibration(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:
+        """The calibration of images of these shapes ``(B, H, W, ...)``.
+
+        Raises:
+            CalibrationError: It is of images of another size.
+        """
+        own = self._depth or self._color
+        for name, camera, shape in (("color", self._color, color), ("depth", own, depth)):
+            known = self._known and (self._known.depth or self._known.color)
+            known = self._known.color if self._known and name == "color" else known
+            if known is None and isinstance(camera, Intrinsics):
+                known = camera
+            if known is not None and (known.height, known.width) != shape[1:3]:
+                raise CalibrationError(
+                    f"images of {shape[2]}x{shape[1]} pixels, but the calibration is of "
+                    f"{known.width}x{known.height}",
+                    topic=name,
+                    remedy="make a Detector for each size of images",
+                )
+        if self._known is None:
+            if self._depth is None and color[1:3] != depth[1:3]:
+                raise CalibrationError(
+                    f"depth images of {depth[2]}x{depth[1]} pixels are not aligned to colour "
+                    f"images of {color[2]}x{color[1]}",
+                    topic="depth",
+                    remedy="give depth_K and T_color_depth",
+                )
+            self._known = self._complete(color, depth)
+        return self._known
+
+    def _complete(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:
+        for name, camera, shape in (("K", self._color, color), ("depth_K", self._depth, depth)):
+            if isinstance(camera, tuple) and not isinstance(camera, Intrinsics):
+                height, width = shape[1:3]
+                _, _, cx, cy = camera
+                if not (0 <= cx < width and 0 <= cy < height):
+                    raise CalibrationError(
+                        f"the optical centre ({cx:g}, {cy:g}) lies outside of images of "
+                        f"{width}x{height} pixels",
+                        topic=name,
+                        remedy="give the camera matrix of images of this size",
+                    )
+        whole = Calibration(
+            _sized(self._color, color[1:3]) or _NOTHING,
+            _sized(self._depth, depth[1:3]),
+            self._motion,
+            self.depth_unit_m,
+        )
+        self._check(whole)
+        return whole
+
+    def _check(self, whole: Calibration) -> None:
+        """The checks of every calibration, one argument after the other."""
+        pinhole = "give (3, 3), or fx fy cx cy, or jaxdet.Intrinsics, in pixels"
+        with named("K", pinhole):
+            check_calibration(Calibration(whole.color))
+        if whole.depth is not None:
+            with named("depth_K", pinhole):
+                check_calibration(Calibration(whole.depth))
+            with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
+                check_calibration(whole._replace(depth_unit=0.001))
+        with named("depth_unit_m", "give metres, 0.001 for millimetres"):
+            check_calibration(whole)
+
+
+_NOTHING = Intrinsics(0, 0, 0.0, 0.0, 0.0, 0.0)
+
+
+def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
+    if isinstance(value, Intrinsics):
+        return value
+    with named(name):
+        try:
+            numbers = np.asarray(value, np.float64)
+        except (TypeError, ValueError):
+            numbers = np.zeros(0)
+        if numbers.shape == (4,):
+            fx, fy, cx, cy = numbers.tolist()
+            return fx, fy, cx, cy
+        return focal_and_center(value)
+
+
+def _sized(camera: Intrinsics | Pinhole | None, size: tuple[int, ...]) -> Intrinsics | None:
+    if camera is None or isinstance(camera, Intrinsics):
+        return camera
+    return Intrinsics(size[1], size[0], *camera)
+
+
+def _motion(value: ArrayLike | Extrinsics) -> Extrinsics:
+    return value if isinstance(value, Extrinsics) else Extrinsics.from_matrix(value)
+
+
+def color_images(images: Any, order: ColorOrder) -> np.ndarray:
+    """Colour images ``(B, H, W, 3)`` uint8, RGB.
+
+    Args:
+        images: ``(B, H, W, 3)`` in this order or ``(B, H, W)`` grey, uint8; or a sequence of such
+            frames.
+        order: ``rgb`` or ``bgr``.
+
+    Raises:
+        InputError: They are something else.
+    """
+    array = _stacked("color", images)
+    if array.dtype != np.uint8:
+        raise InputError(
+            f"images are {array.dtype}", topic="color", remedy="give uint8, from 0 to 255"
+        )
+    if array.ndim == 3:
+        return np.repeat(array[..., None], 3, axis=-1)
+    if array.ndim != 4 or array.shape[-1] not in (1, 3):
+        remedy = "give (H, W, 3) or grey (H, W), and to batch one axis more"
+        if array.ndim == 4 and array.shape[-1] == 4:
+            remedy = "leave out the fourth channel: image[..., :3]"
+        raise InputError(f"a frame of shape {array.shape[1:]}", topic="color", remedy=remedy)
+    if array.shape[-1] == 1:
+        return np.repeat(array, 3, axis=-1)
+    return np.ascontiguousarray(array[..., ::-1] if order == "bgr" else array)
+
+
+def depth_images(images: Any, unit_m: float) -> np.ndarray:
+    """Depth images ``(B, Hd, Wd)`` uint16 in units of ``unit_m``.
+
+    Args:
+        images: ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres, where NaN, infinity and 0
+            are no measurement; or a sequence of such frames.
+        unit_m: Metres in a unit.
+
+    Raises:
+        InputError: They are something else, or not in metres.
+    """
+    array = _stacked("depth", images)
+    if array.ndim == 4 and array.shape[-1] == 1:
+        array = array[..., 0]
+    if array.ndim != 3:
+        raise InputError(
+            f"a frame of shape {array.shape[1:]}",
+            topic="depth",
+            remedy="give (Hd, Wd), and to batch one axis more",
+        )
+    if array.dtype == np.uint16:
+        return np.ascontiguousarray(array)
+    if not np.issubdtype(array.dtype, np.floating):
+        raise InputError(
+            f"images are {array.dtype}",
+            topic="depth",
+            remedy="give uint16 in units of depth_unit_m, or float32 in metres",
+        )
+    return _from_metres(array.astype(np.float32), unit_m)
+
+
+def _from_metres(metres: np.ndarray, unit_m: float) -> np.ndarray:
+    from jaxdet.io.images import metres_to_units
+
+    measured = metres[np.isfinite(metres) & (metres > 0)]
+    farthest = MAX_UNITS * unit_m
+    if measured.size and measured.min() > farthest:
+        raise InputError(
+            f"the nearest depth is {measured.min():g} m",
+            topic="depth",
+            remedy=f"give floats in metres, at most {farthest:g}, or uint16 with depth_unit_m",
+        )
+    units = np.empty(metres.shape, np.uint16)
+    for row, frame in zip(units, metres, strict=True):
+        metres_to_units(frame, unit_m, row)
+    return units
+
+
+def one_frame(name: str, image: Any) -> np.ndarray:
+    """A frame as a batch of one.
+
+    Raises:
+        InputError: It is no image, or several.
+    """
+    array = _array(name, image)
+    if array.ndim not in (2, 3) or (name == "depth" and array.ndim == 3 and array.shape[2] != 1):
+        wanted = "(H, W, 3) or (H, W)" if name == "color" else "(Hd, Wd)"
+        raise InputError(
+            f"one frame has shape {wanted}, not {array.shape}",
+            topic=name,
+            remedy="give several frames to Detector.batch",
+        )
+    return array[None]
+
+
+def _stacked(name: str, images: Any) -> np.ndarray:
+    """An array with the frames' axis first."""
+    if isinstance(images, Sequence):
+        frames = [_array(name, frame) for frame in images]
+        if len({(frame.shape, frame.dtype) for frame in frames}) > 1:
+            raise InputError(
+                "frames of several sizes or types", topic=name, remedy="give them one by one"
+            )
+        images = np.stack(frames) if frames else np.zeros(0)
+    array = _array(name, images)
+    if not array.size or not array.ndim:
+        raise InputError("there are no frames", topic=name, remedy="give at least one")
+    return array
+
+
+def _array(name: str, images: Any) -> np.ndarray:
+    try:
+        return np.asarray(images)
+    except Exception as error:  # what JAX traces is no array
+        raise InputError(
+            f"{type(images).__name__} is no array of numbers",
+            topic=name,
+            remedy="give NumPy arrays; a Detector can't be called under jax.jit, jax.vmap or "
+            "jax.grad",
+        ) from error
+
+
+def one_of(name: str, value: Any, literal: Any) -> None:
+    """Refuses a word that is none of a Literal's.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    known = get_args(literal)
+    if value not in known:
+        raise ConfigError(f"{value!r}", topic=name, remedy=f"use one of {', '.join(known)}")

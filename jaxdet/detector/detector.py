@@ -1,0 +1,280 @@
+"""The detector: a calibration and a configuration, ready for frames."""
+
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxdet.config import Config
+from jaxdet.config_file import find_config
+from jaxdet.detector.arguments import (
+    Cameras,
+    ColorOrder,
+    color_images,
+    depth_images,
+    one_frame,
+    one_of,
+)
+from jaxdet.detector.result import BatchResult, FrameResult
+from jaxdet.errors import ConfigError, FrameStatus, InputError
+from jaxdet.floor.mount import Mount
+from jaxdet.floor.plane import join_planes, unknown_plane
+from jaxdet.pipeline import BackendName, detect, floor_of
+from jaxdet.results.rows import batch_rows, row_inputs, to_host
+from jaxdet.types import Extrinsics, Frames, GroundPlane, Intrinsics
+
+if TYPE_CHECKING:
+    from jaxdet.engine import Planes
+    from jaxdet.io import Batch, Log
+
+RUN_BATCH = 16
+"""Frames of a log that are computed together."""
+
+
+class Detector:
+    """Finds the obstacles in frames of one RGB-D camera, as ``jaxdet run`` does.
+
+    The floor is looked for in each frame's own depth; ``mount`` says around what. Results do not
+    depend on how many frames are given at once, and nothing is carried from frame to frame.
+    A detector may be called from one thread at a time.
+
+    Args:
+        K: Of the colour camera: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] of images without
+            distortion, or :class:`jaxdet.Intrinsics`, which can have a lens.
+        depth_K: Of the depth camera likewise, where depth images lie on its own pixels; None:
+            depth is aligned to colour, pixel on pixel.
+        T_color_depth: ``(4, 4)``, takes points of the depth camera's optical frame to the colour
+            camera's [m]; or :class:`jaxdet.Extrinsics`. Given with ``depth_K``.
+        depth_unit_m: Metres in a unit of a uint16 depth image; depth in floats is in metres and is
+            rounded to this unit.
+        color_order: Of the channels of colour images: ``rgb``, or ``bgr`` as OpenCV has them.
+        mount: How the camera is mounted, as far as known: each frame's own depth corrects it by at
+            most ``floor.max_turn_deg`` and ``floor.max_shift_m``. None: what the configuration
+            says, else each frame is searched alone.
+        config: Name of a preset, a TOML file, a ``config.json`` of results, or a
+            :class:`jaxdet.Config`.
+        backend: ``jax``, compiled, or ``reference``, plain NumPy; equal results.
+
+    Raises:
+        CalibrationError: No camera has such a calibration; says which argument is wrong.
+        ConfigError: There is no such preset, file, order or backend.
+
+    Example:
+        >>> detector = Detector([500.0, 500.0, 40.0, 30.0], backend="reference")
+        >>> grey = np.zeros((60, 80), np.uint8)
+        >>> depth = np.full((60, 80), 3.0)  # a wall, 3 m away
+        >>> [round(obstacle.distance_m, 2) for obstacle in detector(grey, depth)]
+        [3.0]
+    """
+
+    config: Config
+    """The method's parameters."""
+
+    def __init__(
+        self,
+        K: ArrayLike | Intrinsics,
+        *,
+        depth_K: ArrayLike | Intrinsics | None = None,
+        T_color_depth: ArrayLike | Extrinsics | None = None,
+        depth_unit_m: float = 0.001,
+        color_order: ColorOrder = "rgb",
+        mount: Mount | None = None,
+        config: Config | str | PathLike[str] = "wheeled",
+        backend: BackendName = "jax",
+    ) -> None:
+        one_of("color_order", color_order, ColorOrder)
+        one_of("backend", backend, BackendName)
+        self.config = config if isinstance(config, Config) else find_config(config)
+        self._cameras = Cameras(K, depth_K, T_color_depth, depth_unit_m)
+        self._order: ColorOrder = color_order
+        self._backend: BackendName = backend
+        self._mount = _checked(mount)
+        self._planes: Planes | None = None
+        if backend == "jax":
+            _prepare()
+
+    @classmethod
+    def from_log(
+        cls,
+        log: "Log",
+        *,
+        config: Config | str | PathLike[str] = "wheeled",
+        backend: BackendName = "jax",
+    ) -> Self:
+        """A detector for the frames of an open log: its calibration, and its floor.
+
+        As ``jaxdet run`` does, it takes what flags (``config.ground``), TF and a sample of the
+        log's frames say of the floor as what each frame's floor is looked for around.
+
+        Args:
+            log: Of :func:`jaxdet.open_log`.
+            config: As above.
+            backend: As above.
+
+        Raises:
+            InputError: ``ground.source`` is tf and the log has no usable transform.
+        """
+        from jaxdet.engine import decide_planes
+
+        detector = cls(log.calibration.color, config=config, backend=backend)
+        detector._cameras = Cameras.of(log.calibration)
+        detector._planes = decide_planes(log, detector.config, backend)
+        return detector
+
+    def __call__(
+        self,
+        color: Any,
+        depth: Any,
+        *,
+        mount: Mount | None = None,
+        stamp_ns: int = 0,
+        T_world_camera: ArrayLike | None = None,
+    ) -> FrameResult:
+        """Finds the obstacles in one frame.
+
+        Args:
+            color: ``(H, W, 3)`` or grey ``(H, W)``, uint8; anything that NumPy takes as an array.
+            depth: ``(Hd, Wd)``, uint16 in units of ``depth_unit_m``, 0 = no measurement, or floats
+                in metres, where NaN, infinity and what is not above 0 are no measurement.
+            mount: What is known of this frame's floor, for instance from an IMU
+                (:meth:`Mount.from_gravity`); None: the detector's own.
+            stamp_ns: Time of the frame, which the result repeats; a detector of a log with
+                ``ground.window_s`` has a floor for each time window.
+            T_world_camera: ``(4, 4)``, takes points of the colour optical frame to the world [m],
+                for :attr:`Obstacle.corners_world`.
+
+        Returns:
+            The obstacles, nearest first. The images can be written to again.
+
+        Raises:
+            InputError: The images are no such arrays.
+            CalibrationError: They are of another size than the calibration.
+        """
+        poses = None if T_world_camera is None else np.asarray(T_world_camera)[None]
+        given = one_frame("color", color), one_frame("depth", depth)
+        mounts = None if mount is None else [mount]
+        return self.batch(*given, mounts=mounts, stamps_ns=[stamp_ns], T_world_camera=poses)[0]
+
+    def batch(
+        self,
+        color: Any,
+        depth: Any,
+        *,
+        mounts: Sequence[Mount] | None = None,
+        stamps_ns: ArrayLike | None = None,
+        T_world_camera: ArrayLike | None = None,
+    ) -> BatchResult:
+        """Finds the obstacles in ``B`` frames, together.
+
+        Args:
+            color: ``(B, H, W, 3)`` or grey ``(B, H, W)``, uint8; or a sequence of frames.
+            depth: ``(B, Hd, Wd)``, uint16 or floats in metres; or a sequence of frames.
+            mounts: What is known of the floor of each; None: the detector's own.
+            stamps_ns: ``(B,)`` integers; None: 0.
+            T_world_camera: ``(B, 4, 4)``, NaN where unknown; None: not known.
+
+        Returns:
+            A sequence of what :meth:`__call__` returns for each, and the arrays behind them.
+
+        Raises:
+            InputError: The images are no such arrays, or there are not as many of each.
+            CalibrationError: They are of another size than the calibration.
+        """
+        images = color_images(color, self._order), depth_images(depth, self._cameras.depth_unit_m)
+        count = len(images[0])
+        stamps = np.zeros(count, np.int64) if stamps_ns is None else np.asarray(stamps_ns, np.int64)
+        poses = None if T_world_camera is None else np.asarray(T_world_camera, np.float64)
+        if poses is not None and poses.shape != (count, 4, 4):
+            raise InputError(
+                f"shape {poses.shape}",
+                topic="T_world_camera",
+                remedy="give a (4, 4) matrix for each frame",
+            )
+        for name, of_each in (("depth", images[1]), ("stamps_ns", stamps), ("mounts", mounts)):
+            if of_each is not None and len(of_each) != count:
+                raise InputError(
+                    f"{len(of_each)} for {count} colour images",
+                    topic=name,
+                    remedy="give one for every frame",
+                )
+        calibration = self._cameras.calibration(images[0].shape, images[1].shape)
+        number, valid = np.arange(count, dtype=np.int64), np.ones(count, bool)
+        frames = Frames(*images, calibration, number, stamps, stamps, valid, poses)
+        plane, sources = self._known(frames, mounts)
+        from jaxdet.io.log import Batch
+
+        batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
+        return self._found(batch, plane, sources)
+
+    def run(self, log: "Log", batch_size: int = RUN_BATCH) -> Iterator[FrameResult]:
+        """Finds the obstacles in every frame of the log that the detector was made from.
+
+        The results are what ``jaxdet run`` writes, frame by frame; frames that can't be used have
+        a status that says so and no obstacles.
+
+        Args:
+            log: Of :func:`jaxdet.open_log`.
+            batch_size: Frames computed together; changes no result.
+
+        Raises:
+            InputError: The detector is of another log.
+            RescanError: The log isn't as its index lets expect.
+        """
+        if self._planes is None:
+            raise InputError(
+                "the detector was not made from a log",
+                topic="log",
+                remedy="make it with Detector.from_log",
+            )
+        for batch in log.batches(batch_size):
+            plane, sources = self._known(batch.frames, None)
+            yield from self._found(batch, plane, sources)
+
+    def _known(
+        self, frames: Frames, mounts: Sequence[Mount] | None
+    ) -> tuple[GroundPlane, list[str]]:
+        """What is known of each frame's floor, and where that comes from."""
+        count = len(frames.stamp_ns)
+        if self.config.ground.source == "none":
+            return unknown_plane(count), ["none"] * count
+        own = mounts or ([self._mount] * count if self._mount else None)
+        if own is not None:
+            plane = join_planes([_checked(mount).plane for mount in own])
+            return plane, ["mount"] * count
+        if self._planes is not None:
+            stamps = frames.stamp_ns
+            return self._planes.of(stamps), self._planes.sources(stamps)
+        plane = floor_of(frames, self.config, backend=self._backend)
+        return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
+
+    def _found(self, batch: "Batch", plane: GroundPlane, sources: list[str]) -> BatchResult:
+        from jaxdet.engine.device import interrupts_held_back
+
+        frames = batch.frames._replace(plane=plane)
+        with interrupts_held_back():
+            found = detect(frames, self.config, backend=self._backend, with_cells=True)
+            found = to_host(found)
+        rows = batch_rows("", batch, plane, sources, row_inputs(found), self.config)
+        return BatchResult(batch, found, rows, self.config, self._order)
+
+
+def _checked(mount: Mount | None) -> Any:
+    if mount is not None and not isinstance(mount, Mount):
+        raise ConfigError(
+            f"{mount!r} is none", topic="mount", remedy="give jaxdet.Mount(height_m, pitch_rad)"
+        )
+    return mount
+
+
+def _prepare() -> None:
+    """Compiled programs are kept between runs, and Warp writes nothing to standard output."""
+    import jax
+
+    from jaxdet.engine import use_caches
+    from jaxdet.quiet import quiet_warp
+
+    if getattr(jax.config, "jax_compilation_cache_dir", None) is None:
+        use_caches()
+    quiet_warp()

@@ -1,0 +1,91 @@
+"""Where a camera is mounted: what a user knows of its floor."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxdet.errors import ConfigError
+from jaxdet.floor.plane import flat_plane, plane_from_down, plane_from_transform
+from jaxdet.types import GroundPlane
+
+HIGHEST_M = 20.0
+
+
+@dataclass(frozen=True)
+class Mount:
+    """How a camera is mounted above its floor.
+
+    Attributes:
+        height_m: Optical centre of the colour camera above the floor [m].
+        pitch_rad: Downward tilt [rad]; negative looks up.
+        roll_rad: Clockwise turn about the optical axis as seen from behind the camera [rad].
+
+    Raises:
+        ConfigError: The height is not between 0 and 20 m, or an angle is none that a camera has.
+    """
+
+    height_m: float
+    pitch_rad: float = 0.0
+    roll_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.height_m < HIGHEST_M:
+            raise ConfigError(
+                f"a camera {self.height_m:g} m above the floor",
+                topic="height_m",
+                remedy="give metres, above 0 and below 20",
+            )
+        for name, most in (("pitch_rad", math.pi / 2), ("roll_rad", math.pi)):
+            angle = getattr(self, name)
+            if not abs(angle) <= most + 1e-9:
+                raise ConfigError(
+                    f"{angle:g} rad are {math.degrees(angle):.0f}°",
+                    topic=name,
+                    remedy=f"give radians from {-most:.2f} to {most:.2f}; math.radians takes "
+                    "degrees",
+                )
+
+    @classmethod
+    def from_gravity(cls, height_m: float, gravity: ArrayLike) -> Self:
+        """From the direction of gravity, for instance of the camera's IMU.
+
+        Args:
+            height_m: As above.
+            gravity: ``(3,)``, which way things fall, in the colour optical frame (x right, y down,
+                z forward), of any length. An accelerometer at rest measures the opposite.
+
+        Raises:
+            ConfigError: It is no direction.
+
+        Example:
+            >>> Mount.from_gravity(0.5, [0.0, 9.81, 0.0])
+            Mount(height_m=0.5, pitch_rad=0.0, roll_rad=0.0)
+        """
+        down = np.asarray(gravity, np.float64)
+        length = float(np.linalg.norm(down))
+        if down.shape != (3,) or not 0 < length < math.inf:
+            raise ConfigError(
+                f"{gravity!r} is no direction", topic="gravity", remedy="give three numbers, x y z"
+            )
+        return cls._of(plane_from_down(down[None] / length, np.array([height_m], np.float64)))
+
+    @classmethod
+    def from_transform(cls, T_base_camera: ArrayLike) -> Self:
+        """From the camera's place on a robot whose base frame has its z = 0 on the floor.
+
+        Args:
+            T_base_camera: ``(4, 4)``, takes points of the colour optical frame to the base [m].
+        """
+        return cls._of(plane_from_transform(np.asarray(T_base_camera, np.float64)))
+
+    @classmethod
+    def _of(cls, plane: GroundPlane, row: int = 0) -> Self:
+        return cls(*(float(part[row]) for part in plane[:3]))
+
+    @property
+    def plane(self) -> GroundPlane:
+        """As a floor of one frame, ``B = 1``."""
+        return flat_plane(self.height_m, self.pitch_rad, self.roll_rad)

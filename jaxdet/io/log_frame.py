@@ -1,0 +1,48 @@
+"""One frame of a log, for those who look at frames one by one."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import FrameStatus
+from jaxdet.types import Frames
+
+
+class LogFrame(NamedTuple):
+    """A frame of a log, decoded."""
+
+    number: int
+    """Number of the colour frame in the log, from 0."""
+    color: np.ndarray
+    """``(H, W, 3)`` uint8, RGB; zeros where the frame can't be used."""
+    depth: np.ndarray
+    """``(Hd, Wd)`` uint16 [depth units], 0 = no measurement; zeros likewise."""
+    status: FrameStatus
+    """``ok``, or why it can't be used."""
+    error: str
+    """One line on that; empty where it is ok."""
+    stamp_ns: int
+    """Colour header stamp."""
+    depth_stamp_ns: int
+    """Depth header stamp, -1 = unpaired."""
+    T_world_camera: np.ndarray | None
+    """``(4, 4)`` float64, colour optical frame to world, NaN where unknown; None: no poses."""
+
+
+def one_by_one(
+    frames: Frames, statuses: Sequence[FrameStatus], errors: Sequence[str]
+) -> Iterator[LogFrame]:
+    """The frames of a batch without its padding."""
+    poses = frames.T_world_camera
+    for row, (status, error) in enumerate(zip(statuses, errors, strict=True)):
+        yield LogFrame(
+            int(frames.number[row]),
+            frames.color[row],
+            frames.depth[row],
+            status,
+            error,
+            int(frames.stamp_ns[row]),
+            int(frames.depth_stamp_ns[row]),
+            None if poses is None else poses[row],
+        )

@@ -1,0 +1,421 @@
+"""Detector: the rows of ``jaxdet run``, whatever frames come as; what can't be meant is refused."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import jaxdet
+from jaxdet import Config, Detector, Extrinsics, FrameResult, Intrinsics, Mount, engine
+from jaxdet.config import FloorConfig, GroundConfig
+from jaxdet.engine import RunOptions
+from jaxdet.errors import CalibrationError, ConfigError, FrameStatus, InputError, JaxdetError
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.sim import SimConfig, write_log
+from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
+
+
+@pytest.fixture(scope="module")
+def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("detector") / "sim.mcap"
+    write_log(path, SimConfig(frames=7, width=320, height=240, rate_hz=5))
+    return path
+
+
+def run(path: Path, output: Path, config: Config) -> list[list[dict[str, Any]]]:
+    options = RunOptions(output, pictures=0)
+    engine.run(find_logs(path), config, LogOptions(), options)
+    tables = (pq.read_table(output / f"{name}.parquet") for name in ("frames", "obstacles"))
+    return [table.to_pylist() for table in tables]
+
+
+def rows_of(found: FrameResult) -> list[dict[str, Any]]:
+    return [
+        {
+            "frame": found.number,
+            "stamp_ns": found.stamp_ns,
+            "obstacle": obstacle.label,
+            "distance_m": obstacle.distance_m,
+            "box": obstacle.box,
+            "xyz_min": obstacle.xyz_min.tolist(),
+            "xyz_max": obstacle.xyz_max.tolist(),
+            "centroid": obstacle.centroid.tolist(),
+            "bottom_m": obstacle.bottom_m,
+            "top_m": obstacle.top_m,
+            "num_points": obstacle.num_points,
+            "contour": None if obstacle.contour is None else obstacle.contour.ravel().tolist(),
+            "corners_ground": obstacle.corners.ravel().tolist(),
+            "corners_world": (
+                None if obstacle.corners_world is None else obstacle.corners_world.ravel().tolist()
+            ),
+        }
+        for obstacle in found
+    ]
+
+
+def as_attributes(row: dict[str, Any]) -> dict[str, Any]:
+    names = ("frame", "stamp_ns", "obstacle", "distance_m", "bottom_m", "top_m", "num_points")
+    names += ("contour", "corners_ground", "corners_world")
+    same = {name: row[name] for name in names}
+    return same | {
+        "box": tuple(row[name] for name in ("u_min", "v_min", "u_max", "v_max")),
+        "xyz_min": [row[f"{axis}_min"] for axis in "xyz"],
+        "xyz_max": [row[f"{axis}_max"] for axis in "xyz"],
+        "centroid": [row[axis] for axis in "xyz"],
+    }
+
+
+def assert_rows_of_run(path: Path, output: Path, config: Config, **options: Any) -> None:
+    of_frames, of_obstacles = run(path, output, config)
+    with jaxdet.open_log(path) as log:
+        detector = Detector.from_log(log, config=config, **options)
+        found = list(detector.run(log, 5))
+    seen = [row for one in found for row in rows_of(one)]
+    assert seen == [as_attributes(row) for row in of_obstacles]
+    assert len(of_obstacles) > 10 and len(found) == len(of_frames)
+    for one, row in zip(found, of_frames, strict=True):
+        assert (one.number, one.status, len(one)) == (
+            row["frame"],
+            row["status"],
+            row["num_obstacles"],
+        )
+        assert (one.floor_source, one.floor_refused) == (row["floor_source"], row["floor_refused"])
+        assert (one.drop_m, one.overflow) == (row["drop_m"], row["overflow"])
+        if one.free_floor is None:
+            assert row["free_to_m"] is None
+        else:
+            assert one.free_floor.to_m.tolist() == row["free_to_m"]
+        height = row["camera_height_m"]
+        assert (one.floor and np.float32(one.floor.height_m)) == height
+
+
+@pytest.mark.parametrize("preset", ["wheeled", "paper"])
+def test_a_log_gives_the_rows_of_jaxdet_run(preset, sim_log, tmp_path):
+    assert_rows_of_run(sim_log, tmp_path / "results", jaxdet.preset(preset))
+
+
+def test_a_recorded_log_gives_the_rows_of_jaxdet_run(shared_data, tmp_path):
+    path = shared_data / "aims_slam" / "aims_slam_18frames.mcap"
+    assert_rows_of_run(path, tmp_path / "results", Config())
+
+
+def test_time_windows_have_their_floors(sim_log, tmp_path):
+    config = replace(Config(), ground=GroundConfig(window_s=0.5, sample_frames=2))
+    config = replace(config, floor=FloorConfig(min_share=0.9))  # no frame shows its own
+    assert_rows_of_run(sim_log, tmp_path / "results", config)
+
+
+def test_frames_one_by_one_are_those_of_a_run(sim_log):
+    with jaxdet.open_log(str(sim_log)) as log:
+        detector = Detector.from_log(log)
+        together = list(detector.run(log))
+        for frame, want in zip(log, together, strict=True):
+            found = detector(
+                frame.color,
+                frame.depth,
+                stamp_ns=frame.stamp_ns,
+                T_world_camera=frame.T_world_camera,
+            )
+            assert [row | {"frame": want.number} for row in rows_of(found)] == rows_of(want)
+        frame, want, calibration = log[-1], together[-1], log.calibration
+    own = Detector(
+        calibration.color,
+        depth_K=calibration.depth,
+        T_color_depth=calibration.color_from_depth.T,
+        mount=Mount(0.3, 0.17, 0.0),
+    )
+    found = own(frame.color, frame.depth)
+    assert len(found) == len(want) and found.floor_source == "frame"
+    assert found.nearest_m == min(obstacle.distance_m for obstacle in found)
+    assert found.floor.pitch_rad == pytest.approx(0.1745, abs=0.01)
+
+
+def test_a_log_is_a_sequence_of_frames(sim_log):
+    with jaxdet.open_log(sim_log) as log:
+        numbers = [frame.number for frame in log]
+        assert numbers == list(range(7)) == list(range(len(log)))
+        assert log[-1].number == 6 and np.array_equal(log[2].color, log.read([2]).frames.color[0])
+        assert [frame.number for frame in log[1:6:2]] == [1, 3, 5]
+        assert {frame.status for frame in log} == {FrameStatus.OK}
+        with pytest.raises(IndexError, match="frame 7 of 7"):
+            log[7]
+
+
+CALIBRATION = small(160, 120)
+COLOR, DEPTH = blocks(3, 120, 160), smooth_depth(3, CALIBRATION.depth)
+
+
+def detector(**options: Any) -> Detector:
+    camera = CALIBRATION.color
+    given = {
+        "K": camera.K,
+        "depth_K": CALIBRATION.depth,
+        "T_color_depth": CALIBRATION.color_from_depth.T,
+        "mount": Mount(0.4),
+        "backend": "reference",
+    }
+    return Detector(**given | options)
+
+
+def told(found: FrameResult) -> list[dict[str, Any]]:
+    assert found.status == "ok" and len(found) > 0
+    return rows_of(found)
+
+
+def test_frames_come_as_people_have_them():
+    plain = detector()
+    want = [told(found) for found in plain.batch(COLOR, DEPTH)]
+    assert [told(plain(*pair)) for pair in zip(COLOR, DEPTH, strict=True)] == [
+        [row | {"frame": 0} for row in rows] for rows in want
+    ]
+    forms = {
+        "lists of frames": plain.batch(list(COLOR), list(DEPTH)),
+        "arrays of JAX": plain.batch(jnp.asarray(COLOR), jnp.asarray(DEPTH)),
+        "metres": plain.batch(COLOR, np.where(DEPTH, DEPTH / 1000.0, np.nan)),
+        "metres in float32": plain.batch(COLOR, DEPTH * np.float32(0.001)),
+        "BGR": detector(color_order="bgr").batch(COLOR[..., ::-1], DEPTH),
+        "every second row": plain.batch(
+            np.repeat(COLOR, 2, axis=1)[:, ::2], np.repeat(DEPTH, 2, axis=2)[..., ::2]
+        ),
+        "fx fy cx cy": detector(K=CALIBRATION.color[2:6]).batch(COLOR, DEPTH),
+        "another unit": detector(depth_unit_m=0.0005).batch(COLOR, DEPTH / 1000.0),
+    }
+    for name, found in forms.items():
+        if name != "another unit":
+            assert [told(one) for one in found] == want, name
+    assert forms["another unit"][0][0].distance_m == pytest.approx(
+        want[0][0]["distance_m"], abs=0.01
+    )
+    grey = np.asarray(COLOR[..., 1])
+    of_grey = rows_of(plain(grey[0], DEPTH[0]))
+    assert of_grey == rows_of(plain(np.repeat(grey[0, ..., None], 3, axis=2), DEPTH[0]))
+
+
+def test_aligned_depth_and_lenses():
+    camera = CALIBRATION.color
+    depth = smooth_depth(1, camera)[0]
+    aligned = Detector(camera.K, mount=Mount(0.4), backend="reference")
+    lens = Intrinsics.from_matrix(camera.K, 160, 120, [0.1, -0.2, 0.001, 0.002, 0.05])
+    bent = Detector(lens, mount=Mount(0.4), backend="reference")
+    flat, curved = told(aligned(COLOR[0], depth)), told(bent(COLOR[0], depth))
+    assert flat != curved
+
+
+def test_points_and_masks_are_those_of_the_obstacles():
+    found = detector()(COLOR[0], DEPTH[0])
+    covered = np.zeros((120, 160), bool)
+    for obstacle in found:
+        points, mask = obstacle.points, obstacle.mask()
+        assert len(points) == obstacle.num_points
+        assert np.array_equal(points.min(axis=0), obstacle.xyz_min)
+        assert np.array_equal(points.max(axis=0), obstacle.xyz_max)
+        v, u = np.nonzero(mask)
+        left, top, right, bottom = obstacle.box
+        assert left <= u.min() and u.max() <= right and top <= v.min() and v.max() <= bottom
+        assert mask.sum() > 0.5 * (right - left) and not (covered & mask).any()
+        covered |= mask
+        assert obstacle.bottom_m is not None and obstacle.bottom_m < (obstacle.top_m or 0)
+    assert np.array_equal(covered, found.labels >= 0)
+    nothing = detector()(COLOR[0], np.zeros_like(DEPTH[0]))
+    assert (nothing.status, len(nothing), nothing.nearest_m) == ("no_depth", 0, None)
+    assert not (nothing.labels >= 0).any() and nothing.points.shape == (0, 3)
+    paper = detector(config="paper")(COLOR[0], DEPTH[0])
+    assert [len(one.points) for one in paper] == [one.num_points for one in paper] != []
+    with pytest.raises(ConfigError, match="another preset"):
+        paper[0].mask()
+
+
+def test_a_mask_shows_the_nearer_of_two_things():
+    """A pillar before a wall: its pixels are the pillar's, those around it the wall's."""
+    depth = np.full((120, 160), 3000, np.uint16)
+    depth[:, 60:100] = 1000
+    found = Detector([120, 120, 80, 60], backend="reference")(COLOR[0], depth)
+    pillar, *walls = found
+    assert pillar.distance_m < 1.1 and walls and min(wall.distance_m for wall in walls) > 2.5
+    assert (found.labels[:, 62:98] == 0).all()
+    assert (found.labels[:, 2:58] > 0).all() and (found.labels[:, 102:158] > 0).all()
+
+
+def test_the_cells_of_both_backends_are_equal(device):
+    given = frames(CALIBRATION, COLOR, DEPTH, plane=level(3))
+    want = jaxdet.detect(given, backend="reference", with_cells=True)
+    found = jaxdet.detect(given, with_cells=True)
+    assert (want.cells.label >= 0).any()
+    assert_equal(found, want)
+
+
+def test_images_may_be_written_to_again():
+    """A camera's driver reuses its memory; XLA reads aligned arrays where they are."""
+    compiled = detector(backend="jax")
+    memory = np.zeros(DEPTH[0].nbytes + 64, np.uint8)
+    start = -memory.ctypes.data % 64
+    depth = memory[start : start + DEPTH[0].nbytes].view(np.uint16).reshape(DEPTH[0].shape)
+    depth[:] = DEPTH[0]
+    found = compiled(COLOR[0], depth)
+    depth[:] = 0
+    assert told(found) == told(detector()(COLOR[0], DEPTH[0]))
+
+
+def test_pictures_are_those_of_the_run():
+    found = detector()(COLOR[0], DEPTH[0])
+    picture = found.draw(COLOR[0])
+    assert picture.dtype == np.uint8 and picture.shape[2] == 3 and picture.std() > 10
+    bgr = detector(color_order="bgr")(COLOR[0][..., ::-1], DEPTH[0])
+    assert np.array_equal(bgr.draw(COLOR[0][..., ::-1]), picture)
+
+
+def test_mounts():
+    assert Mount.from_gravity(0.5, [0, 3.0, 3.0]).pitch_rad == pytest.approx(np.pi / 4)
+    assert Mount.from_gravity(0.5, [1e-3, 0.0, 0.0]).roll_rad == pytest.approx(np.pi / 2)
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T[2, 3] = 0.7
+    assert Mount.from_transform(T) == Mount(0.7, 0.0, 0.0)
+    one, two = detector(mount=Mount(0.4)), detector(mount=None)
+    assert rows_of(one(COLOR[0], DEPTH[0])) == rows_of(two(COLOR[0], DEPTH[0], mount=Mount(0.4)))
+    ground = GroundConfig(camera_height_m=0.4)
+    told_by_config = detector(mount=None, config=replace(Config(), ground=ground))
+    assert rows_of(told_by_config(COLOR[0], DEPTH[0])) == rows_of(one(COLOR[0], DEPTH[0]))
+    unasked = detector(config=replace(Config(), ground=GroundConfig(source="none")))
+    assert unasked(COLOR[0], DEPTH[0]).floor is None
+
+
+def test_configurations_come_by_name_and_file(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('preset = "d455"\n[ground]\nmax_depth_m = 3\n')
+    for source in (file, str(file)):
+        ground = detector(config=source).config.ground
+        assert (ground.min_depth_m, ground.max_depth_m) == (0.4, 3.0)
+    assert detector(config="tabletop").config == jaxdet.preset("tabletop")
+    with pytest.raises(ConfigError, match="no preset 'wheled'; did you mean wheeled"):
+        detector(config="wheled")
+    with pytest.raises(ConfigError, match=r"none\.toml: can't be read"):
+        detector(config="none.toml")
+
+
+K, T = CALIBRATION.color.K, CALIBRATION.color_from_depth.T
+MM, TURNED = T.copy(), T.copy()
+MM[:3, 3] *= 1000
+TURNED[:3, :3] *= 2
+REFUSED_ARGUMENTS = {
+    "translation in mm": ({"T_color_depth": MM}, r"T_color_depth: .*at most 10 m.*metres"),
+    "no rotation": ({"T_color_depth": TURNED}, "T_color_depth: the rotation .* rigid motion"),
+    "three by four": ({"T_color_depth": T[:3]}, r"T_color_depth: a transform of shape \(3, 4\)"),
+    "NaN": ({"T_color_depth": np.full((4, 4), np.nan)}, "T_color_depth: "),
+    "T of text": ({"T_color_depth": "T"}, "T_color_depth: "),
+    "T alone": ({"depth_K": None}, "depth_K is missing beside T_color_depth"),
+    "depth_K alone": ({"T_color_depth": None}, "T_color_depth is missing beside depth_K"),
+    "transposed": ({"K": K.T}, "K: .* is no camera matrix"),
+    "scaled": ({"K": 2 * K}, "K: .* is no camera matrix"),
+    "fx NaN": ({"K": [np.nan, 1, 2, 3]}, "K: .* not calibrated .* pixels$"),
+    "fx negative": ({"K": [-600, 600, 80, 60]}, "K: .* not calibrated"),
+    "fx zero": ({"depth_K": [0, 0, 80, 60]}, "depth_K: .* not calibrated"),
+    "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
+    "K of text": ({"K": "600"}, "K: "),
+    "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),
+    "unit in mm": ({"depth_unit_m": 1.0}, "depth_unit_m: "),
+    "unknown order": ({"color_order": "rgba"}, "color_order: 'rgba'; use one of rgb, bgr"),
+    "unknown backend": ({"backend": "torch"}, "backend: 'torch'; use one of reference, jax"),
+    "a height": ({"mount": 0.4}, r"mount: 0.4 is none; give jaxdet.Mount"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED_ARGUMENTS)
+def test_what_no_camera_has_names_its_argument(name):
+    options, said = REFUSED_ARGUMENTS[name]
+    with pytest.raises(JaxdetError, match=said) as caught:
+        detector(**options)
+    assert "--" not in str(caught.value)
+
+
+REFUSED_IMAGES = {
+    "no batch axis": ("batch", COLOR[0], DEPTH[0], r"color: .*shape .*|depth: .*"),
+    "a batch": ("call", COLOR, DEPTH, "color: one frame has shape .* Detector.batch"),
+    "a batch of depth": ("call", COLOR[0], DEPTH, r"depth: one frame has shape \(Hd, Wd\)"),
+    "RGBA": ("call", np.zeros((120, 160, 4), np.uint8), DEPTH[0], r"color: .*\[..., :3\]"),
+    "float colour": ("call", COLOR[0] / 255.0, DEPTH[0], "color: images are float64; give uint8"),
+    "depth in bytes": ("call", COLOR[0], DEPTH[0].astype(np.uint8), "depth: images are uint8"),
+    "depth in int32": ("call", COLOR[0], DEPTH[0].astype(np.int32), "depth: images are int32"),
+    "millimetres in floats": ("call", COLOR[0], DEPTH[0] * 1.0, "depth: the nearest .* metres"),
+    "other depth": ("call", COLOR[0], DEPTH[0][:60], "depth: images of 160x60 .* 160x120"),
+    "fewer depths": ("batch", COLOR, DEPTH[:2], "depth: 2 for 3 colour images"),
+    "no frames": ("batch", COLOR[:0], DEPTH[:0], "color: there are no frames"),
+    "an empty list": ("batch", [], [], "color: there are no frames"),
+    "frames of two sizes": ("batch", [COLOR[0], COLOR[0][:60]], DEPTH[:2], "color: frames of sev"),
+    "None": ("call", None, DEPTH[0], "color: one frame"),
+    "text": ("call", "image.png", DEPTH[0], "color: one frame"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED_IMAGES)
+def test_images_that_are_none_name_their_argument(name):
+    how, color, depth, said = REFUSED_IMAGES[name]
+    given = detector()
+    with pytest.raises(JaxdetError, match=said):
+        (given if how == "call" else given.batch)(color, depth)
+
+
+def test_the_calibration_is_of_the_first_images():
+    given = Detector([600.0, 600.0, 320.0, 240.0], backend="reference")
+    with pytest.raises(CalibrationError, match=r"K: the optical centre \(320, 240\) lies outside"):
+        given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
+    with pytest.raises(CalibrationError, match=r"not aligned to colour .* give depth_K"):
+        Detector(K, backend="reference")(COLOR[0], DEPTH[0][:60])
+    given = Detector(K, backend="reference")
+    given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
+    with pytest.raises(CalibrationError, match=r"color: images of 80x60 .* each size"):
+        given(COLOR[0][::2, ::2], DEPTH[0][::2, ::2])
+    with pytest.raises(InputError, match="not made from a log"):
+        next(given.run([]))
+
+
+def test_mounts_that_no_camera_has():
+    for wrong, said in (
+        ({"height_m": 300}, "height_m: .*metres"),
+        ({"height_m": 0}, "height_m"),
+        ({"height_m": float("nan")}, "height_m"),
+        ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: 10 rad are 573°; .*math.radians"),
+        ({"height_m": 0.3, "roll_rad": float("nan")}, "roll_rad"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            Mount(**wrong)
+    for gravity in ([0, 0, 0], [1, 2], [np.nan, 0, 1]):
+        with pytest.raises(ConfigError, match="gravity"):
+            Mount.from_gravity(0.3, gravity)
+
+
+@pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
+def test_transformations_of_jax_are_refused(transform):
+    given = detector()
+    depth = jnp.asarray(DEPTH if transform is jax.vmap else DEPTH[0])
+    with pytest.raises(InputError, match=r"can't be called under jax\.jit"):
+        transform(lambda one: given(COLOR[0], one)[0].distance_m)(depth)
+
+
+def test_low_level_calls_say_what_is_wrong():
+    given = frames(CALIBRATION, COLOR, DEPTH)
+    with pytest.raises(ConfigError, match=r"config is 'wheeled'; .*jaxdet.preset"):
+        jaxdet.detect(given, "wheeled")
+    assert jaxdet.flat_plane(0.63, 0.34, 0.18).height.tolist() == [0.63]
+    motion = Extrinsics.from_matrix(T)
+    assert np.array_equal(motion.T, T) and hash(motion)
+    with pytest.raises(CalibrationError, match="model can be none, plumb_bob"):
+        Intrinsics.from_matrix(K, 160, 120, [0.1, 0.2, 0.3])
+
+
+def test_nothing_is_written_to_standard_output(tmp_path):
+    code = (
+        "import numpy as np, jaxdet\n"
+        "found = jaxdet.Detector([120, 120, 80, 60])(np.zeros((120, 160), 'u1'), "
+        "np.full((120, 160), 2.0))\n"
+        "assert len(found) == 1, found\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
