@@ -63,7 +63,7 @@ class GroundConfig:
     def __post_init__(self) -> None:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
-        _require(self.step_height_m >= 0, "ground.step-height-m", "at least 0")
+        _require_within(self.step_height_m, 0, FARTHEST_M, "ground.step-height-m")
         _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
         _require(
             self.camera_height_m is None or 0 < self.camera_height_m < 20,
@@ -78,7 +78,16 @@ class GroundConfig:
             "given with --ground.source flags",
         )
         _require(self.sample_frames >= 1, "ground.sample-frames", "at least 1")
-        _require(self.window_s >= 0, "ground.window-s", "at least 0")
+        _require_within(self.window_s, 0, 1e6, "ground.window-s")
+        for angle, most in (("pitch", math.pi / 2), ("roll", math.pi)):
+            value = getattr(self, f"camera_{angle}_rad")
+            rule = f"within {math.degrees(most):.0f}°, not {math.degrees(value):.0f}°"
+            _require(abs(value) <= most + 1e-9, f"ground.camera-{angle}", rule)
+            _require(
+                not value or self.camera_height_m is not None,
+                "ground.camera-height-m",
+                f"given with camera-{angle}: one without the other says nothing of the floor",
+            )
 
 
 @dataclass(frozen=True)
@@ -99,6 +108,8 @@ class FeaturesConfig:
     """Take corners only on what is in range and above the floor; off: drop them afterwards."""
 
     def __post_init__(self) -> None:
+        _require(not math.isnan(self.canny_low), "features.canny-low", "a number")
+        _require(not math.isnan(self.canny_high), "features.canny-high", "a number")
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
         _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")

@@ -1,8 +1,12 @@
 """The command line as a user meets it: help, exit codes, precedence, what goes where."""
 
 import json
+import math
+import re
 import subprocess
 import sys
+import typing
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -10,11 +14,13 @@ import pytest
 from jaxdet.cli import main
 from jaxdet.cli.run import RunCommand, parse
 from jaxdet.cli.settings import defaults
+from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, load_truth, write_log
 
 Captured = pytest.CaptureFixture[str]
+PITCH = ("--ground.camera-height-m", "0.3", "--ground.camera-pitch")
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +44,100 @@ def test_each_command_has_help(command: str, capsys: Captured) -> None:
 
 
 def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
-    main(["run", "--help"])
+    main(["run", "--help-all"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert ", ".join(PRESETS) in text
     for flag in ("--cluster.depth-gap-m", "--features.no-use-mask", "--log.color-from-depth"):
         assert flag in text
+
+
+def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
+    for command, most in (("run", 48), ("info", 30), ("sim", 30)):
+        main([command, "--help"])
+        brief = capsys.readouterr().out
+        assert len(brief.splitlines()) <= most
+        assert max(map(len, brief.splitlines())) <= 100
+        main([command, "--help-all"])
+        whole = capsys.readouterr().out
+        flags = set(re.findall(r"^  (--[\w.-]+)", brief, re.M)) - {"--help-all"}
+        assert len(flags) > 5
+        assert [flag for flag in flags if flag not in whole] == []
+
+
+@pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])
+def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
+    def pitch(*words: str) -> float:
+        height = ["--ground.camera-height-m", "0.3"]
+        return parse(["a", "--output", "x", *height, *words]).ground.camera_pitch_rad
+
+    assert pitch(flag, "-10deg") == -math.radians(10)
+    assert pitch(f"{flag}=0.17rad") == 0.17
+    assert parse(["a", "--output", "x"]).surface.cell_rad == 0.0078
+    file = tmp_path / "a.toml"
+    file.write_text('[ground]\ncamera_height_m = 0.3\ncamera_pitch = "10deg"\n')
+    assert pitch("--config", str(file)) == math.radians(10)
+    if flag.endswith("-rad"):
+        assert pitch(flag, "0.17") == 0.17
+    else:
+        assert main(["run", "a", "--output", "x", flag, "0.17"]) == 2
+        assert "give an angle with its unit" in " ".join(capsys.readouterr().err.split())
+
+
+def numbers_of(section: str, kind: type) -> list[str]:
+    hints = typing.get_type_hints(kind)
+    return [f"--{section}.{n}".replace("_", "-") for n, h in hints.items() if h in (int, float)]
+
+
+SECTIONS = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
+NUMBERS = [flag for section, kind in SECTIONS.items() for flag in numbers_of(section, kind)]
+NUMBERS += ["--batch-size", "--workers", "--pictures", "--log.pair-tolerance-s"]
+NUMBERS += ["--log.depth-unit-m", "--log.max-chunk-mib", "--log.max-pixels"]
+MAY_BE_NEGATIVE = ("--features.canny-low", "--features.canny-high", "--ground.camera-pitch-rad")
+MAY_BE_NEGATIVE += ("--ground.camera-roll-rad",)
+
+
+@pytest.mark.parametrize("flag", NUMBERS)
+def test_numbers_that_can_not_be_meant_are_usage_errors(flag: str) -> None:
+    """Each number takes its value or names itself; -1, infinity and no number are no lengths."""
+    height = ["--ground.camera-height-m", "0.3"]
+    for value in ("-1", "0", "nan", "inf", "1e300"):
+        taken = True
+        try:
+            parse(["a", "--output", "x", *height, f"{flag}={value}"])
+        except (ConfigError, SystemExit):
+            taken = False
+        if value != "0" and not (flag in MAY_BE_NEGATIVE and value != "nan"):
+            assert not taken, value
+
+
+def test_a_run_can_be_repeated_from_its_results(
+    sim_log: Path, tmp_path: Path, capfd: Captured
+) -> None:
+    first, again = tmp_path / "first", tmp_path / "again"
+    changed = ["--preset", "d455", "--ground.max-depth-m", "3", "--log.pair-tolerance-s", "0.2"]
+    assert main(["run", str(sim_log), "--output", str(first), *changed, "--pictures", "0"]) == 0
+    config = str(first / "config.json")
+    args = ["run", str(sim_log), "--output", str(again), "--config", config]
+    assert parse(args[1:]).log.pair_tolerance_s == 0.2
+    assert main([*args, "--pictures", "0"]) == 0
+    for name in ("frames.parquet", "obstacles.parquet"):
+        assert (first / name).read_bytes() == (again / name).read_bytes()
+    (first / "config.json").write_text('{"ground": {}}')
+    capfd.readouterr()
+    assert main([*args, "--overwrite"]) == 2
+    assert "is no config.json of results" in capfd.readouterr().err
+
+
+def test_doctor_hints_at_the_extra_where_a_gpu_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    import jax
+
+    from jaxdet.cli import doctor
+
+    monkeypatch.setattr(jax, "devices", lambda: jax.local_devices(backend="cpu"))
+    monkeypatch.setattr(doctor, "gpu_is_visible", lambda: True)
+    assert "pip install 'jaxdet[cuda13]'" in doctor.jax_devices()[1]
+    monkeypatch.setattr(doctor, "gpu_is_visible", lambda: False)
+    assert "pip" not in doctor.jax_devices()[1]
 
 
 def test_help_and_version_load_nothing_heavy() -> None:
@@ -63,6 +158,12 @@ def test_version(capsys: Captured) -> None:
     ("args", "code", "said"),
     [
         (["fly"], 2, "no command 'fly'"),
+        (["rum", "a"], 2, "no command 'rum'; did you mean run?"),
+        (["help", "log"], 2, "no page 'log'; did you mean logs?"),
+        (["run", "a", "--output", "x", "--batch-size", "0"], 2, "give --batch-size 1 or more"),
+        (["run", "a", "--output", "x", "--pictures", "-1"], 2, "give --pictures 0 or more"),
+        (["run", "a", "--output", "x", *PITCH, "10rad"], 2, "within 90°, not 573°"),
+        (["run", "a", "--output", "x", *PITCH[2:], "0.1rad"], 2, "camera-height-m must be given"),
         (["run", "--output", "x"], 2, "no log given"),
         (["run", "missing.mcap", "--output", "x"], 1, "missing.mcap: no such file"),
         (["run", "a", "--output", "x", "--preset", "boat"], 2, "no preset 'boat'"),
@@ -119,7 +220,9 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("[cluster]\ngap = 1\n", r"bad.toml: no key 'gap' in \[cluster\]; it takes points, "),
-        ("[clusters]\n", r"bad.toml: no section \[clusters\]"),
+        ("[ground]\nmax_depth = 1\n", r"no key 'max_depth' in .*; did you mean max_depth_m\?"),
+        ("[ground]\ncamera_pitch = 1\n", r"camera_pitch = 1: give an angle with its unit"),
+        ("[clusters]\n", r"bad.toml: no section \[clusters\]; did you mean cluster\?"),
         ("cluster = 1\n", r"no section \[cluster\]"),
         ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not int"),
         ("[cluster]\nmin_points = true\n", "min_points = True is not int"),
@@ -184,9 +287,16 @@ def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
 
 def test_sim_writes_a_log_and_its_truth(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "new" / "s.mcap"
-    assert main(["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]) == 0
+    args = ["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]
+    assert main(args) == 0
     assert "1 frames" in capsys.readouterr().err
     assert path.is_file()
+    path.write_bytes(b"precious")
+    assert main(args) == 2
+    assert "give --overwrite" in capsys.readouterr().err
+    assert path.read_bytes() == b"precious"
+    assert main([*args, "--overwrite"]) == 0
+    assert path.stat().st_size > 1000
 
 
 def test_doctor_compares_the_backends(capfd: Captured) -> None:

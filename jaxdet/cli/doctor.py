@@ -1,7 +1,9 @@
 """``jaxdet doctor``: versions, devices, and whether both backends agree on a small case."""
 
+import shutil
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -57,7 +59,16 @@ def jax_devices() -> tuple[bool, str]:
     """What JAX computes on."""
     import jax
 
-    return True, ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in jax.devices())
+    found = jax.devices()
+    text = ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in found)
+    if gpu_is_visible() and all(device.platform == "cpu" for device in found):
+        text += "; there is an NVIDIA GPU, to use it: pip install 'jaxdet[cuda13]'"
+    return True, text
+
+
+def gpu_is_visible() -> bool:
+    """Whether the system shows an NVIDIA GPU."""
+    return Path("/dev/nvidia0").exists() or shutil.which("nvidia-smi") is not None
 
 
 def warp_devices() -> tuple[bool, str]:

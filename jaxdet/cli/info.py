@@ -34,6 +34,17 @@ Example:
 """
 
 
+COMMON = (
+    "ground.camera_height_m",
+    "ground.camera_pitch_rad",
+    "ground.camera_roll_rad",
+    "log.color",
+    "log.depth",
+    "log.color_from_depth",
+)
+"""What ``--help`` shows of the settings."""
+
+
 @dataclass(frozen=True)
 class InfoCommand:
     """What ``jaxdet info`` takes."""
@@ -43,7 +54,7 @@ class InfoCommand:
     preset: str = DEFAULT_PRESET
     """Configuration to start from, as for jaxdet run."""
     config: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file, as for jaxdet run."""
+    """TOML file or config.json, as for jaxdet run."""
     json: Flag = False
     """Print JSON."""
     check: Flag = False
@@ -57,7 +68,7 @@ def main(args: list[str]) -> int:
     config, log_options, name = defaults(args)
     missing: Any = tyro.MISSING
     start = InfoCommand(missing, preset=name, ground=config.ground, log=log_options)
-    command = parse_flags(start, args, "jaxdet info", DESCRIPTION)
+    command = parse_flags(start, args, "jaxdet info", DESCRIPTION, COMMON)
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 

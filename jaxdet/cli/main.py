@@ -1,5 +1,6 @@
 """Which command is meant, and how each ending becomes an exit code."""
 
+import difflib
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ COMMANDS = {
     "export": "write results for other programs: foxglove, ros2, nav2",
     "info": "say what is in a log, and what would be used of it and why",
     "sim": "simulate a log with known obstacles",
+    "help": "show a page: logs, calibration, tuning, recipes, ...; without a name their list",
     "doctor": "check this installation: versions, devices, and a small comparison",
 }
 
@@ -30,7 +32,8 @@ examples:
   jaxdet info drive.mcap                       what the log holds
   jaxdet run drive.mcap --output results       obstacles of every frame
   jaxdet sim sim.mcap                          a simulated log to try it on
-  jaxdet run --help                            every option, with units
+  jaxdet run --help                            its options; --help-all has every setting
+  jaxdet help calibration                      how the camera's calibration is found or given
 
 options:
   -h, --help   this text
@@ -50,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted.
     """
     args = list(sys.argv[1:] if argv is None else argv)
-    if not args or args[0] in ("-h", "--help", "help"):
+    if not args or args[0] in ("-h", "--help"):
         lines = (f"  {name:<8} {text}" for name, text in COMMANDS.items())
         print(HELP.format(commands="\n".join(lines)), end="")
         return 0 if args else 2
@@ -58,9 +61,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"jaxdet {jaxdet.__version__}")
         return 0
     if args[0] not in COMMANDS:
+        near = difflib.get_close_matches(args[0], COMMANDS, 1)
+        meant = f"did you mean {near[0]}? " if near else ""
         known = ", ".join(COMMANDS)
-        return _fail(f"no command {args[0]!r}; use one of {known}, see jaxdet --help", 2)
-    if args[0] == "run" and not {"-h", "--help", "--quiet", "--json"} & set(args):
+        return _fail(f"no command {args[0]!r}; {meant}use one of {known}, see jaxdet --help", 2)
+    if args[0] == "run" and not {"-h", "--help", "--help-all", "--quiet", "--json"} & set(args):
         SPINNER.start("loading")
     try:
         command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main

@@ -32,12 +32,26 @@ config.json, summary.json, pictures and a map of each log.
 Examples:
   jaxdet run drive.mcap --output results
   jaxdet run bags/ --output results --preset d435 --config mine.toml --ground.step-height-m 0.03
-  jaxdet run drive.mcap --output results --ground.camera-height-m 0.3 --ground.camera-pitch-rad 0.17
-  jaxdet run table.mcap --output results --preset tabletop
+  jaxdet run drive.mcap --output results --ground.camera-height-m 0.3 --ground.camera-pitch 10deg
+  jaxdet run drive.mcap --output again --config results/config.json
 
-A value comes from the flag, else from the file of --config (TOML: section [ground], key
-max_depth_m), else from the preset. Lengths are in metres, angles in radians, times in seconds.
+A value comes from the flag, else from the file of --config (section [ground], key max_depth_m),
+else from the preset. M are metres, S seconds, ANGLE is a number with its unit: 10deg or 0.17rad.
 """
+
+COMMON = (
+    "run",
+    "ground.camera_height_m",
+    "ground.camera_pitch_rad",
+    "ground.camera_roll_rad",
+    "ground.max_depth_m",
+    "ground.step_height_m",
+    "obstacle.min_size_m",
+    "log.color",
+    "log.depth",
+    "log.color_from_depth",
+)
+"""What ``--help`` shows of the settings."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +67,7 @@ class RunCommand:
     orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
     of corners; the others are wheeled with the depth range of a camera."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with sections as below."""
+    """TOML file with sections as below, or the config.json of earlier results."""
     truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
     """A simulated log whose truth the results are compared with."""
     tracks: Flag = False
@@ -89,7 +103,7 @@ def parse(args: list[str]) -> RunCommand:
         obstacle=config.obstacle,
         log=log,
     )
-    return parse_flags(start, args, "jaxdet run", DESCRIPTION)
+    return parse_flags(start, args, "jaxdet run", DESCRIPTION, COMMON)
 
 
 def main(args: list[str]) -> int:

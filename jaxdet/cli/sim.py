@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from jaxdet.cli.flags import parse_flags
-from jaxdet.errors import InputError
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig
 
 DESCRIPTION = """\
@@ -20,13 +20,25 @@ Example:
 """
 
 
+COMMON = tuple(
+    f"sim.{name}"
+    for name in (
+        *("scene", "frames", "seed", "rate_hz", "width", "height", "depth_form", "compression"),
+        *("camera_height_m", "camera_pitch_rad", "camera_roll_rad", "depth_error", "light"),
+    )
+)
+"""What ``--help`` shows of the simulator's settings."""
+
+
 @dataclass(frozen=True)
 class SimCommand:
     """What ``jaxdet sim`` takes."""
 
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
-    """The log to write, for instance sim.mcap; replaced when it is there."""
+    """The log to write, for instance sim.mcap."""
     sim: Annotated[SimConfig, tyro.conf.arg(name="")] = field(default_factory=SimConfig)
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace the log when it is there."""
     quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Say nothing but errors."""
 
@@ -34,7 +46,10 @@ class SimCommand:
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     missing: Any = tyro.MISSING
-    command = parse_flags(SimCommand(missing), args, "jaxdet sim", DESCRIPTION)
+    command = parse_flags(SimCommand(missing), args, "jaxdet sim", DESCRIPTION, COMMON)
+    if command.path.exists() and not command.overwrite:
+        remedy = "give --overwrite to replace it"
+        raise ConfigError("there is a file already", path=str(command.path), remedy=remedy)
     from jaxdet.engine import start_up
     from jaxdet.sim import truth_path, write_log
 

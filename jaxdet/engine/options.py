@@ -33,5 +33,7 @@ class RunOptions:
     def __post_init__(self) -> None:
         if self.batch_size is not None and self.batch_size < 1:
             raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
+        if self.pictures < 0:
+            raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
         if self.workers is not None and self.workers < 1:
             raise ConfigError(f"{self.workers} workers", remedy="give --workers 1 or more")

@@ -3,6 +3,7 @@
 import os
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -80,15 +81,29 @@ def dots(image: np.ndarray, points: np.ndarray, color: Color, radius: float) -> 
 
 
 @cache
-def _font() -> cv2.FontFace:
+def _font() -> Any:
     return cv2.FontFace("sans")
+
+
+_HAS_FONTS = hasattr(cv2, "FontFace")
+"""OpenCV 5 does. OpenCV 4, which another package may bring, has letters made of strokes, ASCII."""
+_STROKES, _STROKE_HEIGHT = cv2.FONT_HERSHEY_SIMPLEX, 21
+"""Height of their capitals at scale 1 [pixel]."""
 
 
 def text_size(text: str, size: int, bold: bool = False) -> tuple[int, int]:
     """Width and height of the capitals of ``text`` [pixel]."""
+    height = round(size * 0.72)
+    if not _HAS_FONTS:
+        scale, thick = height / _STROKE_HEIGHT, 1 + bold
+        return cv2.getTextSize(_ascii(text), _STROKES, scale, thick)[0][0], height
     weight = 700 if bold else 400
     box = cv2.getTextSize((0, 0), text, (0, 0), _font(), size, weight)
-    return int(box[2]), round(size * 0.72)
+    return int(box[2]), height
+
+
+def _ascii(text: str) -> str:
+    return text.replace("°", " deg").encode("ascii", "replace").decode()
 
 
 def write(
@@ -102,10 +117,14 @@ def write(
     align: str = "left",
 ) -> None:
     """Text whose baseline starts, ends (``right``) or is centred (``center``) at ``at``."""
-    width, _ = text_size(text, size, bold)
+    width, height = text_size(text, size, bold)
     x = at[0] - {"left": 0.0, "center": width / 2, "right": width}[align]
-    weight = 700 if bold else 400
-    cv2.putText(image, text, (round(x), round(at[1])), color, _font(), size, weight)
+    place = round(x), round(at[1])
+    if not _HAS_FONTS:
+        scale = height / _STROKE_HEIGHT
+        cv2.putText(image, _ascii(text), place, _STROKES, scale, color, 1 + bold, cv2.LINE_AA)
+        return
+    cv2.putText(image, text, place, color, _font(), size, 700 if bold else 400)
 
 
 _PNG = (

@@ -1,0 +1,58 @@
+"""``jaxdet help``: pages about jaxdet, which are in the package."""
+
+import sys
+from importlib.resources import files
+
+from jaxdet.config_file import meant
+from jaxdet.errors import ConfigError
+
+FIRST = ("logs", "calibration", "tuning", "recipes", "api")
+"""Pages in the order in which one needs them; the others follow by name."""
+
+
+def main(args: list[str]) -> int:
+    """Shows a page, or lists them; returns the exit code.
+
+    Raises:
+        ConfigError: There is no such page.
+    """
+    texts = pages()
+    if not args or args[0] in ("-h", "--help"):
+        print("usage: jaxdet help PAGE\n\npages:")
+        print("\n".join(f"  {name:<12} {title_of(text)}" for name, text in texts.items()))
+        return 0
+    if args[0] not in texts:
+        known = ", ".join(texts)
+        problem = f"no page {args[0]!r}"
+        raise ConfigError(problem, remedy=f"{meant(args[0], texts)}there are {known}")
+    show(texts[args[0]])
+    return 0
+
+
+def pages() -> dict[str, str]:
+    """The pages as Markdown, by name."""
+    folder = files("jaxdet") / "help"
+    found = {
+        item.name.removesuffix(".md"): item.read_text(encoding="utf-8")
+        for item in folder.iterdir()
+        if item.name.endswith(".md")
+    }
+    order = [name for name in FIRST if name in found]
+    return {name: found[name] for name in [*order, *sorted(found.keys() - set(order))]}
+
+
+def title_of(text: str) -> str:
+    """The first line of a page, without its mark."""
+    return text.partition("\n")[0].lstrip("# ")
+
+
+def show(text: str) -> None:
+    """Writes a page: laid out on a terminal, as it is elsewhere."""
+    if not sys.stdout.isatty():
+        print(text, end="")
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    console = Console(width=min(100, Console().width))
+    console.print(Markdown(text))
