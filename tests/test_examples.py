@@ -1,0 +1,102 @@
+"""scripts/examples run on recorded frames, with the little of rclpy that they use."""
+
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxdet
+from jaxdet.sim import SimConfig, write_log
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "scripts/examples"
+
+
+@pytest.fixture(scope="module")
+def aligned_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("examples") / "aligned.mcap"
+    write_log(path, SimConfig(frames=3, width=320, height=240, depth_form="aligned"))
+    return path
+
+
+def test_a_live_camera(aligned_log, capsys):
+    example = runpy.run_path(str(EXAMPLES / "live_camera.py"))
+    with jaxdet.open_log(aligned_log) as log:
+        source = [(frame.color[..., ::-1], frame.depth) for frame in log]
+        detector = jaxdet.Detector(log.calibration.color.K, color_order="bgr")
+        example["watch"](source, detector, stop_at_m=5.0)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert all("nearest 1." in line and line.endswith("STOP") for line in lines)
+
+
+class FakeNode:
+    """What the example uses of ``rclpy.node.Node``."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.published, self.said = name, [], []
+
+    def create_publisher(self, kind: type, topic: str, depth: int) -> Any:
+        return SimpleNamespace(publish=lambda message: self.published.append(message.data))
+
+    def get_logger(self) -> Any:
+        return SimpleNamespace(info=self.said.append)
+
+
+class FakeSynchronizer:
+    """``message_filters.TimeSynchronizer``: its callback is called by the test."""
+
+    def __init__(self, subscribers: list, depth: int) -> None:
+        self.topics = [topic for _, topic in subscribers]
+
+    def registerCallback(self, callback: Any) -> None:  # noqa: N802
+        self.callback = callback
+
+
+def ros_modules() -> dict[str, ModuleType]:
+    names = {
+        "rclpy": {},
+        "rclpy.node": {"Node": FakeNode},
+        "message_filters": {
+            "Subscriber": lambda node, kind, topic: (kind, topic),
+            "TimeSynchronizer": FakeSynchronizer,
+        },
+        "sensor_msgs": {},
+        "sensor_msgs.msg": {"CameraInfo": SimpleNamespace, "Image": SimpleNamespace},
+        "std_msgs": {},
+        "std_msgs.msg": {"Float32": SimpleNamespace},
+    }
+    modules = {name: ModuleType(name) for name in names}
+    for name, contents in names.items():
+        vars(modules[name]).update(contents)
+    return modules
+
+
+def image(pixels: np.ndarray, encoding: str, padding: int) -> Any:
+    """A sensor_msgs/Image whose rows end with some bytes that are no pixels."""
+    height, width = pixels.shape[:2]
+    rows = pixels.reshape(height, -1).view(np.uint8)
+    data = np.pad(rows, ((0, 0), (0, padding)), constant_values=77).tobytes()
+    step = rows.shape[1] + padding
+    return SimpleNamespace(height=height, width=width, encoding=encoding, step=step, data=data)
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
+def test_a_ros2_node(encoding, aligned_log, monkeypatch):
+    for name, module in ros_modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))["Obstacles"]()
+    assert node.frames.topics == ["color", "depth", "camera_info"]
+    with jaxdet.open_log(aligned_log) as log:
+        frame, K = log[0], log.calibration.color.K
+    color = frame.color if encoding == "rgb8" else np.ascontiguousarray(frame.color[..., ::-1])
+    info = SimpleNamespace(k=K.ravel())
+    node.frames.callback(image(color, encoding, 8), image(frame.depth, "16UC1", 4), info)
+    want = jaxdet.Detector(K)(frame.color, frame.depth)
+    assert node.published == [want.nearest_m]
+    assert node.said == [f"{len(want)} obstacles, nearest {want.nearest_m:.2f} m"]
+    node.on_frame(image(color, encoding, 0), image(0 * frame.depth, "16UC1", 0), info)
+    assert node.published[-1] == float("inf")

@@ -1,0 +1,93 @@
+"""The pages of jaxdet help and the README: every snippet runs, every link leads somewhere."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from jaxdet.cli import main
+from jaxdet.cli.help import FIRST, pages, title_of
+from jaxdet.sim import SimConfig, write_log
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}
+DOCUMENTS["README"] = ROOT / "README.md"
+CONSOLE = ("pip ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
+"""What a block that is not run may hold: installing, and other programs."""
+
+
+def blocks(text: str) -> Iterator[tuple[str, str]]:
+    """Language and text of each fenced block."""
+    for match in re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.S | re.M):
+        yield match[1], match[2]
+
+
+def commands(block: str) -> list[list[str]]:
+    """The command lines of a shell block, as words."""
+    joined = block.replace("\\\n", " ")
+    return [words for line in joined.splitlines() if (words := shlex.split(line, comments=True))]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("help") / "drive.mcap"
+    write_log(path, SimConfig(frames=8, width=320, height=240))
+    return path
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drive.mcap").hardlink_to(drive)
+    names: dict[str, object] = {"__name__": name}
+    for language, block in blocks(DOCUMENTS[name].read_text(encoding="utf-8")):
+        if language == "sh":
+            for program, *args in commands(block):
+                assert program == "jaxdet"
+                assert main(args) == 0, (args, capsys.readouterr().err)
+        elif language == "python":
+            exec(compile(block, f"{name}.md", "exec"), names)
+        elif language == "toml":
+            file = re.match(r"# (\w+\.toml)\n", block)
+            assert file
+            (tmp_path / file[1]).write_text(block, encoding="utf-8")
+        elif language == "console":
+            assert all(line.startswith(CONSOLE) for line in block.splitlines() if line.strip())
+        else:
+            assert language == "text", f"a block of {language or 'no language'}"
+
+
+def test_snippets_are_found():
+    found = dict(blocks("x\n```sh\njaxdet run a \\\n  --output b  # why\n```\n"))
+    assert commands(found["sh"]) == [["jaxdet", "run", "a", "--output", "b"]]
+
+
+LINKS = [
+    (name, target)
+    for name, path in DOCUMENTS.items()
+    for target in re.findall(r"\]\(([^)#:]+)\)", path.read_text(encoding="utf-8"))
+]
+
+
+@pytest.mark.parametrize(("name", "target"), LINKS)
+def test_links_lead_somewhere(name, target):
+    assert (DOCUMENTS[name].parent / target).exists()
+
+
+def test_pages_that_are_named_are_there():
+    found = pages()
+    assert [*found][: len(FIRST)] == list(FIRST)
+    for path in DOCUMENTS.values():
+        for name in re.findall(r"`jaxdet help (\w+)`", path.read_text(encoding="utf-8")):
+            assert name in found
+
+
+def test_help_lists_and_shows_the_pages(capsys):
+    assert main(["help"]) == 0
+    listed = capsys.readouterr().out
+    for name, text in pages().items():
+        assert f"  {name}" in listed and title_of(text) in listed
+        assert main(["help", name]) == 0
+        assert capsys.readouterr().out == text
