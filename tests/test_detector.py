@@ -146,6 +146,11 @@ def test_a_log_is_a_sequence_of_frames(sim_log):
         assert {frame.status for frame in log} == {FrameStatus.OK}
         with pytest.raises(IndexError, match="frame 7 of 7"):
             log[7]
+    with jaxdet.open_log(sim_log, LogOptions(every=3)) as log:
+        assert [frame.number for frame in log] == [0, 3, 6] == [log[i].number for i in range(3)]
+        assert len(log) == 3 and [frame.number for frame in log[1:]] == [3, 6]
+        found = list(Detector.from_log(log).run(log))
+        assert [one.number for one in found] == [0, 3, 6]
 
 
 CALIBRATION = small(160, 120)

@@ -81,7 +81,7 @@ def _options(value: Any, prefix: str, shown: str | None = None) -> Iterator[Opti
         takes = (argument.metavar if argument else None) or takes
         if default is None or default is False:
             text += "  []"
-        elif default is not tyro.MISSING:
+        elif default is not tyro.MISSING and (default or not angle):
             text += f"  [{_plain(default)}{'rad' * angle}]"
         yield Option(f"{section}{name}", f"{flag} {takes}".strip(), text)
 
@@ -130,7 +130,7 @@ def _rows(options: Sequence[Option]) -> list[str]:
     rows = []
     for option in options:
         flag, text = f"  {option.flag}", option.text.removesuffix("  []")
-        lines = textwrap.wrap(text, WIDTH - INDENT)
+        lines = textwrap.wrap(text, WIDTH - INDENT, max_lines=2, placeholder=" ...")
         if len(flag) > INDENT - 2:
             rows.append(flag)
         else:

@@ -256,7 +256,7 @@ class Detector:
         with interrupts_held_back():
             found = detect(frames, self.config, backend=self._backend, with_cells=True)
             found = to_host(found)
-        rows = batch_rows("", batch, plane, sources, row_inputs(found), self.config)
+        rows = batch_rows("", "", batch, plane, sources, row_inputs(found), self.config)
         return BatchResult(batch, found, rows, self.config, self._order)
 
 

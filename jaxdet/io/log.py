@@ -152,11 +152,11 @@ class Log:
         self._store.close()
 
     def __len__(self) -> int:
-        """``num_frames``."""
-        return self.num_frames
+        """Frames of the part that is read."""
+        return len(self.frames)
 
     def __iter__(self) -> Iterator[LogFrame]:
-        """Its frames one by one, in order; some are read at a time."""
+        """The frames of the part that is read, one by one; some are read at a time."""
         for batch in self.batches(self._at_once):
             yield from batch.one_by_one()
 
@@ -165,18 +165,18 @@ class Log:
     @overload
     def __getitem__(self, index: slice) -> list[LogFrame]: ...
     def __getitem__(self, index: Any) -> Any:
-        """A frame, or those of a slice; negative numbers count from the end.
+        """A frame of the part that is read, or those of a slice, by their place in it.
 
         Raises:
             IndexError: There is no such frame.
             RescanError: The log isn't as its index lets expect.
         """
         if isinstance(index, slice):
-            return list(self.read(range(self.num_frames)[index]).one_by_one())
-        number = as_index(index)
-        if not -self.num_frames <= number < self.num_frames:
-            raise IndexError(f"frame {number} of {self.num_frames}")
-        return next(self.read([number % self.num_frames]).one_by_one())
+            return list(self.read(self.frames[index]).one_by_one())
+        place = as_index(index)
+        if not -len(self) <= place < len(self):
+            raise IndexError(f"frame {place} of {len(self)}")
+        return next(self.read([self.frames[place]]).one_by_one())
 
     @property
     def stamps_ns(self) -> np.ndarray:
