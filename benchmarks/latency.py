@@ -1,0 +1,74 @@
+"""How long one frame takes: ``python -m benchmarks.latency [LOG]``.
+
+``jaxdet.Detector`` on frames one by one, from NumPy images to objects, beside OpenCV's features of
+the same frames (grey, Canny, Shi-Tomasi): both take turns, so that a busy machine treats them
+alike, and what counts is their ratio.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import jaxdet
+from jaxdet.sim import SimConfig, write_log
+
+CALLS, WARM = 300, 10
+
+
+def features(color: np.ndarray) -> None:
+    """The paper's features by OpenCV, as the reference has them."""
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    edges = cv2.Canny(grey, 50, 100)
+    cv2.goodFeaturesToTrack(edges, 1024, 0.01, 3)
+
+
+def measure(path: Path) -> None:
+    """Prints median and 95 % of both, and their ratio."""
+    with jaxdet.open_log(path) as log:
+        frames = [frame for frame in log[:20] if frame.status == "ok"]
+        detector = jaxdet.Detector.from_log(log)
+
+    def timed(work: Callable[[], object]) -> float:
+        start = time.perf_counter()
+        work()
+        return 1000 * (time.perf_counter() - start)
+
+    times = []
+    for call in range(WARM + CALLS):
+        color, depth = frames[call % len(frames)].color, frames[call % len(frames)].depth
+
+        def ours(color: np.ndarray = color, depth: np.ndarray = depth) -> None:
+            detector(color, depth).nearest_m  # noqa: B018  (which makes the objects)
+
+        def theirs(color: np.ndarray = color) -> None:
+            features(color)
+
+        times.append((timed(ours), timed(theirs)))
+    first, rows = times[0][0], np.array(times[WARM:])
+    shape = frames[0].color.shape
+    print(f"{len(rows)} calls, {shape[1]}x{shape[0]}, first call {first:.0f} ms")
+    both = np.percentile(rows, [0, 50, 95], axis=0).T
+    for name, values in zip(
+        ("Detector, ms", "OpenCV's features, ms", "ratio"), (*both, both[0] / both[1]), strict=True
+    ):
+        print(f"{name:<24} least {values[0]:.2f}, median {values[1]:.2f}, 95 % {values[2]:.2f}")
+
+
+def main() -> None:
+    """Measures on a log, or on a simulated one."""
+    if len(sys.argv) > 1:
+        measure(Path(sys.argv[1]))
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "demo.mcap"
+        write_log(path, SimConfig(frames=20))
+        measure(path)
+
+
+if __name__ == "__main__":
+    main()
