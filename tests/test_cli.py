@@ -7,6 +7,7 @@ import subprocess
 import sys
 import typing
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,9 @@ from jaxdet.cli import main
 from jaxdet.cli.run import RunCommand, parse
 from jaxdet.cli.settings import defaults
 from jaxdet.config import Config
+from jaxdet.engine import RunOptions
 from jaxdet.errors import ConfigError
+from jaxdet.io import LogOptions
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, load_truth, write_log
 
@@ -83,31 +86,27 @@ def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
         assert "give an angle with its unit" in " ".join(capsys.readouterr().err.split())
 
 
-def numbers_of(section: str, kind: type) -> list[str]:
-    hints = typing.get_type_hints(kind)
-    return [f"--{section}.{n}".replace("_", "-") for n, h in hints.items() if h in (int, float)]
-
-
 SECTIONS = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
-NUMBERS = [flag for section, kind in SECTIONS.items() for flag in numbers_of(section, kind)]
-NUMBERS += ["--batch-size", "--workers", "--pictures", "--log.pair-tolerance-s"]
-NUMBERS += ["--log.depth-unit-m", "--log.max-chunk-mib", "--log.max-pixels"]
-MAY_BE_NEGATIVE = ("--features.canny-low", "--features.canny-high", "--ground.camera-pitch-rad")
-MAY_BE_NEGATIVE += ("--ground.camera-roll-rad",)
+SECTIONS |= {"log": LogOptions, "run": partial(RunOptions, Path("x"))}
+MAY_BE_NEGATIVE = {"canny_low", "canny_high", "camera_pitch_rad", "camera_roll_rad"}
 
 
-@pytest.mark.parametrize("flag", NUMBERS)
-def test_numbers_that_can_not_be_meant_are_usage_errors(flag: str) -> None:
-    """Each number takes its value or names itself; -1, infinity and no number are no lengths."""
-    height = ["--ground.camera-height-m", "0.3"]
-    for value in ("-1", "0", "nan", "inf", "1e300"):
-        taken = True
-        try:
-            parse(["a", "--output", "x", *height, f"{flag}={value}"])
-        except (ConfigError, SystemExit):
-            taken = False
-        if value != "0" and not (flag in MAY_BE_NEGATIVE and value != "nan"):
-            assert not taken, value
+@pytest.mark.parametrize("section", SECTIONS)
+def test_numbers_that_can_not_be_meant_are_usage_errors(section: str) -> None:
+    """Flags, files and Python alike: -1, infinity and no number are no lengths and no counts."""
+    make = SECTIONS[section]
+    height = {"camera_height_m": 0.3} if section == "ground" else {}
+    hints = typing.get_type_hints(getattr(make, "func", make))
+    for name, hint in hints.items():
+        numbers = {int: (-1,), float: (-1.0, math.nan, math.inf, 1e300)}
+        kinds = [kind for kind in numbers if hint is kind or kind in typing.get_args(hint)]
+        for value in [value for kind in kinds for value in numbers[kind]]:
+            if name in MAY_BE_NEGATIVE and not math.isnan(value):
+                continue
+            if section == "log" and name == "color_from_depth":
+                continue
+            with pytest.raises(ConfigError):
+                make(**height | {name: value})
 
 
 def test_a_run_can_be_repeated_from_its_results(

@@ -164,7 +164,6 @@ def detector(**options: Any) -> Detector:
         "depth_K": CALIBRATION.depth,
         "T_color_depth": CALIBRATION.color_from_depth.T,
         "mount": Mount(0.4),
-        "backend": "reference",
     }
     return Detector(**given | options)
 
@@ -206,9 +205,9 @@ def test_frames_come_as_people_have_them():
 def test_aligned_depth_and_lenses():
     camera = CALIBRATION.color
     depth = smooth_depth(1, camera)[0]
-    aligned = Detector(camera.K, mount=Mount(0.4), backend="reference")
+    aligned = Detector(camera.K, mount=Mount(0.4))
     lens = Intrinsics.from_matrix(camera.K, 160, 120, [0.1, -0.2, 0.001, 0.002, 0.05])
-    bent = Detector(lens, mount=Mount(0.4), backend="reference")
+    bent = Detector(lens, mount=Mount(0.4))
     flat, curved = told(aligned(COLOR[0], depth)), told(bent(COLOR[0], depth))
     assert flat != curved
 
@@ -241,7 +240,7 @@ def test_a_mask_shows_the_nearer_of_two_things():
     """A pillar before a wall: its pixels are the pillar's, those around it the wall's."""
     depth = np.full((120, 160), 3000, np.uint16)
     depth[:, 60:100] = 1000
-    found = Detector([120, 120, 80, 60], backend="reference")(COLOR[0], depth)
+    found = Detector([120, 120, 80, 60])(COLOR[0], depth)
     pillar, *walls = found
     assert pillar.distance_m < 1.1 and walls and min(wall.distance_m for wall in walls) > 2.5
     assert (found.labels[:, 62:98] == 0).all()
@@ -258,14 +257,14 @@ def test_the_cells_of_both_backends_are_equal(device):
 
 def test_images_may_be_written_to_again():
     """A camera's driver reuses its memory; XLA reads aligned arrays where they are."""
-    compiled = detector(backend="jax")
+    compiled = detector()
     memory = np.zeros(DEPTH[0].nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64
     depth = memory[start : start + DEPTH[0].nbytes].view(np.uint16).reshape(DEPTH[0].shape)
     depth[:] = DEPTH[0]
     found = compiled(COLOR[0], depth)
     depth[:] = 0
-    assert told(found) == told(detector()(COLOR[0], DEPTH[0]))
+    assert told(found) == told(detector(backend="reference")(COLOR[0], DEPTH[0]))
 
 
 def test_pictures_are_those_of_the_run():

@@ -131,3 +131,15 @@ def test_map_has_y_up_and_the_path(tmp_path: Path) -> None:
 def test_map_of_one_cell(path: np.ndarray) -> None:
     image = draw_map(MapImage(*np.ones((2, 1, 1), np.int32), (0.0, 0.0), 0.05, path), "n")
     assert max(image.shape) < 1200
+
+
+def test_text_is_drawn_without_the_fonts_of_opencv_5(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another package may bring OpenCV 4, which has strokes alone, in ASCII."""
+    monkeypatch.setattr(canvas, "_HAS_FONTS", False)
+    image = canvas.canvas(40, 300)
+    canvas.write(image, "10.0° down", (290, 30), size=20, align="right")
+    drawn = np.argwhere((image != canvas.BACKGROUND).any(axis=2))
+    width, height = canvas.text_size("10.0° down", 20)
+    assert 280 < drawn[:, 1].max() <= 292
+    assert abs(np.ptp(drawn[:, 1]) - width) <= 6
+    assert height <= np.ptp(drawn[:, 0]) <= height + 8
