@@ -323,6 +323,7 @@ REFUSED_ARGUMENTS = {
     "fx zero": ({"depth_K": [0, 0, 80, 60]}, "depth_K: .* not calibrated"),
     "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
     "K of text": ({"K": "600"}, "K: "),
+    "unit of text": ({"depth_unit_m": "mm"}, "depth_unit_m: str is no array of numbers"),
     "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),
     "unit in mm": ({"depth_unit_m": 1.0}, "depth_unit_m: "),
     "unknown order": ({"color_order": "rgba"}, "color_order: 'rgba'; use one of rgb, bgr"),
@@ -358,6 +359,21 @@ REFUSED_IMAGES = {
 }
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"stamp_ns": "now"}, "stamps_ns: .*numbers"),
+        ({"stamp_ns": 1 << 70}, "stamps_ns: .*numbers"),
+        ({"T_world_camera": np.eye(3)}, "T_world_camera: shape"),
+        ({"T_world_camera": "T"}, "T_world_camera: .*numbers"),
+        ({"mount": 0.3}, "mount: 0.3 is none"),
+    ],
+)
+def test_what_comes_with_a_frame_names_its_argument(given, said):
+    with pytest.raises(JaxdetError, match=said):
+        detector()(COLOR[0], DEPTH[0], **given)
+
+
 @pytest.mark.parametrize("name", REFUSED_IMAGES)
 def test_images_that_are_none_name_their_argument(name):
     how, color, depth, said = REFUSED_IMAGES[name]
@@ -384,6 +400,7 @@ def test_mounts_that_no_camera_has():
     for wrong, said in (
         ({"height_m": 300}, "height_m: .*metres"),
         ({"height_m": 0}, "height_m"),
+        ({"height_m": "0.3"}, "height_m: '0.3' is no number"),
         ({"height_m": float("nan")}, "height_m"),
         ({"height_m": 0.3, "pitch_rad": 10}, "pitch_rad: 10 rad are 573°; .*math.radians"),
         ({"height_m": 0.3, "roll_rad": float("nan")}, "roll_rad"),

@@ -50,7 +50,7 @@ class Cameras:
         T_color_depth: ArrayLike | Extrinsics | None,
         depth_unit_m: float,
     ) -> None:
-        self.depth_unit_m = depth_unit_m
+        self.depth_unit_m = float(numbers("depth_unit_m", depth_unit_m, float))
         self._color, self._depth = _camera("K", K), None
         self._motion = None
         self._known: Calibration | None = None
@@ -66,7 +66,7 @@ class Cameras:
                 self._motion = _motion(T_color_depth)
         # What does not depend on the images' size is checked at once.
         small = [_sized(camera, (2, 2)) for camera in (self._color, self._depth)]
-        self._check(Calibration(small[0] or _NOTHING, small[1], self._motion, depth_unit_m))
+        self._check(Calibration(small[0] or _NOTHING, small[1], self._motion, self.depth_unit_m))
 
     @classmethod
     def of(cls, calibration: Calibration) -> "Cameras":
@@ -284,6 +284,19 @@ def _array(name: str, images: Any) -> np.ndarray:
             remedy="give NumPy arrays; a Detector can't be called under jax.jit, jax.vmap or "
             "jax.grad",
         ) from error
+
+
+def numbers(name: str, values: Any, kind: type) -> np.ndarray:
+    """Values as an array of one type.
+
+    Raises:
+        InputError: They are no numbers.
+    """
+    try:
+        return np.asarray(values, kind)
+    except (TypeError, ValueError, OverflowError) as error:
+        problem = f"{type(values).__name__} is no array of numbers"
+        raise InputError(problem, topic=name, remedy="give NumPy arrays") from error
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:

@@ -14,6 +14,7 @@ from jaxdet.detector.arguments import (
     ColorOrder,
     color_images,
     depth_images,
+    numbers,
     one_frame,
     one_of,
 )
@@ -152,7 +153,7 @@ class Detector:
             InputError: The images are no such arrays.
             CalibrationError: They are of another size than the calibration.
         """
-        poses = None if T_world_camera is None else np.asarray(T_world_camera)[None]
+        poses = None if T_world_camera is None else [T_world_camera]
         given = one_frame("color", color), one_frame("depth", depth)
         mounts = None if mount is None else [mount]
         return self.batch(*given, mounts=mounts, stamps_ns=[stamp_ns], T_world_camera=poses)[0]
@@ -184,8 +185,10 @@ class Detector:
         """
         images = color_images(color, self._order), depth_images(depth, self._cameras.depth_unit_m)
         count = len(images[0])
-        stamps = np.zeros(count, np.int64) if stamps_ns is None else np.asarray(stamps_ns, np.int64)
-        poses = None if T_world_camera is None else np.asarray(T_world_camera, np.float64)
+        stamps = numbers("stamps_ns", [0] * count if stamps_ns is None else stamps_ns, np.int64)
+        poses = None
+        if T_world_camera is not None:
+            poses = numbers("T_world_camera", T_world_camera, np.float64)
         if poses is not None and poses.shape != (count, 4, 4):
             raise InputError(
                 f"shape {poses.shape}",

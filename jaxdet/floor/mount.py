@@ -32,6 +32,10 @@ class Mount:
     roll_rad: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("height_m", "pitch_rad", "roll_rad"):
+            if not isinstance(getattr(self, name), int | float | np.number):
+                problem = f"{getattr(self, name)!r} is no number"
+                raise ConfigError(problem, topic=name, remedy="give one, in metres or radians")
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
                 f"a camera {self.height_m:g} m above the floor",
