@@ -6,7 +6,6 @@ covers a cell speaks for an obstacle there, free floor against one, and neither 
 than a few frames.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -60,7 +59,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     odds = np.zeros(counted.counts.shape, np.int16)
     seen = np.zeros(counted.counts.shape, bool)
     gap = NEIGHBOURS * results.method.surface.cell_rad
-    for frame in _frames(results, log):
+    for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
         if (view := _cells(frame, gap)) is None:
             continue
         cells, low = view
@@ -72,14 +71,6 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
         seen[here] |= part > 0
     states = np.where(odds > 0, OCCUPIED, FREE)
     return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
-
-
-def _frames(results: Results, log: ResultLog) -> Iterator[Frame]:
-    """The frames with the columns that the map is made of."""
-    for chunk in results.chunks(log, _FRAME_COLUMNS, ("corners_world",)):
-        rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
-        for row, start, stop in zip(rows, chunk.first[:-1], chunk.first[1:], strict=True):
-            yield Frame(row, obstacles[start:stop])
 
 
 def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:
