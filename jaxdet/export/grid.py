@@ -24,8 +24,10 @@ HIT, MISS = 85, -40
 LEAST, MOST = -200, 350
 """Bounds of a cell's log-odds [1/100]: OctoMap's; nine frames of free floor clear any cell."""
 
-NEIGHBOURS = 4
-"""Columns of cells whose free floor ends farther apart than this many cells are not joined."""
+NEIGHBOURS = 8
+"""Columns whose free floor ends farther apart than this many cells, 3 degrees, are not joined: the
+tables leave out columns that show nothing. Neighbours that end before and behind an edge are up to
+so far apart too where the camera is rolled."""
 
 _ADDED = np.array([0, MISS, HIT], np.int16)
 _FRAME_COLUMNS = (
