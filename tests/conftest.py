@@ -89,3 +89,19 @@ def aims_results(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) ->
     found = find_logs([str(shared_data / "aims_slam")])
     engine.run(found, Config(), LogOptions(), RunOptions(folder, pictures=2), preset="wheeled")
     return folder
+
+
+@pytest.fixture(scope="session")
+def driven_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small simulated log, ``sim.mcap``, of a robot that drives."""
+    from tests.export_results import sim_log
+
+    return sim_log(tmp_path_factory.mktemp("driven") / "sim.mcap")
+
+
+@pytest.fixture(scope="session")
+def driven_results(driven_log: Path) -> Path:
+    """Its results."""
+    from tests.export_results import run
+
+    return run(driven_log, driven_log.parent / "results")

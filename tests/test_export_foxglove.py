@@ -16,20 +16,10 @@ from jaxdet.export import export
 from jaxdet.export.grid import FREE, OCCUPIED, last_grid
 from jaxdet.io import LogOptions
 from jaxdet.results.reading import Frame, Results
-from tests.export_results import run, sim_log
+from tests.export_results import run
 
 SCENE, BOXES, MAP, TF = (f"/jaxdet/{name}" for name in ("obstacles", "boxes", "map", "tf"))
 Topics = dict[str, list[tuple[int, Any]]]
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sim_log(tmp_path_factory.mktemp("log") / "sim.mcap")
-
-
-@pytest.fixture(scope="module")
-def folder(log: Path) -> Path:
-    return run(log, log.parent / "results")
 
 
 def messages(path: Path) -> Topics:
@@ -103,8 +93,8 @@ def outside(points: np.ndarray, corners: list[float]) -> float:
     return float(-depth.min())
 
 
-def test_every_frame_replaces_the_one_before(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_every_frame_replaces_the_one_before(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     stamps = [frame.row["stamp_ns"] for frame in frames]
     for topic in (TF, SCENE, BOXES):
         assert [at for at, _ in topics[topic]] == stamps
@@ -122,10 +112,10 @@ def test_every_frame_replaces_the_one_before(folder: Path, tmp_path: Path) -> No
 
 
 def test_contours_stand_in_the_world_beside_the_recording(
-    log: Path, folder: Path, tmp_path: Path
+    driven_log: Path, driven_results: Path, tmp_path: Path
 ) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
-    recording, walls = messages(log), 0
+    topics, frames = exported(driven_results, tmp_path / "out")
+    recording, walls = messages(driven_log), 0
     assert len(recording["/tf"]) > 5
     for (at, update), (row, obstacles) in zip(topics[SCENE], frames, strict=True):
         camera = recorded_camera(recording, at, row["camera_frame"])
@@ -149,8 +139,8 @@ def test_contours_stand_in_the_world_beside_the_recording(
     assert walls > 0.8 * sum(len(frame.obstacles) for frame in frames)
 
 
-def test_without_the_log_s_tf_the_sidecar_has_the_poses(log: Path, tmp_path: Path) -> None:
-    found = run(log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
+def test_without_the_log_s_tf_the_sidecar_has_the_poses(driven_log: Path, tmp_path: Path) -> None:
+    found = run(driven_log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
     topics, frames = exported(found, tmp_path / "out")
     count = 0
     for (_, tree), (_, update), (row, obstacles) in zip(
@@ -174,8 +164,8 @@ def test_without_the_log_s_tf_the_sidecar_has_the_poses(log: Path, tmp_path: Pat
     assert count >= 6
 
 
-def test_the_floor_frame_is_where_the_table_says(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_the_floor_frame_is_where_the_table_says(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     for (_, tree), (row, _) in zip(topics[TF], frames, strict=True):
         (edge,) = tree.transforms  # the log's own TF joins the camera to the world
         T = motion(edge.translation, edge.rotation)
@@ -189,8 +179,8 @@ def test_the_floor_frame_is_where_the_table_says(folder: Path, tmp_path: Path) -
         assert axis[0] == pytest.approx(0.0, abs=1e-6) and axis[1] > 0.9
 
 
-def test_boxes_are_in_the_colour_image(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_boxes_are_in_the_colour_image(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     for (at, shown), (_, obstacles) in zip(topics[BOXES], frames, strict=True):
         for box, text, o in zip(shown.points, shown.texts, obstacles, strict=True):
             assert box.timestamp.ToNanoseconds() == text.timestamp.ToNanoseconds() == at
@@ -200,11 +190,11 @@ def test_boxes_are_in_the_colour_image(folder: Path, tmp_path: Path) -> None:
             assert box.type == box.LINE_LOOP and text.text == f"{o['obstacle']}   " + text.text[-6:]
 
 
-def test_the_map_is_a_grid_in_the_world(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_the_map_is_a_grid_in_the_world(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     ((at, grid),) = topics[MAP]
     assert at == frames[0].row["stamp_ns"] and grid.frame_id == "odom"
-    with Results(folder) as results:
+    with Results(driven_results) as results:
         want = last_grid(results, results.logs[0])
     assert want is not None
     assert [field.name for field in grid.fields] == ["red", "green", "blue", "alpha"]
@@ -218,14 +208,16 @@ def test_the_map_is_a_grid_in_the_world(folder: Path, tmp_path: Path) -> None:
     assert grid.cell_size.x == grid.cell_size.y == want.cell_m
 
 
-def test_the_layout_shows_what_is_there(log: Path, folder: Path, tmp_path: Path) -> None:
-    topics, _ = exported(folder, tmp_path / "out")
+def test_the_layout_shows_what_is_there(
+    driven_log: Path, driven_results: Path, tmp_path: Path
+) -> None:
+    topics, _ = exported(driven_results, tmp_path / "out")
     layout = json.loads((tmp_path / "out" / "layout.json").read_text())
     panels = layout["configById"]
     assert {layout["layout"]["first"], layout["layout"]["second"]} == set(panels)
     scene, image = panels["3D!jaxdet"], panels["Image!jaxdet"]["imageMode"]
     assert set(scene["topics"]) | set(image["annotations"]) <= set(topics)
-    assert image["imageTopic"] in messages(log) and scene["followTf"] == "odom"
+    assert image["imageTopic"] in messages(driven_log) and scene["followTf"] == "odom"
 
 
 def test_a_recording_without_poses(aims_results: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from jaxdet.errors import InputError
 from jaxdet.export import export
 from jaxdet.export.grid import FREE, OCCUPIED, UNKNOWN, last_grid
 from jaxdet.results.reading import Results
-from tests.export_results import by_hand, run, sim_log
+from tests.export_results import by_hand
 
 
 def map_server(path: Path) -> tuple[np.ndarray, float, list[float]]:
@@ -67,8 +67,10 @@ def test_free_floor_is_not_joined_over_columns_that_show_nothing(tmp_path: Path)
         assert state_at(tmp_path / "b", frames, 1.0, 0.0) == UNKNOWN
 
 
-def test_nav2_loads_the_map_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    results = run(sim_log(tmp_path / "sim.mcap"), tmp_path / "results")
+def test_nav2_loads_the_map_of_a_log(
+    driven_results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = driven_results
     out = tmp_path / "maps"
     assert main(["export", str(results), "--to", "nav2", "--output", str(out)]) == 0
     states, cell, origin = map_server(out / "sim.yaml")

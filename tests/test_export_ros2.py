@@ -1,5 +1,6 @@
 """ROS 2 messages of results, read by rosbags; and the recordings that exports look at again."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,6 @@ from tests.export_results import run, sim_log
 DETECTIONS, POINTS, MAP = (f"/jaxdet/{name}" for name in ("detections", "points", "map"))
 POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")]
 Captured = pytest.CaptureFixture[str]
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return sim_log(tmp_path_factory.mktemp("log") / "sim.mcap")
-
-
-@pytest.fixture(scope="module")
-def folder(log: Path) -> Path:
-    return run(log, log.parent / "results")
 
 
 def exported(folder: Path, to: Path, *logs: Path) -> tuple[dict[str, list], list[Frame]]:
@@ -79,8 +70,8 @@ def cloud_of(message: Any) -> np.ndarray:
     return cloud
 
 
-def test_detections_are_the_outlines_in_the_world(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_detections_are_the_outlines_in_the_world(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     assert [at for at, _ in topics[DETECTIONS]] == [f.row["stamp_ns"] for f in frames]
     for (at, message), (row, obstacles) in zip(topics[DETECTIONS], frames, strict=True):
         stamp = message.header.stamp
@@ -103,8 +94,8 @@ def test_detections_are_the_outlines_in_the_world(folder: Path, tmp_path: Path) 
             assert T[2, 3] == pytest.approx(middle, abs=0.03)
 
 
-def test_points_are_the_contours(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_points_are_the_contours(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     for (_, message), (row, obstacles) in zip(topics[POINTS], frames, strict=True):
         cloud = cloud_of(message)
         points = np.stack([cloud["x"], cloud["y"], cloud["z"]], axis=1).astype(np.float64)
@@ -120,9 +111,9 @@ def test_points_are_the_contours(folder: Path, tmp_path: Path) -> None:
 
 
 def test_points_are_the_obstacles_own_where_the_log_is_given(
-    log: Path, folder: Path, tmp_path: Path
+    driven_log: Path, driven_results: Path, tmp_path: Path
 ) -> None:
-    topics, frames = exported(folder, tmp_path / "out", log)
+    topics, frames = exported(driven_results, tmp_path / "out", driven_log)
     for (_, message), (_, obstacles) in zip(topics[POINTS], frames, strict=True):
         cloud, some = cloud_of(message), 0
         assert {*cloud["obstacle"].tolist()} <= {o["obstacle"] for o in obstacles}
@@ -135,10 +126,10 @@ def test_points_are_the_obstacles_own_where_the_log_is_given(
         assert some >= 0.8 * len(obstacles)
 
 
-def test_the_map_is_an_occupancy_grid(folder: Path, tmp_path: Path) -> None:
-    topics, frames = exported(folder, tmp_path / "out")
+def test_the_map_is_an_occupancy_grid(driven_results: Path, tmp_path: Path) -> None:
+    topics, frames = exported(driven_results, tmp_path / "out")
     ((at, message),) = topics[MAP]
-    with Results(folder) as results:
+    with Results(driven_results) as results:
         grid = last_grid(results, results.logs[0])
     assert grid is not None and at == frames[0].row["stamp_ns"]
     info = message.info
@@ -160,9 +151,9 @@ def test_a_recording_without_poses(aims_results: Path, shared_data: Path, tmp_pa
         assert edge.child_frame_id == "camera_color_optical_frame_floor"
 
 
-def test_the_log_is_seen_again_as_the_run_saw_it(log: Path, folder: Path) -> None:
-    with Results(folder) as results:
-        of, files = results.logs[0], find(results, [str(log)])["sim"]
+def test_the_log_is_seen_again_as_the_run_saw_it(driven_log: Path, driven_results: Path) -> None:
+    with Results(driven_results) as results:
+        of, files = results.logs[0], find(results, [str(driven_log)])["sim"]
         for batch, chunk in images(results, of, files):
             stamps = batch.frames.stamp_ns[: chunk.frames.num_rows]
             assert stamps.tolist() == chunk.frames["stamp_ns"].to_pylist()
@@ -203,11 +194,11 @@ def test_cameras_and_parts_of_a_log(tmp_path: Path) -> None:
                 assert f"/jaxdet/{log.camera}/{name}" in topics
 
 
-def test_another_log_is_refused(log: Path, folder: Path, tmp_path: Path) -> None:
+def test_another_log_is_refused(driven_log: Path, driven_results: Path, tmp_path: Path) -> None:
     other = sim_log(tmp_path / "other.mcap", frames=6, seed=5)
     later = sim_log(tmp_path / "later.mcap", start_ns=10**18)
     short = sim_log(tmp_path / "short.mcap", frames=2)
-    with Results(folder) as results:
+    with Results(driven_results) as results:
         for path in (later, short):
             with pytest.raises(InputError, match="is not the log 'sim'"):
                 list(images(results, results.logs[0], LogFiles("sim", (path,))))
@@ -220,7 +211,9 @@ def test_another_log_is_refused(log: Path, folder: Path, tmp_path: Path) -> None
     assert not (tmp_path / "out").exists() and not list(tmp_path.glob(".jaxdet-*"))
 
 
-def test_the_command_says_what_is_wrong(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_the_command_says_what_is_wrong(
+    driven_results: Path, tmp_path: Path, capsys: Captured
+) -> None:
     def said(*args: str) -> str:
         code = main(["export", *args])
         error = capsys.readouterr().err
@@ -230,11 +223,18 @@ def test_the_command_says_what_is_wrong(folder: Path, tmp_path: Path, capsys: Ca
     out = str(tmp_path / "out")
     assert "no such folder" in said(str(tmp_path / "x"), "--to", "nav2", "--output", out)
     assert "summary.json is missing" in said(str(tmp_path), "--to", "nav2", "--output", out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delitem(sys.modules, "jaxdet.export.foxglove", raising=False)
+        patch.setitem(sys.modules, "mcap_protobuf.writer", None)
+        message = said(str(driven_results), "--to", "foxglove", "--output", out)
+    assert "--to foxglove needs the package mcap_protobuf" in message
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    assert "is there already" in said(str(folder), "--to", "ros2", "--output", str(taken))
+    assert "is there already" in said(str(driven_results), "--to", "ros2", "--output", str(taken))
     assert taken.read_text() == "mine"
-    assert "no such file" in said(str(folder), "--to", "ros2", "--output", out, "--log", "x.mcap")
-    assert main(["export", str(folder), "--to", "pdf", "--output", out]) == 2
+    assert "no such file" in said(
+        str(driven_results), "--to", "ros2", "--output", out, "--log", "x.mcap"
+    )
+    assert main(["export", str(driven_results), "--to", "pdf", "--output", out]) == 2
     error = capsys.readouterr().err
     assert all(name in error for name in FORMATS)

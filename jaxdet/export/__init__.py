@@ -56,8 +56,9 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("jaxdet"):
             raise
-        remedy = f"pip install 'jaxdet[{FORMATS[to].extra}]'"
-        raise ConfigError(f"--to {to} needs the package {error.name}", remedy=remedy) from error
+        package, extra = (error.name or "").split(".")[0], FORMATS[to].extra
+        remedy = f"pip install 'jaxdet[{extra}]'" if extra else "install jaxdet again"
+        raise ConfigError(f"--to {to} needs the package {package}", remedy=remedy) from error
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".jaxdet-", dir=output.parent))

@@ -39,6 +39,7 @@ from mcap_protobuf.writer import Writer
 
 from jaxdet.export.grid import FREE, OCCUPIED, Grid, last_grid
 from jaxdet.export.shapes import (
+    FRAME_COLUMNS,
     Row,
     T_camera_floor,
     T_world_camera,
@@ -88,7 +89,7 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
     sequence = 0
     own_poses = not log.poses_from_tf
-    for sequence, frame in enumerate(results.frames(log)):
+    for sequence, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
         stamp_ns = frame.row["stamp_ns"]
         if not sequence and (grid := last_grid(results, log)) is not None:
             message = grid_message(grid, stamp_ns, frame.row["world_frame"] or "")
@@ -247,7 +248,7 @@ def layout(results: Results) -> dict[str, Any]:
     """A layout with the scene beside the colour image of the first log."""
     view, image = "3D!jaxdet", "Image!jaxdet"
     logs = [log for log in results.logs if log.name == results.logs[0].name]
-    first = next(results.frames(logs[0]), None) if logs else None
+    first = next(results.frames(logs[0], FRAME_COLUMNS), None) if logs else None
     color, boxes = (logs[0].topic("color"), topic(logs[0], BOXES)) if logs else ("", "")
     shown = {topic(log, name): {"visible": True} for log in logs for name in (SCENE, MAP)}
     follow = first.row["world_frame"] or floor_name(first.row) if first else ""

@@ -6,7 +6,6 @@ covers a cell speaks for an obstacle there, free floor against one, and neither 
 than a few frames.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -25,8 +24,10 @@ HIT, MISS = 85, -40
 LEAST, MOST = -200, 350
 """Bounds of a cell's log-odds [1/100]: OctoMap's; nine frames of free floor clear any cell."""
 
-NEIGHBOURS = 4
-"""Columns of cells whose free floor ends farther apart than this many cells are not joined."""
+NEIGHBOURS = 8
+"""Columns whose free floor ends farther apart than this many cells, 3 degrees, are not joined: the
+tables leave out columns that show nothing. Neighbours that end before and behind an edge are up to
+so far apart too where the camera is rolled."""
 
 _ADDED = np.array([0, MISS, HIT], np.int16)
 _FRAME_COLUMNS = (
@@ -60,7 +61,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     odds = np.zeros(counted.counts.shape, np.int16)
     seen = np.zeros(counted.counts.shape, bool)
     gap = NEIGHBOURS * results.method.surface.cell_rad
-    for frame in _frames(results, log):
+    for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
         if (view := _cells(frame, gap)) is None:
             continue
         cells, low = view
@@ -72,14 +73,6 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
         seen[here] |= part > 0
     states = np.where(odds > 0, OCCUPIED, FREE)
     return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
-
-
-def _frames(results: Results, log: ResultLog) -> Iterator[Frame]:
-    """The frames with the columns that the map is made of."""
-    for chunk in results.chunks(log, _FRAME_COLUMNS, ("corners_world",)):
-        rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
-        for row, start, stop in zip(rows, chunk.first[:-1], chunk.first[1:], strict=True):
-            yield Frame(row, obstacles[start:stop])
 
 
 def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxdet.export.grid import Grid, last_grid
 from jaxdet.export.recordings import look_again
 from jaxdet.export.shapes import (
+    FRAME_COLUMNS,
     Row,
     T_camera_floor,
     T_world_camera,
@@ -56,7 +57,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 def _write_log(
     writer: Ros2LogWriter, results: Results, log: ResultLog, clouds: Iterator[np.ndarray]
 ) -> None:
-    for number, (frame, cloud) in enumerate(zip(results.frames(log), clouds, strict=True)):
+    frames = results.frames(log, FRAME_COLUMNS)
+    for number, (frame, cloud) in enumerate(zip(frames, clouds, strict=True)):
         row, stamp = frame.row, frame.row["stamp_ns"]
         if not number and (grid := last_grid(results, log)) is not None:
             message = grid_message(grid, stamp, row["world_frame"] or "")
@@ -97,7 +99,7 @@ def detections(frame: Frame) -> dict[str, Any]:
 
 def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
     """For each frame the corners of contours, else outlines, at the bottom and the top."""
-    for row, obstacles in results.frames(log):
+    for row, obstacles in results.frames(log, FRAME_COLUMNS):
         T, parts = T_camera_floor(row), [np.zeros(0, POINT)]
         for obstacle in obstacles:
             edge = contour(obstacle)

@@ -16,6 +16,12 @@ from jaxdet.results.reading import ResultLog
 
 Row = Mapping[str, Any]
 
+FRAME_COLUMNS = (
+    *("stamp_ns", "camera_frame", "world_frame", "camera_position_world"),
+    *("camera_orientation_world", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
+)
+"""What the functions here use of frames."""
+
 
 def topic(log: ResultLog, name: str) -> str:
     """A topic for what is shown of a log; of one with several cameras each has its own."""

@@ -197,12 +197,17 @@ class Results:
                 problem = f"the tables can't be read ({' '.join(str(error).split())})"
                 raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
 
-    def frames(self, log: ResultLog | None = None) -> Iterator[Frame]:
+    def frames(
+        self,
+        log: ResultLog | None = None,
+        frames: Sequence[str] | None = None,
+        obstacles: Sequence[str] | None = None,
+    ) -> Iterator[Frame]:
         """The frames one by one, each with its obstacles; see :meth:`chunks`."""
-        for chunk in self.chunks(log):
-            rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
+        for chunk in self.chunks(log, frames, obstacles):
+            rows, parts = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
             for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
-                yield Frame(row, obstacles[start:stop])
+                yield Frame(row, parts[start:stop])
 
     def world_frame(self, log: ResultLog) -> str:
         """The frame that poses, outlines in the world and the map are in; empty without poses."""
