@@ -14,7 +14,7 @@ from tests.io_helpers import write_log
 MOST_S, MOST_MIB = 10, 1024
 SAID = {
     "schema_memory": "",
-    "schema_text": "its schema has 1416",
+    "schema_text": "its schema has 14155787 bytes",
     "schema_comment": "messages can't be decoded",
     "schema_fields": "at most 10000 are taken",
     "many_topics": "InputError.*10001 topics or more",
