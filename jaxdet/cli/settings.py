@@ -66,7 +66,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"can't be read ({error.strerror})", path=str(path)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, lists in lists
         raise ConfigError(f"is not TOML: {error}", path=str(path)) from error
     for key, value in table.items():
         if key == "preset" and isinstance(value, str):
@@ -109,10 +109,10 @@ def _fits(value: Any, hint: Any) -> bool:
         return same and all(_fits(v, part) for v, part in zip(value, parts, strict=True))
     if origin is typing.Literal:
         return value in typing.get_args(hint)
+    if hint in (float, int) and isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) < 1 << 63
     if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+        return isinstance(value, float)
     return isinstance(value, hint)
 
 
