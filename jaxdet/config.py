@@ -78,7 +78,7 @@ class GroundConfig:
             "given with --ground.source flags",
         )
         _require(self.sample_frames >= 1, "ground.sample-frames", "at least 1")
-        _require(self.window_s >= 0, "ground.window-s", "at least 0")
+        _require_within(self.window_s, 0, 1e9, "ground.window-s")
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,9 @@ class FeaturesConfig:
 
     def __post_init__(self) -> None:
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
+        for name in ("canny_low", "canny_high"):
+            field = f"features.{name.replace('_', '-')}"
+            _require(not math.isnan(getattr(self, name)), field, "a number")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
         _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")
 

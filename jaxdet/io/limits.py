@@ -28,8 +28,6 @@ MAX_JSON_BYTES = 16 << 20
 """Of a JSON message: Python takes up to 50 times as much for it."""
 MAX_TRANSLATION_M = 1e8
 """Of a transform or pose [m]: coordinates with their origin in the Earth's middle are within."""
-MAX_TRUTH_BYTES = 1 << 28
-"""Of one array of a truth file."""
 
 _FREE_MESSAGES, _MESSAGE_BYTES = 250_000, 8
 _FREE_MOTIONS, _MOTION_BYTES = 100_000, 32

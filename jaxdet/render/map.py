@@ -116,7 +116,7 @@ def _draw_grid(panel: np.ndarray, low: np.ndarray, scale: float, step: float) ->
 def _round_length(metres: float) -> float:
     """The first of 0.1, 0.2, 0.5, 1, 2, 5, ... that is not shorter."""
     tens = 10.0 ** max(math.floor(math.log10(metres)), -1)
-    return next(base * tens for base in (1, 2, 5, 10) if base * tens >= 0.999 * metres)
+    return next(base * tens for base in (1, 2, 5, 10, 20) if base * tens >= metres)
 
 
 def _framed(
