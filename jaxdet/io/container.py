@@ -61,6 +61,9 @@ class McapFile:
             self.size = self.state.size
             self.check_unchanged()
             magic = self.read(0, min(self.size, len(MAGIC)))
+        except InputError:
+            self._file.close()
+            raise
         except (OSError, DamageError) as error:
             text = getattr(error, "strerror", None) or error
             problem = f"can't be read ({text})"

@@ -176,7 +176,10 @@ class Log:
     def _window(self, start: int, stop: int) -> Window:
         try:
             return self._frames.window(start, stop)
-        except DamageError as error:
+        except (DamageError, RescanError) as error:
+            self._store.check_unchanged()
+            if isinstance(error, RescanError):
+                raise
             raise _rescan(error, self._path) from error
 
     def described(self, notes: Notes) -> LogDescription:
@@ -255,6 +258,7 @@ class Log:
             try:
                 failures += self._reader.read(window, memory[0][rows], memory[1][rows])
             except DamageError as error:
+                self._store.check_unchanged()
                 raise _rescan(error, self._path) from error
             windows.append(window)
         self._store.check_unchanged()

@@ -208,7 +208,7 @@ FORMATS = {
         Format("no_crc", _ros(_raw_color, _raw_depth), {"compression": "none", **_BARE}),
         Format("no_crc_png", _ros(_jpeg, _png), {"compression": "zstd", **_BARE}),
         Format("no_chunks", _ros(_raw_color, _raw_depth), {"use_chunking": False, "crc": False}),
-        Format("no_index", _ros(_raw_color, _rvl), {"use_statistics": False}),
+        Format("no_index", _ros(_raw_color, _rvl), {"use_statistics": False, **_SMALL}),
     )
 }
 
