@@ -234,7 +234,7 @@ def _load(log: str | Path, names: Sequence[str]) -> list[np.ndarray]:
         InputError: One isn't there, is damaged or too large.
     """
     try:
-        with np.load(truth_path(log)) as arrays:
+        with truth_path(log).open("rb") as file, np.load(file) as arrays:
             for name in names:
                 if arrays.zip.getinfo(f"{name}.npy").file_size > MAX_ARRAY_BYTES:
                     raise ValueError(f"{name} is too large")
