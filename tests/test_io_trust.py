@@ -21,7 +21,7 @@ from jaxdet.io.messages import TransformMessage
 from jaxdet.io.opening import open_files, scan_files
 from jaxdet.io.rvl import decode_rvl
 from jaxdet.io.transforms import TransformTree
-from tests.fuzz.formats import FORMATS, encode_rvl, write_format
+from tests.fuzz.formats import encode_rvl, write_format
 from tests.fuzz.mutations import chunks, records
 from tests.io_helpers import (
     COLOR,
@@ -29,7 +29,6 @@ from tests.io_helpers import (
     COLOR_INFO,
     COLOR_K,
     COLOR_SIZE,
-    DEPTH_FRAME,
     SECOND,
     START,
     STORE,
@@ -368,5 +367,30 @@ def test_definitions_lose_what_says_nothing_of_bytes():
     assert bare_definition(text) == "uint8[<=3] a\nstring<=10 b\n====\nMSG: x/Y\nint8 c"
 
 
-def test_formats_are_read():
-    assert {"raw", "rgbd", "json"} < FORMATS.keys() and DEPTH_FRAME
+def test_partial_reads_and_errors_of_the_file_system(tmp_path, monkeypatch):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    plain, plain_into, failing = os.pread, os.preadv, False
+
+    def some(descriptor: int, size: int, position: int) -> bytes:
+        return plain(descriptor, min(size, 1000), position)
+
+    def some_into(descriptor: int, parts: list[memoryview], position: int) -> int:
+        if failing:
+            raise OSError(5, "Input/output error")
+        return plain_into(descriptor, [parts[0][:1000]], position)
+
+    monkeypatch.setattr(os, "pread", some)
+    monkeypatch.setattr(os, "preadv", some_into)
+    with open_log(str(path)) as log:
+        assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
+    with open_log(str(path), LogOptions(scan=True)) as log:
+        failing = True
+        statuses = [status for b in log.batches(3) for status in b.status]
+        assert FrameStatus.DECODE_ERROR in statuses and len(statuses) == 8
+
+
+def test_video_is_refused_by_name(tmp_path):
+    with LogFile(tmp_path / "x.mcap") as log:
+        log.json("/cam/color/video", "foxglove.CompressedVideo", {"data": ""}, START)
+    with pytest.raises(JaxdetError, match=r"/cam/color/video \(foxglove.CompressedVideo\)"):
+        open_log(str(tmp_path / "x.mcap"))
