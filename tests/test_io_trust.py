@@ -61,6 +61,7 @@ def test_a_chunk_that_the_index_counts_is_missed(tmp_path, name):
         assert file.lost["chunk of the index isn't there"] == 1 and file.lost_bytes > 0
         assert file.missing[COLOR] == 8 - log.num_frames and len(file.lost_spans_ns) == 1
         assert f"messages of {COLOR} missing" in " ".join(log.description.warnings)
+        assert "nothing tells" not in file.text
 
 
 def test_message_indexes_alone_tell_what_is_missing(tmp_path):

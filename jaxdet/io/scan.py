@@ -174,6 +174,7 @@ class _Scan:
         if self.summary is None and self.ended:
             try:
                 self.summary = read_summary_at(self.file, position)
+                self.summary_problem = ""
             except DamageError as error:
                 self.summary_problem = self.summary_problem or str(error)
 

@@ -98,8 +98,10 @@ def _read(file: McapFile, position: int | None) -> Summary:
     start = start if position is None else position
     if opcode != Opcode.FOOTER or length != _FOOTER.size - RECORD_HEAD.size:
         raise DamageError("footer is damaged")
-    if not len(MAGIC) < start <= place or place - start > file.max_bytes:
+    if not start:
         raise DamageError("no summary")
+    if not len(MAGIC) < start <= place or place - start > file.max_bytes:
+        raise DamageError("summary is not where the footer says")
     data = file.read(start, place - start)
     right = not crc or crc32(footer[:-4], crc32(data)) == crc
     try:
