@@ -109,10 +109,8 @@ def _fits(value: Any, hint: Any) -> bool:
         return same and all(_fits(v, part) for v, part in zip(value, parts, strict=True))
     if origin is typing.Literal:
         return value in typing.get_args(hint)
-    if hint in (float, int) and isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 1 << 63
-    if hint is float:
-        return isinstance(value, float)
+    if hint in (float, int) and isinstance(value, int):
+        return not isinstance(value, bool) and abs(value) < 1 << 63
     return isinstance(value, hint)
 
 
