@@ -1,6 +1,7 @@
 """The ways in which inputs and runs fail, and the tests that say what becomes of each."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -179,6 +180,7 @@ WITHOUT = {26, 27, 29, 30, 33}
 """Those that have no test."""
 
 
+@cache
 def names_in(file: str) -> list[str]:
     tree = ast.parse((TESTS / f"test_{file}.py").read_text(encoding="utf-8"))
     return [node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]

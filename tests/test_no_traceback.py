@@ -18,7 +18,7 @@ from jaxdet.errors import InputError
 from jaxdet.quiet import remove_torn
 from jaxdet.render import draw_map
 from jaxdet.results.occupancy import MapImage
-from jaxdet.sim import SimConfig, load_depths, load_truth, write_log
+from jaxdet.sim import SimConfig, load_depths, load_truth, truth, write_log
 from jaxdet.sim.truth import truth_path
 from tests.io_helpers import (
     COLOR,
@@ -181,8 +181,7 @@ def broken_truth(made: Path, folder: Path, how: str) -> Path:
             file.open("depth_000001.npy", "w", force_zip64=True) as array,
         ):
             array.write(head + text.ljust(117).encode() + b"\n")
-            for _ in range(300):
-                array.write(bytes(1 << 20))
+            array.write(bytes(4 << 20))
     return path
 
 
@@ -195,7 +194,8 @@ def test_truth_files(tmp_path, made, how):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_a_truth_file_with_an_image_of_4_gib(tmp_path, made):
+def test_a_truth_file_with_an_image_of_4_gib(tmp_path, made, monkeypatch):
+    monkeypatch.setattr(truth, "MAX_ARRAY_BYTES", 2 << 20)
     path = broken_truth(made, tmp_path, "4 GiB")
     with pytest.raises(InputError, match="no truth can be read"):
         load_depths(path, [0, 1])
