@@ -36,10 +36,10 @@ from jaxdet.floor.plane import flat_plane, repeat_plane
 from jaxdet.io import Log, open_log
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
 from jaxdet.io.container import McapFile
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
-from jaxdet.io.scan import ChannelInfo
 from jaxdet.results.rows import batch_rows, row_inputs
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.writer import to_table

@@ -78,7 +78,7 @@ class GroundConfig:
             "given with --ground.source flags",
         )
         _require(self.sample_frames >= 1, "ground.sample-frames", "at least 1")
-        _require_within(self.window_s, 0, 1e6, "ground.window-s")
+        _require_within(self.window_s, 0, 1e9, "ground.window-s")
         for angle, most in (("pitch", math.pi / 2), ("roll", math.pi)):
             value = getattr(self, f"camera_{angle}_rad")
             rule = f"within {math.degrees(most):.0f}°, not {math.degrees(value):.0f}°"
@@ -108,9 +108,10 @@ class FeaturesConfig:
     """Take corners only on what is in range and above the floor; off: drop them afterwards."""
 
     def __post_init__(self) -> None:
-        _require(not math.isnan(self.canny_low), "features.canny-low", "a number")
-        _require(not math.isnan(self.canny_high), "features.canny-high", "a number")
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
+        for name in ("canny_low", "canny_high"):
+            field = f"features.{name.replace('_', '-')}"
+            _require(not math.isnan(getattr(self, name)), field, "a number")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
         _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")
 

@@ -94,7 +94,7 @@ def read_table(path: Path) -> dict[str, Any]:
         return _of_results(text, where)
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, lists in lists
         raise ConfigError(f"is not TOML: {error}", path=where) from error
     for key, value in table.items():
         if key == "preset" and isinstance(value, str):
@@ -110,7 +110,7 @@ def _of_results(text: str, where: str) -> dict[str, Any]:
     """The sections of a ``config.json``, which says more of its run, without what is not set."""
     try:
         table = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"is not JSON: {error}", path=where) from error
     if not isinstance(table, dict) or not all(
         isinstance(table.get(name), dict) for name in SECTIONS
@@ -173,10 +173,8 @@ def _fits(value: Any, hint: Any) -> bool:
         return same and all(_fits(v, part) for v, part in zip(value, parts, strict=True))
     if origin is typing.Literal:
         return value in typing.get_args(hint)
-    if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+    if hint in (float, int) and isinstance(value, int):
+        return not isinstance(value, bool) and abs(value) < 1 << 63
     return isinstance(value, hint)
 
 

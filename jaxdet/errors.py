@@ -3,6 +3,30 @@
 from enum import StrEnum
 
 
+def printable(text: str, limit: int | None = None) -> str:
+    r"""A name from a file or of one, fit for a terminal, a table and JSON.
+
+    Control characters, line breaks and what else is not printable become escapes, as do bytes of
+    file names that are not UTF-8 (which Python has as lone surrogates).
+
+    Args:
+        text: The name.
+        limit: Most characters.
+
+    >>> printable("a\x1b[31m\n\udcff")
+    'a\\x1b[31m\\n\\xff'
+    """
+    if text.isprintable():
+        return text[:limit]
+    return "".join(char if char.isprintable() else _escaped(char) for char in text)[:limit]
+
+
+def _escaped(char: str) -> str:
+    if "\udc80" <= char <= "\udcff":
+        return f"\\x{ord(char) - 0xDC00:02x}"
+    return char.encode("unicode_escape").decode("ascii")
+
+
 class JaxdetError(Exception):
     """Base of every error raised on purpose; its text is one line for the user.
 
@@ -15,9 +39,10 @@ class JaxdetError(Exception):
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "", remedy: str = "") -> None:
         self.problem, self.path, self.topic, self.remedy = problem, path, topic, remedy
-        where = ": ".join(part for part in (path, topic) if part)
+        where = ": ".join(printable(part) for part in (path, topic) if part)
         text = f"{where}: {problem}" if where else problem
-        super().__init__(f"{text}; {remedy}" if remedy else text)
+        text = f"{text}; {remedy}" if remedy else text
+        super().__init__(printable(" ".join(text.split()) if "\n" in text else text))
 
     def __reduce__(self) -> tuple:
         """Whatever a kind of error is made from, it arrives whole in another process."""

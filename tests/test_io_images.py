@@ -18,11 +18,11 @@ from jaxdet.io.compressed import (
     decode_compressed_depth,
     is_compressed_depth,
 )
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth, metres_to_units
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.rvl import decode_rvl
-from jaxdet.io.scan import ChannelInfo
 from tests.io_helpers import STORE, ros_image
 
 LIMIT = 1 << 20

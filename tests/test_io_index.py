@@ -272,7 +272,7 @@ def test_damage_where_no_pair_is_asks_for_the_scan(tmp_path):
         with open_only(str(path)) as log:
             assert is_indexed(log)
             read_all(log)
-        flip(path, chunk.chunk_start_offset + chunk.chunk_length - 2)
+        flip(path, chunk.chunk_start_offset + chunk.chunk_length - 8)
         with open_only(str(path)) as log, pytest.raises(RescanError, match="CRC"):
             read_all(log)
 

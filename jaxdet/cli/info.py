@@ -11,7 +11,7 @@ from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
 from jaxdet.cli.settings import defaults, given
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import CamerasError, JaxdetError
+from jaxdet.errors import CamerasError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -129,7 +129,8 @@ def describe(
 
 def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[str]:
     yield f"{label}: {about.num_frames} colour frames in {about.duration_s:.2f} s"
-    yield from _section("files", [f"{file.path}: {file.text}" for file in about.integrity])
+    files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
+    yield from _section("files", files)
     yield from _section("topics", _topics(about.topics))
     yield from _section("cameras", about.cameras)
     yield from _section("used", about.choices)

@@ -3,12 +3,15 @@
 import difflib
 import os
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from io import TextIOWrapper
+from tempfile import NamedTemporaryFile
 
 import jaxdet
 from jaxdet.cli.spinner import SPINNER
-from jaxdet.errors import ConfigError, JaxdetError
+from jaxdet.errors import ConfigError, JaxdetError, printable
 
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
@@ -53,6 +56,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted.
     """
     args = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # whatever a terminal or a pipe can show
+            stream.reconfigure(errors="backslashreplace")
     if not args or args[0] in ("-h", "--help"):
         lines = (f"  {name:<8} {text}" for name, text in COMMANDS.items())
         print(HELP.format(commands="\n".join(lines)), end="")
@@ -86,13 +92,33 @@ def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except OSError as error:  # a full or failing disk
+    except Exception as error:
+        if not isinstance(error, OSError):
+            return _fail(_reported(error), 1)
+        # a full or failing disk
         return _fail(f"{error.filename or 'input or output'}: {error.strerror or error}", 1)
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else int(exit.code is not None)
 
 
+def _reported(error: Exception) -> str:
+    """A line about an error of our own, and a file with the rest."""
+    kind = type(error).__name__
+    text = "".join(traceback.format_exception(error))
+    try:
+        with NamedTemporaryFile("w", prefix="jaxdet-", suffix=".txt", delete=False) as file:
+            file.write(printable_lines(text))
+    except OSError:
+        return f"an error in jaxdet itself ({kind}: {error})"
+    return f"an error in jaxdet itself ({kind}); please report it with the file {file.name}"
+
+
+def printable_lines(text: str) -> str:
+    """Each line made printable."""
+    return "\n".join(map(printable, text.splitlines())) + "\n"
+
+
 def _fail(message: str, code: int) -> int:
     SPINNER.stop()
-    print(f"jaxdet: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"jaxdet: error: {printable(' '.join(message.split()))}", file=sys.stderr)
     return code

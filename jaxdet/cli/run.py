@@ -146,6 +146,8 @@ def main(args: list[str]) -> int:
         found = track_results(command.run.output)
         if not silent:
             print("\n".join(track_lines(found)))
-    for log in summary.failed:
-        print(f"jaxdet: error: {log.error}", file=sys.stderr)
-    return 1 if summary.failed else 0
+    errors = [log.error for log in summary.failed]
+    errors += [log.unusable for log in summary.whole if log.unusable]
+    for error in errors:
+        print(f"jaxdet: error: {error}", file=sys.stderr)
+    return 1 if errors else 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.errors import InputError
 from jaxdet.eval import (
     EvalConfig,
     Tally,
@@ -57,6 +58,10 @@ class TruthScore:
         known = np.array(numbers) >= 0
         which = np.where(known, numbers, 0)
         images = [load(self.log, which) for load in (load_obstacle_ids, load_depths, load_drivable)]
+        size = tuple(frames.color.shape[1:3])
+        if images[0].shape[1:] != size or images[0].max(initial=0) > len(truth.is_wall):
+            problem, remedy = "the truth is of other images", "give the log's own truth"
+            raise InputError(problem, path=str(self.log), remedy=remedy)
         shown = truth_of(truth, which, *images)
         unit, valid = frames.calibration.depth_unit, frames.valid & known
         right = evaluate(found, shown, unit, self.config, valid)

@@ -8,6 +8,9 @@ import tyro
 
 from jaxdet.errors import ConfigError
 
+MAX_WORKERS = 1024
+"""Processes; more than machines have cores."""
+
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 
@@ -35,5 +38,6 @@ class RunOptions:
             raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
         if self.pictures < 0:
             raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
-        if self.workers is not None and self.workers < 1:
-            raise ConfigError(f"{self.workers} workers", remedy="give --workers 1 or more")
+        if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:
+            remedy = f"give --workers from 1 to {MAX_WORKERS}"
+            raise ConfigError(f"{self.workers} workers", remedy=remedy)

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxdet.errors import ConfigError
 from jaxdet.quiet import quiet_warp
 
 ENVIRONMENT = "JAXDET_CACHE"
@@ -69,10 +70,33 @@ def use_caches() -> Caches:
 
 
 def start_up() -> None:
-    """What a process does that computes, in the order that it needs."""
+    """What a process does that computes, in the order that it needs.
+
+    Raises:
+        ConfigError: JAX has no device of the platform that the environment asks for.
+    """
     keep_memory()
+    _check_platforms()
     use_caches()
     quiet_warp()
+
+
+def _check_platforms() -> None:
+    """The stages need the CPU beside any other platform, and all that are asked for."""
+    asked = os.environ.get("JAX_PLATFORMS", "")
+    if asked in ("", "cpu"):
+        return
+    import jax
+
+    alone = "cpu" not in asked.split(",")
+    try:
+        jax.config.update("jax_platforms", f"{asked},cpu" if alone else asked)
+        found = jax.default_backend()
+    except RuntimeError:
+        found = ""
+    if not found or (alone and found == "cpu"):
+        problem = f"JAX has no device for JAX_PLATFORMS={asked}"
+        raise ConfigError(problem, remedy="unset JAX_PLATFORMS, or set it to cpu")
 
 
 def start_reading() -> None:

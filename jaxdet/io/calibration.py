@@ -1,19 +1,19 @@
 """The calibration of the chosen topics, each part with where it comes from."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.checks import check_calibration
-from jaxdet.errors import CalibrationError
+from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.index import LogIndex
 from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize, ImageStream, first_image, image_sizes
-from jaxdet.io.topics import Choice, affinity, printable
+from jaxdet.io.topics import Choice, affinity
 from jaxdet.types import Calibration, Intrinsics
 
 DEPTH_UNIT_M = 0.001
@@ -31,6 +31,8 @@ class Calibrated(NamedTuple):
     origins: tuple[str, ...]
     """Sentences."""
     extrinsics_source: str
+    used: dict[str, CameraInfoMessage]
+    """The calibrations used, by topic."""
     warnings: tuple[str, ...]
 
 
@@ -44,7 +46,8 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     color_stream, depth_stream = index.streams[choice.color], index.streams[choice.depth]
     color_frame = options.camera_frame or _frame(color_stream, False)
     depth_frame = _frame(depth_stream, True)
-    color = find_intrinsics(_source(index, color_stream, False, options, path))
+    color_source = _source(index, color_stream, False, options, path)
+    color = find_intrinsics(color_source)
     depth_source = _source(index, depth_stream, True, options, path)
     unit = options.depth_unit_m or DEPTH_UNIT_M
     origins = [_line("colour", color.intrinsics, color.origin)]
@@ -56,7 +59,9 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         warnings += _aligned_doubts(depth_source, color.intrinsics, choice.depth)
         calibration = Calibration(color.intrinsics, None, None, unit)
         extrinsics_source = f"not needed: depth is aligned to colour ({why})"
+        sources = [color_source]
     else:
+        sources = [color_source, depth_source]
         depth = find_intrinsics(depth_source)
         found = find_extrinsics(index, options, choice.depth, color_frame, depth_frame, path)
         origins.append(_line("depth", depth.intrinsics, depth.origin))
@@ -70,9 +75,10 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         raise CalibrationError(error.problem, path=path, remedy=error.remedy) from error
     given = "--log.depth-unit-m" if options.depth_unit_m else "the default"
     origins.append(f"depth unit: {unit:g} m, {given}")
-    warnings += _changes(index, (choice.color, choice.depth))
+    used = {item.topic: item.info for item in sources if item.info and item.matrix is None}
+    warnings += _changes(index, used)
     return Calibrated(
-        calibration, color_frame, size, tuple(origins), extrinsics_source, tuple(warnings)
+        calibration, color_frame, size, tuple(origins), extrinsics_source, used, tuple(warnings)
     )
 
 
@@ -119,7 +125,8 @@ def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[
     own = (K[0], K[4], K[2], K[5])
     if np.allclose(own, color[2:6], rtol=0, atol=0.5):
         return []
-    return [f"{depth.topic}: depth counts as aligned but has another camera matrix than colour"]
+    text = "depth counts as aligned but has another camera matrix than colour"
+    return [f"{printable(depth.topic)}: {text}"]
 
 
 def _source(
@@ -132,7 +139,7 @@ def _source(
     sizes = image_sizes(stream, depth).most_common(1)
     return CameraSource(
         name=name,
-        topic=printable(topic),
+        topic=topic,
         info=info,
         size=sizes[0][0] if sizes else None,
         rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
@@ -178,12 +185,11 @@ def _frame_of(info: CameraInfoMessage | None) -> str:
     return info.frame_id if info else ""
 
 
-def _changes(index: LogIndex, topics: Sequence[str]) -> list[str]:
+def _changes(index: LogIndex, used: Mapping[str, CameraInfoMessage]) -> list[str]:
     return [
-        f"{printable(name)} has several calibrations; the first valid one is used throughout"
-        for name, item in sorted(index.calibrations.items())
-        if len(item.distinct) > 1
-        and any(affinity(name, topic) >= name.strip("/").count("/") for topic in topics)
+        f"{printable(name)} changes: frames with another calibration than the first are not used"
+        for name in sorted(used)
+        if len(index.calibrations[name].changes) > 1
     ]
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from jaxdet.errors import CalibrationError, CamerasError, TopicError
+from jaxdet.errors import CalibrationError, CamerasError, TopicError, printable
 from jaxdet.io.calibration import calibrate
 from jaxdet.io.index import LogIndex
 from jaxdet.io.options import LogOptions
@@ -56,12 +56,14 @@ class Cameras(NamedTuple):
         """The cameras for a person; empty where there is one."""
         found = {name: f"{item.color}, {item.depth}" for name, item in self.complete.items()}
         found |= {name: f"not used: {error.problem}" for name, error in self.incomplete.items()}
-        return tuple(f"{name}: {found[name]}" for name in self.names if len(found) > 1)
+        return tuple(printable(f"{name}: {found[name]}") for name in self.names if len(found) > 1)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is to be said of those that are not complete."""
-        return tuple(f"camera {name} is left out: {e}" for name, e in self.incomplete.items())
+        return tuple(
+            f"camera {printable(name)} is left out: {e}" for name, e in self.incomplete.items()
+        )
 
 
 def find_cameras(index: LogIndex, options: LogOptions, path: str) -> Cameras:

@@ -14,12 +14,13 @@ import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
 
+from jaxdet.io.limits import MAX_ODD_RECORDS
+
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length, before every record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time [ns], publish time [ns]; the payload follows."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
-_MAX_ODD_RECORDS = 1000
 
 
 _of_thread = local()
@@ -140,7 +141,7 @@ def chunk_records(records: bytes) -> Iterator[Record]:
             raise DamageError("message is longer than its chunk")
         useful = opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA)
         odd += not useful or size == 0
-        if opcode == 0 or odd > _MAX_ODD_RECORDS:
+        if opcode == 0 or odd > MAX_ODD_RECORDS:
             raise DamageError("chunk holds what is no record")
         if useful:
             yield Record(opcode, position, size)

@@ -26,24 +26,44 @@ class Location(NamedTuple):
     size: int
 
 
+class FileState(NamedTuple):
+    """By what a file is known again."""
+
+    device: int
+    inode: int
+    size: int
+    modified_ns: int
+
+    @classmethod
+    def of(cls, found: os.stat_result) -> "FileState":
+        """The state in what the system says of a file."""
+        return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+
+
 class McapFile:
     """One open file; threads may share it, since no read moves its position.
 
     Args:
         path: The file.
         max_bytes: Largest chunk or message, before and after decompression.
+        state: What it must still be; default: as it is found.
 
     Raises:
-        InputError: It can't be opened or isn't an MCAP file.
+        InputError: It can't be opened, isn't an MCAP file, or is not as ``state`` says.
     """
 
-    def __init__(self, path: Path, max_bytes: int) -> None:
+    def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes
         try:
             self._file = path.open("rb", buffering=0)
             self._descriptor = self._file.fileno()
-            self.size = self._file.seek(0, os.SEEK_END)
+            self.state = state or FileState.of(os.fstat(self._descriptor))
+            self.size = self.state.size
+            self.check_unchanged()
             magic = self.read(0, min(self.size, len(MAGIC)))
+        except InputError:
+            self._file.close()
+            raise
         except (OSError, DamageError) as error:
             text = getattr(error, "strerror", None) or error
             problem = f"can't be read ({text})"
@@ -56,12 +76,27 @@ class McapFile:
 
     def __reduce__(self) -> tuple:
         """In another process the file is opened again."""
-        return McapFile, (self.path, self.max_bytes)
+        return McapFile, (self.path, self.max_bytes, self.state)
 
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
         self._descriptor = -1
+
+    def check_unchanged(self) -> None:
+        """Makes sure that the file is what it was when it was opened.
+
+        Raises:
+            InputError: It has another size or time of change, or another file has its name.
+        """
+        try:
+            found = {FileState.of(os.fstat(self._descriptor)), FileState.of(os.stat(self.path))}
+        except OSError:
+            found = set()
+        if found != {self.state}:
+            problem = "the file was changed while it was read"
+            remedy = "read it again when nothing writes to it"
+            raise InputError(problem, path=str(self.path), remedy=remedy)
 
     def chunk_head(self, position: int) -> ChunkHead:
         """The head of the chunk record whose content begins at ``position``.
@@ -98,6 +133,7 @@ class McapFile:
 
         Raises:
             DamageError: The file ends before, or can't be read there.
+            InputError: It was changed since it was opened.
         """
         try:
             data = os.pread(self._descriptor, size, position)
@@ -105,6 +141,9 @@ class McapFile:
             raise _unreadable(error) from error
         if len(data) == size:
             return data
+        if position + size > self.size:
+            self.check_unchanged()
+            raise DamageError("file ends early")
         whole = bytearray(size)
         whole[: len(data)] = data
         self.read_into(position + len(data), [memoryview(whole)[len(data) :]])
@@ -115,6 +154,7 @@ class McapFile:
 
         Raises:
             DamageError: The file ends before, or can't be read there.
+            InputError: It was changed since it was opened.
         """
         left = list(parts)
         while left := [part for part in left if len(part)]:
@@ -123,6 +163,7 @@ class McapFile:
             except (OSError, OverflowError, ValueError) as error:
                 raise _unreadable(error) from error
             if not count:
+                self.check_unchanged()
                 raise DamageError("file ends early")
             position += count
             done = 0

@@ -5,8 +5,10 @@ All three are decoded by the schema that stands in the log, never by offsets kno
 
 import json
 import re
+import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
+from functools import lru_cache
 from io import StringIO
 from types import SimpleNamespace
 from typing import Any
@@ -17,9 +19,10 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from jaxdet.errors import FrameError, FrameStatus
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SCHEMA_LINES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
-from jaxdet.io.scan import ChannelInfo
 
 _HEADER_FIRST = re.compile(r"\s*std_msgs/(msg/)?Header\s+header\s*")
 _STAMP_FIRST = re.compile(r"\s*builtin_interfaces/(msg/)?Time\s+stamp\s*")
@@ -36,14 +39,20 @@ class MessageDecoder:
         kind = kind_of(channel.schema_name)
         if kind is None:
             raise ValueError(f"schema {channel.schema_name!r} is of no use here")
+        if channel.schema_size > MAX_SCHEMA_BYTES:
+            size = f"{channel.schema_size} bytes, but at most {MAX_SCHEMA_BYTES} are read"
+            raise ValueError(f"its schema has {size}")
         self.channel = channel
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
-        self._raw = _raw_decoder(channel)
+        self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
         self.stamp_leads: bool = channel.message_encoding == "cdr" and _stamp_leads(
             channel.schema_text
         )
+        small = kind not in IMAGE_KINDS
+        json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
+        self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
 
     def __reduce__(self) -> tuple:
         """In another process the decoder is made again from the schema."""
@@ -55,6 +64,10 @@ class MessageDecoder:
         Raises:
             FrameError: It can't be decoded.
         """
+        if len(payload) > self._most_bytes:
+            problem = f"{self.kind.value} message of {len(payload)} bytes, but at most "
+            problem += f"{self._most_bytes} are read"
+            raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
         try:
             return parse(self.kind, self._raw(self._readable(payload)), self._name)
         except MemoryError:
@@ -95,32 +108,51 @@ def _short(error: Exception) -> str:
     return f"{type(error).__name__}: {text[:120]}" if text else type(error).__name__
 
 
-def _raw_decoder(channel: ChannelInfo) -> Callable[[bytes], Any]:
-    if channel.message_encoding == "json":
+@lru_cache(64)
+def _raw_decoder(
+    message_encoding: str, name: str, schema_encoding: str, data: bytes
+) -> Callable[[bytes], Any]:
+    """A log may have many topics of one schema, which is parsed once."""
+    if message_encoding == "json":
         return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
-    schema = Schema(
-        id=1,
-        data=channel.schema_data,
-        encoding=channel.schema_encoding,
-        name=channel.schema_name,
-    )
     factories = {"cdr": Ros2Factory, "protobuf": ProtobufFactory}
     decode = None
     try:
-        if channel.message_encoding in factories:
+        if message_encoding == "cdr" and schema_encoding == "ros2msg":
+            data = bare_definition(data.decode()).encode()
+        schema = Schema(id=1, data=data, encoding=schema_encoding, name=name)
+        if message_encoding in factories:
             # mcap_ros2 prints what it can't parse; the error says it too.
             with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
-                decode = factories[channel.message_encoding]().decoder_for(
-                    channel.message_encoding, schema
-                )
+                decode = factories[message_encoding]().decoder_for(message_encoding, schema)
     except Exception as error:  # parsers of foreign text raise what they like
         raise ValueError(f"its schema can't be read ({_short(error)})") from error
     if decode is None:
-        what = f"{channel.message_encoding} with {channel.schema_encoding} schema"
+        what = f"{message_encoding} with {schema_encoding} schema"
         raise ValueError(
             f"encoding {what} is not supported (only cdr with ros2msg, protobuf, json)"
         )
     return decode
+
+
+def bare_definition(text: str) -> str:
+    """A ROS definition's types and names, without comments, constants and default values.
+
+    These say nothing of the bytes of a message, and the parser takes time that grows with the
+    square of their length.
+
+    Raises:
+        ValueError: It has more than ``MAX_SCHEMA_LINES``.
+    """
+    lines = []
+    for line in text.splitlines():
+        kind, _, rest = line.partition("#")[0].strip().partition(" ")
+        if not kind or (kind != "MSG:" and "=" in rest):
+            continue
+        lines.append(f"{kind} {''.join(rest.split()[:1])}".rstrip())
+    if len(lines) > MAX_SCHEMA_LINES:
+        raise ValueError(f"it has {len(lines)} fields, but at most {MAX_SCHEMA_LINES} are taken")
+    return "\n".join(lines)
 
 
 def _stamp_leads(schema_text: str) -> bool:

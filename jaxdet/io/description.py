@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.errors import printable
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
 from jaxdet.io.index import LogIndex
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import encoding_of, printable
+from jaxdet.io.topics import encoding_of
 
 _SLOW_PAIR_S = 0.05
 

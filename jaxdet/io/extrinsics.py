@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError
+from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.index import LogIndex
 from jaxdet.io.motion import difference, motion_matrix
 from jaxdet.io.options import LogOptions
-from jaxdet.io.topics import affinity, printable
+from jaxdet.io.topics import affinity
 from jaxdet.types import Extrinsics
 
 _AGREE_M, _AGREE_RAD = 0.001, 0.002

@@ -8,7 +8,8 @@ from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, printable
+from jaxdet.io.splits import Recording, Sketch, difference, recordings, sketch
 
 _SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.mcap")
 
@@ -19,14 +20,17 @@ class LogFiles(NamedTuple):
     name: str
     """Unique among the logs found together; may hold ``/`` (parent folders)."""
     paths: tuple[Path, ...]
+    note: str = ""
+    """What is to be said of their choice."""
 
 
 def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> list[LogFiles]:
     """The logs in files, folders (searched with their subfolders) and globs.
 
     Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are the splits of one log called
-    ``NAME``, in the order of their numbers, with or without a ``metadata.yaml``; every other
-    ``.mcap`` file is a log called by its stem. Equal names get as many parent folders put
+    ``NAME``, in the order of their numbers, with or without a ``metadata.yaml``, unless what is in
+    them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
+    its stem. Names are made printable. Equal names get as many parent folders put
     before them as it takes. A file named twice counts once; the order is by path and does not
     depend on the order of ``inputs``.
 
@@ -39,15 +43,20 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     for path in sorted(paths, key=_order):
         match = _SPLIT.fullmatch(path.name)
         groups.setdefault((path.parent, match["stem"] if match else path.name), []).append(path)
-    members = list(groups.values())
-    stems = [
-        group[0].with_name(stem) if len(group) > 1 else group[0].with_suffix("")
-        for (_, stem), group in groups.items()
-    ]
+    stems, members = [], []
+    for (_, stem), group in groups.items():
+        parts = [Recording(tuple(group), "")]
+        if len(group) > 1:
+            parts = recordings((_number(path), path) for path in group)
+        for part in parts:
+            alone = len(part.paths) == 1 or len(parts) > 1
+            first = part.paths[0]
+            stems.append(first.with_suffix("") if alone else first.with_name(stem))
+        members += parts
     names = _unique_names(stems)
     return [
-        LogFiles(name, tuple(paths[path] for path in group))
-        for name, group in zip(names, members, strict=True)
+        LogFiles(name, tuple(paths[path] for path in part.paths), part.note)
+        for name, part in zip(names, members, strict=True)
     ]
 
 
@@ -74,7 +83,17 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
         other = _SPLIT.fullmatch(path.name)
         if other and other["stem"] == match["stem"] and path.resolve() not in have:
             found.append(path)
-    return tuple(sorted(found, key=_order))
+    if not found:
+        return ()
+    own, number = sketch(first), _number(first)
+    return tuple(path for path in sorted(found, key=_order) if _belongs(path, own, number))
+
+
+def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
+    """Whether a split is of the same recording as the one with a number."""
+    steps = _number(path) - number
+    pair = (own, sketch(path)) if steps > 0 else (sketch(path), own)
+    return not difference(*pair, abs(steps))
 
 
 def _files(text: str) -> list[Path]:
@@ -112,13 +131,16 @@ def _order(path: Path) -> tuple[str, str, int, str]:
 
 
 def _unique_names(stems: Sequence[Path]) -> list[str]:
-    names = [stem.name for stem in stems]
+    names = [printable(stem.name) for stem in stems]
     for depth in range(2, 1 + max((len(stem.parts) for stem in stems), default=0)):
         double = {name for name in names if names.count(name) > 1}
         if not double:
             break
         names = [
-            "/".join(stem.parts[-depth:]) if name in double else name
+            printable("/".join(stem.parts[-depth:])) if name in double else name
             for name, stem in zip(names, stems, strict=True)
         ]
+    for number, name in enumerate(names):  # what is printable may be equal
+        if name in names[:number]:
+            names[number] = f"{name} ({number})"
     return names

@@ -10,12 +10,14 @@ from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
+from jaxdet.io.messages import Kind
 from jaxdet.io.notes import Notes
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
 from jaxdet.io.streams import ImageSource, first_image
 from jaxdet.io.timeline import Timeline, Window, log_time_warnings, make_timeline
 from jaxdet.io.topics import Choice
+from jaxdet.io.validity import CalibrationWindows, other_calibration
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
@@ -28,6 +30,8 @@ class ScannedFrames(NamedTuple):
     timeline: Timeline
     T_world_camera: np.ndarray | None
     """``(F, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
+    other_calibration: np.ndarray
+    """``(F,)`` bool, frames to which another calibration belongs than the one used."""
 
     @property
     def num_frames(self) -> int:
@@ -50,7 +54,8 @@ class ScannedFrames(NamedTuple):
 
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``."""
-        return self.timeline.window(start, stop, self.T_world_camera)
+        window = self.timeline.window(start, stop, self.T_world_camera)
+        return window._replace(other_calibration=self.other_calibration[start:stop])
 
 
 class Findings(NamedTuple):
@@ -95,9 +100,14 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
         return _any_known(source.at(stamps, index.tree, tracks))
 
     parts = _find(index, cameras, choice, options, ever_known, path)
+    other = np.zeros(len(stamps), bool)
+    for topic, used in parts.calibrated.used.items():
+        if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
+            changes = index.calibrations[topic].changes
+            other |= other_calibration(stamps, changes, used, timeline.by_log_time)
     return Findings(
         *parts,
-        ScannedFrames(timeline, parts.poses.at(stamps, index.tree, tracks)),
+        ScannedFrames(timeline, parts.poses.at(stamps, index.tree, tracks), other),
         ImageSource(color.topic, color.decoders),
         ImageSource(depth.topic, depth.decoders),
         timeline.warnings,
@@ -149,9 +159,12 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         above for frame in frames_used for above in index.tree.above(frame)
     }:
         raise RescanError("a transform is too rare for a sample", path=path)
+    used = parts.calibrated.used
+    infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
+    calibrations = CalibrationWindows(infos, used, log.store, path)
     return Findings(
         *parts,
-        frames.with_poses(parts.poses),
+        frames.with_poses(parts.poses, calibrations),
         ImageSource(color.topic, color.decoders),
         ImageSource(depth.topic, depth.decoders),
         tuple(

@@ -65,6 +65,22 @@ def check_size(width: int, height: int, max_pixels: int) -> None:
         raise bad_frame(f"image of {width}x{height} pixels is larger than --log.max-pixels")
 
 
+def check_pixels(image: ImageMessage) -> None:
+    """Refuses an image whose bytes are fewer than its pixels, before its size is believed.
+
+    Raises:
+        FrameError: They are.
+    """
+    _check_data(image, 1, image.step or image.width)
+
+
+def _check_data(image: ImageMessage, pixel_bytes: int, step: int) -> None:
+    needed = (image.height - 1) * step + image.width * pixel_bytes
+    if step < image.width * pixel_bytes or len(image.data) < needed:
+        given = f"{image.width}x{image.height} {image.encoding!a}, step {image.step}"
+        raise bad_frame(f"{len(image.data)} bytes are too few for {given}")
+
+
 def check_row(what: str, width: int, height: int, row: np.ndarray) -> None:
     """Refuses an image of another size than the calibrated one, which ``row`` has.
 
@@ -148,9 +164,6 @@ def _pixels(image: ImageMessage, dtype: np.dtype, channels: int, max_pixels: int
     check_size(image.width, image.height, max_pixels)
     size = dtype.itemsize * channels
     step = image.step or image.width * size
-    needed = (image.height - 1) * step + image.width * size
-    if step < image.width * size or len(image.data) < needed:
-        given = f"{image.width}x{image.height} {image.encoding!a}, step {image.step}"
-        raise bad_frame(f"{len(image.data)} bytes are too few for {given}")
+    _check_data(image, size, step)
     shape = image.height, image.width, channels
     return np.ndarray(shape, dtype, image.data, strides=(step, size, dtype.itemsize))

@@ -7,9 +7,12 @@ never held. So a log of a million images takes about 64 MB.
 from contextlib import suppress
 
 from jaxdet.errors import FrameError
-from jaxdet.io.container import Location
+from jaxdet.io.container import Location, McapFile
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.images import check_pixels
 from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.messages import (
     IMAGE_KINDS,
     CameraInfoMessage,
@@ -22,11 +25,9 @@ from jaxdet.io.messages import (
     kind_of,
 )
 from jaxdet.io.motion import MotionSamples
-from jaxdet.io.scan import ChannelInfo
 from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageStream
 from jaxdet.io.transforms import TransformTree
-
-_MAX_DISTINCT = 8
+from jaxdet.io.validity import CalibrationChange, values_of
 
 
 class TopicInfo:
@@ -48,15 +49,17 @@ class CalibrationTopic:
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
         """The first that is calibrated (K[0] is not 0), else the first of all."""
-        self.distinct: set[tuple[object, ...]] = set()
+        self.changes: list[CalibrationChange] = []
+        """In the order of the files."""
         self.last_payload = b""
 
-    def add(self, info: CameraInfoMessage) -> None:
+    def add(self, info: CameraInfoMessage, log_ns: int) -> None:
         """Adds a calibration."""
+        values = values_of(info)
+        if values is not None and (not self.changes or self.changes[-1].values != values):
+            self.changes.append(CalibrationChange(info.stamp_ns, log_ns, values))
         if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
             self.first = info
-        if len(self.distinct) < _MAX_DISTINCT:
-            self.distinct.add(info[2:])
 
 
 class PoseTrack:
@@ -93,7 +96,8 @@ class IndexBuilder:
 
     def __init__(self, index: LogIndex, use_tf: bool, images: bool = True) -> None:
         self.index, self.use_tf, self.images = index, use_tf, images
-        self.file_number = -1
+        self.file_number, self.path, self.bytes = -1, "", 0
+        self._small_messages = 0
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
     def decoder(self, channel: ChannelInfo) -> MessageDecoder | None:
@@ -115,9 +119,11 @@ class IndexBuilder:
             topic.first_ns = min(topic.first_ns, first_ns)
             topic.last_ns = max(topic.last_ns, last_ns)
 
-    def next_file(self) -> None:
+    def next_file(self, file: McapFile) -> None:
         """Call before each file's scan."""
         self.file_number += 1
+        self.path = str(file.path)
+        self.bytes += file.size
 
     def add(
         self, channel: ChannelInfo, log_ns: int, payload: memoryview, location: Location
@@ -133,13 +139,14 @@ class IndexBuilder:
                 if self.images:
                     self._image(channel.topic, decoder, log_ns, payload, location)
             else:
-                self._small(channel.topic, decoder, payload)
+                self._small(channel.topic, decoder, payload, log_ns)
         except FrameError:
             topic.undecodable += 1
 
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
         topics = self.index.topics
         if channel.topic not in topics:
+            check_topics(len(topics) + 1, self.path)
             topics[channel.topic] = TopicInfo(channel)
         return topics[channel.topic]
 
@@ -171,22 +178,25 @@ class IndexBuilder:
         try:
             stamp = depth_stamp = decoder.stamp_ns(payload)
             if len(stream.probes) < NUM_PROBES or decoder.kind is Kind.RGBD:
-                stamp, depth_stamp = self._probe(stream, decoder, payload)
+                stamp, depth_stamp = self._probe(stream, decoder, payload, log_ns)
         finally:
             number = stream.decoders.index(decoder)
             where = (self.file_number, number, *location)
             stream.add((stamp, depth_stamp, log_ns, *where))
+            check_images(len(stream), self.bytes, self.path, topic)
 
     def _probe(
-        self, stream: ImageStream, decoder: MessageDecoder, payload: memoryview
+        self, stream: ImageStream, decoder: MessageDecoder, payload: memoryview, log_ns: int
     ) -> tuple[int, int]:
         message = decoder.decode(payload)
         probe = len(stream.probes) < NUM_PROBES
         if isinstance(message, RgbdMessage):
             color, depth = message.color, message.depth
             for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
-                self._calibration(f"{stream.topic} ({name})", info)
+                self._calibration(f"{stream.topic} ({name})", info, log_ns)
             if probe:
+                check_pixels(color)
+                check_pixels(depth)
                 bare = message._replace(
                     color=color._replace(data=b""), depth=depth._replace(data=b"")
                 )
@@ -194,22 +204,26 @@ class IndexBuilder:
             return color.stamp_ns, depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
         if probe:
+            if isinstance(message, ImageMessage):
+                check_pixels(message)
             kept = PROBE_BYTES if isinstance(message, CompressedImageMessage) else 0
             head = bytes(message.data[:kept])
             stream.probes.append(message._replace(data=head))
         return message.stamp_ns, message.stamp_ns
 
-    def _calibration(self, topic: str, info: CameraInfoMessage) -> None:
-        self.index.calibrations.setdefault(topic, CalibrationTopic()).add(info)
+    def _calibration(self, topic: str, info: CameraInfoMessage, log_ns: int) -> None:
+        self.index.calibrations.setdefault(topic, CalibrationTopic()).add(info, log_ns)
 
-    def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
+    def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int) -> None:
+        self._small_messages += 1
+        check_motions(self._small_messages, self.bytes, self.path, topic)
         if decoder.kind is Kind.INFO:
             known = self.index.calibrations.setdefault(topic, CalibrationTopic())
             rest = bytes(payload[12:] if decoder.stamp_leads else payload)
             if rest != known.last_payload:
                 message = decoder.decode(payload)
                 assert isinstance(message, CameraInfoMessage)
-                known.add(message)
+                known.add(message, log_ns)
                 known.last_payload = rest
         elif decoder.kind is Kind.EXTRINSICS:
             message = decoder.decode(payload)

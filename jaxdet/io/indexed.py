@@ -8,17 +8,19 @@ import numpy as np
 from jaxdet.errors import RescanError
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
 from jaxdet.io.container import Location, McapFile
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.message_index import read_message_index
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows, decode_motions
 from jaxdet.io.records import IndexedMessages, read_message
-from jaxdet.io.scan import ChannelInfo, channel_info
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.summary import read_summary
+from jaxdet.io.validity import InfoMessages
 from jaxdet.io.windows import StreamWindows
 
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
@@ -38,6 +40,8 @@ class IndexedLog(NamedTuple):
     streams: dict[str, StreamWindows]
     """Image topics."""
     motions: MotionWindows
+    calibrations: dict[str, InfoMessages]
+    store: ChunkStore
 
 
 class _Channel(NamedTuple):
@@ -106,7 +110,16 @@ def open_index(files: Sequence[McapFile], store: ChunkStore, use_tf: bool, path:
     }
     seen = {} if whole else _delays(store, [item for item in probes if item[0] in motions])
     windows = _motion_windows(index, motions, store, seen, path, whole)
-    return IndexedLog(index, streams, windows)
+    infos = {
+        topic.name: InfoMessages(
+            topic.name,
+            topic.messages.rows(_in_time([topic.messages])),
+            [channel.decoder for channel in topic.channels],
+        )
+        for topic in topics
+        if topic.kind is Kind.INFO
+    }
+    return IndexedLog(index, streams, windows, infos, store)
 
 
 def search_index(file: McapFile, builder: IndexBuilder) -> None:
@@ -150,10 +163,10 @@ def _read_topics(files: Sequence[McapFile], builder: IndexBuilder) -> list[_Topi
     found: dict[str, tuple[list[_Channel], list[IndexedMessages]]] = {}
     for number, file in enumerate(files):
         summary = read_summary(file)
-        infos = {
-            key: channel_info(channel, summary.schemas.get(channel.schema_id))
-            for key, channel in summary.channels.items()
-        }
+        builder.path, builder.bytes = str(file.path), builder.bytes + file.size
+        check_topics(len(summary.declared.channels), builder.path)
+        infos = {key: summary.declared.info(key) for key in summary.declared.channels}
+        infos = {key: info for key, info in infos.items() if info is not None}
         useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
         entries = read_message_index(file, summary, useful)
         if builder.images:
@@ -180,7 +193,15 @@ def _read_topics(files: Sequence[McapFile], builder: IndexBuilder) -> list[_Topi
                 )
             )
             channels.append(_Channel(number, key, infos[key], decoder))
-    return [_topic(name, *parts) for name, parts in found.items()]
+    topics = [_topic(name, *parts) for name, parts in found.items()]
+    small = 0
+    for topic in topics:
+        count = len(topic.messages.log_ns)
+        small += count * (topic.kind not in IMAGE_KINDS)
+        if topic.kind in IMAGE_KINDS:
+            check_images(count, builder.bytes, builder.path, topic.name)
+        check_motions(small, builder.bytes, builder.path, topic.name)
+    return topics
 
 
 def _topic(name: str, channels: list[_Channel], parts: list[IndexedMessages]) -> _Topic:
@@ -276,5 +297,6 @@ def _integrity(file: McapFile, chunks: np.ndarray, messages: int) -> FileIntegri
         lost_bytes=0,
         lost_spans_ns=(),
         last_log_time_ns=0,
+        missing={},
         by_index=True,
     )

@@ -4,6 +4,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxdet.errors import printable
+
 
 class FileIntegrity(NamedTuple):
     """What was read of a file, and what was lost."""
@@ -24,6 +26,10 @@ class FileIntegrity(NamedTuple):
     """Log times of the rejected chunks, by their own word."""
     last_log_time_ns: int
     """Of the messages read."""
+    missing: dict[str, int]
+    """How many messages of each topic statistics or message indexes count that were not read."""
+    summary_problem: str = ""
+    """Why the file has no summary that can be read; empty where it has one."""
     by_index: bool = False
     """Whether the file's index was read instead of the whole file. Then the chunks are checked
     when frames are read from them, and the first one's CRC stands for all."""
@@ -32,7 +38,8 @@ class FileIntegrity(NamedTuple):
     def recovered(self) -> bool:
         """Whether something is missing."""
         declared = self.declared_messages
-        return bool(self.lost) or not self.has_end or declared not in (None, self.messages)
+        counted = declared in (None, self.messages) and not self.missing
+        return bool(self.lost) or not self.has_end or not counted
 
     @property
     def text(self) -> str:
@@ -40,19 +47,24 @@ class FileIntegrity(NamedTuple):
         if self.by_index and self.chunks_with_crc:
             return "has an index; the CRC of each chunk is checked when it is read"
         crc = f"CRC checked in {self.chunks_with_crc} of {self.chunks} chunks"
+        crc = crc if self.chunks_with_crc else "not checkable (no CRC in file)"
+        if self.summary_problem:
+            crc += f"; nothing tells what is missing ({self.summary_problem})"
         if not self.recovered:
-            return crc if self.chunks_with_crc else "not checkable (no CRC in file)"
+            return crc
         parts = [f"{self.messages} messages"]
         if self.declared_messages not in (None, self.messages):
             parts[0] += f" of the {self.declared_messages} declared"
         if self.lost:
             reasons = ", ".join(f"{reason} ({count})" for reason, count in self.lost.items())
             parts.append(f"{self.lost_bytes} bytes lost: {reasons}")
+        for topic, count in [*self.missing.items()][:8]:
+            parts.append(f"{count} messages of {printable(topic)} missing")
         for start, end in self.lost_spans_ns[:3]:
             parts.append(f"log time {_utc(start)} to {_utc(end)} lost")
         if not self.has_end:
             parts.append(f"no end of file; data up to {_utc(self.last_log_time_ns)}")
-        parts.append(crc if self.chunks_with_crc else "not checkable (no CRC in file)")
+        parts.append(crc)
         return "recovered: " + "; ".join(parts)
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError
+from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
@@ -76,10 +76,10 @@ def find_intrinsics(source: CameraSource) -> Found:
     size = _size(source, flag, warnings)
     use_p = info is not None and source.rectified and source.model is None and any(info.D)
     use_p = use_p and info is not None and len(info.P) == 12 and info.P[0] > 0
-    origin = f"topic {source.topic}"
+    origin = f"topic {printable(source.topic)}"
     if source.matrix is not None:
         fx, fy, cx, cy = source.matrix
-        origin = flag + (f", distortion of topic {source.topic}" if info else "")
+        origin = flag + (f", distortion of topic {printable(source.topic)}" if info else "")
     elif info is not None and use_p:
         fx, fy, cx, cy = info.P[0], info.P[5], info.P[2], info.P[6]
         origin += ", P, since the images are rectified"
@@ -109,7 +109,7 @@ def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
         problem = f"the {source.name} images are {size.width}x{size.height}"
         raise source.error(problem, "allow it with --log.max-pixels")
     if info and source.size and 0 in declared:
-        warnings.append(f"{source.topic} has no image size; the images' is taken")
+        warnings.append(f"{printable(source.topic)} has no image size; the images' is taken")
     elif info and declared != size and source.matrix is None:
         sizes = f"{size.width}x{size.height}, its calibration for "
         problem = f"the {source.name} images are {sizes}{declared.width}x{declared.height}"
@@ -124,14 +124,16 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
     named = named.strip().lower().replace(" ", "_")
     if named == Distortion.NONE or (source.model is None and _means_none(named, D)):
         if not D and source.info and source.info.model:
-            warnings.append(f"{source.topic} has no distortion coefficients; none is assumed")
+            warnings.append(
+                f"{printable(source.topic)} has no distortion coefficients; none is assumed"
+            )
         return Distortion.NONE, ()
     if not np.isfinite(D).all():
         raise source.error("a distortion coefficient is not a number", f"give {flag} none")
     model = _model(source, named, flag)
     if model is Distortion.PLUMB_BOB and len(D) == 8 and any(D[5:]) and source.model is None:
         text = "says plumb_bob with eight coefficients; they are read as rational_polynomial"
-        warnings.append(f"{source.topic} {text}")
+        warnings.append(f"{printable(source.topic)} {text}")
         model = Distortion.RATIONAL
     count = _COUNTS[model]
     if model is Distortion.PLUMB_BOB and len(D) == 4:

@@ -124,7 +124,8 @@ class Log:
             self.description = self.described(found.frames.notes)
         unit, limit = self.calibration.depth_unit, options.max_pixels
         by_index = isinstance(found.frames, IndexedFrames)
-        self._reader = ImageReader(store, found.color, found.depth, unit, limit, by_index)
+        used = found.calibrated.used
+        self._reader = ImageReader(store, found.color, found.depth, unit, limit, by_index, used)
         color_shape, depth_shape = self.image_shapes
         frame_bytes = math.prod(color_shape) + 2 * math.prod(depth_shape)
         self._at_once = max(1, min(_MAX_AT_ONCE, _BYTES_AT_ONCE // frame_bytes))
@@ -209,7 +210,10 @@ class Log:
     def _window(self, start: int, stop: int) -> Window:
         try:
             return self._frames.window(start, stop)
-        except DamageError as error:
+        except (DamageError, RescanError) as error:
+            self._store.check_unchanged()
+            if isinstance(error, RescanError):
+                raise
             raise _rescan(error, self._path) from error
 
     def described(self, notes: Notes) -> LogDescription:
@@ -288,8 +292,10 @@ class Log:
             try:
                 failures += self._reader.read(window, memory[0][rows], memory[1][rows])
             except DamageError as error:
+                self._store.check_unchanged()
                 raise _rescan(error, self._path) from error
             windows.append(window)
+        self._store.check_unchanged()
         stamps = np.concatenate([_NONE, *(window.color.stamps_ns for window in windows)])
         depth_stamps = np.concatenate([_NONE, *(window.depth.stamps_ns for window in windows)])
         status, errors = [], []

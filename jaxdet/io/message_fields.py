@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import FrameError, FrameStatus
+from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
     CompressedImageMessage,
@@ -23,6 +24,8 @@ from jaxdet.io.messages import (
 )
 
 _MAX_STAMP_S = 9_000_000_000
+UNIT_TOLERANCE = 0.01
+"""How far the squared length of a quaternion may be from 1; as tf2 has it."""
 
 
 def nanoseconds(sec: int, nanosec: int) -> int:
@@ -111,13 +114,14 @@ def _rgbd(message: Any, name: str) -> RgbdMessage:
 
 
 def _motion(stamp: int, parent: str, child: str, t: Any, q: Any) -> TransformMessage:
-    translation = np.array([t.x, t.y, t.z], np.float64)
+    tx, ty, tz = (float(value) for value in (t.x, t.y, t.z))
+    if not max(abs(tx), abs(ty), abs(tz)) <= MAX_TRANSLATION_M:
+        raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is none that a robot has")
     rotation = np.array([q.x, q.y, q.z, q.w], np.float64)
-    norm = float(np.linalg.norm(rotation))
-    if not (np.isfinite(translation).all() and 0.5 < norm < 2.0):
-        raise ValueError("pose is not a rigid motion")
-    tx, ty, tz = (float(value) for value in translation)
-    qx, qy, qz, qw = (float(value) for value in rotation / norm)
+    if not (np.abs(rotation) <= 2).all() or abs(float(rotation @ rotation) - 1) > UNIT_TOLERANCE:
+        given = ", ".join(f"{value:g}" for value in rotation)
+        raise ValueError(f"quaternion ({given}) is not of unit length")
+    qx, qy, qz, qw = (float(value) for value in rotation / float(np.linalg.norm(rotation)))
     return TransformMessage(stamp, parent, child, (tx, ty, tz), (qx, qy, qz, qw))
 
 
@@ -157,6 +161,8 @@ def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
 
 def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
     rotation = np.array(message.rotation, np.float64).reshape(3, 3).T
+    if not (np.abs(rotation) <= 2).all():
+        raise ValueError("rotation is not orthonormal")
     x, y, z = (float(value) for value in message.translation)
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         raise ValueError("rotation is not orthonormal")

@@ -88,7 +88,7 @@ def read_message_index(file: McapFile, summary: Summary, channels: Collection[in
     statistics = summary.statistics
     assert statistics is not None
     counts = _counts(offsets.channel, records)
-    if counts.keys() - summary.channels.keys():
+    if counts.keys() - summary.declared.channels.keys():
         raise DamageError("message index of an undeclared channel")
     declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
     if declared != {key: item.messages for key, item in counts.items()}:

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from jaxdet.cores import cores
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, printable
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.files import LogFiles, missing_splits, siblings
@@ -13,7 +13,6 @@ from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.options import LogOptions
 from jaxdet.io.scan import scan
 from jaxdet.io.store import ChunkStore
-from jaxdet.io.topics import printable
 
 
 class OpenedFiles(NamedTuple):
@@ -52,7 +51,7 @@ def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogIn
     builder = IndexBuilder(index, options.tf)
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
         for file in opened.files:
-            builder.next_file()
+            builder.next_file(file)
             index.integrity.append(scan(file, builder.add, pool))
     _finish(index, opened, log, options)
     return index
@@ -88,7 +87,9 @@ def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> Non
         except InputError:
             continue
         try:
-            _search(file, IndexBuilder(index, options.tf, images=False))
+            builder = IndexBuilder(index, options.tf, images=False)
+            builder.next_file(file)
+            _search(file, builder)
         finally:
             file.close()
         if index.tree.has_static:
@@ -105,12 +106,18 @@ def _search(file: McapFile, builder: IndexBuilder) -> None:
 
 
 def _note(index: LogIndex, log: LogFiles) -> None:
+    if log.note:
+        index.warnings.append(log.note)
     gaps = missing_splits(log)
     if gaps:
         index.warnings.append(f"splits {', '.join(map(str, gaps[:10]))} of {log.name} are missing")
     for integrity in index.integrity:
-        if integrity.recovered:
-            index.warnings.append(f"{integrity.path}: {integrity.text}")
+        if integrity.recovered or integrity.summary_problem not in ("", "no summary"):
+            index.warnings.append(f"{printable(str(integrity.path))}: {integrity.text}")
+    unchecked = sum(not integrity.chunks_with_crc for integrity in index.integrity)
+    if unchecked:
+        files = f"{unchecked} of {len(index.integrity)} files"
+        index.warnings.append(f"integrity not checkable in {files}: they hold no CRC")
     for name, topic in sorted(index.topics.items()):
         if topic.problem:
             index.warnings.append(f"{printable(name)}: {printable(topic.problem)}")

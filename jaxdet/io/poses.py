@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError, TopicError
+from jaxdet.errors import CalibrationError, TopicError, printable
 from jaxdet.io.index import LogIndex, PoseTrack
 from jaxdet.io.motion import MotionSamples
 from jaxdet.io.options import LogOptions
-from jaxdet.io.topics import printable
 from jaxdet.io.transforms import TransformTree
 
 _BASES = ("base_footprint", "base_link")

@@ -8,9 +8,9 @@ import struct
 from functools import lru_cache
 from typing import NamedTuple
 
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.images import canonical_encoding
 from jaxdet.io.messages import Kind, kind_of
-from jaxdet.io.scan import ChannelInfo
 
 HEAD_BYTES = 512
 """How much of a message is looked at."""

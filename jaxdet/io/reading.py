@@ -5,7 +5,7 @@ are what the rows hold, everything else beside them, and all of it through the C
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -17,11 +17,18 @@ from jaxdet.io.compressed import decode_compressed_color, decode_compressed_dept
 from jaxdet.io.container import Location
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth
-from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Message, RgbdMessage
+from jaxdet.io.messages import (
+    CameraInfoMessage,
+    CompressedImageMessage,
+    ImageMessage,
+    Message,
+    RgbdMessage,
+)
 from jaxdet.io.raw_images import HEAD_BYTES, find_pixels, is_standard_image
 from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.streams import ImageSource
 from jaxdet.io.timeline import FrameTable, Window
+from jaxdet.io.validity import says_other
 
 
 class Request(NamedTuple):
@@ -62,6 +69,7 @@ class ImageReader:
         depth_unit_m: Metres in one depth unit.
         max_pixels: Largest image decoded.
         strict: Whether damage of the file is raised. If not it costs the frames in it only.
+        used: The calibrations used, by topic.
     """
 
     def __init__(
@@ -72,9 +80,11 @@ class ImageReader:
         depth_unit_m: float,
         max_pixels: int,
         strict: bool,
+        used: Mapping[str, CameraInfoMessage],
     ) -> None:
         self._store, self._strict = store, strict
         self._color, self._depth = color, depth
+        self._used = used
         self._same = color.topic == depth.topic
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
         self._took: list[float] = []
@@ -96,6 +106,8 @@ class ImageReader:
             DamageError: The reader is strict, and a chunk isn't what it should be.
         """
         errors: list[FrameError | None] = [None] * len(color)
+        for row in np.flatnonzero(_other(window)).tolist():
+            errors[row] = _other_calibration()
         rows = [color, depth]
         requests = self._requests(window)
         parts = {chunk: list(group) for chunk, group in groupby(requests, lambda r: r.chunk)}
@@ -119,9 +131,10 @@ class ImageReader:
         return sum(took) / self._store.threads
 
     def _requests(self, window: Window) -> list[Request]:
-        found = _requests(window.color, self._color, window.depth.stamps_ns >= 0, False)
+        wanted = (window.depth.stamps_ns >= 0) & ~_other(window)
+        found = _requests(window.color, self._color, wanted, False)
         if not self._same:
-            found += _requests(window.depth, self._depth, window.depth.stamps_ns >= 0, True)
+            found += _requests(window.depth, self._depth, wanted, True)
         return sorted(found, key=lambda request: request[:4])
 
     def _read_chunk(self, job: tuple[Place, Sequence[Request], list[np.ndarray]]) -> list[Failure]:
@@ -236,6 +249,10 @@ class ImageReader:
                 return
         message = request.decoder.decode(payload)
         if isinstance(message, RgbdMessage):
+            topic = self._color.topic
+            for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
+                if self._same and says_other(info, self._used.get(f"{topic} ({name})")):
+                    raise _other_calibration()
             if self._same or not request.depth:
                 self._decode_color(message.color, color[request.row])
             if self._same or request.depth:
@@ -256,6 +273,16 @@ class ImageReader:
             decode_compressed_depth(message, row, self._unit_m, self._max_pixels)
         elif isinstance(message, ImageMessage):
             decode_depth(message, row, self._unit_m, self._max_pixels)
+
+
+def _other(window: Window) -> np.ndarray:
+    other = window.other_calibration
+    return np.zeros(len(window.color.stamps_ns), bool) if other is None else other
+
+
+def _other_calibration() -> FrameError:
+    problem = "the camera's calibration is another one than the log's first"
+    return FrameError(problem, status=FrameStatus.BAD_CALIBRATION)
 
 
 def _requests(

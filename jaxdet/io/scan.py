@@ -4,53 +4,34 @@ A file is walked from its first record to its last, whole chunks at a time; thos
 decompressed on threads, and all is taken in by the caller's, in order. What is damaged is
 dropped and counted, and its neighbours are used: a chunk with a wrong CRC, a message longer
 than its chunk, a torn end. A missing summary does no harm. Where a record's length is damaged
-the walk goes on at the next chunk that the summary's index knows.
+the walk goes on at the next chunk that the summary's index knows. What the summary and the
+message indexes speak of and the walk did not find is lost, and said.
 """
 
+import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from io import BytesIO
-from typing import NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError, chunk_records
+from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError, chunk_records
 from jaxdet.io.container import MAGIC, Location, McapFile
+from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.limits import MAX_ODD_RECORDS, check_messages
 from jaxdet.io.lookahead import FileRecord, ahead
-from jaxdet.io.summary import read_summary
+from jaxdet.io.summary import Summary, read_summary, read_summary_at
 
 _TOP_LEVEL = -1
 _TORN = 0
 """Opcode, which no record has, of what can't be walked over."""
 _MAX_TIME_NS = (1 << 63) - 1
-
-
-class ChannelInfo(NamedTuple):
-    """A channel with its schema, as the file declares them."""
-
-    topic: str
-    message_encoding: str
-    schema_name: str
-    schema_encoding: str
-    schema_data: bytes
-
-    @property
-    def schema_text(self) -> str:
-        """The schema as text."""
-        return self.schema_data.decode("utf-8", "replace")
-
-
-def channel_info(channel: Channel, schema: Schema | None) -> ChannelInfo:
-    """A channel with its schema, if it has one."""
-    if schema is None:
-        return ChannelInfo(channel.topic, channel.message_encoding, "", "", b"")
-    named = schema.name, schema.encoding, schema.data
-    return ChannelInfo(channel.topic, channel.message_encoding, *named)
-
+_INDEX_HEAD = struct.Struct("<HI")
+"""Channel and bytes of the entries of a message index."""
+_ENTRY_BYTES = 16
+_ODD_BYTES = 64
+"""Records of unknown kinds that are shorter are odd, see ``MAX_ODD_RECORDS``."""
 
 Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
 """Gets channel, log time [ns], payload and location of each message."""
@@ -63,6 +44,9 @@ def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileInte
         file: The file.
         handler: Called by this thread.
         pool: Decompresses chunks, up to 64 MiB of them ahead (or one chunk, if larger).
+
+    Raises:
+        InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
     walk = _Scan(file, handler)
     for item in ahead(file, walk.records(), pool):
@@ -71,23 +55,8 @@ def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileInte
         except DamageError as error:
             walk.lose(str(error), item.record.length)
         del item  # and its chunk, before the next is decompressed
+    file.check_unchanged()
     return walk.integrity()
-
-
-class _Summary(NamedTuple):
-    channels: dict[int, Channel]
-    schemas: dict[int, Schema]
-    chunk_offsets: list[int]
-    message_count: int | None
-
-
-def _read_summary(file: McapFile) -> _Summary:
-    try:
-        summary = read_summary(file)
-    except DamageError:
-        return _Summary({}, {}, [], None)
-    count = summary.statistics.message_count if summary.statistics else None
-    return _Summary(summary.channels, summary.schemas, summary.chunks.start.tolist(), count)
 
 
 class _Scan:
@@ -95,33 +64,47 @@ class _Scan:
 
     def __init__(self, file: McapFile, handler: Handler) -> None:
         self.file, self.handler = file, handler
-        self.summary = _read_summary(file)
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        self.summary: Summary | None = None
+        self.summary_problem = ""
+        try:
+            self.summary = read_summary(file)
+        except DamageError as error:
+            self.summary_problem = str(error)
+        self.declared = Declarations()
         self.infos: dict[int, ChannelInfo] = {}
         self.ended = False
         self.lost: Counter[str] = Counter()
         self.lost_bytes = self.messages = self.chunks = self.chunks_with_crc = 0
         self.lost_spans: list[tuple[int, int]] = []
         self.last_ns = 0
+        self.read: Counter[int] = Counter()
+        """Messages, by channel."""
+        self.indexed: Counter[int] = Counter()
+        """Those of the message indexes."""
+        self.torn: list[tuple[int, int]] = []
+        """Parts of the file that were passed over."""
+        self.seen: Counter[tuple[int, int, int, int]] = Counter()
+        """Chunks, as the summary knows them."""
 
     def records(self) -> Iterator[FileRecord]:
         """The records up to the end of the data, and in their places what can't be one."""
-        file, position = self.file, len(MAGIC)
+        file, position, odd = self.file, len(MAGIC), 0
         while True:
             start, content = position, position + RECORD_HEAD.size
-            if content <= file.size:
-                opcode, length = RECORD_HEAD.unpack(file.read(position, RECORD_HEAD.size))
-                position = content + length
-                known = 0 < opcode <= Opcode.DATA_END or opcode >= 0x80
-                if known and position <= file.size:
-                    if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                        self.ended = file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
-                        return
-                    yield FileRecord(opcode, content, length)
-                    continue
-            after = [offset for offset in self.summary.chunk_offsets if offset > start]
-            position = after[0] if after else file.size
+            opcode, length = self._record_head(position)
+            position = content + length
+            odd += length == 0 or (opcode >= 0x80 and length < _ODD_BYTES)
+            known = 0 < opcode <= Opcode.DATA_END or opcode >= 0x80
+            if known and position <= file.size and odd <= MAX_ODD_RECORDS:
+                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                    self._end(position)
+                    return
+                yield FileRecord(opcode, content, length)
+                continue
+            offsets = self.summary.chunks.start.tolist() if self.summary else []
+            after = [offset for offset in offsets if offset > start]
+            position, odd = (after[0], 0) if after else (file.size, 0)
+            self.torn.append((start, position))
             yield FileRecord(_TORN, start, position - start)
             if not after:
                 return
@@ -137,6 +120,8 @@ class _Scan:
             raise DamageError("damaged or torn record")
         if chunk is not None:
             self._chunk(position, chunk)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            self._count_indexed(position, length)
         elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
             if length > self.file.max_bytes:
                 raise DamageError("record is larger than --log.max-chunk-mib")
@@ -149,11 +134,15 @@ class _Scan:
         self.lost_bytes += size
 
     def integrity(self) -> FileIntegrity:
-        """What was found."""
+        """What was found, and of what the file speaks beside that."""
+        missing = self._missing()
+        statistics = self.summary.statistics if self.summary else None
+        if missing or (self.summary and not statistics):
+            self._lose_missing_chunks()
         return FileIntegrity(
             path=self.file.path,
             messages=self.messages,
-            declared_messages=self.summary.message_count,
+            declared_messages=statistics.message_count if statistics else None,
             chunks=self.chunks,
             chunks_with_crc=self.chunks_with_crc,
             has_end=self.ended,
@@ -161,12 +150,39 @@ class _Scan:
             lost_bytes=self.lost_bytes,
             lost_spans_ns=tuple(self.lost_spans),
             last_log_time_ns=self.last_ns,
+            missing=missing,
+            summary_problem=self.summary_problem,
         )
+
+    def _record_head(self, position: int) -> tuple[int, int]:
+        """Opcode and length; what is no record where the file ends or can't be read."""
+        if position + RECORD_HEAD.size > self.file.size:
+            return _TORN, 0
+        try:
+            opcode, length = RECORD_HEAD.unpack(self.file.read(position, RECORD_HEAD.size))
+        except DamageError:
+            return _TORN, 0
+        return opcode, length
+
+    def _end(self, position: int) -> None:
+        """The data end here; the summary follows, wherever the footer looks for it."""
+        try:
+            magic = self.file.read(self.file.size - len(MAGIC), len(MAGIC))
+        except DamageError:
+            return
+        self.ended = magic == MAGIC
+        if self.summary is None and self.ended:
+            try:
+                self.summary = read_summary_at(self.file, position)
+                self.summary_problem = ""
+            except DamageError as error:
+                self.summary_problem = self.summary_problem or str(error)
 
     def _chunk(self, position: int, decompressed: Future[bytes]) -> None:
         head = self.file.chunk_head(position)
         self.chunks += 1
         self.chunks_with_crc += head.crc != 0
+        self.seen[_chunk_key(head)] += 1
         try:
             chunk = decompressed.result()
         except DamageError:
@@ -181,37 +197,69 @@ class _Scan:
                 self.lose(str(error), size)
 
     def _content(self, opcode: int, content: memoryview, chunk: int, offset: int) -> None:
-        if opcode != Opcode.MESSAGE:
-            self._declare(opcode, bytes(content))
+        if opcode == Opcode.SCHEMA:
+            self.declared.add_schema(content)
+            return
+        if opcode == Opcode.CHANNEL:
+            self.declared.add_channel(content)
             return
         if len(content) < MESSAGE_HEAD.size:
             raise DamageError("message record is too short")
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         info = self.infos.get(channel_id) or self._info(channel_id)
         self.messages += 1
+        self.read[channel_id] += 1
+        check_messages(self.messages, self.file.size, str(self.file.path))
         log_ns = min(log_ns, _MAX_TIME_NS)
         self.last_ns = max(self.last_ns, log_ns)
         size = len(content) - MESSAGE_HEAD.size
         location = Location(chunk, offset + MESSAGE_HEAD.size, size)
         self.handler(info, log_ns, content[MESSAGE_HEAD.size :], location)
 
-    def _declare(self, opcode: int, content: bytes) -> None:
-        stream = ReadDataStream(BytesIO(content))
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self.schemas.setdefault(schema.id, schema)
-            else:
-                channel = Channel.read(stream)
-                self.channels.setdefault(channel.id, channel)
-        except Exception as error:  # mcap's readers raise what they like
-            raise DamageError("schema or channel record is damaged") from error
-
     def _info(self, channel_id: int) -> ChannelInfo:
-        channel = self.channels.get(channel_id) or self.summary.channels.get(channel_id)
-        if channel is None:
+        more = self.summary.declared if self.summary else None
+        info = self.declared.info(channel_id, more)
+        if info is None:
             raise DamageError("message of an undeclared channel")
-        schema = self.schemas.get(channel.schema_id) or self.summary.schemas.get(channel.schema_id)
-        info = channel_info(channel, schema)
         self.infos[channel_id] = info
         return info
+
+    def _count_indexed(self, position: int, length: int) -> None:
+        if length < _INDEX_HEAD.size:
+            raise DamageError("message index is damaged")
+        channel, size = _INDEX_HEAD.unpack(self.file.read(position, _INDEX_HEAD.size))
+        if size != length - _INDEX_HEAD.size:
+            raise DamageError("message index is damaged")
+        self.indexed[channel] += size // _ENTRY_BYTES
+
+    def _missing(self) -> dict[str, int]:
+        """Messages by topic that statistics or message indexes count and the walk did not find."""
+        statistics = self.summary.statistics if self.summary else None
+        declared = statistics.channel_message_counts if statistics else {}
+        missing: Counter[str] = Counter()
+        for number in sorted({*declared, *self.indexed}):
+            count = max(declared.get(number, 0), self.indexed[number]) - self.read[number]
+            if count > 0:
+                more = self.summary.declared if self.summary else None
+                info = self.infos.get(number) or self.declared.info(number, more)
+                missing[info.topic if info else f"channel {number}"] += count
+        return dict(missing)
+
+    def _lose_missing_chunks(self) -> None:
+        """Says of which chunks of the summary nothing was found."""
+        if self.summary is None:
+            return
+        left, chunks = Counter(self.seen), self.summary.chunks
+        columns = chunks.first_ns, chunks.last_ns, chunks.size, chunks.stored, chunks.start
+        for *key, start in zip(*(column.tolist() for column in columns), strict=True):
+            known = tuple(key)
+            left[known] -= 1
+            if left[known] >= 0:
+                continue
+            self.lost_spans.append((key[0], key[1]))
+            if not any(first <= start < end for first, end in self.torn):
+                self.lose("chunk of the index isn't there", key[3])
+
+
+def _chunk_key(head: ChunkHead) -> tuple[int, int, int, int]:
+    return head.start_ns, head.end_ns, head.uncompressed_size, head.data_size

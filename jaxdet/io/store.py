@@ -62,6 +62,15 @@ class ChunkStore:
         for file in self.files:
             file.close()
 
+    def check_unchanged(self) -> None:
+        """Makes sure that the files are what they were when they were opened.
+
+        Raises:
+            InputError: One isn't.
+        """
+        for file in self.files:
+            file.check_unchanged()
+
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """``function`` of each item, in order, by all threads."""
         return (

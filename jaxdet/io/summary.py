@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Statistics
 
 from jaxdet.io.chunks import RECORD_HEAD, DamageError, crc32
 from jaxdet.io.container import MAGIC, McapFile
+from jaxdet.io.declarations import Declarations
+from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
 _FOOTER = struct.Struct("<BQQQI")
 _CHUNK_INDEX_BYTES = 36 + 8 + 4 + 16
@@ -59,8 +61,8 @@ class Summary(NamedTuple):
     """Where it begins in the file."""
     crc_is_right: bool
     """Or there is none."""
-    schemas: dict[int, Schema]
-    channels: dict[int, Channel]
+    declared: Declarations
+    """Schemas and channels."""
     statistics: Statistics | None
     chunks: ChunkTable
     offsets: IndexOffsets
@@ -72,20 +74,41 @@ def read_summary(file: McapFile) -> Summary:
     Raises:
         DamageError: It has none, or it can't be parsed.
     """
+    return _read(file, None)
+
+
+def read_summary_at(file: McapFile, start: int) -> Summary:
+    """The summary that begins at a position, whatever the footer says; its CRC must be right.
+
+    Raises:
+        DamageError: It has none, or it can't be parsed.
+    """
+    summary = _read(file, start)
+    if not summary.crc_is_right:
+        raise DamageError("summary has a wrong CRC")
+    return summary
+
+
+def _read(file: McapFile, position: int | None) -> Summary:
     place = file.size - len(MAGIC) - _FOOTER.size
     if place < len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
         raise DamageError("no end of file")
     footer = file.read(place, _FOOTER.size)
     opcode, length, start, _, crc = _FOOTER.unpack(footer)
+    start = start if position is None else position
     if opcode != Opcode.FOOTER or length != _FOOTER.size - RECORD_HEAD.size:
         raise DamageError("footer is damaged")
-    if not len(MAGIC) < start <= place or place - start > file.max_bytes:
+    if not start:
         raise DamageError("no summary")
+    if not len(MAGIC) < start <= place or place - start > file.max_bytes:
+        raise DamageError("summary is not where the footer says")
     data = file.read(start, place - start)
     right = not crc or crc32(footer[:-4], crc32(data)) == crc
     try:
         return _parse(data, start, right)
-    except Exception as error:  # mcap's readers raise what they like
+    except DamageError:
+        raise
+    except Exception as error:  # mcap's reader raises what it likes
         raise DamageError("summary is damaged") from error
 
 
@@ -116,29 +139,28 @@ class FileBytes:
 
 
 def _parse(data: bytes, start: int, crc_is_right: bool) -> Summary:
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    statistics, place, chunks = None, 0, []
+    declared, statistics, chunks, view = Declarations(), None, [], memoryview(data)
+    place = odd = count = 0
     while place < len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, place)
         place += RECORD_HEAD.size
         if place + length > len(data):
             raise DamageError("record leaves the summary")
+        odd += not length or not Opcode.SCHEMA <= opcode <= Opcode.SUMMARY_OFFSET
+        count += opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
+        if odd > MAX_ODD_RECORDS or count > MAX_DECLARATIONS:
+            raise DamageError("summary holds what is no record, or too many")
         if opcode == Opcode.CHUNK_INDEX:
             chunks.append((place, length))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-            stream = ReadDataStream(BytesIO(data[place : place + length]))
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                schemas.setdefault(schema.id, schema)
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                channels.setdefault(channel.id, channel)
-            else:
-                statistics = Statistics.read(stream)
+        elif opcode == Opcode.SCHEMA:
+            declared.add_schema(view[place : place + length])
+        elif opcode == Opcode.CHANNEL:
+            declared.add_channel(view[place : place + length])
+        elif opcode == Opcode.STATISTICS:
+            statistics = Statistics.read(ReadDataStream(BytesIO(data[place : place + length])))
         place += length
     table, offsets = _chunk_indexes(FileBytes(data), np.array(chunks, np.int64).reshape(-1, 2))
-    return Summary(start, crc_is_right, schemas, channels, statistics, table, offsets)
+    return Summary(start, crc_is_right, declared, statistics, table, offsets)
 
 
 def _chunk_indexes(data: FileBytes, records: np.ndarray) -> tuple[ChunkTable, IndexOffsets]:

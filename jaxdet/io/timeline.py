@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.errors import printable
 from jaxdet.io.messages import Kind
 from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.pairing import Pairing, pair
 from jaxdet.io.store import Place
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import printable
 
 
 class FrameTable(NamedTuple):
@@ -43,6 +43,8 @@ class Window(NamedTuple):
     T_world_camera: np.ndarray | None
     """``(n, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
     notes: Notes = Notes()
+    other_calibration: np.ndarray | None = None
+    """``(n,)`` bool, frames to which another calibration belongs than the one used; None: none."""
     chunks: tuple[Place, ...] = ()
     """What this window answers for: chunks that must be as their CRC says."""
 
@@ -55,6 +57,8 @@ class Timeline(NamedTuple):
     pairing: Pairing
     color_notes: StreamNotes
     depth_notes: StreamNotes
+    by_log_time: bool
+    """Whether the stamps are log times."""
     warnings: tuple[str, ...]
 
     def window(self, start: int, stop: int, T_world_camera: np.ndarray | None) -> Window:
@@ -105,7 +109,8 @@ def make_timeline(color: ImageStream, depth: ImageStream, tolerance_s: float) ->
         depth_table, depth_notes = _table(depth, stamps, stamps)
         pairing = pair(color_table.stamps_ns, depth_table.stamps_ns, tolerance_s)
     tables = color_table, depth_table
-    return Timeline(*tables, pairing, color_notes, depth_notes, tuple(warnings))
+    notes = color_notes, depth_notes
+    return Timeline(*tables, pairing, *notes, bool(zero), tuple(warnings))
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:

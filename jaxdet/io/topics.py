@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxdet.errors import TopicError
+from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_compressed_depth, is_png16
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
 from jaxdet.io.index import LogIndex
@@ -48,11 +48,6 @@ class Choice(NamedTuple):
     depth: str
     aligned_by_name: bool
     reasons: tuple[str, ...]
-
-
-def printable(text: str, limit: int = 160) -> str:
-    """A name from a file, fit for one line."""
-    return "".join(char if char.isprintable() else "?" for char in text)[:limit]
 
 
 def choose_topics(

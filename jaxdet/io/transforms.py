@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxdet.errors import CalibrationError
+from jaxdet.io.limits import MAX_FRAMES_TF
 from jaxdet.io.messages import TransformMessage
 from jaxdet.io.motion import MotionSamples, difference, inverse, motion_matrix
 
@@ -163,6 +164,10 @@ class TransformTree:
 
     def _edge(self, message: TransformMessage, static: bool) -> _Edge | None:
         """The edge a transform belongs to; None where it contradicts the one there is."""
+        if message.child not in self._edges and len(self._edges) >= MAX_FRAMES_TF:
+            text = f"there are more than {MAX_FRAMES_TF} TF frames; the first ones are used"
+            self.warnings += [text] if text not in self.warnings else []
+            return None
         edge = self._edges.setdefault(message.child, _Edge(message.parent))
         if edge.parent == message.parent:
             return edge
@@ -177,7 +182,8 @@ class TransformTree:
     def _paths(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
         """The frames from each of the two up to, and without, their common ancestor."""
         above_target, above_source = self._ancestors(target), self._ancestors(source)
-        common = next((frame for frame in above_target if frame in above_source), None)
+        known = set(above_source)
+        common = next((frame for frame in above_target if frame in known), None)
         if common is None:
             return None
         return (
@@ -186,13 +192,14 @@ class TransformTree:
         )
 
     def _ancestors(self, frame: str) -> list[str]:
-        path = [frame]
+        path, known = [frame], {frame}
         while frame in self._edges:
             frame = self._edges[frame].parent
-            if frame in path:
+            if frame in known:
                 problem = f"the transforms form a cycle through frame {frame!r}"
                 raise CalibrationError(problem, remedy=_REMEDY)
             path.append(frame)
+            known.add(frame)
         return path
 
     def _fixed_product(self, path: Sequence[str]) -> np.ndarray | None:

@@ -28,6 +28,7 @@ from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import IndexedMessages, read_message
 from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.timeline import FrameTable, Window
+from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4
 """Messages this far apart by log time are in the order of their stamps."""
@@ -216,6 +217,7 @@ class IndexedFrames:
         source: Where the poses come from.
         tolerance_s: The pairing's [s].
         path: The log's, for errors.
+        calibrations: What must not change; None: not looked at.
     """
 
     def __init__(
@@ -226,9 +228,11 @@ class IndexedFrames:
         source: PoseSource,
         tolerance_s: float,
         path: str,
+        calibrations: CalibrationWindows | None = None,
     ) -> None:
         self.color, self.depth, self.source = color, depth, source
         self._motions, self._tolerance_s, self._path = motions, tolerance_s, path
+        self._calibrations = calibrations
 
     @property
     def num_frames(self) -> int:
@@ -240,14 +244,21 @@ class IndexedFrames:
         """``(F,)`` int64, log times of the colour messages, in order [ns]."""
         return self.color.messages.log_ns
 
-    def stamp_ns(self, number: int) -> int:
-        """The stamp of a frame [ns]."""
-        return int(self.color.stamp[self.color.ranked(number, number + 1)[0]])
-
-    def with_poses(self, source: PoseSource) -> "IndexedFrames":
-        """The same frames with poses."""
+    def with_poses(
+        self, source: PoseSource, calibrations: CalibrationWindows | None = None
+    ) -> "IndexedFrames":
+        """The same frames with poses, and with calibrations that must not change."""
         given = self.color, self.depth, self._motions, source, self._tolerance_s, self._path
-        return IndexedFrames(*given)
+        return IndexedFrames(*given, calibrations)
+
+    def stamp_ns(self, number: int) -> int:
+        """The stamp of a frame [ns].
+
+        Raises:
+            RescanError: The index doesn't tell.
+            DamageError: The file contradicts its index.
+        """
+        return int(self.color.stamp[self.color.ranked(number, number + 1)[0]])
 
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``.
@@ -302,6 +313,8 @@ class IndexedFrames:
         begin = int(log_ns[start]) if start else None
         end = int(log_ns[stop]) if stop < len(self.color) else None
         T, more = self._motions.window(self.source, window.color.stamps_ns, begin, end)
+        if self._calibrations:
+            more = more | self._calibrations.check(begin, end)
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
         return window._replace(
             T_world_camera=T,

@@ -1,5 +1,6 @@
 """The picture of a whole log: outline counts, free floor, the robot's path, a scale bar."""
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -114,8 +115,8 @@ def _draw_grid(panel: np.ndarray, low: np.ndarray, scale: float, step: float) ->
 
 def _round_length(metres: float) -> float:
     """The first of 0.1, 0.2, 0.5, 1, 2, 5, ... that is not shorter."""
-    lengths = [base * 10.0**power for power in range(-1, 7) for base in (1, 2, 5)]
-    return next((length for length in lengths if length >= metres), lengths[-1])
+    tens = 10.0 ** max(math.floor(math.log10(metres)), -1)
+    return next(base * tens for base in (1, 2, 5, 10, 20) if base * tens >= metres)
 
 
 def _framed(

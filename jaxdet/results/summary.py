@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.errors import FrameStatus
+from jaxdet.errors import FrameStatus, printable
 
 PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
 
@@ -147,6 +147,15 @@ class LogSummary(Counts):
         return self.devices if self.devices and what in ON_DEVICES else self.workers
 
     @property
+    def unusable(self) -> str:
+        """A line where none of the log's frames could be used, else empty."""
+        if not self.frames or self.num_bad < self.frames:
+            return ""
+        states = ", ".join(f"{count} {status}" for status, count in self.status.most_common())
+        first = f"; {self.frame_errors[0]}" if self.frame_errors else ""
+        return f"{self.log}: none of its {self.frames} frames could be used ({states}){first}"
+
+    @property
     def num_bad(self) -> int:
         """Frames that are not ok."""
         return self.frames - self.status[FrameStatus.OK]
@@ -241,6 +250,4 @@ def plain(value: Any) -> Any:
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, Enum | Path):
-        return str(value)
-    return value
+    return printable(str(value)) if isinstance(value, Enum | Path | str) else value

@@ -9,6 +9,7 @@ shows floor to drive on, ``(H, W)`` bool, as ``drivable_<i, six digits>``. Any N
 
 import io
 import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +24,9 @@ from jaxdet.sim.placed import placed
 from jaxdet.sim.robot import ground_frame
 from jaxdet.sim.scene import Scene
 from jaxdet.sim.world import STEP_M
+
+MAX_ARRAY_BYTES = 1 << 28
+"""Of one array of a truth file."""
 
 
 class Truth(NamedTuple):
@@ -193,16 +197,55 @@ def load_truth(log: str | Path) -> Truth:
     Raises:
         InputError: There is none, or it is not what it should be.
     """
-    path = truth_path(log)
+    truth = Truth(*_load(log, Truth._fields))
+    sizes = {"F": len(truth.stamp_ns), "J": len(truth.names)}
+    for name, array in truth._asdict().items():
+        *shape, kinds = _SHAPES.get(name, ("F", "J", "f"))
+        if array.shape != tuple(sizes.get(n, n) for n in shape) or array.dtype.kind not in kinds:
+            raise _unreadable(log)
+    if len(truth.stamp_ns):
+        _load(log, ("drivable_000000",))
+    return truth
+
+
+_SHAPES: dict[str, tuple] = {
+    "stamp_ns": ("F", "i"),
+    "T_world_camera": ("F", 4, 4, "f"),
+    "camera_height": ("F", "f"),
+    "camera_pitch": ("F", "f"),
+    "camera_roll": ("F", "f"),
+    "names": ("J", "U"),
+    "is_wall": ("J", "b"),
+    "box_world": ("F", "J", 8, 3, "f"),
+    "footprint_world": ("F", "J", 64, 2, "f"),
+    "visible_pixels": ("F", "J", "i"),
+    "ground_min": ("F", "J", 2, "f"),
+    "ground_max": ("F", "J", 2, "f"),
+    "edge_m": ("F", 81, "f"),
+    "edge_seen": ("F", 81, "b"),
+}
+"""Shape and kind of number of each array; of those not named ``(F, J)`` of floats."""
+
+
+def _load(log: str | Path, names: Sequence[str]) -> list[np.ndarray]:
+    """Arrays of a truth file, each within ``MAX_ARRAY_BYTES``.
+
+    Raises:
+        InputError: One isn't there, is damaged or too large.
+    """
     try:
-        with np.load(path) as arrays:
-            truth = Truth(*(arrays[name] for name in Truth._fields))
-            if len(truth.stamp_ns) and "drivable_000000" not in arrays:
-                raise KeyError("drivable_000000")
-            return truth
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        remedy = "only logs of jaxdet sim have one; those of older versions have to be made again"
-        raise InputError("no truth can be read", path=str(path), remedy=remedy) from error
+        with truth_path(log).open("rb") as file, np.load(file) as arrays:
+            for name in names:
+                if arrays.zip.getinfo(f"{name}.npy").file_size > MAX_ARRAY_BYTES:
+                    raise ValueError(f"{name} is too large")
+            return [arrays[name] for name in names]
+    except Exception as error:  # zip, zlib and NumPy raise what they like of a damaged file
+        raise _unreadable(log) from error
+
+
+def _unreadable(log: str | Path) -> InputError:
+    remedy = "only logs of jaxdet sim have one; those of older versions have to be made again"
+    return InputError("no truth can be read", path=str(truth_path(log)), remedy=remedy)
 
 
 def load_obstacle_ids(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray:
@@ -221,5 +264,8 @@ def load_drivable(log: str | Path, frames: np.ndarray | list[int]) -> np.ndarray
 
 
 def _load_images(log: str | Path, name: str, frames: np.ndarray | list[int]) -> np.ndarray:
-    with np.load(truth_path(log)) as arrays:
-        return np.stack([arrays[f"{name}_{int(frame):06d}"] for frame in frames])
+    images = _load(log, [f"{name}_{int(frame):06d}" for frame in frames])
+    kind = {"obstacle_id": "u", "depth": "f", "drivable": "b"}[name]
+    if any((a.ndim, a.shape, a.dtype.kind) != (2, images[0].shape, kind) for a in images):
+        raise _unreadable(log)
+    return np.stack(images)

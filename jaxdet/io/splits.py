@@ -1,0 +1,128 @@
+"""Which files numbered one after the other are splits of one recording.
+
+rosbag2 calls the files of a recording ``NAME_0.mcap``, ``NAME_1.mcap``, ...; so do people who
+number their recordings. Splits have the same topics with the same schemas and the same calibration,
+and each goes on where the one before ends. Where a file has no index nothing speaks against it.
+"""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxdet.errors import InputError, RescanError
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import McapFile
+from jaxdet.io.index import IndexBuilder, LogIndex
+from jaxdet.io.indexed import search_index
+from jaxdet.io.message_index import read_message_index
+from jaxdet.io.messages import IMAGE_KINDS, kind_of
+from jaxdet.io.options import LogOptions
+from jaxdet.io.summary import read_summary
+from jaxdet.io.validity import values_of
+
+_MAX_OVERLAP_NS = 1_000_000_000
+"""Images of two splits may overlap by this: a recorder has several queues."""
+_MAX_GAP_NS = 60_000_000_000
+"""Longest pause between the images of a split and of the next."""
+
+
+class Sketch(NamedTuple):
+    """What of a file tells which recording it is of."""
+
+    schemas: dict[str, str]
+    """Of the topics of use."""
+    images: frozenset[str]
+    """Image topics with messages."""
+    span_ns: tuple[int, int] | None
+    """Log times of the first and the last image; None without."""
+    calibrations: dict[str, tuple[object, ...] | None]
+    """By topic, see :func:`jaxdet.io.validity.values_of`."""
+
+
+def sketch(path: Path) -> Sketch | None:
+    """The sketch of a file by its index; None where that can't be read."""
+    with suppress(InputError, DamageError, RescanError):
+        file = McapFile(path, LogOptions.max_chunk_mib << 20)
+        try:
+            return _sketch(file)
+        finally:
+            file.close()
+    return None
+
+
+def _sketch(file: McapFile) -> Sketch:
+    summary = read_summary(file)
+    infos = {key: summary.declared.info(key) for key in summary.declared.channels}
+    useful = {key: info for key, info in infos.items() if info and kind_of(info.schema_name)}
+    images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
+    counts = read_message_index(file, summary, images).counts
+    seen = [key for key in images if key in counts]
+    spans = [(counts[key].first_ns, counts[key].last_ns) for key in seen]
+    builder = IndexBuilder(LogIndex(), use_tf=False, images=False)
+    search_index(file, builder)
+    known = builder.index.calibrations.items()
+    return Sketch(
+        {info.topic: info.schema_name for info in useful.values()},
+        frozenset(useful[key].topic for key in seen),
+        (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
+        {topic: values_of(item.first) for topic, item in known if item.first},
+    )
+
+
+def difference(first: Sketch | None, second: Sketch | None, steps: int) -> str:
+    """Why two files can't be of one recording, in its order; empty where they can.
+
+    Args:
+        first: The earlier file.
+        second: The later file.
+        steps: How many numbers it is later.
+    """
+    if first is None or second is None:
+        return ""
+    for topic in sorted(first.schemas.keys() & second.schemas.keys()):
+        if first.schemas[topic] != second.schemas[topic]:
+            return f"{topic} has another schema"
+    for topic in sorted(first.calibrations.keys() & second.calibrations.keys()):
+        values = first.calibrations[topic], second.calibrations[topic]
+        if None not in values and values[0] != values[1]:
+            return f"{topic} has another calibration"
+    if first.images and second.images and not first.images & second.images:
+        return "they have no image topic in common"
+    if first.span_ns and second.span_ns:
+        pause = second.span_ns[0] - first.span_ns[1]
+        longest = max(last - begin for begin, last in (first.span_ns, second.span_ns))
+        if pause < -_MAX_OVERLAP_NS:
+            return "their images overlap in time or are in the wrong order"
+        if pause > steps * _MAX_GAP_NS + 4 * (steps - 1) * longest:
+            return f"there are {pause / 1e9:.0f} s between them"
+    return ""
+
+
+class Recording(NamedTuple):
+    """Files of one recording."""
+
+    paths: tuple[Path, ...]
+    note: str
+    """Why the numbered files before or after are not of it; empty where there are none."""
+
+
+def recordings(files: Iterable[tuple[int, Path]]) -> list[Recording]:
+    """Numbered files of one name, in order, as the recordings that they are of."""
+    found: list[list[Path]] = []
+    notes: list[str] = []
+    before: tuple[int, Sketch | None] = (0, None)
+    for number, path in files:
+        now = sketch(path)
+        why = difference(before[1], now, max(1, number - before[0])) if found else ""
+        if why:
+            notes.append(f"{found[-1][-1].name} and {path.name} are different recordings: {why}")
+        if why or not found:
+            found.append([])
+        found[-1].append(path)
+        if now:
+            known = before[1] if before[1] and not why else now
+            merged = known.schemas | now.schemas, known.calibrations | now.calibrations
+            before = number, Sketch(merged[0], now.images, now.span_ns or known.span_ns, merged[1])
+    text = "; ".join(notes[:4])
+    return [Recording(tuple(paths), text) for paths in found]

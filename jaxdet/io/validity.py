@@ -1,0 +1,138 @@
+"""Where in a log its calibration holds.
+
+A log is computed with one calibration for each camera, the first that is one. A frame to which
+another one belongs, by its stamp, can't be used: it gets the status ``bad_calibration``. Messages
+of a camera that is not calibrated yet (K[0] = 0) say nothing.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.messages import CameraInfoMessage
+from jaxdet.io.records import IndexedMessages, read_message
+from jaxdet.io.store import ChunkStore, Place
+
+_STAMP_END = 12
+"""Bytes of CDR up to the end of the stamp that leads."""
+_MAX_VARIANTS = 16
+
+
+class CalibrationChange(NamedTuple):
+    """A calibration that differs from the one before it."""
+
+    stamp_ns: int
+    log_ns: int
+    values: tuple[object, ...]
+    """See :func:`values_of`."""
+
+
+def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:
+    """What must stay the same: size, lens model, D, K and P; None of a camera without."""
+    return None if info.K[:1] == (0.0,) else info[2:]
+
+
+def says_other(info: CameraInfoMessage, used: CameraInfoMessage | None) -> bool:
+    """Whether a calibration contradicts the one that is used."""
+    values = values_of(info)
+    return used is not None and values is not None and values != values_of(used)
+
+
+def other_calibration(
+    stamps_ns: np.ndarray,
+    changes: Sequence[CalibrationChange],
+    used: CameraInfoMessage,
+    by_log_time: bool,
+) -> np.ndarray:
+    """Which frames have another calibration than the one that is used, ``(F,)`` bool.
+
+    To a frame belongs the last calibration that is not later than it, else the first.
+
+    Args:
+        stamps_ns: ``(F,)`` int64, of the frames.
+        changes: Of the camera's topic, in the order of the files.
+        used: The calibration used.
+        by_log_time: Whether the frames' stamps are log times.
+    """
+    known = sorted(changes, key=lambda item: item.log_ns if by_log_time else item.stamp_ns)
+    if not known:
+        return np.zeros(len(stamps_ns), bool)
+    begin = np.array([item.log_ns if by_log_time else item.stamp_ns for item in known], np.int64)
+    other = np.array([item.values != values_of(used) for item in known])
+    return other[np.maximum(np.searchsorted(begin, stamps_ns, "right") - 1, 0)]
+
+
+class InfoMessages(NamedTuple):
+    """The messages of a calibration topic in the order of log time."""
+
+    topic: str
+    messages: IndexedMessages
+    decoders: Sequence[MessageDecoder]
+    """A message has the one of its ``decoder``."""
+
+
+class CalibrationWindows:
+    """Makes sure, window by window, that the calibration of a log never changes.
+
+    Args:
+        topics: The messages of the topics used.
+        used: The calibration of each that is used.
+        store: The log's chunks.
+        path: The log's, for errors.
+    """
+
+    def __init__(
+        self,
+        topics: Sequence[InfoMessages],
+        used: Mapping[str, CameraInfoMessage],
+        store: ChunkStore,
+        path: str,
+    ) -> None:
+        self._topics, self._used = tuple(topics), dict(used)
+        self._store, self._path = store, path
+        self._good: set[tuple[str, bytes]] = set()
+        """What follows the stamp in messages that were compared."""
+
+    def check(self, begin: int | None, end: int | None) -> set[Place]:
+        """Compares the messages of a span of log times.
+
+        Args:
+            begin: Log time of the first, None = the log's.
+            end: After the last, None = the log's.
+
+        Returns:
+            The chunks that were looked at.
+
+        Raises:
+            RescanError: A calibration is another one.
+            DamageError: The file contradicts its index.
+        """
+        chunks: set[Place] = set()
+        for topic in self._topics:
+            log_ns = topic.messages.log_ns
+            start = 0 if begin is None else int(np.searchsorted(log_ns, begin))
+            stop = len(log_ns) if end is None else int(np.searchsorted(log_ns, end))
+            chunks |= topic.messages.chunks(slice(start, stop))
+            for number in range(start, stop):
+                self._compare(topic, number)
+        return chunks
+
+    def _compare(self, topic: InfoMessages, number: int) -> None:
+        decoder = topic.decoders[int(topic.messages.decoder[number])]
+        _, payload = read_message(self._store, topic.messages, number)
+        rest = topic.topic, bytes(payload[_STAMP_END:] if decoder.stamp_leads else payload)
+        if rest in self._good:
+            return
+        try:
+            message = decoder.decode(payload)
+        except FrameError as error:
+            problem = "a calibration can't be decoded"
+            raise RescanError(problem, path=self._path, topic=topic.topic) from error
+        assert isinstance(message, CameraInfoMessage)
+        if says_other(message, self._used[topic.topic]):
+            raise RescanError("the calibration changes", path=self._path, topic=topic.topic)
+        if len(self._good) < _MAX_VARIANTS:
+            self._good.add(rest)

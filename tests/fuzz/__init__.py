@@ -1,0 +1,1 @@
+"""Logs that are changed at random, and what may come of them."""

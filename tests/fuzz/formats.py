@@ -1,0 +1,224 @@
+"""The logs that are mutated: small, one for each way that images and calibration are written."""
+
+import base64
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from tests.io_helpers import (
+    COLOR,
+    COLOR_FRAME,
+    COLOR_INFO,
+    COLOR_K,
+    COLOR_SIZE,
+    DEPTH,
+    DEPTH_FRAME,
+    DEPTH_INFO,
+    DEPTH_K,
+    DEPTH_SIZE,
+    START,
+    STORE,
+    T_DEPTH_COLOR,
+    LogFile,
+    Scene,
+    make_scene,
+    ros_compressed,
+    ros_image,
+    ros_info,
+    ros_odometry,
+    ros_tf,
+    ros_type,
+    write_calibration,
+)
+
+FRAMES = 8
+MOUNT = (0.1, 0.0, 0.3), (-0.5, 0.5, -0.5, 0.5)
+"""A camera that looks ahead, 0.3 m above the robot's base."""
+
+
+class Format(NamedTuple):
+    """How a log is written."""
+
+    name: str
+    write: Callable[[LogFile, Scene], None]
+    options: dict[str, Any]
+
+    @property
+    def has_crc(self) -> bool:
+        """Whether a changed byte of a chunk must be seen."""
+        return self.options.get("crc", True) and self.options.get("use_chunking", True)
+
+
+def _scene() -> Scene:
+    return make_scene(FRAMES)
+
+
+def _both(log: LogFile, scene: Scene, color: Callable[..., Any], depth: Callable[..., Any]) -> None:
+    """Calibration, then an image of each camera in turns, with poses between."""
+    write_calibration(log)
+    log.ros("/tf_static", ros_tf(("base_link", DEPTH_FRAME, *MOUNT)), START)
+    for number, (c, d, at, depth_at) in enumerate(zip(*scene, strict=True)):
+        at, depth_at = int(at), int(depth_at)
+        pose = ("odom", "base_link", (0.1 * number, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        log.ros("/odom", ros_odometry(*pose, depth_at), depth_at)
+        log.ros("/tf", ros_tf(pose, stamp_ns=depth_at), depth_at)
+        depth(log, d, depth_at)
+        color(log, c, at)
+        log.ros(COLOR_INFO, ros_info(COLOR_SIZE, COLOR_K, at, COLOR_FRAME), at)
+
+
+def _raw_color(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    log.ros(COLOR, ros_image(pixels, "rgb8", at, COLOR_FRAME), at)
+
+
+def _raw_depth(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    log.ros(DEPTH, ros_image(pixels, "16UC1", at, DEPTH_FRAME), at)
+
+
+def _bgr(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    log.ros(COLOR, ros_image(pixels[..., ::-1], "bgr8", at, COLOR_FRAME, padding=3), at)
+
+
+def _metres(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    metres = pixels.astype(np.float32) * np.float32(0.001)
+    log.ros(DEPTH, ros_image(metres, "32FC1", at, DEPTH_FRAME, big=True), at)
+
+
+def _jpeg(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]))[1].tobytes()
+    log.ros(COLOR + "/compressed", ros_compressed(data, "jpeg", at, COLOR_FRAME), at)
+
+
+def _png(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    data = struct.pack("<iff", 0, 0, 0) + cv2.imencode(".png", pixels)[1].tobytes()
+    message = ros_compressed(data, "16UC1; compressedDepth png", at, DEPTH_FRAME)
+    log.ros(DEPTH + "/compressedDepth", message, at)
+
+
+def _rvl(log: LogFile, pixels: np.ndarray, at: int) -> None:
+    data = struct.pack("<iffII", 0, 0, 0, *DEPTH_SIZE) + encode_rvl(pixels)
+    message = ros_compressed(data, "16UC1; compressedDepth rvl", at, DEPTH_FRAME)
+    log.ros(DEPTH + "/compressedDepth", message, at)
+
+
+def encode_rvl(pixels: np.ndarray) -> bytes:
+    """RVL as its paper writes it."""
+    flat, nibbles, at, before = pixels.reshape(-1).tolist(), [], 0, 0
+
+    def put(value: int) -> None:
+        while True:
+            value, low = value >> 3, value & 7
+            nibbles.append(low | (8 if value else 0))
+            if not value:
+                return
+
+    while at < len(flat):
+        zeros = at
+        while at < len(flat) and flat[at] == 0:
+            at += 1
+        filled = at
+        while at < len(flat) and flat[at] != 0:
+            at += 1
+        put(filled - zeros)
+        put(at - filled)
+        for value in flat[filled:at]:
+            delta, before = value - before, value
+            put(delta << 1 if delta >= 0 else (-delta << 1) - 1)
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [
+        sum(nibble << (28 - 4 * i) for i, nibble in enumerate(nibbles[k : k + 8]))
+        for k in range(0, len(nibbles), 8)
+    ]
+    return struct.pack(f"<{len(words)}I", *words)
+
+
+def _ros(color: Callable[..., Any], depth: Callable[..., Any]) -> Callable[..., None]:
+    return lambda log, scene: _both(log, scene, color, depth)
+
+
+def _rgbd(log: LogFile, scene: Scene) -> None:
+    log.ros("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR)), START)
+    rgbd = ros_type("realsense2_camera_msgs/msg/RGBD")
+    for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
+        image = ros_image(color, "rgb8", at, COLOR_FRAME)
+        message = rgbd(
+            image.header,
+            ros_info(COLOR_SIZE, COLOR_K, at, COLOR_FRAME),
+            ros_info(DEPTH_SIZE, DEPTH_K, at, DEPTH_FRAME),
+            image,
+            ros_image(depth, "16UC1", at, DEPTH_FRAME),
+        )
+        log.ros("/cam/rgbd", message, at)
+
+
+def _json(log: LogFile, scene: Scene) -> None:
+    def stamped(at: int, frame: str) -> dict[str, Any]:
+        return {"timestamp": {"sec": at // 10**9, "nsec": at % 10**9}, "frame_id": frame}
+
+    def image(pixels: np.ndarray, form: str) -> dict[str, Any]:
+        height, width = pixels.shape[:2]
+        data = base64.b64encode(pixels.tobytes()).decode()
+        step = pixels.nbytes // height
+        return {"width": width, "height": height, "encoding": form, "step": step, "data": data}
+
+    def info(size: tuple[int, int], K: tuple[float, ...]) -> dict[str, Any]:
+        matrix = [K[0], 0, K[2], 0, K[1], K[3], 0, 0, 1]
+        P = [*matrix[:3], 0, *matrix[3:6], 0, *matrix[6:], 0]
+        about = {"distortion_model": "plumb_bob", "D": [0.0] * 5, "K": matrix, "P": P}
+        return {"width": size[0], "height": size[1], **about, "R": [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+
+    t, q = T_DEPTH_COLOR
+    motion = {
+        "translation": dict(zip("xyz", t, strict=True)),
+        "rotation": dict(zip("xyzw", map(float, q), strict=True)),
+        "parent_frame_id": DEPTH_FRAME,
+        "child_frame_id": COLOR_FRAME,
+    }
+    log.json("/tf_static", "foxglove.FrameTransform", stamped(START, "") | motion, START)
+    for topic, size, K, frame in (
+        (COLOR_INFO, COLOR_SIZE, COLOR_K, COLOR_FRAME),
+        (DEPTH_INFO, DEPTH_SIZE, DEPTH_K, DEPTH_FRAME),
+    ):
+        message = stamped(START, frame) | info(size, K)
+        log.json(topic, "foxglove.CameraCalibration", message, START)
+    for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
+        message = stamped(at, DEPTH_FRAME) | image(depth, "16UC1")
+        log.json(DEPTH, "foxglove.RawImage", message, at)
+        message = stamped(at, COLOR_FRAME) | image(color, "rgb8")
+        log.json(COLOR, "foxglove.RawImage", message, at)
+
+
+_SMALL = {"chunk_size": 9000}
+_BARE = {"chunk_size": 9000, "crc": False}
+FORMATS = {
+    item.name: item
+    for item in (
+        Format("raw", _ros(_raw_color, _raw_depth), {"compression": "none", **_SMALL}),
+        Format("zstd", _ros(_raw_color, _raw_depth), {"compression": "zstd", **_SMALL}),
+        Format("lz4", _ros(_bgr, _raw_depth), {"compression": "lz4", **_SMALL}),
+        Format("metres", _ros(_bgr, _metres), {"compression": "none", **_SMALL}),
+        Format("jpeg_png", _ros(_jpeg, _png), {"compression": "none", **_SMALL}),
+        Format("jpeg_rvl", _ros(_jpeg, _rvl), {"compression": "zstd", **_SMALL}),
+        Format("rgbd", _rgbd, {"compression": "lz4", **_SMALL}),
+        Format("json", _json, {"compression": "zstd", **_SMALL}),
+        Format("no_crc", _ros(_raw_color, _raw_depth), {"compression": "none", **_BARE}),
+        Format("no_crc_png", _ros(_jpeg, _png), {"compression": "zstd", **_BARE}),
+        Format("no_chunks", _ros(_raw_color, _raw_depth), {"use_chunking": False, "crc": False}),
+        Format("no_index", _ros(_raw_color, _rvl), {"use_statistics": False, **_SMALL}),
+    )
+}
+
+
+def write_format(name: str, path: Path) -> Path:
+    """A log of ``FRAMES`` frames."""
+    form = FORMATS[name]
+    with LogFile(path, **form.options) as log:
+        form.write(log, _scene())
+    return path
+
+
+assert STORE  # the message types are registered

@@ -1,0 +1,135 @@
+"""Reads a mutated log and judges what came of it, by the pixels of the log before."""
+
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import FrameStatus, JaxdetError, RescanError
+from jaxdet.io import Log, LogOptions, open_log
+from jaxdet.io.notes import total
+from tests.fuzz.formats import FORMATS, FRAMES
+from tests.fuzz.mutations import WRITER_IS_WRONG
+
+MOST_S = 10.0
+
+
+class Truth(NamedTuple):
+    """The frames of a log before it is mutated, by colour stamp."""
+
+    color: dict[int, bytes]
+    depth: dict[int, bytes]
+    calibration: object
+
+
+class Verdict(NamedTuple):
+    """What came of a mutated log."""
+
+    kind: str
+    """clean, lost, error, frames, doubled, unseen (not to be seen without CRC), or a failure."""
+    text: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether it must not be so."""
+        return self.kind in ("wrong pixels", "silently lost", "crash", "hang", "two lines")
+
+
+def truth_of(path: Path) -> Truth:
+    """The frames of an unbroken log."""
+    color, depth = {}, {}
+    with open_log(str(path)) as log:
+        for batch in log.batches(FRAMES):
+            for row, stamp in enumerate(batch.frames.stamp_ns[: len(batch.status)].tolist()):
+                assert batch.status[row] is FrameStatus.OK
+                color[stamp] = batch.frames.color[row].tobytes()
+                depth[stamp] = batch.frames.depth[row].tobytes()
+        assert len(color) == FRAMES
+        return Truth(color, depth, log.calibration)
+
+
+def judge(path: Path, truth: Truth, format_name: str, mutation: str) -> Verdict:
+    """Reads the log as a run does, by its index or as a whole, and compares."""
+    start = time.perf_counter()
+    try:
+        verdict = _judge(path, truth, format_name, mutation)
+    except JaxdetError as error:
+        one_line = str(error).isprintable()
+        verdict = Verdict("error" if one_line else "two lines", str(error))
+    except MemoryError as error:
+        verdict = Verdict("crash", f"MemoryError {error}")
+    except Exception as error:
+        import traceback
+
+        verdict = Verdict("crash", "".join(traceback.format_exception(error)))
+    seconds = time.perf_counter() - start
+    return Verdict("hang", f"{seconds:.1f} s") if seconds > MOST_S else verdict
+
+
+def _judge(path: Path, truth: Truth, format_name: str, mutation: str) -> Verdict:
+    try:
+        return _read(path, LogOptions(), truth, format_name, mutation)
+    except RescanError:
+        return _read(path, LogOptions(scan=True), truth, format_name, mutation)
+
+
+def _read(
+    path: Path, options: LogOptions, truth: Truth, format_name: str, mutation: str
+) -> Verdict:
+    seen, bad, wrong = 0, 0, []
+    with open_log(str(path), options) as log:
+        batches = list(log.batches(3))
+        about = log.described(total(batch.notes for batch in batches))
+        said = [*about.warnings, *(file.text for file in about.integrity)]
+        same = log.calibration == truth.calibration
+        recovered = any(file.recovered for file in log.description.integrity)
+        for batch in batches:
+            for row, status in enumerate(batch.status):
+                seen += 1
+                if status is not FrameStatus.OK:
+                    bad += 1
+                    if not batch.errors[row]:
+                        return Verdict("silently lost", "a frame that is not ok has no reason")
+                    continue
+                stamp = int(batch.frames.stamp_ns[row])
+                color, depth = batch.frames.color[row], batch.frames.depth[row]
+                if not _is_of(color, depth, stamp, truth):
+                    wrong.append(stamp)
+        counts = seen, bad, wrong, same, recovered
+        return _verdict(log, (format_name, mutation), counts, said)
+
+
+def _is_of(color: np.ndarray, depth: np.ndarray, stamp: int, truth: Truth) -> bool:
+    return color.tobytes() == truth.color.get(stamp) and depth.tobytes() == truth.depth.get(stamp)
+
+
+def _verdict(
+    log: Log,
+    how: tuple[str, str],
+    counts: tuple[int, int, list[int], bool, bool],
+    said: list[str],
+) -> Verdict:
+    seen, bad, wrong, same, recovered = counts
+    checked = FORMATS[how[0]].has_crc and how[1] not in WRITER_IS_WRONG
+    text = f"{seen} frames, {bad} bad, wrong {wrong}: {'; '.join(said)}"
+    if (wrong or not same) and checked:
+        return Verdict("wrong pixels", text)
+    if seen < FRAMES and not recovered and how[1] not in WRITER_IS_WRONG and _tells(log):
+        return Verdict("silently lost", text)
+    if wrong or not same:
+        return Verdict("unseen", text)
+    if seen > FRAMES:
+        known = recovered or not checked or "occur twice" in text
+        return Verdict("doubled" if known else "wrong pixels", text)
+    if recovered:
+        return Verdict("lost", text)
+    return Verdict("frames" if bad else "clean", text)
+
+
+def _tells(log: Log) -> bool:
+    """Whether a summary is left that counts the messages."""
+    return all(
+        not file.summary_problem and file.declared_messages is not None
+        for file in log.description.integrity
+    )

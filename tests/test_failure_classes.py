@@ -1,0 +1,202 @@
+"""The ways in which inputs and runs fail, and the tests that say what becomes of each."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+
+CLASSES: dict[int, tuple[str, ...]] = {
+    1: (
+        "empty, magic only, not MCAP",
+        "io_damage any_truncation",
+        "cli a_bad_log_among_good_ones",
+    ),
+    2: (
+        "no footer or summary (power cut)",
+        "io_damage truncated_file missing_summary_loses",
+    ),
+    3: (
+        "torn last chunk, endless length",
+        "io_damage truncated_file damaged_length_is_skipped",
+    ),
+    4: (
+        "wrong summary",
+        "io_trust index_of_any_bytes summary_that_cannot_be_read",
+        "fuzz damaged_logs",
+    ),
+    5: (
+        "wrong CRC of a chunk",
+        "io_damage chunk_with_a_wrong_crc",
+    ),
+    6: (
+        "no CRC in the file",
+        "io_damage no_crc_is_said",
+        "io_trust nothing_can_be_checked_is_said",
+    ),
+    7: (
+        "decompression bomb",
+        "io_bombs bombs",
+        "io_damage chunks_that_lie",
+    ),
+    8: (
+        "message longer than its chunk",
+        "io_damage records_that_overrun",
+    ),
+    9: (
+        "flood of empty records",
+        "io_bombs bombs",
+        "io_damage records_that_overrun",
+    ),
+    10: (
+        "unknown compression, encoding, schema",
+        "io_damage chunks_that_lie",
+        "io_trust video",
+    ),
+    11: (
+        "a schema unlike the known type",
+        "io_images pixels_of_cdr_stay",
+        "io_log each_container_form",
+    ),
+    12: (
+        "CDR cut, big-endian, padded",
+        "io_trust cdr_of_any_bytes",
+        "io_names big_endian_cdr",
+    ),
+    13: (
+        "corrupt JPEG, PNG, RVL",
+        "io_images that_lie_or_are_cut rvl_of_any",
+        "io_frames bad_frames",
+    ),
+    14: (
+        "image unlike CameraInfo",
+        "io_images another_size_than",
+        "io_trust of_another_calibration",
+    ),
+    15: (
+        "pixel bomb, lying RVL",
+        "io_bombs bombs",
+        "io_images compressed_images_that_lie",
+    ),
+    16: (
+        "video",
+        "io_trust video",
+    ),
+    17: (
+        "CameraInfo missing or wrong",
+        "io_intrinsics camera_matrix_that_is_none",
+        "checks images_must",
+    ),
+    18: (
+        "extrinsics missing, cyclic",
+        "io_extrinsics missing_extrinsics_name",
+        "io_pairing tree_chains",
+    ),
+    19: (
+        "wrong depth unit",
+        "no_traceback what_no_camera_has",
+    ),
+    20: (
+        "depth without measurement",
+        "engine every_frame_has_a_row",
+    ),
+    21: (
+        "stamps zero, backward, double",
+        "io_frames zero_stamps_fall_back",
+        "io_pairing equal_stamps",
+    ),
+    22: (
+        "colour without depth",
+        "io_pairing pairs_by_hand",
+        "engine every_frame_has_a_row",
+    ),
+    23: (
+        "chunks out of order",
+        "io_index random_logs_are_the_same",
+    ),
+    24: (
+        "missing, disordered splits",
+        "io_names splits_are_ordered",
+        "io_trust a_split_without_an_index",
+    ),
+    25: (
+        "input changed while read",
+        "io_trust changes_while_it_is_read cut_while_it_is_scanned",
+    ),
+    26: ("configuration changed between runs",),
+    27: ("killed at any instant",),
+    28: (
+        "disk full, read-only",
+        "cli full_disk_is_one_line",
+    ),
+    29: ("two runs in one folder",),
+    30: ("GPU out of memory",),
+    31: (
+        "GPU lost, none there",
+        "no_traceback platforms_that_are_not_there",
+    ),
+    32: (
+        "crash in a native decoder",
+        "workers worker",
+    ),
+    33: ("a unit that hangs",),
+    34: (
+        "more than buffers hold",
+        "features_hostile hostile_images",
+    ),
+    35: (
+        "order or batch changes results",
+        "engine bytes_depend_on_neither",
+        "workers bytes_depend_on",
+    ),
+    36: (
+        "hostile names",
+        "no_traceback names_that_are_not_utf8",
+        "io_names hostile_topic_names",
+    ),
+    37: (
+        "hostile JSON, TOML",
+        "io_bombs bombs",
+        "no_traceback configuration_files",
+    ),
+    38: (
+        "Ctrl-C",
+        "cli interrupt_is_one_line",
+        "workers control_c_ends",
+    ),
+    39: (
+        "partial reads, EIO",
+        "io_trust partial_reads_and_errors",
+    ),
+    40: (
+        "locale, paths that are not UTF-8",
+        "no_traceback names_that_are_not_utf8 shows_ascii_only",
+    ),
+}
+"""By number: what it is, then a file of tests and parts of the names of tests in it."""
+WITHOUT = {26, 27, 29, 30, 33}
+"""Those that have no test."""
+
+
+@cache
+def names_in(file: str) -> list[str]:
+    tree = ast.parse((TESTS / f"test_{file}.py").read_text(encoding="utf-8"))
+    return [node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+
+
+@pytest.mark.parametrize("number", CLASSES)
+def test_each_class_has_its_tests(number):
+    _, *tests = CLASSES[number]
+    assert bool(tests) == (number not in WITHOUT)
+    for group in tests:
+        file, *parts = group.split(" ")
+        names = [name for name in names_in(file) if name.startswith("test_")]
+        assert parts
+        for part in parts:
+            assert any(part in name for name in names), f"{file}: {part}"
+
+
+def test_the_table_is_whole():
+    assert list(CLASSES) == list(range(1, 41))

@@ -1,0 +1,89 @@
+"""Files that ask for more than they have end soon, in little memory, with a clear line."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+from tests.bombs import BOMBS
+from tests.io_helpers import write_log
+
+MOST_S, MOST_MIB = 10, 1024
+SAID = {
+    "schema_memory": "",
+    "schema_text": "its schema has 14155787 bytes",
+    "schema_comment": "messages can't be decoded",
+    "schema_fields": "at most 10000 are taken",
+    "many_topics": "InputError.*10001 topics or more",
+    "empty_images": "InputError.*/bomb: .* images or more in",
+    "tiny_images": "InputError.*image_raw: .* images or more in",
+    "empty_transforms": "InputError.*/tf: .* small messages or more in",
+    "one_large_transform": "/tf: 1 messages can't be decoded",
+    "many_messages": "InputError.* messages or more in",
+    "empty_records": "damaged or torn record",
+    "empty_records_inside": "chunk holds what is no record",
+    "summary_bomb": "nothing tells what is missing",
+    "rvl_tail": "decode_error",
+    "rvl_pixels": "5700x5700, its calibration for 32x24",
+    "image_pixels": "Error",
+    "deep_json": "messages can't be decoded",
+    "wide_json": "messages can't be decoded",
+    "jpeg_scans": "decode_error",
+}
+"""What a user reads."""
+
+READ = """
+import sys, time
+from jaxdet.errors import JaxdetError
+from jaxdet.io import open_log
+
+def peak():
+    lines = open("/proc/self/status").read().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+def read(path):
+    with open_log(path) as log:
+        said = [*log.description.warnings, *(f.text for f in log.description.integrity)]
+        said += [topic.problem for topic in log.description.topics]
+        for batch in log.batches(8):
+            said += [f"{status} {text}" for status, text in zip(batch.status, batch.errors)]
+    return " | ".join(dict.fromkeys(said))
+
+plain, *paths = sys.argv[1:]
+read(plain)
+for path in paths:
+    before, start = peak(), time.perf_counter()
+    try:
+        said = read(path)
+    except JaxdetError as error:
+        said = f"{type(error).__name__} {error}"
+    print(time.perf_counter() - start, peak() - before, said)
+"""
+LARGE = {"schema_memory", "empty_transforms", "many_messages", "rvl_tail"}
+"""Bombs that take seconds all the same."""
+
+
+def check(folder: Path, names: Iterable[str]) -> None:
+    plain, names = write_log(folder / "plain.mcap"), sorted(names)
+    paths = [BOMBS[name](folder / f"{name}.mcap") for name in names]
+    command = [sys.executable, "-c", READ, str(plain), *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    for name, line in zip(names, done.stdout.splitlines(), strict=True):
+        seconds, mib, said = line.split(" ", 2)
+        assert float(seconds) < MOST_S and float(mib) < MOST_MIB, (name, line)
+        assert re.search(SAID[name], said), (name, said)
+        assert "\n" not in said and said.isprintable()
+
+
+def test_bombs(tmp_path):
+    check(tmp_path, BOMBS.keys() - LARGE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(LARGE))
+def test_large_bomb(tmp_path, name):
+    check(tmp_path, [name])

@@ -1,0 +1,397 @@
+"""What a log says of itself is held against what is read of it, and what changes is said."""
+
+import os
+import pickle
+import shutil
+import struct
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxdet.errors import FrameError, FrameStatus, InputError, JaxdetError, RescanError, printable
+from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.declarations import ChannelInfo, Declarations
+from jaxdet.io.decode_messages import MessageDecoder, bare_definition
+from jaxdet.io.messages import TransformMessage
+from jaxdet.io.opening import open_files, scan_files
+from jaxdet.io.rvl import decode_rvl
+from jaxdet.io.transforms import TransformTree
+from tests.fuzz.formats import encode_rvl, write_format
+from tests.fuzz.mutations import chunks, records
+from tests.io_helpers import (
+    COLOR,
+    COLOR_FRAME,
+    COLOR_INFO,
+    COLOR_K,
+    COLOR_SIZE,
+    SECOND,
+    START,
+    STORE,
+    LogFile,
+    make_scene,
+    ros_image,
+    ros_info,
+    ros_tf,
+    write_calibration,
+    write_images,
+    write_log,
+)
+
+SCENE = make_scene(8)
+
+
+def drop(path: Path, item) -> None:
+    """Removes a record of a file."""
+    data = path.read_bytes()
+    path.write_bytes(data[: item.start] + data[item.end :])
+
+
+@pytest.mark.parametrize("name", ["raw", "zstd", "no_crc"])
+def test_a_chunk_that_the_index_counts_is_missed(tmp_path, name):
+    path = write_format(name, tmp_path / "x.mcap")
+    drop(path, chunks(path.read_bytes())[2])
+    with open_log(str(path)) as log:
+        [file] = log.description.integrity
+        assert log.num_frames < 8 and file.recovered
+        assert file.lost["chunk of the index isn't there"] == 1 and file.lost_bytes > 0
+        assert file.missing[COLOR] == 8 - log.num_frames and len(file.lost_spans_ns) == 1
+        assert f"messages of {COLOR} missing" in " ".join(log.description.warnings)
+        assert "nothing tells" not in file.text
+
+
+def test_message_indexes_alone_tell_what_is_missing(tmp_path):
+    path = write_format("raw", tmp_path / "x.mcap")
+    data = path.read_bytes()
+    drop(path, chunks(data)[1])
+    path.write_bytes(path.read_bytes()[:-500])  # and there is no summary either
+    with open_log(str(path)) as log:
+        [file] = log.description.integrity
+        assert file.missing and "nothing tells what is missing" in file.text
+
+
+def test_a_summary_that_cannot_be_read_is_mentioned(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE)
+    data = bytearray(path.read_bytes())
+    footer = len(data) - 8 - 20
+    struct.pack_into("<Q", data, footer, 12345)
+    end = next(item for item in records(bytes(data)) if item.opcode == 15)
+    data[end.end + 20] ^= 255
+    path.write_bytes(data)
+    with open_log(str(path)) as log:
+        assert any("nothing tells what is missing" in text for text in log.description.warnings)
+
+
+def test_that_nothing_can_be_checked_is_said_once(tmp_path):
+    for number in range(2):
+        part = make_scene(2)._replace(color_ns=SCENE.color_ns[2 * number :][:2])
+        part = part._replace(depth_ns=SCENE.depth_ns[2 * number :][:2])
+        write_log(tmp_path / f"x_{number}.mcap", part, crc=False)
+    with open_log(str(tmp_path)) as log:
+        said = [text for text in log.description.warnings if "checkable" in text]
+        assert said == ["integrity not checkable in 2 of 2 files: they hold no CRC"]
+
+
+def test_a_chunk_that_the_index_does_not_know(tmp_path):
+    """Between two that it knows: statistics that count it and the walk contradict each other."""
+    path = write_format("raw", tmp_path / "x.mcap")
+    data = path.read_bytes()
+    item = chunks(data)[3]
+    path.write_bytes(data[: item.end] + data[item.start : item.end] + data[item.end :])
+    with open_log(str(path)) as log:
+        assert log.description.integrity[0].recovered
+        assert any("occur twice" in text for text in log.description.warnings)
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("how", ["grown", "cut", "emptied", "replaced", "rewritten", "removed"])
+def test_a_file_that_changes_while_it_is_read(tmp_path, how, scan):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    with open_log(str(path), LogOptions(scan=scan)) as log:
+        log.read([0])
+        size, data = path.stat().st_size, path.read_bytes()
+        if how == "grown":
+            path.write_bytes(data + b"x")
+        elif how in ("cut", "emptied"):
+            os.truncate(path, size // 2 if how == "cut" else 0)
+        elif how == "replaced":
+            (tmp_path / "new").write_bytes(data)
+            (tmp_path / "new").replace(path)
+        elif how == "removed":
+            path.unlink()
+        else:
+            path.write_bytes(data[::-1])
+            os.utime(path, ns=(1, 1))
+        with pytest.raises(InputError, match="changed while it was read; read it again when"):
+            list(log.batches(2))
+
+
+def test_a_file_that_changes_before_another_process_opens_it(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE)
+    with open_log(str(path)) as log:
+        work = pickle.dumps(log)
+        os.utime(path, ns=(1, 1))
+        with pytest.raises(InputError, match="changed while it was read"):
+            pickle.loads(work)
+
+
+def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    [source] = find_logs([str(path)])
+    opened = open_files(source, LogOptions())
+    os.truncate(path, 5000)
+    with pytest.raises(InputError, match="changed while it was read"):
+        scan_files(opened, source, LogOptions())
+    opened.close()
+
+
+def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:
+    """A log with a CameraInfo beside each colour image, in a range another one."""
+    with LogFile(path, chunk_size=9000) as log:
+        write_calibration(log)
+        for number in range(8):
+            at = int(SCENE.color_ns[number])
+            part = SCENE._replace(**{k: v[number : number + 1] for k, v in SCENE._asdict().items()})
+            used = K if number in changed else COLOR_K
+            log.ros(COLOR_INFO, ros_info(COLOR_SIZE, used, at, COLOR_FRAME), at)
+            write_images(log, part)
+    return path
+
+
+def test_frames_of_another_calibration_are_not_used(tmp_path):
+    path = other_calibration(tmp_path / "x.mcap", range(4, 6), (60.0, 51.0, 20.5, 14.5))
+    with open_log(str(path)) as log, pytest.raises(RescanError, match="the calibration changes"):
+        list(log.batches(3))
+    with open_log(str(path), LogOptions(scan=True)) as log:
+        [batch] = log.batches(8)
+        good, bad = FrameStatus.OK, FrameStatus.BAD_CALIBRATION
+        assert batch.status == (good,) * 4 + (bad,) * 2 + (good,) * 2
+        assert "calibration is another one" in batch.errors[4]
+        assert not batch.frames.color[4:6].any() and not batch.frames.depth[4:6].any()
+        assert any("frames with another calibration" in t for t in log.description.warnings)
+
+
+def test_a_camera_that_is_not_calibrated_for_a_while_says_nothing(tmp_path):
+    path = other_calibration(tmp_path / "x.mcap", range(4, 6), (0.0, 0.0, 0.0, 0.0))
+    with open_log(str(path)) as log:
+        assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
+
+
+def test_given_intrinsics_go_before_calibrations_that_change(tmp_path):
+    path = other_calibration(tmp_path / "x.mcap", range(4, 8), (60.0, 51.0, 20.5, 14.5))
+    with open_log(str(path), LogOptions(color_intrinsics=COLOR_K)) as log:
+        assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
+
+
+def drive(path: Path, start: int, K: tuple[float, ...] = COLOR_K, count: int = 3) -> None:
+    """A log that begins at a time."""
+    shift = start - START
+    scene = make_scene(count)
+    with LogFile(path) as log:
+        log.ros(COLOR_INFO, ros_info(COLOR_SIZE, K, start, COLOR_FRAME), start)
+        scene = scene._replace(color_ns=scene.color_ns + shift, depth_ns=scene.depth_ns + shift)
+        write_images(log, scene)
+
+
+def names_of(folder: Path) -> list[tuple[str, int]]:
+    return [(log.name, len(log.paths)) for log in find_logs([str(folder)])]
+
+
+def test_numbered_files_are_one_log_only_if_they_belong_together(tmp_path):
+    for number in range(3):
+        drive(tmp_path / f"x_{number}.mcap", START + number * SECOND)
+    assert names_of(tmp_path) == [("x", 3)]
+    drive(tmp_path / "x_3.mcap", START + 3 * SECOND, (60.0, 51.0, 20.5, 14.5))
+    drive(tmp_path / "x_4.mcap", START + 4 * SECOND, (60.0, 51.0, 20.5, 14.5))
+    assert names_of(tmp_path) == [("x_0", 3), ("x_3", 2)]
+    [first, second] = find_logs([str(tmp_path)])
+    assert first.note == second.note and "another calibration" in first.note
+
+
+@pytest.mark.parametrize(
+    ("start", "why"),
+    [(-SECOND, "overlap in time"), (SECOND // 40, ""), (100 * SECOND, "100 s between them")],
+)
+def test_numbered_files_follow_one_another(tmp_path, start, why):
+    drive(tmp_path / "x_1.mcap", START)
+    drive(tmp_path / "x_2.mcap", START + (3 * SECOND if start < 0 else 0) + start)
+    if start < 0:
+        drive(tmp_path / "x_1.mcap", START + 5 * SECOND)
+    logs = find_logs([str(tmp_path)])
+    assert len(logs) == (2 if why else 1) and why in logs[0].note
+
+
+def test_a_drive_does_not_take_the_calibration_of_another(tmp_path):
+    with LogFile(tmp_path / "drive_1.mcap") as log:
+        write_images(log, make_scene(3))
+    drive(tmp_path / "drive_2.mcap", START + 100_000 * SECOND)
+    with pytest.raises(JaxdetError, match="no calibration of the color camera"):
+        open_log(str(tmp_path / "drive_1.mcap"))
+
+
+def test_a_split_without_an_index_stays_with_the_others(tmp_path):
+    for number in range(3):
+        drive(tmp_path / f"x_{number}.mcap", START + number * SECOND)
+    whole = (tmp_path / "x_1.mcap").read_bytes()
+    (tmp_path / "x_1.mcap").write_bytes(whole[:-100])
+    assert names_of(tmp_path) == [("x", 3)]
+
+
+@pytest.mark.parametrize(
+    ("t", "q", "why"),
+    [
+        ((1e14, 0, 0), (0, 0, 0, 1), "none that a robot has"),
+        ((float("nan"), 0, 0), (0, 0, 0, 1), "none that a robot has"),
+        ((0, 0, 0), (0, 0, 0, 0), "not of unit length"),
+        ((0, 0, 0), (0, 0, 0, 1.1), "not of unit length"),
+        ((0, 0, 0), (1e200, 0, 0, 0), "not of unit length"),
+    ],
+)
+def test_poses_that_no_robot_has_are_refused(t, q, why):
+    name = "tf2_msgs/msg/TFMessage"
+    text = STORE.generate_msgdef(name, ros_version=2)[0].encode()
+    decoder = MessageDecoder(ChannelInfo("/tf", "cdr", name, "ros2msg", text))
+    data = bytes(STORE.serialize_cdr(ros_tf(("a", "b", t, q)), name))
+    with pytest.raises(FrameError, match=why):
+        decoder.decode(data)
+
+
+def test_a_tree_has_no_end_of_frames_nor_of_time():
+    tree = TransformTree()
+    chain = [
+        TransformMessage(0, f"f{i}", f"f{i + 1}", (0, 0, 0), (0, 0, 0, 1)) for i in range(11_000)
+    ]
+    tree.add(chain, static=True)
+    assert len(tree.frames) < 10_100 and "more than 10000 TF frames" in tree.warnings[0]
+    assert tree.joins("f0", "f9000")
+
+
+def test_names_are_printable_everywhere(tmp_path):
+    path = tmp_path / os.fsdecode(b"a\xff\x1b[31m\n.mcap")
+    shutil.copy(write_log(tmp_path / "x.mcap", make_scene(2)), path)
+    [log] = find_logs([str(path)])
+    assert log.name == r"a\xff\x1b[31m\n" and log.paths == (path,)
+    with open_log(log) as opened:
+        about = opened.description
+        assert opened.name == log.name
+        assert all(text.isprintable() for text in (*about.warnings, about.name))
+    path.write_bytes(b"x")
+    with pytest.raises(InputError) as caught:
+        open_log(log)
+    assert str(caught.value).isprintable() and r"a\xff\x1b" in str(caught.value)
+
+
+@given(st.text())
+def test_what_is_printable_is_kept_and_all_else_escaped(text):
+    shown = printable(text)
+    assert shown.isprintable() and shown.encode("utf-8").isascii() >= text.isascii()
+    assert shown == text or not text.isprintable()
+
+
+@given(st.binary(max_size=200))
+def test_declarations_of_any_bytes(data):
+    declared = Declarations()
+    for add in (declared.add_schema, declared.add_channel):
+        try:
+            add(data)
+        except DamageError:
+            continue
+    for number in declared.channels:
+        assert declared.info(number) is not None
+
+
+IMAGE = "sensor_msgs/msg/Image"
+DECODER = MessageDecoder(
+    ChannelInfo(
+        "/i", "cdr", IMAGE, "ros2msg", STORE.generate_msgdef(IMAGE, ros_version=2)[0].encode()
+    )
+)
+GOOD = bytes(STORE.serialize_cdr(ros_image(SCENE.color[0], "rgb8", START, COLOR_FRAME), IMAGE))
+
+
+@given(st.binary(max_size=80), st.integers(0, 70))
+def test_cdr_of_any_bytes(data, place):
+    for payload in (data, GOOD[:place] + data, GOOD[:place] + data + GOOD[place + len(data) :]):
+        try:
+            DECODER.decode(memoryview(payload))
+            DECODER.stamp_ns(memoryview(payload))
+        except FrameError as error:
+            assert str(error).isprintable()
+
+
+@given(st.binary(max_size=400), st.integers(0, 2**32 - 1))
+def test_rvl_of_any_bytes(data, seed):
+    row = np.zeros((6, 9), np.uint16)
+    pixels = np.random.default_rng(seed).integers(0, 3000, row.shape).astype(np.uint16)
+    good = bytearray(encode_rvl(pixels))
+    decode_rvl(bytes(good), row)
+    np.testing.assert_array_equal(row, pixels)
+    good[seed % len(good)] ^= 1 << seed % 8
+    guarded = np.full((8, 9), 12345, np.uint16)
+    for stream in (data, bytes(good), bytes(good[: seed % len(good)])):
+        try:
+            decode_rvl(stream, guarded[1:-1])
+        except ValueError:
+            continue
+    assert (guarded[[0, -1]] == 12345).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_index_of_any_bytes(tmp_path, seed):
+    """The summary and message indexes with wrong numbers, and CRCs that don't mind."""
+    path, random = write_format("raw", tmp_path / "x.mcap"), Random(seed)
+    data = bytearray(path.read_bytes())
+    places = [item for item in records(bytes(data)) if item.opcode in (7, 8, 11)]
+    item = random.choice(places)
+    form = random.choice(("<H", "<I", "<Q"))
+    value = random.choice((0, 1, 0xFFFF, random.getrandbits(16)))
+    value = value if form == "<H" else random.choice((value, 0xFFFFFFFF, random.getrandbits(32)))
+    struct.pack_into(form, data, random.randrange(item.start + 9, item.end - 8), value)
+    struct.pack_into("<I", data, len(data) - 12, 0)
+    path.write_bytes(data)
+    try:
+        with open_log(str(path)) as log:
+            frames = list(log.batches(3))
+            assert sum(len(batch.status) for batch in frames) == log.num_frames
+    except JaxdetError as error:
+        assert str(error).isprintable()
+
+
+def test_definitions_lose_what_says_nothing_of_bytes():
+    text = (
+        "# a [m] comment\nuint8 A=1\nuint8[<=3] a 1 # b\nstring<=10 b\n====\nMSG: x/Y\nint8 c -1\n"
+    )
+    assert bare_definition(text) == "uint8[<=3] a\nstring<=10 b\n====\nMSG: x/Y\nint8 c"
+
+
+def test_partial_reads_and_errors_of_the_file_system(tmp_path, monkeypatch):
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    plain, plain_into, failing = os.pread, os.preadv, False
+
+    def some(descriptor: int, size: int, position: int) -> bytes:
+        return plain(descriptor, min(size, 1000), position)
+
+    def some_into(descriptor: int, parts: list[memoryview], position: int) -> int:
+        if failing:
+            raise OSError(5, "Input/output error")
+        return plain_into(descriptor, [parts[0][:1000]], position)
+
+    monkeypatch.setattr(os, "pread", some)
+    monkeypatch.setattr(os, "preadv", some_into)
+    with open_log(str(path)) as log:
+        assert all(status is FrameStatus.OK for b in log.batches(3) for status in b.status)
+    with open_log(str(path), LogOptions(scan=True)) as log:
+        failing = True
+        statuses = [status for b in log.batches(3) for status in b.status]
+        assert FrameStatus.DECODE_ERROR in statuses and len(statuses) == 8
+
+
+def test_video_is_refused_by_name(tmp_path):
+    with LogFile(tmp_path / "x.mcap") as log:
+        log.json("/cam/color/video", "foxglove.CompressedVideo", {"data": ""}, START)
+    with pytest.raises(JaxdetError, match=r"/cam/color/video \(foxglove.CompressedVideo\)"):
+        open_log(str(tmp_path / "x.mcap"))
