@@ -55,6 +55,7 @@ def _add(annotations: "_Annotations", log: ResultLog, seen: Seen) -> None:
     """Adds some frames."""
     rows, first = seen.chunk.frames.to_pylist(), seen.chunk.first.tolist()
     obstacles, frames = seen.chunk.obstacles.to_pylist(), seen.batch.frames
+    assert seen.found.cells is not None
     for b, row in enumerate(rows):
         if row["status"] != FrameStatus.OK:
             annotations.left_out += 1

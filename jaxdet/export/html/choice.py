@@ -1,6 +1,6 @@
 """Which frames the gallery shows."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import chain, zip_longest
 
 from jaxdet.export.html.collect import LogFigures
@@ -16,7 +16,7 @@ Key = tuple[str, int]
 """A log and the number of one of its frames."""
 
 
-def choose(figures: Sequence[LogFigures], pictures: Mapping[Key, str]) -> dict[Key, list[str]]:
+def choose(figures: Sequence[LogFigures], pictures: Iterable[Key]) -> dict[Key, list[str]]:
     """Frames worth a look, each with the kinds that it is of, ordered as in the tables.
 
     Args:

@@ -24,6 +24,9 @@ CHUNK_FRAMES = 1 << 16
 FRAME_COLUMNS = ("frame", "stamp_ns", "status", "overflow")
 
 
+_PER_FRAME = ("frame", "stamp_ns", "status", "overflow", "obstacles")
+
+
 class Columns(NamedTuple):
     """Some frames of a log in their order, each with its obstacles' distances."""
 
@@ -53,7 +56,8 @@ class Columns(NamedTuple):
         """A range of the rows."""
         before, some = int(self.obstacles[:start].sum()), slice(start, stop)
         count = int(self.obstacles[some].sum())
-        return Columns(*(a[some] for a in self[:-1]), self.distance_m[before : before + count])
+        distance_m = self.distance_m[before : before + count]
+        return Columns(*(getattr(self, name)[some] for name in _PER_FRAME), distance_m)
 
 
 @dataclass
@@ -199,8 +203,9 @@ def collect(results: "Results", range_m: float) -> list[LogFigures]:
     for log in results.logs:
         figures = LogFigures(log.name, width_m)
         for chunk in results.chunks(log, FRAME_COLUMNS, ("distance_m",), CHUNK_FRAMES):
+            columns = {name: chunk.frames[name].to_numpy() for name in FRAME_COLUMNS}
             count = chunk.frames["num_obstacles"].to_numpy().astype(np.int64)
-            columns = (chunk.frames[name].to_numpy() for name in FRAME_COLUMNS)
-            figures.add(Columns(*columns, count, chunk.obstacles["distance_m"].to_numpy()))
+            distance_m = chunk.obstacles["distance_m"].to_numpy()
+            figures.add(Columns(**columns, obstacles=count, distance_m=distance_m))
         found.append(figures)
     return found
