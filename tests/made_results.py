@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from jaxdet.config import Config
 from jaxdet.io import LogOptions
+from jaxdet.results.names import file_names
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary, plain
 from jaxdet.results.writer import ResultWriter, Tables
@@ -26,8 +27,10 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
     """
     summary = Summary("jax", 16, seconds=12.5)
     with ResultWriter(folder) as writer:
-        for seed, (name, count) in enumerate(logs.items()):
-            about = LogSummary(name, (f"/nowhere/{name}.mcap",), seconds=1.0)
+        for seed, (name, file_name) in enumerate(zip(logs, file_names(logs), strict=True)):
+            count = logs[name]
+            about = LogSummary(name, (f"/nowhere/{name}.mcap",), camera="front")
+            about.file_name = file_name
             about.calibration = Calibration(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0))
             about.frame_errors.append(f"frame 7: {name} isn't what it was")
             for start in range(0, count, 1 << 15):
@@ -54,6 +57,7 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
     log, total = np.full(n.size, name, object), int(count.sum())
     frames = {
         "log": log,
+        "camera": np.full(n.size, "front", object),
         "frame": n,
         "stamp_ns": START_NS + n * STEP_NS,
         "status": np.where(good, "ok", np.array(LOST, object)[n % 2]),
@@ -66,6 +70,7 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
     }
     obstacles = {
         "log": np.full(total, name, object),
+        "camera": np.full(total, "front", object),
         "frame": frame,
         "stamp_ns": START_NS + frame * STEP_NS,
         "obstacle": np.arange(total) - first,

@@ -93,7 +93,7 @@ class _Annotations:
         (self.folder / name).write_bytes(encoded.tobytes())
         self.images += 1
         height, width = labels.shape
-        about = {"log": row["log"], "frame": row["frame"], "stamp_ns": row["stamp_ns"]}
+        about = {name: row[name] for name in ("log", "camera", "frame", "stamp_ns")}
         size = {"width": width, "height": height}
         self._images.add({"id": self.images, "file_name": name, **size, **about})
         for obstacle in obstacles:

@@ -36,8 +36,9 @@ from jaxdet.export.shapes import (
     label,
 )
 from jaxdet.io import LogFiles
+from jaxdet.io.motion import quaternions
 from jaxdet.render.canvas import FREE, PALETTE
-from jaxdet.results.metric import quaternions, world_angle
+from jaxdet.results.metric import world_angle
 from jaxdet.results.occupancy import MapImage
 from jaxdet.results.reading import Chunk, Frame, ResultLog, Results
 from jaxdet.types import Detections
@@ -65,11 +66,11 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     output.mkdir()
     for log in results.logs:
         files = recordings.get(log.name)
-        stream = rr.RecordingStream("jaxdet", recording_id=log.name, send_properties=False)
+        stream = rr.RecordingStream("jaxdet", recording_id=log.label, send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         stream.save(output / f"{log.file_name}.rrd", _blueprint(files is not None))
-        stream.send_recording_name(log.name)
+        stream.send_recording_name(log.label)
         try:
             _Recording(stream, results, log).write(files)
         finally:

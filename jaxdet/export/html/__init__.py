@@ -55,12 +55,12 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     """
     figures = collect(results, results.method.ground.max_depth_m)
     pictures = {
-        (log.name, frame): path
+        (log.label, frame): path
         for log in results.logs
         for frame, path in results.pictures(log).items()
     }
     chosen = choose(figures, pictures)
-    place = {log.name: number for number, log in enumerate(results.logs)}
+    place = {log.label: number for number, log in enumerate(results.logs)}
     shown = _shown(results, chosen, place)
     for key, frame in shown.items():
         if key in pictures:
@@ -68,7 +68,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     _draw(results, shown, recordings)
     entries = [_log(results, log, one) for log, one in zip(results.logs, figures, strict=True)]
     for log, entry in zip(results.logs, entries, strict=True):
-        if log.name in _mapped(results):
+        if log.label in _mapped(results):
             image = results.map(log)
             entry["map"] = map_figure(image) if image else None
     entries += [_failed(entry) for entry in results.summary["logs"] if entry["error"]]
@@ -97,24 +97,25 @@ def _draw(
     recordings: Mapping[str, "LogFiles"],
 ) -> None:
     """Draws the frames that have a result but no picture, of the logs that are given."""
-    for name, files in recordings.items():
+    for log in results.logs:
+        files = recordings.get(log.name)
         wanted = [
             number
-            for (log, number), frame in shown.items()
-            if log == name and frame["status"] == FrameStatus.OK and not frame["picture"]
+            for (label, number), frame in shown.items()
+            if label == log.label and frame["status"] == FrameStatus.OK and not frame["picture"]
         ]
-        if wanted:
+        if files and wanted:
             from jaxdet.export.html.drawing import draw_again  # which loads JAX
 
-            for number, picture in draw_again(results, results.log(name), files, wanted):
-                shown[name, number].update(frame_picture(picture))
+            for number, picture in draw_again(results, log, files, wanted):
+                shown[log.label, number].update(frame_picture(picture))
 
 
 def _mapped(results: "Results") -> set[str]:
     """The logs whose maps are shown."""
     some = [log for log in results.logs if log.summary["map"]]
     some.sort(key=lambda log: -log.num_frames)
-    return {log.name for log in some[:MOST_MAPS]}
+    return {log.label for log in some[:MOST_MAPS]}
 
 
 def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str, Any]:
@@ -126,7 +127,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
     known = bool(line.bins) and nearest[least] is not None
     begin_s = start / 1e9 if start is not None else 0.0
     return {
-        "log": log.name,
+        "log": log.label,
         "error": None,
         "frames": log.num_frames,
         "status": {k: n for k, n in summary["status"].items() if n},
@@ -167,7 +168,7 @@ def _shown(
     """The chosen frames as the page needs them, but their pictures."""
     found: dict[Key, dict[str, Any]] = {}
     for log in results.logs:
-        wanted = np.array([frame for name, frame in chosen if name == log.name], np.int64)
+        wanted = np.array([frame for name, frame in chosen if name == log.label], np.int64)
         if not wanted.size:
             continue
         reasons = dict(_reasons(log.summary["frame_errors"]))
@@ -179,9 +180,9 @@ def _shown(
                 values = chunk.frames.slice(row, 1).to_pylist()[0]
                 first, last = chunk.first[row : row + 2].tolist()
                 parts = chunk.obstacles.slice(first, min(last - first, MOST_ROWS)).to_pylist()
-                key = log.name, values["frame"]
+                key = log.label, values["frame"]
                 found[key] = _frame(values, parts, begin) | {
-                    "log": place[log.name],
+                    "log": place[log.label],
                     "place": passed + row,
                     "kinds": chosen[key],
                     "reason": reasons.get(values["frame"], ""),

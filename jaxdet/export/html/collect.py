@@ -201,7 +201,7 @@ def collect(results: "Results", range_m: float) -> list[LogFigures]:
     """
     width_m, found = range_m / (HISTOGRAM_BINS - 1), []
     for log in results.logs:
-        figures = LogFigures(log.name, width_m)
+        figures = LogFigures(log.label, width_m)
         for chunk in results.chunks(log, FRAME_COLUMNS, ("distance_m",), CHUNK_FRAMES):
             columns = {name: chunk.frames[name].to_numpy() for name in FRAME_COLUMNS}
             count = chunk.frames["num_obstacles"].to_numpy().astype(np.int64)

@@ -33,5 +33,5 @@ def draw_again(
         if found.scene is not None:
             frames = frames._replace(plane=floors(found.scene, unit).plane)
         for row, number in enumerate(seen.chunk.frames["frame"].to_pylist()):
-            title = f"{log.name}   frame {number}"
+            title = f"{log.label}   frame {number}"
             yield number, draw_frame(frames, found, corners, row, config, title)[..., ::-1]
