@@ -100,7 +100,13 @@ def test_with_the_log(drive: Path, tmp_path: Path) -> None:
     check(drive / "out", found)
     check_points(drive / "out", found)
     assert len(found[f"{CAMERA}/color"]["blob"]) == len(found[f"{CAMERA}/depth"]["blob"]) == 5
-    assert found["/world/map"] and found["/world/path"] and found[f"{FLOOR}/free"]
+    shown = found["/world/map"]
+    with np.load(drive / "out" / "map_drive.npz") as map_:
+        assert np.size(shown["data"][-1]) == map_["counts"].size * 3
+        np.testing.assert_allclose(
+            np.ravel(shown["translation"][-1])[:2], map_["origin"], atol=1e-5
+        )
+    assert found["/world/path"] and found[f"{FLOOR}/free"]
     program = shutil.which("rerun") or str(Path(shutil.which("python") or "").with_name("rerun"))
     if Path(program).exists():
         file = next((tmp_path / "out").iterdir())

@@ -49,6 +49,8 @@ QUALITY = 85
 """Of the JPEG images."""
 PNG_LEVEL = 1
 PATH_POINTS = 10_000
+UNKNOWN = (70, 74, 80)
+"""Of the map."""
 COLORS = np.array(PALETTE, np.uint8)
 
 
@@ -86,7 +88,9 @@ def _blueprint(with_images: bool) -> rrb.Blueprint:
         rrb.TimeSeriesView(origin="obstacles", name="Obstacles"),
         rrb.TextLogView(origin="frames", name="Frames without a result"),
     ]
-    space = rrb.Spatial3DView(origin="world", name="Space")
+    # The points of obstacles show better without those of the depth image.
+    shown = ["$origin/**", f"- {DEPTH}/**"]
+    space = rrb.Spatial3DView(origin="world", contents=shown, name="Space")
     upper = rrb.Horizontal(space, rrb.Vertical(*flat), column_shares=[3, 2])
     lower = rrb.Horizontal(*series)
     return rrb.Blueprint(rrb.Vertical(upper, lower, row_shares=[3, 1]), collapse_panels=True)
@@ -301,16 +305,19 @@ def _points(found: Detections, b: int, unit: float) -> rr.Points3D:
 def _map(stream: rr.RecordingStream, image: MapImage, floor_z: float) -> None:
     """The map just below the floor, and the path over it."""
     picture, cell_m = map_picture(image)
-    size = np.array(picture.shape[1::-1]) * cell_m
-    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)  # corners of the picture
-    place = np.array(image.origin) + unit * size
-    mesh = rr.Mesh3D(
-        vertex_positions=np.column_stack([place, np.full(4, floor_z - 0.02)]),
-        triangle_indices=[[0, 1, 2], [0, 2, 3]],
-        vertex_texcoords=unit,
-        albedo_texture=picture,
+    height, width, _ = picture.shape
+    seen = picture[..., 3:] > 0
+    opaque = np.where(seen, picture[..., :3], np.uint8(UNKNOWN))  # grids show no transparency
+    kind = rr.components.ImageFormat(
+        width=width, height=height, color_model="RGB", channel_datatype="U8"
     )
-    stream.log("world/map", mesh, static=True)
+    grid = rr.GridMap(
+        data=opaque[::-1].tobytes(),
+        format=kind,
+        cell_size=cell_m,
+        translation=[*image.origin, floor_z - 0.02],
+    )
+    stream.log("world/map", grid, static=True)
     path = image.path[:: -(-len(image.path) // PATH_POINTS) or 1]
     if len(path) > 1:
         strip = np.column_stack([path, np.full(len(path), floor_z)])
