@@ -8,15 +8,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from jaxdet import preset
+from jaxdet import engine, preset
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.export import export
 from jaxdet.export.coco import run_lengths
 from jaxdet.export.recordings import find
+from jaxdet.io import LogOptions, find_logs
 from jaxdet.results.masks import label_image
 from jaxdet.results.reading import Results
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import CellLabels, Cells, Intrinsics
+from tests.camera_logs import join_cameras
 from tests.made_results import make_results
 
 # pycocotools' own arrays don't know NumPy 2's copy.
@@ -82,6 +86,26 @@ def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
     around = [cv2.boundingRect(mask.astype(np.uint8)) for *_, mask in found]
     share = np.array([w * h for *_, w, h in around]) / boxes
     assert len(found) > 40 and share.mean() > 0.98
+
+
+def test_two_cameras(drive: Path, tmp_path: Path) -> None:
+    """Each has its own images, and recordings and reports tell them apart."""
+    write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
+    both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
+    log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"
+    engine.run(find_logs([str(log)]), Config(), LogOptions(), RunOptions(folder, pictures=0))
+    coco = coco_of(folder, tmp_path / "set", str(log))
+    assert len(check(coco, folder, tmp_path / "set")) > 20
+    cameras = [image["camera"] for image in coco.loadImgs(coco.getImgIds())]
+    assert cameras == ["front"] * 5 + ["rear"] * 2
+    with Results(folder) as results:
+        export(results, "html", tmp_path / "page.html", find(results, [str(log)]))
+        export(results, "rerun", tmp_path / "recordings", find(results, [str(log)]))
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert page.count('"log":"two, front"') == page.count('"log":"two, rear"') == 1
+    assert page.count("data:image/webp") == 7 + page.count('"map":{')
+    names = sorted(path.name for path in (tmp_path / "recordings").iterdir())
+    assert names == ["two@front.rrd", "two@rear.rrd"]
 
 
 def test_other_log_and_no_log(drive: Path, tmp_path: Path) -> None:

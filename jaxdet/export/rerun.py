@@ -117,6 +117,7 @@ class _Recording:
                 for b, row in enumerate(seen.chunk.frames.to_pylist()):
                     self._at(row)
                     self._images(seen, b, row)
+                self.stream.flush()  # else what waits to be written has no bound
         image = self.results.map(self.log)
         if image is not None:
             _map(self.stream, image, self.floor_z)

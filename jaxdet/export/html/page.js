@@ -113,6 +113,7 @@
   function drawTimelines() {
     const node = clear($("timelines"));
     const some = logs().filter((i) => data.logs[i].bins);
+    $("lost-key").hidden = !some.some((i) => data.logs[i].bins.lost.some((n) => n));
     if (!some.length) add(node, "p", {}, "No frames.");
     for (const i of some.slice(0, drawn)) timeline(node, i);
     if (some.length > drawn) {
@@ -317,8 +318,9 @@
 
   const secondsOf = (f) => seconds(f.time);
   function line(f) {
-    if (f.status !== "ok") return data.reasons[f.status] || f.status;
-    return [f.nearest === null ? "no obstacle" : `nearest ${metres(f.nearest)}`, many(f.count, "obstacle"), f.drop !== null ? `drop at ${metres(f.drop)}` : ""].filter(Boolean).join(" · ");
+    if (f.status !== "ok") return f.reason || data.reasons[f.status] || f.status;
+    const near = f.nearest === null ? "no obstacle" : `nearest ${metres(f.nearest)} · ${many(f.count, "obstacle")}`;
+    return [near, f.drop !== null ? `drop at ${metres(f.drop)}` : ""].filter(Boolean).join(" · ");
   }
   const where = (f) => `${data.logs.length > 1 ? data.logs[f.log].log + " · " : ""}frame ${f.frame}`;
 
@@ -339,7 +341,6 @@
     const f = data.frames[index];
     const node = add(parent, "button", { type: "button", class: "card", "data-frame": index });
     if (f.picture) add(node, "img", { src: f.picture, alt: `Obstacles found in ${where(f)}`, width: f.size[0], height: f.size[1] });
-    else if (f.status !== "ok") add(node, "span", { class: "none" }, f.reason || data.reasons[f.status] || f.status);
     const text = add(node, "span", { class: "text" });
     add(text, "strong", {}, where(f));
     add(text, "span", { class: f.status === "ok" ? "faint" : "bad" }, `${secondsOf(f)} · ${line(f)}`);
