@@ -12,8 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.config import Config, GroundConfig
+from jaxdet.errors import FrameStatus
 from jaxdet.export import export
 from jaxdet.export.html.collect import MOST_BINS, Columns, Timeline
+from jaxdet.export.html.page import REASONS
 from jaxdet.export.recordings import find
 from jaxdet.results.reading import Results
 from tests.made_results import START_NS, STEP_NS, make_results
@@ -82,6 +84,10 @@ def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
         assert ("lost" in frame["kinds"]) == (row.status != "ok")
     reasons = [f["reason"] for f in data["frames"] if f["frame"] == 7 and f["status"] != "ok"]
     assert all("isn't what it was" in reason for reason in reasons)
+
+
+def test_each_status_has_a_reason() -> None:
+    assert {str(status) for status in FrameStatus} <= {"ok", *REASONS}
 
 
 def test_timeline_is_the_same_however_it_is_fed() -> None:

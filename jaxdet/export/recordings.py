@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.errors import InputError, RescanError
+from jaxdet.errors import FrameStatus, InputError, RescanError
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
 from jaxdet.results.reading import Chunk, ResultLog, Results
@@ -129,7 +129,8 @@ def look_again(
         found = to_host(detect(frames, config, with_cells=with_cells))
         good = frames.valid & found.has_depth
         counts = np.where(good, found.labels.num_obstacles, 0)[: chunk.frames.num_rows]
-        if not np.array_equal(counts, chunk.frames["num_obstacles"].to_numpy()):
+        ok = chunk.frames["status"].to_numpy() == FrameStatus.OK
+        if (counts != chunk.frames["num_obstacles"].to_numpy())[ok].any():
             raise _other(log, files)
         yield Seen(batch._replace(frames=frames), found, chunk)
 

@@ -49,7 +49,7 @@ QUALITY = 85
 """Of the JPEG images."""
 PNG_LEVEL = 1
 PATH_POINTS = 10_000
-UNKNOWN = (70, 74, 80)
+UNKNOWN = np.array((70, 74, 80), np.uint8)
 """Of the map."""
 COLORS = np.array(PALETTE, np.uint8)
 
@@ -308,7 +308,7 @@ def _map(stream: rr.RecordingStream, image: MapImage, floor_z: float) -> None:
     picture, cell_m = map_picture(image)
     height, width, _ = picture.shape
     seen = picture[..., 3:] > 0
-    opaque = np.where(seen, picture[..., :3], np.uint8(UNKNOWN))  # grids show no transparency
+    opaque = np.where(seen, picture[..., :3], UNKNOWN)  # grids show no transparency
     kind = rr.components.ImageFormat(
         width=width, height=height, color_model="RGB", channel_datatype="U8"
     )

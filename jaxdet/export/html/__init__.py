@@ -80,7 +80,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         "frames": list(shown.values()),
         "range": results.method.ground.max_depth_m,
         "width": figures[0].width_m if figures else 1.0,
-        "reasons": {str(status): text for status, text in REASONS.items()},
+        "reasons": REASONS,
         "no_picture": "with --log the export draws those without a picture",
         "preset": results.config.get("preset") or "wheeled",
         "settings": settings + given_options(results.log_options, LogOptions()),

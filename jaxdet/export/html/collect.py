@@ -57,7 +57,8 @@ class Columns(NamedTuple):
         before, some = int(self.obstacles[:start].sum()), slice(start, stop)
         count = int(self.obstacles[some].sum())
         distance_m = self.distance_m[before : before + count]
-        return Columns(*(getattr(self, name)[some] for name in _PER_FRAME), distance_m)
+        parts = {name: getattr(self, name)[some] for name in _PER_FRAME}
+        return self._replace(**parts, distance_m=distance_m)
 
 
 @dataclass

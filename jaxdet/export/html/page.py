@@ -10,16 +10,18 @@ from importlib.resources import files
 from typing import Any
 
 from jaxdet.config import Config
-from jaxdet.errors import FrameStatus
 from jaxdet.presets import preset
 from jaxdet.results.summary import plain
 
 REASONS = {
-    FrameStatus.NO_DEPTH: "The depth image has no measurement in range.",
-    FrameStatus.UNPAIRED: "No depth image is near enough in time.",
-    FrameStatus.DECODE_ERROR: "The colour or the depth image could not be decoded.",
-    FrameStatus.BAD_CALIBRATION: "The images contradict the calibration of the log.",
+    "no_depth": "The depth image has no measurement in range.",
+    "unpaired": "No depth image is near enough in time.",
+    "decode_error": "The colour or the depth image could not be decoded.",
+    "bad_calibration": "The images contradict the calibration of the log.",
+    "worker_crashed": "The processes that worked on it died.",
+    "timeout": "The processes that worked on it made no progress.",
 }
+"""What each :class:`jaxdet.errors.FrameStatus` means but ``ok``."""
 FIRST_DATE_S = 946684800
 """Stamps before the year 2000 count from somewhere else, and have no date."""
 
