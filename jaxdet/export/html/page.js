@@ -28,7 +28,7 @@
   const date = (log) => (log.begin ? new Date(log.begin * 1000).toISOString().replace("T", " ").slice(0, 19) + " UTC" : "");
   const share = (part, whole) => {
     const p = (100 * part) / whole;
-    return p === 100 ? "100 %" : part && p < 0.1 ? "< 0.1 %" : p < 100 && p > 99.9 ? "> 99.9 %" : `${p.toFixed(p < 10 || p > 99 ? 1 : 0)} %`;
+    return p === 100 || !part ? `${p} %` : part && p < 0.1 ? "< 0.1 %" : p < 100 && p > 99.9 ? "> 99.9 %" : `${p.toFixed(p < 10 || p > 99 ? 1 : 0)} %`;
   };
 
   function table(parent, head, rows) {
