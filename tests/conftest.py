@@ -68,6 +68,35 @@ def shared_data() -> Path:
     return folder
 
 
+def _results_beside(log: Path, folder: Path, pictures: int) -> Path:
+    """Finds the obstacles of a log, with what the command has as defaults."""
+    from jaxdet import engine
+    from jaxdet.config import Config
+    from jaxdet.io import LogOptions, find_logs
+
+    run = engine.RunOptions(folder, pictures=pictures)
+    engine.run(find_logs([str(log)]), Config(), LogOptions(), run, preset="wheeled")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a simulated log, ``drive.mcap``, and its results with two pictures, ``out``."""
+    from jaxdet.sim import SimConfig, write_log
+
+    folder = tmp_path_factory.mktemp("drive")
+    write_log(folder / "drive.mcap", SimConfig(frames=5, width=320, height=240))
+    _results_beside(folder / "drive.mcap", folder / "out", 2)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def aims(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recorded log without poses, and its results with one picture."""
+    log = shared_data / "aims_slam" / "aims_slam_18frames.mcap"
+    return log, _results_beside(log, tmp_path_factory.mktemp("aims") / "out", 1)
+
+
 @pytest.fixture(autouse=True)
 def both_ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the tests of ``jaxdet.io`` each log that is opened by its index is scanned as well."""

@@ -19,6 +19,7 @@ Examples:
   jaxdet export results --to foxglove --output scenes
   jaxdet export results --to ros2 --output bags --log drive.mcap
   jaxdet export results --to nav2 --output maps
+  jaxdet export results --to html --output report.html --log drive.mcap
 """
 
 
@@ -28,7 +29,7 @@ class ExportCommand:
 
     results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
     """Folder that jaxdet run wrote."""
-    to: Literal["foxglove", "ros2", "nav2"]
+    to: Literal["foxglove", "ros2", "nav2", "html", "rerun", "coco"]
     """The format, see above."""
     output: Annotated[Path, tyro.conf.arg(metavar="PATH")]
     """What to write; must not be there yet."""

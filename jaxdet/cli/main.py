@@ -16,7 +16,7 @@ from jaxdet.errors import ConfigError, JaxdetError, printable
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
     "track": "link the obstacles of results over time: paths, speeds, what moves",
-    "export": "write results for other programs: foxglove, ros2, nav2",
+    "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
     "info": "say what is in a log, and what would be used of it and why",
     "sim": "simulate a log with known obstacles",
     "help": "show a page: logs, calibration, tuning, recipes, ...; without a name their list",

@@ -11,9 +11,10 @@ from jaxdet.config import Config
 from jaxdet.detector.arguments import ColorOrder, color_images
 from jaxdet.errors import ConfigError, FrameStatus
 from jaxdet.floor.mount import Mount
+from jaxdet.results.masks import label_image
 from jaxdet.results.metric import rectangles
 from jaxdet.results.rows import Rows
-from jaxdet.types import CellLabels, Detections, Frames
+from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -177,7 +178,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """``(H, W)`` int16, the obstacle of each pixel of the colour image, -1 = none.
+        """``(H, W)`` int32, the obstacle of each pixel of the colour image, -1 = none.
 
         As fine as depth cells are (3 to 4 pixels of a depth image); where several cells cover a
         pixel, that of the nearest.
@@ -192,8 +193,8 @@ class FrameResult(Sequence[Obstacle]):
             )
         if not len(self):
             camera = self._batch.frames.calibration.color
-            return np.full((camera.height, camera.width), -1, np.int16)
-        return _painted(found, self._row, self._batch.frames)
+            return np.full((camera.height, camera.width), -1, np.int32)
+        return label_image(found, self._row, self._batch.frames.calibration.color)
 
     @property
     def points(self) -> np.ndarray:
@@ -311,21 +312,3 @@ class BatchResult(Sequence[FrameResult]):
 
 def _known(value: np.floating) -> float | None:
     return None if np.isnan(value) else float(value)
-
-
-def _painted(found: CellLabels, row: int, frames: Frames) -> np.ndarray:
-    """The label of the nearest cell on each pixel, ``(H, W)`` int16."""
-    camera, grid = frames.calibration.color, found.cells
-    label, used = found.label[row], grid.in_view[row]
-    low, high = (corner[row][used] for corner in (grid.uv_min, grid.uv_max))
-    # Depth in the upper bits: the least of several cells is the nearest one.
-    key = (grid.z[row][used].astype(np.int32) << 10) | (label[used] + 1)
-    image = np.full((camera.height, camera.width), np.iinfo(np.int32).max, np.int32)
-    wide, tall = (high - low).max(axis=0, initial=0).tolist()
-    for dv in range(tall + 1):
-        for du in range(wide + 1):
-            inside = (high[:, 0] - low[:, 0] >= du) & (high[:, 1] - low[:, 1] >= dv)
-            u, v = low[inside, 0] + du, low[inside, 1] + dv
-            np.minimum.at(image, (v, u), key[inside])
-    covered = image != np.iinfo(np.int32).max
-    return np.where(covered, (image & 1023) - 1, -1).astype(np.int16)

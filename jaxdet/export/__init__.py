@@ -32,6 +32,9 @@ FORMATS = {
     "foxglove": Format("a folder: an MCAP file to open beside each log, and a layout"),
     "ros2": Format("a folder: an MCAP file of ROS 2 messages for each log"),
     "nav2": Format("a folder: a map of each log as nav2's map_server loads it (PGM and YAML)"),
+    "html": Format("a file: a page with figures, timelines, maps and pictures, for any browser"),
+    "rerun": Format("a folder: a recording (.rrd) of each log for the Rerun viewer", "rerun"),
+    "coco": Format("a folder: images, and their boxes and masks as COCO has them"),
 }
 
 

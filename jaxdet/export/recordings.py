@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.errors import InputError, RescanError
+from jaxdet.errors import FrameStatus, InputError, RescanError
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
 from jaxdet.results.reading import Chunk, ResultLog, Results
@@ -22,7 +22,8 @@ class Seen(NamedTuple):
     """Some frames of a log, and what was found in them."""
 
     batch: Batch
-    """:data:`BATCH` frames; after the last row of the chunk the last frame is repeated."""
+    """:data:`BATCH` frames, with what was known of their floor; after the last row of the chunk the
+    last frame is repeated."""
     found: Detections
     """NumPy arrays, of the same frames."""
     chunk: Chunk
@@ -51,18 +52,34 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     return {log.name: log for log in logs}
 
 
-def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[Batch, Chunk]]:
+def recorded(log: ResultLog) -> LogFiles:
+    """Where a log was when the results were made.
+
+    Raises:
+        InputError: It isn't there any more.
+    """
+    for path in log.paths:
+        if not path.is_file():
+            problem = "the log isn't where it was when the results were made"
+            raise InputError(problem, path=str(path), remedy="name it with --log")
+    return LogFiles(log.name, log.paths)
+
+
+def images(
+    results: Results, log: ResultLog, files: LogFiles, wanted: np.ndarray | None = None
+) -> Iterator[tuple[Batch, Chunk]]:
     """The frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
 
     Args:
         results: What a run wrote.
         log: One of its logs.
         files: Where that is.
+        wanted: ``(n,)`` numbers of frames; None: all.
 
     Raises:
         InputError: It is another log, or it can't be read.
     """
-    chunks = results.chunks(log, size=BATCH)
+    chunks = results.chunks(log, size=BATCH) if wanted is None else _some(results, log, wanted)
     waiting = next(chunks, None)
     for options in _ways(results, log):
         try:
@@ -84,13 +101,22 @@ def images(results: Results, log: ResultLog, files: LogFiles) -> Iterator[tuple[
                 raise
 
 
-def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Seen]:
+def look_again(
+    results: Results,
+    log: ResultLog,
+    files: LogFiles,
+    wanted: np.ndarray | None = None,
+    *,
+    with_cells: bool = False,
+) -> Iterator[Seen]:
     """The frames of a log with all that is found in them, as the run found it.
 
     Args:
         results: What a run wrote.
         log: One of its logs.
         files: Where that is.
+        wanted: ``(n,)`` numbers of frames; None: all.
+        with_cells: Give the depth cells with their obstacles as well.
 
     Raises:
         InputError: It is another log, or it can't be read.
@@ -98,14 +124,23 @@ def look_again(results: Results, log: ResultLog, files: LogFiles) -> Iterator[Se
     start_up()
     config = results.method
     planes = _planes(results, log, files)
-    for batch, chunk in images(results, log, files):
+    for batch, chunk in images(results, log, files, wanted):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        found = to_host(detect(frames, config, backend="jax"))
+        found = to_host(detect(frames, config, with_cells=with_cells))
         good = frames.valid & found.has_depth
         counts = np.where(good, found.labels.num_obstacles, 0)[: chunk.frames.num_rows]
-        if not np.array_equal(counts, chunk.frames["num_obstacles"].to_numpy()):
+        ok = chunk.frames["status"].to_numpy() == FrameStatus.OK
+        if (counts != chunk.frames["num_obstacles"].to_numpy())[ok].any():
             raise _other(log, files)
-        yield Seen(batch, found, chunk)
+        yield Seen(batch._replace(frames=frames), found, chunk)
+
+
+def _some(results: Results, log: ResultLog, wanted: np.ndarray) -> Iterator[Chunk]:
+    """The rows of some frames, at most :data:`BATCH` at a time."""
+    for chunk in results.chunks(log):
+        rows = np.flatnonzero(np.isin(chunk.frames["frame"].to_numpy(), wanted))
+        for start in range(0, len(rows), BATCH):
+            yield chunk.take(rows[start : start + BATCH])
 
 
 def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:

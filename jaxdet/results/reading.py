@@ -79,6 +79,13 @@ class Chunk(NamedTuple):
         """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
         return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
 
+    def take(self, rows: np.ndarray) -> "Chunk":
+        """Some of the frames ``(n,)``, ascending, with all their obstacles."""
+        chosen = np.zeros(self.frames.num_rows, bool)
+        chosen[rows] = True
+        of = np.repeat(chosen, self.frames["num_obstacles"].to_numpy())
+        return Chunk(self.frames.take(rows), self.obstacles.take(np.flatnonzero(of)))
+
 
 class Frame(NamedTuple):
     """A row of ``frames.parquet`` and its rows of ``obstacles.parquet``, null as None."""

@@ -1,0 +1,157 @@
+"""``--to coco``: images, boxes and masks as training sets have them (COCO's instances)."""
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import cv2
+import numpy as np
+
+from jaxdet.errors import ConfigError, FrameStatus
+from jaxdet.export.recordings import Seen, look_again, recorded
+from jaxdet.io import LogFiles
+from jaxdet.results.masks import label_image
+from jaxdet.results.reading import ResultLog, Results
+
+QUALITY = 95
+"""Of the JPEG images."""
+CATEGORY = {"id": 1, "name": "obstacle", "supercategory": "obstacle"}
+
+
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+    """Writes a folder with ``images/`` and ``annotations.json``.
+
+    Frames without a result are left out, as it isn't known what they show; ``info`` in
+    ``annotations.json`` counts them. Masks are found again in the logs; frames whose obstacles are
+    not those of the results are an error.
+
+    Args:
+        results: The results.
+        output: The folder.
+        recordings: Logs of the results; others are read where the run found them.
+
+    Raises:
+        ConfigError: The results are clusters of points, which have no masks.
+        InputError: A log isn't there or isn't that of the results.
+    """
+    if results.method.cluster.points:
+        raise ConfigError(
+            "clusters of points have no masks",
+            path=str(results.folder),
+            remedy="run jaxdet run with another preset than paper",
+        )
+    (output / "images").mkdir(parents=True)
+    with _Annotations(output) as annotations:
+        for log in results.logs:
+            files = recordings.get(log.name) or recorded(log)
+            for seen in look_again(results, log, files, with_cells=True):
+                _add(annotations, log, seen)
+        annotations.finish(results)
+
+
+def _add(annotations: "_Annotations", log: ResultLog, seen: Seen) -> None:
+    """Adds some frames."""
+    rows, first = seen.chunk.frames.to_pylist(), seen.chunk.first.tolist()
+    obstacles, frames = seen.chunk.obstacles.to_pylist(), seen.batch.frames
+    assert seen.found.cells is not None
+    for b, row in enumerate(rows):
+        if row["status"] != FrameStatus.OK:
+            annotations.left_out += 1
+            continue
+        labels = label_image(seen.found.cells, b, frames.calibration.color)
+        name = f"images/{log.file_name}_{row['frame']:06d}.jpg"
+        annotations.add(name, frames.color[b], row, obstacles[first[b] : first[b + 1]], labels)
+
+
+class _Annotations:
+    """``annotations.json``, written as it grows."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.images, self.objects, self.left_out = 0, 0, 0
+        self._images, self._objects = _Lines(), _Lines()
+
+    def __enter__(self) -> "_Annotations":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._images.file.close()
+        self._objects.file.close()
+
+    def add(
+        self,
+        name: str,
+        color: np.ndarray,
+        row: Mapping[str, Any],
+        obstacles: Sequence[Mapping[str, Any]],
+        labels: np.ndarray,
+    ) -> None:
+        """Adds a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
+        encoded = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+        (self.folder / name).write_bytes(encoded.tobytes())
+        self.images += 1
+        height, width = labels.shape
+        about = {name: row[name] for name in ("log", "camera", "frame", "stamp_ns")}
+        size = {"width": width, "height": height}
+        self._images.add({"id": self.images, "file_name": name, **size, **about})
+        for obstacle in obstacles:
+            self.objects += 1
+            place = {"id": self.objects, "image_id": self.images, "category_id": CATEGORY["id"]}
+            self._objects.add({**place, **_annotation(obstacle, labels)})
+
+    def finish(self, results: Results) -> None:
+        """Joins the parts."""
+        info = {
+            "description": "obstacles found by jaxdet",
+            "version": results.version,
+            "frames_without_result": self.left_out,
+        }
+        head = {"info": info, "licenses": [], "categories": [CATEGORY]}
+        with (self.folder / "annotations.json").open("w", encoding="utf-8") as file:
+            file.write(json.dumps(head, ensure_ascii=False)[:-1])
+            for key, lines in (("images", self._images), ("annotations", self._objects)):
+                file.write(f', "{key}": [\n')
+                file.writelines(lines.joined())
+                file.write("\n]")
+            file.write("}\n")
+
+
+class _Lines:
+    """JSON values in a file until all are known."""
+
+    def __init__(self) -> None:
+        self.file: IO[str] = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
+
+    def add(self, value: Mapping[str, Any]) -> None:
+        self.file.write(json.dumps(value, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def joined(self) -> Iterator[str]:
+        self.file.seek(0)
+        for number, line in enumerate(self.file):
+            yield (",\n" if number else "") + line.rstrip("\n")
+
+
+def _annotation(obstacle: Mapping[str, Any], labels: np.ndarray) -> dict[str, Any]:
+    """Box and mask of an obstacle; the mask lies in the box."""
+    left, top = obstacle["u_min"], obstacle["v_min"]
+    right, bottom = obstacle["u_max"] + 1, obstacle["v_max"] + 1
+    mask = np.zeros(labels.shape, bool)
+    box = (slice(top, bottom), slice(left, right))
+    mask[box] = labels[box] == obstacle["obstacle"]
+    return {
+        "bbox": [left, top, right - left, bottom - top],
+        "area": int(mask.sum()),
+        "segmentation": {"size": list(labels.shape), "counts": run_lengths(mask)},
+        "iscrowd": 0,
+        **{name: obstacle[name] for name in ("obstacle", "distance_m", "bottom_m", "top_m")},
+    }
+
+
+def run_lengths(mask: np.ndarray) -> list[int]:
+    """COCO's run lengths of a mask ``(H, W)`` bool: of zeros and ones in turn, column by column."""
+    flat = mask.ravel(order="F")
+    ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    runs = np.diff(np.concatenate([[0], ends, [flat.size]])).tolist()
+    return [0, *runs] if flat[0] else runs

@@ -1,0 +1,241 @@
+"""``--to html``: a report in one file that any browser shows, without a network."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxdet.errors import FrameStatus
+from jaxdet.export.html.choice import Key, choose
+from jaxdet.export.html.collect import LogFigures, collect
+from jaxdet.export.html.images import frame_picture, read_picture
+from jaxdet.export.html.maps import map_figure
+from jaxdet.export.html.page import (
+    FIRST_DATE_S,
+    REASONS,
+    about,
+    changed_settings,
+    given_options,
+    page,
+    run_lines,
+)
+from jaxdet.io.options import LogOptions
+
+if TYPE_CHECKING:
+    from jaxdet.io import LogFiles
+    from jaxdet.results.reading import ResultLog, Results
+
+MOST_ROWS = 24
+"""Obstacles listed of a frame."""
+MOST_MAPS = 24
+"""Maps shown, of the logs with most frames."""
+FRAME_COLUMNS = (
+    *("stamp_ns", "status", "overflow", "drop_m", "floor_source", "floor_refused"),
+    *("camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
+)
+OBSTACLE_COLUMNS = (
+    *("obstacle", "distance_m", "bottom_m", "top_m", "corners_ground", "num_points"),
+)
+CHUNK_FRAMES = 1 << 14
+
+
+def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"]) -> None:
+    """Writes the report.
+
+    The frames of a long log are put into a few hundred bins, of which the nearest obstacle is
+    shown; the gallery has the frames that are worth a look, and pictures where the run drew some.
+    So the file stays small: 1 MB, and 50 kB for each picture.
+
+    Args:
+        results: The results.
+        output: The file.
+        recordings: Logs of the results, of which the frames in the gallery are drawn that have no
+            picture.
+    """
+    figures = collect(results, results.method.ground.max_depth_m)
+    pictures = {
+        (log.label, frame): path
+        for log in results.logs
+        for frame, path in results.pictures(log).items()
+    }
+    chosen = choose(figures, pictures)
+    place = {log.label: number for number, log in enumerate(results.logs)}
+    shown = _shown(results, chosen, place)
+    for key, frame in shown.items():
+        if key in pictures:
+            frame |= frame_picture(read_picture(pictures[key]))
+    _draw(results, shown, recordings)
+    entries = [_log(results, log, one) for log, one in zip(results.logs, figures, strict=True)]
+    for log, entry in zip(results.logs, entries, strict=True):
+        if log.label in _mapped(results):
+            image = results.map(log)
+            entry["map"] = map_figure(image) if image else None
+    entries += [_failed(entry) for entry in results.summary["logs"] if entry["error"]]
+    frames = sum(log.num_frames for log in results.logs)
+    settings = changed_settings(results.config, results.method)
+    data = {
+        "about": about(results.version, frames, [entry["begin"] or 0.0 for entry in entries]),
+        "logs": entries,
+        "frames": list(shown.values()),
+        "range": results.method.ground.max_depth_m,
+        "width": figures[0].width_m if figures else 1.0,
+        "reasons": REASONS,
+        "no_picture": "with --log the export draws those without a picture",
+        "preset": results.config.get("preset") or "wheeled",
+        "settings": settings + given_options(results.log_options, LogOptions()),
+        "run": run_lines(results.summary),
+    }
+    title = f"Obstacles in {results.logs[0].name}" if len(entries) == 1 and results.logs else ""
+    title = title or f"Obstacles in {len(entries)} logs"
+    output.write_text(page(title, data), encoding="utf-8")
+
+
+def _draw(
+    results: "Results",
+    shown: Mapping[Key, dict[str, Any]],
+    recordings: Mapping[str, "LogFiles"],
+) -> None:
+    """Draws the frames that have a result but no picture, of the logs that are given."""
+    for log in results.logs:
+        files = recordings.get(log.name)
+        wanted = [
+            number
+            for (label, number), frame in shown.items()
+            if label == log.label and frame["status"] == FrameStatus.OK and not frame["picture"]
+        ]
+        if files and wanted:
+            from jaxdet.export.html.drawing import draw_again  # which loads JAX
+
+            for number, picture in draw_again(results, log, files, wanted):
+                shown[log.label, number].update(frame_picture(picture))
+
+
+def _mapped(results: "Results") -> set[str]:
+    """The logs whose maps are shown."""
+    some = [log for log in results.logs if log.summary["map"]]
+    some.sort(key=lambda log: -log.num_frames)
+    return {log.label for log in some[:MOST_MAPS]}
+
+
+def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str, Any]:
+    """What the page needs of a log, but its map."""
+    line, start, stop = figures.timeline, figures.start_ns, figures.stop_ns
+    bins, summary = slice(0, line.bins), log.summary
+    nearest = _numbers(line.nearest_m[bins], 3)
+    least = int(np.argmin(line.nearest_m[bins])) if line.bins else 0
+    known = bool(line.bins) and nearest[least] is not None
+    begin_s = start / 1e9 if start is not None else 0.0
+    return {
+        "log": log.label,
+        "error": None,
+        "frames": log.num_frames,
+        "status": {k: n for k, n in summary["status"].items() if n},
+        "obstacles": log.num_obstacles,
+        "overflow": summary["overflow_frames"],
+        "nearest": [nearest[least], int(line.frame[least])] if known else None,
+        "begin": round(begin_s, 3) if begin_s > FIRST_DATE_S else None,
+        "duration": (stop - start) / 1e9 if start is not None and stop is not None else None,
+        "stride": line.stride,
+        "bins": {
+            "nearest": nearest,
+            "frame": line.frame[bins].tolist(),
+            "time": _numbers((line.stamp_ns[bins] - (start or 0)) / 1e9, 2),
+            "lost": line.lost[bins].tolist(),
+            "most": line.most[bins].tolist(),
+        },
+        "per_frame": figures.per_frame.tolist(),
+        "per_obstacle": figures.per_obstacle.tolist(),
+        "floor": ", ".join(f"{n} {name}" for name, n in summary["floor_sources"].items() if n),
+        "warnings": summary["warnings"],
+        "errors": summary["frame_errors"],
+        "map": None,
+    }
+
+
+def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A log that is not in the tables."""
+    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map"))
+    nothing |= dict.fromkeys(("per_frame", "per_obstacle"))
+    counts = {"frames": 0, "obstacles": 0, "overflow": 0, "stride": 1, "status": {}}
+    lines = {"floor": "", "warnings": entry["warnings"], "errors": []}
+    return {"log": entry["log"], "error": entry["error"], **nothing, **counts, **lines}
+
+
+def _shown(
+    results: "Results", chosen: Mapping[Key, Sequence[str]], place: Mapping[str, int]
+) -> dict[Key, dict[str, Any]]:
+    """The chosen frames as the page needs them, but their pictures."""
+    found: dict[Key, dict[str, Any]] = {}
+    for log in results.logs:
+        wanted = np.array([frame for name, frame in chosen if name == log.label], np.int64)
+        if not wanted.size:
+            continue
+        reasons = dict(_reasons(log.summary["frame_errors"]))
+        begin = passed = 0
+        for chunk in results.chunks(log, FRAME_COLUMNS, OBSTACLE_COLUMNS, CHUNK_FRAMES):
+            numbers = chunk.frames["frame"].to_numpy()
+            begin = begin if passed else chunk.frames["stamp_ns"][0].as_py()
+            for row in np.flatnonzero(np.isin(numbers, wanted)).tolist():
+                values = chunk.frames.slice(row, 1).to_pylist()[0]
+                first, last = chunk.first[row : row + 2].tolist()
+                parts = chunk.obstacles.slice(first, min(last - first, MOST_ROWS)).to_pylist()
+                key = log.label, values["frame"]
+                found[key] = _frame(values, parts, begin) | {
+                    "log": place[log.label],
+                    "place": passed + row,
+                    "kinds": chosen[key],
+                    "reason": reasons.get(values["frame"], ""),
+                    "nearest": _nearest(chunk.obstacles["distance_m"].slice(first, last - first)),
+                }
+            passed += len(numbers)
+    return found
+
+
+def _nearest(distances: Any) -> float | None:
+    return round(float(np.min(distances.to_numpy())), 3) if len(distances) else None
+
+
+def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> dict[str, Any]:
+    """A frame from its rows."""
+
+    def degrees(name: str) -> float | None:
+        return None if row[name] is None else float(np.degrees(row[name]))
+
+    return {
+        "frame": row["frame"],
+        "time": round((row["stamp_ns"] - begin) / 1e9, 3),
+        "stamp": str(row["stamp_ns"]),
+        "status": row["status"],
+        "count": row["num_obstacles"],
+        "overflow": row["overflow"],
+        "drop": row["drop_m"],
+        "height": row["camera_height_m"],
+        "pitch": degrees("camera_pitch_rad"),
+        "roll": degrees("camera_roll_rad"),
+        "source": row["floor_source"],
+        "refused": row["floor_refused"],
+        "rows": [_obstacle(part) for part in parts],
+        "picture": None,
+        "size": None,
+    }
+
+
+def _obstacle(part: Mapping[str, Any]) -> list[Any]:
+    """Label, distance, bottom, top, width and depth of the outline, cells."""
+    corners = np.reshape(part["corners_ground"], (4, 2))
+    wide, deep = (float(np.hypot(*(corners[i + 1] - corners[i]))) for i in (0, 1))
+    metres = (part["distance_m"], part["bottom_m"], part["top_m"], wide, deep)
+    rounded = [None if value is None else round(value, 3) for value in metres]
+    return [part["obstacle"], *rounded, part["num_points"]]
+
+
+def _reasons(errors: Sequence[str]) -> list[tuple[int, str]]:
+    """The frame that each line is of, and the rest of the line."""
+    split = (line.removeprefix("frame ").partition(": ") for line in errors)
+    return [(int(number), text) for number, _, text in split if number.isdigit()]
+
+
+def _numbers(values: np.ndarray, digits: int) -> list[float | None]:
+    """As JSON has them; infinite ones are null."""
+    return [round(v, digits) if np.isfinite(v) else None for v in values.tolist()]

@@ -1,0 +1,41 @@
+"""Pictures as data URLs."""
+
+from base64 import b64encode
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from jaxdet.errors import InputError
+
+WIDTH = 1024
+"""Of pictures of frames [pixel]."""
+QUALITY = 74
+
+
+def data_url(image: np.ndarray, quality: int) -> str:
+    """A BGR picture, with or without alpha, as WebP in a ``data:`` URL."""
+    encoded = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
+    return f"data:image/webp;base64,{b64encode(encoded.tobytes()).decode()}"
+
+
+def frame_picture(picture: np.ndarray) -> dict[str, Any]:
+    """The picture of a frame, ``(h, w, 3)`` uint8 BGR, made smaller, and its size, for the page."""
+    height, width = picture.shape[:2]
+    if width > WIDTH:
+        size = (WIDTH, round(height * WIDTH / width))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return {"picture": data_url(picture, QUALITY), "size": picture.shape[1::-1]}
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """A picture of a results folder, ``(h, w, 3)`` uint8 BGR.
+
+    Raises:
+        InputError: It is missing or no picture.
+    """
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise InputError("the picture is missing or can't be read", path=str(path))
+    return picture

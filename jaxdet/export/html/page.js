@@ -1,0 +1,439 @@
+"use strict";
+// Draws the report from the JSON beside it. Text from logs only ever becomes text nodes.
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const $ = (id) => document.getElementById(id);
+  const SVG = "http://www.w3.org/2000/svg";
+  const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+  function add(parent, name, attributes = {}, text) {
+    const space = parent.namespaceURI === SVG || name === "svg" ? SVG : parent.namespaceURI;
+    const node = document.createElementNS(space, name);
+    for (const [key, value] of Object.entries(attributes)) {
+      if (value !== null && value !== undefined) node.setAttribute(key, value);
+    }
+    if (text !== undefined) node.textContent = text;
+    parent.appendChild(node);
+    return node;
+  }
+  const clear = (node) => { while (node.firstChild) node.firstChild.remove(); return node; };
+  const many = (n, word) => `${n.toLocaleString("en")} ${word}${n === 1 ? "" : "s"}`;
+  const metres = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} m`);
+  const seconds = (value) => {
+    if (value < 60) return `${value.toFixed(2)} s`;
+    const whole = Math.floor(value), two = (n) => String(n).padStart(2, "0");
+    const h = Math.floor(whole / 3600), m = Math.floor(whole / 60) % 60;
+    return h ? `${h}:${two(m)}:${two(whole % 60)} h` : `${m}:${two(whole % 60)} min`;
+  };
+  const date = (log) => (log.begin ? new Date(log.begin * 1000).toISOString().replace("T", " ").slice(0, 19) + " UTC" : "");
+  const share = (part, whole) => {
+    const p = (100 * part) / whole;
+    return p === 100 || !part ? `${p} %` : part && p < 0.1 ? "< 0.1 %" : p < 100 && p > 99.9 ? "> 99.9 %" : `${p.toFixed(p < 10 || p > 99 ? 1 : 0)} %`;
+  };
+
+  function table(parent, head, rows) {
+    const node = parent.tagName === "TABLE" ? clear(parent) : add(parent, "table");
+    const numeric = head.map((h) => h.startsWith("#"));
+    const top = add(add(node, "thead"), "tr");
+    head.forEach((h, i) => add(top, "th", { scope: "col", class: numeric[i] ? "n" : null }, h.replace("#", "")));
+    const body = add(node, "tbody");
+    for (const row of rows) {
+      const line = add(body, "tr");
+      row.forEach((cell, i) => add(line, "td", { class: numeric[i] ? "n" : null }, String(cell)));
+    }
+    return node;
+  }
+
+  // What is chosen above: one log, or all of them.
+  let only = -1;
+  const logs = () => data.logs.map((_, i) => i).filter((i) => only < 0 || i === only);
+  const picked = () => logs().map((i) => data.logs[i]);
+  const sum = (of) => picked().reduce((total, log) => total + of(log), 0);
+
+  // ---- summary
+  function drawFigures() {
+    const node = clear($("figures"));
+    const frames = sum((l) => l.frames), ok = sum((l) => l.status.ok || 0);
+    const obstacles = sum((l) => l.obstacles), overflow = sum((l) => l.overflow);
+    const whole = picked().filter((l) => !l.error), failed = picked().length - whole.length;
+    const nearest = whole.filter((l) => l.nearest).sort((a, b) => a.nearest[0] - b.nearest[0])[0];
+    const card = (name, value, below) => {
+      const part = add(node, "div");
+      add(part, "dt", {}, name);
+      const dd = add(part, "dd", {}, value);
+      if (below) add(dd, "small", {}, below);
+    };
+    card("Logs", whole.length.toLocaleString("en"), failed ? `${failed} more failed` : seconds(sum((l) => l.duration || 0)));
+    card("Frames", frames.toLocaleString("en"), frames ? `${share(ok, frames)} with a result` : "");
+    card("Without a result", (frames - ok).toLocaleString("en"), frames - ok ? share(frames - ok, frames) : "none lost");
+    card("Obstacles", obstacles.toLocaleString("en"), ok ? `${(obstacles / ok).toFixed(1)} a frame` : "");
+    card("Nearest", nearest ? metres(nearest.nearest[0]) : "–", nearest ? `${data.logs.length > 1 ? nearest.log + ", " : ""}frame ${nearest.nearest[1]}` : "");
+    card("Overflow", overflow.toLocaleString("en"), overflow ? "frames hold more than is kept" : "no frame");
+  }
+
+  function drawLost() {
+    const node = clear($("lost"));
+    const counts = {};
+    for (const log of picked()) {
+      for (const [status, n] of Object.entries(log.status)) if (status !== "ok" && n) counts[status] = (counts[status] || 0) + n;
+    }
+    const rows = Object.entries(counts).sort((a, b) => b[1] - a[1]);
+    const frames = sum((l) => l.frames), failed = picked().filter((l) => l.error);
+    if (!rows.length && !failed.length) add(node, "p", {}, `None: each of the ${many(frames, "frame")} has a result.`);
+    if (rows.length) table(node, ["Status", "Why", "#Frames", "#Share"], rows.map(([s, n]) => [s, data.reasons[s] || "", n.toLocaleString("en"), share(n, frames)]));
+    if (failed.length) {
+      add(node, "p", { class: "bad" }, `${many(failed.length, "log")} failed as a whole:`);
+      const list = add(node, "ul");
+      for (const log of failed) add(list, "li", {}, log.error);
+    }
+    const lines = picked().flatMap((l) => l.errors.map((e) => (data.logs.length > 1 ? `${l.log}: ${e}` : e)));
+    if (lines.length) {
+      const more = add(node, "details");
+      add(more, "summary", {}, `The first ${many(lines.length, "reason")}`);
+      const list = add(more, "ul");
+      for (const line of lines.slice(0, 200)) add(list, "li", {}, line);
+    }
+  }
+
+  // ---- timelines
+  const tip = $("tip");
+  function showTip(x, y, text) {
+    tip.textContent = text;
+    tip.hidden = false;
+    const box = tip.getBoundingClientRect();
+    tip.style.left = `${Math.max(4, Math.min(innerWidth - box.width - 4, x - box.width / 2))}px`;
+    tip.style.top = `${Math.max(4, y - box.height - 12)}px`;
+  }
+  const hideTip = () => { tip.hidden = true; };
+
+  const byFrame = new Map(data.frames.map((f, i) => [`${f.log} ${f.frame}`, i]));
+  const STEP = 10; // timelines drawn at first, and with each press of the button
+  let drawn = STEP;
+
+  function drawTimelines() {
+    const node = clear($("timelines"));
+    const some = logs().filter((i) => data.logs[i].bins);
+    $("lost-key").hidden = !some.some((i) => data.logs[i].bins.lost.some((n) => n));
+    if (!some.length) add(node, "p", {}, "No frames.");
+    for (const i of some.slice(0, drawn)) timeline(node, i);
+    if (some.length > drawn) {
+      const button = add(node, "button", { type: "button" }, `Show more (${some.length - drawn} further logs)`);
+      button.addEventListener("click", () => { drawn += STEP; drawTimelines(); });
+    }
+  }
+
+  function timeline(parent, index) {
+    const log = data.logs[index], { nearest, frame, time, lost, most } = log.bins, n = nearest.length;
+    const W = Math.max(320, Math.min(1140, parent.clientWidth)), H = W < 560 ? 132 : 150;
+    const left = 38, right = W - 8, top = 8, bottom = H - 24;
+    const reach = Math.max(data.range, 0.5);
+    // By time where the stamps go forward, else by number.
+    const begin = time[0], span = time[n - 1] - begin;
+    const forward = span > 0 && time.every((t, b) => !b || t >= time[b - 1]);
+    const pad = Math.min(6, (right - left) / (2 * n));
+    const part = (b) => (forward ? (time[b] - begin) / span : n > 1 ? b / (n - 1) : 0.5);
+    const x = (b) => left + pad + part(b) * (right - left - 2 * pad);
+    const gaps = time.slice(1).map((t, b) => t - time[b]).sort((a, b) => a - b);
+    const hole = Math.max(0.5, 6 * (gaps[Math.floor(gaps.length / 2)] || 0)); // nothing was recorded
+    const y = (d) => bottom - (Math.min(d, reach) / reach) * (bottom - top);
+    const box = add(parent, "div", { class: "timeline" });
+    const title = add(box, "h3");
+    title.append(log.log);
+    add(title, "span", {}, `${many(log.frames, "frame")}${log.stride > 1 ? `, ${log.stride} to a point` : ""}`);
+    const least = log.nearest ? `nearest ${metres(log.nearest[0])} in frame ${log.nearest[1]}` : "no obstacle";
+    const svg = add(box, "svg", { viewBox: `0 0 ${W} ${H}`, tabindex: "0", role: "application", "aria-roledescription": "timeline",
+      "aria-label": `Distance to the nearest obstacle in ${log.log}: ${many(log.frames, "frame")}, ${least}. Arrow keys move, Enter opens a frame.` });
+    const steps = reach > 8 ? 4 : reach > 3 ? 2 : reach > 1.2 ? 1 : 0.25;
+    for (let d = 0; d <= reach + 1e-9; d += steps) {
+      add(svg, "line", { class: "rule", x1: left, x2: right, y1: y(d), y2: y(d) });
+      add(svg, "text", { x: left - 6, y: y(d) + 4, "text-anchor": "end" }, `${d} m`);
+    }
+    const ticks = Math.max(2, Math.round((right - left) / 160));
+    for (let t = 0; t <= ticks; t++) {
+      if (t && n < 2) break;
+      const b = Math.round((t / ticks) * (n - 1)), at = forward ? begin + (t / ticks) * span : time[b];
+      const px = left + pad + (t / ticks) * (right - left - 2 * pad);
+      add(svg, "text", { x: px, y: H - 8, "text-anchor": t === 0 ? "start" : t === ticks ? "end" : "middle" }, seconds(at));
+    }
+    // Stretches with an obstacle as areas and lines; gaps are frames without any.
+    let run = [];
+    const flush = () => {
+      if (run.length) {
+        const points = run.map((b) => `${x(b).toFixed(1)},${y(nearest[b]).toFixed(1)}`);
+        const wide = run.length > 1 ? points : [`${x(run[0]) - 1.5},${y(nearest[run[0]])}`, `${x(run[0]) + 1.5},${y(nearest[run[0]])}`];
+        const first = wide[0].split(",")[0], last = wide[wide.length - 1].split(",")[0];
+        add(svg, "polygon", { class: "fill", points: `${first},${bottom} ${wide.join(" ")} ${last},${bottom}` });
+        add(svg, "polyline", { class: "line", points: wide.join(" ") });
+      }
+      run = [];
+    };
+    for (let b = 0; b < n; b++) {
+      if (nearest[b] === null || (b && time[b] - time[b - 1] > hole)) flush();
+      if (nearest[b] !== null) run.push(b);
+    }
+    flush();
+    const each = Math.max(2, (right - left) / n);
+    for (let b = 0; b < n; b++) {
+      if (lost[b]) add(svg, "rect", { class: "lost", x: x(b) - each / 2, y: bottom, width: each, height: 4 });
+    }
+    const shots = data.frames.map((f, i) => [f, i]).filter(([f]) => f.log === index && f.picture);
+    const place = shots.map(([f]) => Math.min(n - 1, Math.floor(f.place / log.stride)));
+    shots.forEach(([f], k) => {
+      if (f.nearest !== null) add(svg, "circle", { class: "dot", cx: x(place[k]), cy: y(f.nearest), r: 3 });
+    });
+    const cursor = add(svg, "line", { class: "cursor", y1: top, y2: bottom, visibility: "hidden" });
+    const spot = add(svg, "circle", { class: "spot", r: 3.5, visibility: "hidden" });
+    let at = -1;
+    const say = (b) => {
+      const parts = [`frame ${frame[b]}`, seconds(time[b]), nearest[b] === null ? "no obstacle" : metres(nearest[b])];
+      if (most[b] > 0) parts.push(log.stride > 1 ? `up to ${most[b]} obstacles` : many(most[b], "obstacle"));
+      if (lost[b]) parts.push(log.stride > 1 ? `${lost[b]} without a result` : "no result");
+      if (target(b) >= 0) parts.push("picture");
+      return parts.join(" · ");
+    };
+    // The frame of a bin itself if it is in the report, else a picture within six pixels.
+    const target = (b) => {
+      const own = byFrame.get(`${index} ${frame[b]}`);
+      if (own !== undefined) return own;
+      let best = -1, least = 6;
+      place.forEach((p, k) => { const d = Math.abs(x(p) - x(b)); if (d <= least) { least = d; best = shots[k][1]; } });
+      return best;
+    };
+    const move = (b) => {
+      at = Math.max(0, Math.min(n - 1, b));
+      cursor.setAttribute("x1", x(at)); cursor.setAttribute("x2", x(at));
+      cursor.setAttribute("visibility", "visible");
+      spot.setAttribute("visibility", nearest[at] === null ? "hidden" : "visible");
+      if (nearest[at] !== null) { spot.setAttribute("cx", x(at)); spot.setAttribute("cy", y(nearest[at])); }
+      const area = svg.getBoundingClientRect();
+      const scale = area.width / W;
+      showTip(area.left + x(at) * scale, area.top + (nearest[at] === null ? top + 20 : y(nearest[at])) * scale, say(at));
+      svg.setAttribute("aria-valuetext", say(at));
+    };
+    const leave = () => { cursor.setAttribute("visibility", "hidden"); spot.setAttribute("visibility", "hidden"); hideTip(); };
+    const open = () => { const f = target(at); if (f >= 0) { leave(); openFrame(f); } };
+    svg.addEventListener("pointermove", (e) => {
+      const area = svg.getBoundingClientRect();
+      const px = ((e.clientX - area.left) / area.width) * W;
+      let best = 0;
+      for (let b = 1; b < n; b++) if (Math.abs(x(b) - px) < Math.abs(x(best) - px)) best = b;
+      move(best);
+    });
+    svg.addEventListener("pointerleave", leave);
+    svg.addEventListener("blur", leave);
+    svg.addEventListener("click", open);
+    svg.addEventListener("keydown", (e) => {
+      const by = { ArrowLeft: -1, ArrowRight: 1, PageUp: -20, PageDown: 20 }[e.key];
+      if (by) { move((at < 0 ? 0 : at) + by); e.preventDefault(); }
+      if (e.key === "Home") { move(0); e.preventDefault(); }
+      if (e.key === "End") { move(n - 1); e.preventDefault(); }
+      if (e.key === "Enter" && at >= 0) { open(); e.preventDefault(); }
+      if (e.key === "Escape") leave();
+    });
+  }
+
+  // ---- histogram
+  let counted = "per_frame";
+  function drawHistogram() {
+    const node = clear($("histogram"));
+    const first = picked().find((l) => l.per_frame);
+    if (!first) { add(node, "p", {}, "No frames."); return; }
+    const size = first.per_frame.length;
+    const bins = Array.from({ length: size }, (_, b) => sum((l) => (l[counted] ? l[counted][b] : 0)));
+    const total = bins.reduce((a, b) => a + b, 0), high = Math.max(...bins, 1);
+    const W = 560, H = 260, left = 46, right = W - 8, top = 10, bottom = H - 34;
+    const what = counted === "per_frame" ? "frame" : "obstacle";
+    const svg = add(node, "svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": `Histogram of distances of ${many(total, what)}` });
+    for (const part of [0, 0.5, 1]) {
+      const y = bottom - part * (bottom - top);
+      add(svg, "line", { class: "rule", x1: left, x2: right, y1: y, y2: y });
+      const value = part * high;
+      if (Number.isInteger(value)) add(svg, "text", { x: left - 6, y: y + 4, "text-anchor": "end" }, value.toLocaleString("en"));
+    }
+    const wide = (right - left) / size;
+    bins.forEach((n, b) => {
+      const tall = (n / high) * (bottom - top);
+      const range = b < size - 1 ? `${(b * data.width).toFixed(2)} to ${((b + 1) * data.width).toFixed(2)} m` : `${(b * data.width).toFixed(2)} m and more`;
+      const bar = add(svg, "rect", { class: "barr", x: left + b * wide + 0.75, width: wide - 1.5, y: bottom - tall, height: tall });
+      add(bar, "title", {}, `${range}: ${many(n, what)}`);
+    });
+    const every = Math.max(1, Math.round((size - 1) / 8));
+    for (let b = 0; b < size; b += every) add(svg, "text", { x: left + b * wide, y: bottom + 16, "text-anchor": "middle" }, `${+(b * data.width).toFixed(2)}`);
+    add(svg, "text", { x: (left + right) / 2, y: H - 4, "text-anchor": "middle" }, counted === "per_frame" ? "distance to the nearest obstacle of a frame [m]" : "distance of each obstacle [m]");
+    const under = (limit) => bins.reduce((t, n, b) => t + ((b + 1) * data.width <= limit + 1e-9 ? n : 0), 0);
+    if (total) add(node, "p", { class: "faint" }, `${many(total, what)}; ${share(under(1), total)} nearer than 1 m, ${share(under(0.5), total)} nearer than 0.5 m.`);
+  }
+
+  function chips(node, items, get, set) {
+    clear(node);
+    for (const [value, text] of items) {
+      const on = get() === value;
+      const chip = add(node, "button", { type: "button", role: "radio", "aria-checked": String(on), tabindex: on ? "0" : "-1", "data-value": value }, text);
+      chip.addEventListener("click", () => { set(value); chips(node, items, get, set); node.querySelector('[aria-checked="true"]').focus(); });
+      chip.addEventListener("keydown", (e) => {
+        const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[e.key];
+        if (!by) return;
+        const here = items.findIndex(([v]) => v === value);
+        node.children[(here + by + items.length) % items.length].click();
+        e.preventDefault();
+      });
+    }
+  }
+
+  // ---- maps
+  function drawMaps() {
+    const node = clear($("map"));
+    const some = picked().filter((l) => l.map);
+    $("map-section").hidden = !data.logs.some((l) => l.map);
+    if (!some.length) { add(node, "p", {}, "No map: no poses."); return; }
+    for (const log of some.slice(0, only < 0 ? 4 : 1)) {
+      const m = log.map, xs = m.path.filter((_, i) => i % 2 === 0), ys = m.path.filter((_, i) => i % 2);
+      const low = [Math.min(m.x, ...xs), Math.min(m.y, ...ys)], high = [Math.max(m.x + m.width, ...xs), Math.max(m.y + m.height, ...ys)];
+      const pad = 0.04 * Math.max(high[0] - low[0], high[1] - low[1]);
+      const W = high[0] - low[0] + 2 * pad, H = high[1] - low[1] + 2 * pad, unit = Math.max(W, H) / 100;
+      const X = (v) => v - low[0] + pad, Y = (v) => high[1] + pad - v;
+      const figure = add(node, "figure");
+      const svg = add(figure, "svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": `Map of ${log.log} from above, ${W.toFixed(1)} by ${H.toFixed(1)} m` });
+      add(svg, "image", { href: m.picture, x: X(m.x), y: Y(m.y + m.height), width: m.width, height: m.height, preserveAspectRatio: "none" });
+      if (xs.length) {
+        add(svg, "polyline", { class: "path", "stroke-width": 0.6 * unit, points: xs.map((v, i) => `${X(v).toFixed(3)},${Y(ys[i]).toFixed(3)}`).join(" ") });
+        add(svg, "circle", { cx: X(xs[0]), cy: Y(ys[0]), r: 1.1 * unit, class: "path", "stroke-width": 0.6 * unit });
+      }
+      const scale = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((s) => s > W / 8) || 1000;
+      const bar = add(svg, "line", { class: "scale", x1: 3 * unit, x2: 3 * unit + scale, y1: H - 3 * unit, y2: H - 3 * unit, "stroke-width": 0.5 * unit });
+      add(bar, "title", {}, `${scale} m`);
+      const caption = add(figure, "figcaption", {}, `${data.logs.length > 1 ? log.log + ": " : ""}the bar is ${scale} m, cells are ${m.cell} m.`);
+      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "path of the camera, from the ring on"]]) {
+        add(caption, "span", { class: `key ${kind}` });
+        caption.append(text);
+      }
+    }
+    if (only < 0 && some.length > 4) add(node, "p", { class: "faint" }, `${some.length - 4} further maps: choose a log above.`);
+  }
+
+  // ---- gallery
+  const KINDS = [["all", "All"], ["nearest", "Nearest"], ["most", "Most obstacles"], ["overflow", "Overflow"], ["lost", "Without a result"]];
+  const NAMES = { nearest: "near", most: "many obstacles", overflow: "overflow", lost: "no result" };
+  let kind = "all", order = "time", showing = [];
+
+  const secondsOf = (f) => seconds(f.time);
+  function line(f) {
+    if (f.status !== "ok") return f.reason || data.reasons[f.status] || f.status;
+    const near = f.nearest === null ? "no obstacle" : `nearest ${metres(f.nearest)} · ${many(f.count, "obstacle")}`;
+    return [near, f.drop !== null ? `drop at ${metres(f.drop)}` : ""].filter(Boolean).join(" · ");
+  }
+  const where = (f) => `${data.logs.length > 1 ? data.logs[f.log].log + " · " : ""}frame ${f.frame}`;
+
+  function drawGallery() {
+    const far = (v) => (v === null ? Infinity : v);
+    const sorts = { time: (a, b) => a - b, nearest: (a, b) => far(data.frames[a].nearest) - far(data.frames[b].nearest) || a - b,
+      most: (a, b) => data.frames[b].count - data.frames[a].count || a - b };
+    showing = data.frames.map((_, i) => i)
+      .filter((i) => (only < 0 || data.frames[i].log === only) && (kind === "all" || data.frames[i].kinds.includes(kind)))
+      .sort(sorts[order]);
+    const node = clear($("cards"));
+    const bare = showing.some((i) => data.frames[i].status === "ok" && !data.frames[i].picture);
+    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + data.no_picture : ""}` : "No frame of this kind.";
+    for (const i of showing) card(node, i);
+  }
+
+  function card(parent, index) {
+    const f = data.frames[index];
+    const node = add(parent, "button", { type: "button", class: "card", "data-frame": index });
+    if (f.picture) add(node, "img", { src: f.picture, alt: `Obstacles found in ${where(f)}`, width: f.size[0], height: f.size[1] });
+    const text = add(node, "span", { class: "text" });
+    add(text, "strong", {}, where(f));
+    add(text, "span", { class: f.status === "ok" ? "faint" : "bad" }, `${secondsOf(f)} · ${line(f)}`);
+    const tags = f.kinds.filter((k) => NAMES[k]);
+    if (tags.length) add(text, "br");
+    for (const k of tags) add(text, "span", { class: `tag ${k}` }, NAMES[k]);
+    node.addEventListener("click", () => openFrame(index));
+  }
+
+  // ---- one frame
+  const dialog = $("frame");
+  let current = -1;
+  function openFrame(index) {
+    const f = data.frames[index], log = data.logs[f.log];
+    current = index;
+    $("frame-title").textContent = `${log.log} · frame ${f.frame}`;
+    const body = clear($("frame-body"));
+    if (f.picture) add(body, "img", { src: f.picture, alt: `Obstacles found in frame ${f.frame} of ${log.log}` });
+    const list = add(body, "dl", { class: "numbers" });
+    const item = (name, value) => { if (value === null || value === "") return; const d = add(list, "div"); add(d, "dt", {}, name); add(d, "dd", {}, value); };
+    item("time", secondsOf(f));
+    item("status", f.status);
+    item("obstacles", String(f.count));
+    item("nearest", f.nearest === null ? null : metres(f.nearest));
+    item("drop", f.drop === null ? null : metres(f.drop));
+    item("camera", f.height === null ? null : `${f.height.toFixed(2)} m up, ${f.pitch.toFixed(1)}° down, roll ${f.roll.toFixed(1)}°`);
+    item("floor from", f.source);
+    item("overflow", f.kinds.includes("overflow") || f.overflow ? "yes" : null);
+    item("stamp", f.stamp + " ns");
+    if (f.reason || f.status !== "ok") add(body, "p", { class: "bad" }, f.reason || data.reasons[f.status] || f.status);
+    else if (f.refused) add(body, "p", { class: "faint" }, `The frame's own depth did not decide its floor: ${f.refused.replace("_", " ")}.`);
+    if (f.rows.length) {
+      const wide = add(body, "div", { class: "wide" });
+      table(wide, ["#obstacle", "#distance", "#bottom", "#top", "#width", "#depth", "#cells"],
+        f.rows.map((r) => [r[0], ...r.slice(1, 6).map(metres), r[6]]));
+      if (f.count > f.rows.length) add(body, "p", { class: "faint" }, `The nearest ${f.rows.length} of ${f.count}.`);
+    }
+    if (!dialog.open) dialog.showModal();
+    dialog.scrollTop = 0;
+  }
+  function step(by) {
+    const here = showing.indexOf(current);
+    if (showing.length) openFrame(showing[(here < 0 ? 0 : here + by + showing.length) % showing.length]);
+  }
+  $("before").addEventListener("click", () => step(-1));
+  $("after").addEventListener("click", () => step(1));
+  $("close").addEventListener("click", () => dialog.close());
+  dialog.addEventListener("click", (e) => { if (e.target === dialog) dialog.close(); });
+  dialog.addEventListener("keydown", (e) => {
+    if (e.key === "ArrowLeft") step(-1);
+    if (e.key === "ArrowRight") step(1);
+  });
+  dialog.addEventListener("close", () => {
+    const origin = document.querySelector(`.card[data-frame="${current}"]`);
+    if (origin) { origin.focus({ preventScroll: true }); origin.scrollIntoView({ block: "nearest", behavior: calm ? "auto" : "smooth" }); }
+  });
+
+  // ---- logs, configuration
+  function drawLogs() {
+    table($("logs"), ["Log", "Recorded", "#Length", "#Frames", "#Lost", "#Obstacles", "#Nearest", "#Overflow", "Floor"],
+      picked().map((l) => [l.log, date(l), l.duration === null ? "–" : seconds(l.duration), l.frames.toLocaleString("en"),
+        l.error ? "failed" : (l.frames - (l.status.ok || 0)).toLocaleString("en"), l.obstacles.toLocaleString("en"),
+        l.nearest ? metres(l.nearest[0]) : "–", l.overflow.toLocaleString("en"), l.floor]));
+    const node = clear($("warnings"));
+    const lines = picked().flatMap((l) => l.warnings.map((w) => (data.logs.length > 1 ? `${l.log}: ${w}` : w)));
+    if (!lines.length) return;
+    const more = add(node, "details", { open: lines.length < 6 ? "" : null });
+    add(more, "summary", {}, many(lines.length, "warning"));
+    const list = add(more, "ul");
+    for (const text of lines.slice(0, 200)) add(list, "li", {}, text);
+  }
+  function drawSettings() {
+    const node = $("settings");
+    if (data.settings.length) table(node, ["Setting", "Value", `Preset ${data.preset}`], data.settings);
+    else add(node, "p", {}, `As preset ${data.preset} has it.`);
+    table($("run"), ["Run", ""], data.run);
+  }
+
+  function drawAll() {
+    drawn = STEP;
+    for (const draw of [drawFigures, drawLost, drawTimelines, drawHistogram, drawMaps, drawGallery, drawLogs]) draw();
+  }
+  const select = $("only");
+  add(select, "option", { value: "-1" }, `all ${data.logs.length}`);
+  data.logs.forEach((log, i) => add(select, "option", { value: String(i) }, log.log));
+  select.addEventListener("change", () => { only = Number(select.value); drawAll(); });
+  $("only-label").hidden = data.logs.length < 2;
+  $("order").addEventListener("change", (e) => { order = e.target.value; drawGallery(); });
+  chips($("hist-of"), [["per_frame", "Nearest of each frame"], ["per_obstacle", "All obstacles"]], () => counted, (v) => { counted = v; drawHistogram(); });
+  chips($("kinds"), KINDS.filter(([k]) => k === "all" || data.frames.some((f) => f.kinds.includes(k))), () => kind, (v) => { kind = v; drawGallery(); });
+  $("about").textContent = data.about;
+  drawSettings();
+  drawAll();
+  let width = innerWidth;
+  addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; drawTimelines(); } });
+})();

@@ -1,0 +1,42 @@
+"""The map of a log as a small picture with alpha."""
+
+import cv2
+import numpy as np
+
+from jaxdet.results.occupancy import MapImage
+
+MOST_CELLS = 720
+"""Longer side of a picture; of larger maps several cells are a pixel, the most of them counts."""
+FREE = (122, 150, 140)
+FREE_ALPHA = 70
+
+
+def map_picture(image: MapImage) -> tuple[np.ndarray, float]:
+    """Cells that outlines cover in the colours of ``inferno``, those seen free in grey.
+
+    Args:
+        image: The map.
+
+    Returns:
+        ``(h, w, 4)`` uint8, RGB and alpha, row 0 the lowest Y, transparent where nothing is known;
+        and the side of a pixel [m]. Its outer corner is the map's origin.
+    """
+    side = -(-max(image.counts.shape) // MOST_CELLS)
+    counts, free = _largest(image.counts, side), _largest(image.free, side)
+    most = max(int(counts.max(initial=0)), 1)
+    share = np.log1p(np.maximum(counts - 1, 0)) / max(np.log1p(most - 1), 1e-9)
+    level = (90 + 130 * np.clip(share, 0, 1)).astype(np.uint8)
+    heat = cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1]
+    picture = np.zeros((*counts.shape, 4), np.uint8)
+    picture[free > 0] = (*FREE, FREE_ALPHA)
+    used = counts > 0
+    picture[used, :3], picture[used, 3] = heat[used], 255
+    return picture, side * image.cell_m
+
+
+def _largest(cells: np.ndarray, side: int) -> np.ndarray:
+    """The largest value of each ``side`` × ``side`` cells."""
+    rows, columns = (-(-n // side) * side for n in cells.shape)
+    whole = np.zeros((rows, columns), cells.dtype)
+    whole[: cells.shape[0], : cells.shape[1]] = cells
+    return whole.reshape(rows // side, side, columns // side, side).max(axis=(1, 3))

@@ -1,0 +1,327 @@
+"""``--to rerun``: recordings for the Rerun viewer: frames, obstacles in space, time series.
+
+Entities of a recording::
+
+    world                        z up; without poses the floor below the camera
+      map, path                  static, where the log has poses
+      floor                      the camera's foot: x to the right, y forward, z up
+        boxes, contours, free    obstacles, and the free floor
+        camera                   the colour optical frame
+          color                  image and boxes in it
+          depth                  image
+          points                 depth cells by obstacle
+    distance, obstacles          time series
+    frames                       text: why a frame has no result
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from jaxdet.errors import FrameStatus
+from jaxdet.export.map_picture import map_picture
+from jaxdet.export.recordings import Seen, look_again
+from jaxdet.export.shapes import (
+    T_camera_floor,
+    T_world_camera,
+    box,
+    contour,
+    heights,
+    label,
+)
+from jaxdet.io import LogFiles
+from jaxdet.io.motion import quaternions
+from jaxdet.render.canvas import FREE, PALETTE
+from jaxdet.results.metric import world_angle
+from jaxdet.results.occupancy import MapImage
+from jaxdet.results.reading import Chunk, Frame, ResultLog, Results
+from jaxdet.types import Detections
+
+FLOOR, CAMERA = "world/floor", "world/floor/camera"
+COLOR, DEPTH = f"{CAMERA}/color", f"{CAMERA}/depth"
+QUALITY = 85
+"""Of the JPEG images."""
+PNG_LEVEL = 1
+PATH_POINTS = 10_000
+UNKNOWN = np.array((70, 74, 80), np.uint8)
+"""Of the map."""
+COLORS = np.array(PALETTE, np.uint8)
+
+
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+    """Writes a folder with a recording of each log.
+
+    Args:
+        results: The results.
+        output: The folder.
+        recordings: Logs of the results; of these images, depth and points are shown as well.
+
+    Raises:
+        InputError: A log isn't that of the results.
+    """
+    output.mkdir()
+    for log in results.logs:
+        files = recordings.get(log.name)
+        stream = rr.RecordingStream("jaxdet", recording_id=log.label, send_properties=False)
+        stream.set_log_time_enabled(False)
+        stream.set_log_tick_enabled(False)
+        stream.save(output / f"{log.file_name}.rrd", _blueprint(files is not None))
+        stream.send_recording_name(log.label)
+        try:
+            _Recording(stream, results, log).write(files)
+        finally:
+            stream.disconnect()
+
+
+def _blueprint(with_images: bool) -> rrb.Blueprint:
+    """How the viewer arranges it."""
+    flat = [rrb.Spatial2DView(origin=COLOR, name="Colour")]
+    flat += [rrb.Spatial2DView(origin=DEPTH, name="Depth")] if with_images else []
+    series = [
+        rrb.TimeSeriesView(origin="distance", name="Distance [m]"),
+        rrb.TimeSeriesView(origin="obstacles", name="Obstacles"),
+        rrb.TextLogView(origin="frames", name="Frames without a result"),
+    ]
+    # The points of obstacles show better without those of the depth image.
+    shown = ["$origin/**", f"- {DEPTH}/**"]
+    space = rrb.Spatial3DView(origin="world", contents=shown, name="Space")
+    upper = rrb.Horizontal(space, rrb.Vertical(*flat), column_shares=[3, 2])
+    lower = rrb.Horizontal(*series)
+    return rrb.Blueprint(rrb.Vertical(upper, lower, row_shares=[3, 1]), collapse_panels=True)
+
+
+class _Recording:
+    """One log's recording."""
+
+    def __init__(self, stream: rr.RecordingStream, results: Results, log: ResultLog) -> None:
+        self.stream, self.results, self.log = stream, results, log
+        self.floor_z = 0.0
+        """Of the last frame with a pose, in the world [m]."""
+
+    def write(self, files: LogFiles | None) -> None:
+        """Writes all of it, with what is in the log itself where its files are given."""
+        self._start()
+        for chunk in self.results.chunks(self.log):
+            _series(self.stream, chunk)
+            for frame in _frames(chunk):
+                self._at(frame.row)
+                self._frame(frame)
+        if files is not None:
+            for seen in look_again(self.results, self.log, files, with_cells=True):
+                for b, row in enumerate(seen.chunk.frames.to_pylist()):
+                    self._at(row)
+                    self._images(seen, b, row)
+                self.stream.flush()  # else what waits to be written has no bound
+        image = self.results.map(self.log)
+        if image is not None:
+            _map(self.stream, image, self.floor_z)
+
+    def _start(self) -> None:
+        """What doesn't change."""
+        camera = self.log.summary["calibration"]
+        log = self.stream.log
+        log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        log(COLOR, _pinhole(camera["color"]), static=True)
+        if camera["depth"]:
+            to_color = camera["color_from_depth"]
+            rotation = np.reshape(to_color["rotation"], (3, 3))
+            placed = rr.Transform3D(translation=to_color["translation"], mat3x3=rotation)
+            log(DEPTH, placed, static=True)
+        log(DEPTH, _pinhole(camera["depth"] or camera["color"]), static=True)
+        for name, color in (("nearest", PALETTE[0]), ("drop", PALETTE[4])):
+            log(f"distance/{name}", rr.SeriesLines(colors=[color], names=[name]), static=True)
+        log("obstacles", rr.SeriesLines(colors=[PALETTE[1]], names=["obstacles"]), static=True)
+
+    def _at(self, row: Mapping[str, Any]) -> None:
+        self.stream.set_time("frame", sequence=row["frame"])
+        self.stream.set_time("stamp", timestamp=np.datetime64(row["stamp_ns"], "ns"))
+
+    def _frame(self, frame: Frame) -> None:
+        """What the tables say of a frame."""
+        row, log = frame.row, self.stream.log
+        pose = T_world_camera(row)
+        if pose is not None:
+            log(FLOOR, _floor_in_world(row, pose))
+            self.floor_z = pose[2, 3] - (row["camera_height_m"] or 0.0)
+        log(CAMERA, _camera_on_floor(row))
+        log(f"{FLOOR}/boxes", _boxes(row, frame.obstacles))
+        log(f"{FLOOR}/contours", _contours(frame.obstacles))
+        log(f"{FLOOR}/free", _free(row))
+        log(f"{COLOR}/boxes", _flat_boxes(frame.obstacles))
+        if row["status"] != FrameStatus.OK:
+            text = f"frame {row['frame']}: {row['status']}"
+            log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
+
+    def _images(self, seen: Seen, b: int, row: Mapping[str, Any]) -> None:
+        """What the log says of a frame."""
+        log, frames = self.stream.log, seen.batch.frames
+        if row["status"] in (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR):
+            for path in (COLOR, DEPTH, f"{CAMERA}/points"):
+                log(path, rr.Clear(recursive=False))
+            return
+        color = cv2.imencode(
+            ".jpg", frames.color[b, ..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+        )
+        depth = cv2.imencode(".png", frames.depth[b], [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+        unit = frames.calibration.depth_unit
+        log(COLOR, rr.EncodedImage(contents=color[1].tobytes(), media_type="image/jpeg"))
+        reach = (0.0, self.results.method.ground.max_depth_m / unit)
+        blob = depth[1].tobytes()
+        image = rr.EncodedDepthImage(
+            blob, media_type="image/png", meter=1 / unit, depth_range=reach
+        )
+        log(DEPTH, image)
+        log(f"{CAMERA}/points", _points(seen.found, b, unit))
+
+
+def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
+    return cv2.imencode(kind, image, how)[1].tobytes()
+
+
+def _frames(chunk: Chunk) -> Iterator[Frame]:
+    rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
+    for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
+        yield Frame(row, obstacles[start:stop])
+
+
+def _series(stream: rr.RecordingStream, chunk: Chunk) -> None:
+    """Distances and counts of some frames."""
+    numbers, stamps = (chunk.frames[name].to_numpy() for name in ("frame", "stamp_ns"))
+    count = chunk.frames["num_obstacles"].to_numpy()
+    distance, first = chunk.obstacles["distance_m"].to_numpy(), chunk.first[:-1][count > 0]
+    nearest = np.full(len(count), np.nan)
+    if first.size:
+        nearest[count > 0] = np.minimum.reduceat(distance, first)
+    drop = chunk.frames["drop_m"].to_numpy()
+    good = chunk.frames["status"].to_numpy() == FrameStatus.OK
+    for path, values in (
+        ("distance/nearest", nearest),
+        ("distance/drop", drop),
+        ("obstacles", np.where(good, count, np.nan)),
+    ):
+        known = ~np.isnan(values)
+        if known.any():
+            times = [
+                rr.TimeColumn("frame", sequence=numbers[known]),
+                rr.TimeColumn("stamp", timestamp=stamps[known].astype("datetime64[ns]")),
+            ]
+            columns = rr.Scalars.columns(scalars=values[known].astype(np.float64))
+            rr.send_columns(path, times, columns, recording=stream)
+
+
+def _pinhole(camera: Mapping[str, Any]) -> rr.Pinhole:
+    K = [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]
+    size = [camera["width"], camera["height"]]
+    return rr.Pinhole(image_from_camera=K, resolution=size, image_plane_distance=0.3)
+
+
+def _floor_in_world(row: Mapping[str, Any], T: np.ndarray) -> rr.Transform3D:
+    """From the floor below the camera to the world, as outlines are placed on it."""
+    sin, cos = world_angle(T)
+    x, y, z = T[:3, 3] - (0, 0, row["camera_height_m"] or 0.0)
+    turn = [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]
+    return rr.Transform3D(translation=[x, y, z], mat3x3=turn)
+
+
+def _camera_on_floor(row: Mapping[str, Any]) -> rr.Transform3D:
+    """From the colour optical frame to the floor below it."""
+    T = np.linalg.inv(T_camera_floor(row))
+    return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+
+
+def _colors(obstacles: Any) -> np.ndarray:
+    return COLORS[np.asarray(obstacles, np.int64) % len(COLORS)]
+
+
+def _boxes(row: Mapping[str, Any], obstacles: list[dict[str, Any]]) -> rr.Boxes3D:
+    """The outlines on the floor, from bottom to top."""
+    boxes = [box(one, *heights(row, one)) for one in obstacles]
+    placed = np.reshape([T for T, _ in boxes], (-1, 4, 4))
+    return rr.Boxes3D(
+        centers=placed[:, :3, 3],
+        half_sizes=np.reshape([size for _, size in boxes], (-1, 3)) / 2,
+        quaternions=quaternions(placed[:, :3, :3]),
+        colors=_colors([one["obstacle"] for one in obstacles]),
+        labels=[label(one) for one in obstacles],
+    )
+
+
+def _contours(obstacles: list[dict[str, Any]]) -> rr.LineStrips3D:
+    """The visible edges on the floor."""
+    some = [one for one in obstacles if one["contour"]]
+    lines = [contour(one) for one in some]
+    strips = [np.column_stack([line, np.full(len(line), 0.01)]) for line in lines]
+    return rr.LineStrips3D(strips, colors=_colors([one["obstacle"] for one in some]), radii=0.008)
+
+
+def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
+    """The boxes in the colour image."""
+    names = ("u_min", "v_min", "u_max", "v_max")
+    box = np.reshape([[one[name] for name in names] for one in obstacles], (-1, 4))
+    return rr.Boxes2D(
+        mins=box[:, :2],
+        sizes=box[:, 2:] + 1 - box[:, :2],
+        colors=_colors([one["obstacle"] for one in obstacles]),
+        labels=[label(one) for one in obstacles],
+    )
+
+
+def _free(row: Mapping[str, Any]) -> rr.Mesh3D | rr.Clear:
+    """The free floor between neighbouring columns of cells."""
+    if not row["free_to_m"] or len(row["free_to_m"]) < 2:
+        return rr.Clear(recursive=False)
+    bearing, start, stop = (
+        np.array(row[name], np.float64) for name in ("free_bearing_rad", "free_from_m", "free_to_m")
+    )
+    way = np.stack([np.sin(bearing), np.cos(bearing), np.zeros(len(bearing))], axis=1)
+    near, far = way * start[:, None], way * stop[:, None]
+    n, shown = len(bearing), start < stop
+    (i,) = np.nonzero(shown[:-1] & shown[1:])
+    halves = (i, i + n, i + 1), (i + 1, i + n, i + n + 1)
+    triangles = np.concatenate([np.stack(half, axis=1) for half in halves])
+    return rr.Mesh3D(
+        vertex_positions=np.concatenate([near, far]),
+        triangle_indices=triangles,
+        albedo_factor=[*FREE, 110],
+    )
+
+
+def _points(found: Detections, b: int, unit: float) -> rr.Points3D:
+    """The cells of obstacles, or where obstacles are clusters of points those."""
+    if found.cells is None:
+        label, place = found.labels.labels[b], found.features
+    else:
+        label, place = found.cells.label[b], found.cells.cells
+    used = label >= 0
+    xyz = np.stack([axis[b][used] for axis in (place.x, place.y, place.z)], axis=-1) * unit
+    return rr.Points3D(xyz.astype(np.float32), colors=_colors(label[used]), radii=0.008)
+
+
+def _map(stream: rr.RecordingStream, image: MapImage, floor_z: float) -> None:
+    """The map just below the floor, and the path over it."""
+    picture, cell_m = map_picture(image)
+    height, width, _ = picture.shape
+    seen = picture[..., 3:] > 0
+    opaque = np.where(seen, picture[..., :3], UNKNOWN)  # grids show no transparency
+    kind = rr.components.ImageFormat(
+        width=width, height=height, color_model="RGB", channel_datatype="U8"
+    )
+    grid = rr.GridMap(
+        data=opaque[::-1].tobytes(),
+        format=kind,
+        cell_size=cell_m,
+        translation=[*image.origin, floor_z - 0.02],
+    )
+    stream.log("world/map", grid, static=True)
+    path = image.path[:: -(-len(image.path) // PATH_POINTS) or 1]
+    if len(path) > 1:
+        strip = np.column_stack([path, np.full(len(path), floor_z)])
+        stream.log(
+            "world/path", rr.LineStrips3D([strip], colors=PALETTE[1], radii=0.01), static=True
+        )

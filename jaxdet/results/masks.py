@@ -1,0 +1,33 @@
+"""Which pixels of the colour image are an obstacle's."""
+
+import numpy as np
+
+from jaxdet.types import CellLabels, Intrinsics
+
+
+def label_image(found: CellLabels, row: int, camera: Intrinsics) -> np.ndarray:
+    """The obstacle on each pixel of a frame.
+
+    As fine as the depth cells are, 3 to 4 pixels of a depth image: a cell covers its box in the
+    colour image. Where several cells cover a pixel it is the nearest one's, obstacle or not.
+
+    Args:
+        found: NumPy arrays, with the cells of the frame.
+        row: The frame's row in them.
+        camera: The colour camera.
+
+    Returns:
+        ``(H, W)`` int32, -1 = none. An obstacle's pixels lie in its ``u_min u_max v_min v_max``.
+    """
+    grid, used = found.cells, found.cells.in_view[row]
+    label, low, high = (a[row][used] for a in (found.label, grid.uv_min, grid.uv_max))
+    # From far to near, as of several values that a pixel is given the last one stays.
+    order = np.lexsort((label, grid.z[row][used]))[::-1]
+    label, low, size = label[order], low[order], (high - low)[order] + 1
+    area = size.prod(axis=1)
+    cell = np.repeat(np.arange(len(label)), area)
+    place = np.arange(len(cell)) - np.repeat(np.cumsum(area) - area, area)
+    v, u = np.divmod(place, size[cell, 0])
+    image = np.full((camera.height, camera.width), -1, np.int32)
+    image[low[cell, 1] + v, low[cell, 0] + u] = label[cell]
+    return image

@@ -1,0 +1,97 @@
+"""Results folders of any size, as a run would write them, with numbers made up."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from jaxdet.config import Config
+from jaxdet.io import LogOptions
+from jaxdet.results.names import file_names
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.summary import LogSummary, Summary, plain
+from jaxdet.results.writer import ResultWriter, Tables
+from jaxdet.types import Calibration, Intrinsics
+
+LOST = ("unpaired", "decode_error")
+START_NS = 1_700_000_000_000_000_000
+STEP_NS = 33_000_000
+
+
+def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = None) -> Path:
+    """Results of logs with so many frames; about one in 50 is lost, one in 200 overflows.
+
+    A frame has up to 4 obstacles, whose distances are anything up to 6 m.
+    """
+    summary = Summary("jax", 16, seconds=12.5)
+    with ResultWriter(folder) as writer:
+        for seed, (name, file_name) in enumerate(zip(logs, file_names(logs), strict=True)):
+            count = logs[name]
+            about = LogSummary(name, (f"/nowhere/{name}.mcap",), camera="front")
+            about.file_name = file_name
+            about.calibration = Calibration(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0))
+            about.frame_errors.append(f"frame 7: {name} isn't what it was")
+            for start in range(0, count, 1 << 15):
+                stop = min(count, start + (1 << 15))
+                frames, obstacles = _rows(name, start, stop, np.random.default_rng([seed, start]))
+                about.count(frames)
+                writer.add(
+                    Tables(_table(frames, FRAMES_SCHEMA), _table(obstacles, OBSTACLES_SCHEMA))
+                )
+            summary.logs.append(about)
+        failed = LogSummary("torn", ("/nowhere/torn.mcap",), error="torn: no <b>images</b> in it")
+        summary.logs.append(failed)
+        how = {"preset": "wheeled", "backend": "jax", "batch_size": 16}
+        method = plain(config or Config())
+        writer.commit({**how, **method, "log": plain(LogOptions())}, summary.to_dict())
+    return folder
+
+
+def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[Any, Any]:
+    n = np.arange(start, stop)
+    good = rng.random(n.size) > 0.02
+    count = np.where(good, rng.integers(0, 5, n.size), 0)
+    frame, first = np.repeat(n, count), np.repeat(np.cumsum(count) - count, count)
+    log, total = np.full(n.size, name, object), int(count.sum())
+    frames = {
+        "log": log,
+        "camera": np.full(n.size, "front", object),
+        "frame": n,
+        "stamp_ns": START_NS + n * STEP_NS,
+        "status": np.where(good, "ok", np.array(LOST, object)[n % 2]),
+        "num_features": count * 10,
+        "num_obstacles": count,
+        "overflow": good & (rng.random(n.size) < 0.005),
+        "camera_height_m": np.where(good, 0.5, np.nan),
+        "floor_source": np.full(n.size, "frame", object),
+        "floor_refused": np.ma.masked_all(n.size, object),
+    }
+    obstacles = {
+        "log": np.full(total, name, object),
+        "camera": np.full(total, "front", object),
+        "frame": frame,
+        "stamp_ns": START_NS + frame * STEP_NS,
+        "obstacle": np.arange(total) - first,
+        "distance_m": rng.uniform(0.2, 6, total).astype(np.float32),
+    }
+    return frames, obstacles
+
+
+def _table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
+    """What isn't given is null, else zero or empty."""
+    rows = len(columns["log"])
+    return pa.Table.from_arrays([_column(columns, f, rows) for f in schema], schema=schema)
+
+
+def _column(columns: Mapping[str, Any], field: pa.Field, rows: int) -> pa.Array:
+    values = columns.get(field.name)
+    if isinstance(values, np.ma.MaskedArray) or (values is None and field.nullable):
+        return pa.nulls(rows, field.type)
+    if values is not None:
+        return pa.array(values, field.type, from_pandas=True)
+    if pa.types.is_fixed_size_list(field.type):
+        zeros = pa.array(np.zeros(rows * field.type.list_size), field.type.value_type)
+        return pa.FixedSizeListArray.from_arrays(zeros, type=field.type)
+    return pa.array(["" if pa.types.is_string(field.type) else 0] * rows, field.type)

@@ -1,0 +1,147 @@
+"""The training set: read by pycocotools, its masks beside the boxes of the table and the truth."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine, preset
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.export import export
+from jaxdet.export.coco import run_lengths
+from jaxdet.export.recordings import find
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.results.masks import label_image
+from jaxdet.results.reading import Results
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.types import CellLabels, Cells, Intrinsics
+from tests.camera_logs import join_cameras
+from tests.made_results import make_results
+
+# pycocotools' own arrays don't know NumPy 2's copy.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+def coco_of(folder: Path, output: Path, *logs: str) -> Any:
+    coco = pytest.importorskip("pycocotools.coco")
+    with Results(folder) as results:
+        export(results, "coco", output, find(results, logs))
+    return coco.COCO(str(output / "annotations.json"))
+
+
+def check(coco: Any, folder: Path, output: Path) -> list[tuple[dict, dict, np.ndarray]]:
+    """Each row of the table is an annotation; returns image, annotation and mask of each."""
+    frames = pq.read_table(folder / "frames.parquet").to_pylist()
+    rows = pq.read_table(folder / "obstacles.parquet").to_pylist()
+    images = coco.loadImgs(coco.getImgIds())
+    assert [image["frame"] for image in images] == [
+        f["frame"] for f in frames if f["status"] == "ok"
+    ]
+    assert coco.loadCats(coco.getCatIds())[0]["name"] == "obstacle"
+    for image in images:
+        picture = cv2.imread(str(output / image["file_name"]))
+        assert picture.shape[:2] == (image["height"], image["width"])
+    found = []
+    for row, one in zip(rows, coco.loadAnns(coco.getAnnIds()), strict=True):
+        (image,) = coco.loadImgs(one["image_id"])
+        assert (image["frame"], one["obstacle"]) == (row["frame"], row["obstacle"])
+        assert one["distance_m"] == row["distance_m"]
+        left, top, width, height = one["bbox"]
+        assert (left, top) == (row["u_min"], row["v_min"])
+        assert (left + width - 1, top + height - 1) == (row["u_max"], row["v_max"])
+        mask = coco.annToMask(one).astype(bool)
+        assert mask.sum() == one["area"] > 0 and not one["iscrowd"]
+        v, u = np.nonzero(mask)
+        assert u.min() >= left and u.max() < left + width
+        assert v.min() >= top and v.max() < top + height
+        found.append((image, one, mask))
+    return found
+
+
+def test_simulated_log(drive: Path, tmp_path: Path) -> None:
+    folder, truth = drive / "out", np.load(drive / "drive.mcap.truth.npz")
+    found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
+    assert len(found) > 20
+    share, taken = [], {}
+    for image, _, mask in found:
+        objects = truth[f"obstacle_id_{image['frame']:06d}"][mask]
+        most = np.bincount(objects).argmax()
+        assert most > 0  # not the background
+        share.append((objects == most).mean())
+        other = taken.setdefault(image["id"], np.zeros_like(mask))
+        assert not (other & mask).any()  # a pixel is one obstacle's
+        other |= mask
+    assert np.median(share) > 0.8 and np.min(share) > 0.6  # stereo smears depth over contours
+
+
+def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
+    folder = aims[1]
+    found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
+    boxes = [one["bbox"][2] * one["bbox"][3] for _, one, _ in found]
+    around = [cv2.boundingRect(mask.astype(np.uint8)) for *_, mask in found]
+    share = np.array([w * h for *_, w, h in around]) / boxes
+    assert len(found) > 40 and share.mean() > 0.98
+
+
+def test_two_cameras(drive: Path, tmp_path: Path) -> None:
+    """Each has its own images, and recordings and reports tell them apart."""
+    write_log(tmp_path / "rear.mcap", SimConfig(frames=2, width=320, height=240, seed=5))
+    both = {"front": drive / "drive.mcap", "rear": tmp_path / "rear.mcap"}
+    log, folder = join_cameras(both, tmp_path / "two.mcap"), tmp_path / "out"
+    engine.run(find_logs([str(log)]), Config(), LogOptions(), RunOptions(folder, pictures=0))
+    coco = coco_of(folder, tmp_path / "set", str(log))
+    assert len(check(coco, folder, tmp_path / "set")) > 20
+    cameras = [image["camera"] for image in coco.loadImgs(coco.getImgIds())]
+    assert cameras == ["front"] * 5 + ["rear"] * 2
+    with Results(folder) as results:
+        export(results, "html", tmp_path / "page.html", find(results, [str(log)]))
+        export(results, "rerun", tmp_path / "recordings", find(results, [str(log)]))
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert page.count('"log":"two, front"') == page.count('"log":"two, rear"') == 1
+    assert page.count("data:image/webp") == 7 + page.count('"map":{')
+    names = sorted(path.name for path in (tmp_path / "recordings").iterdir())
+    assert names == ["two@front.rrd", "two@rear.rrd"]
+
+
+def test_other_log_and_no_log(drive: Path, tmp_path: Path) -> None:
+    other = tmp_path / "drive.mcap"
+    write_log(other, SimConfig(frames=5, width=160, height=120, rate_hz=7))
+    with pytest.raises(InputError, match=r"is not the log 'drive'.*--log"):
+        coco_of(drive / "out", tmp_path / "set", str(other))
+    gone = make_results(tmp_path / "out", {"gone": 3})
+    with pytest.raises(InputError, match=r"gone.mcap: the log isn't where it was.*with --log"):
+        coco_of(gone, tmp_path / "set")
+    assert not (tmp_path / "set").exists()
+
+
+def test_clusters_of_points_have_no_masks(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "out", {"a": 3}, preset("paper"))
+    with pytest.raises(ConfigError, match="another preset than paper"):
+        coco_of(folder, tmp_path / "set")
+
+
+def test_nearest_cell_has_the_pixel() -> None:
+    """Three cells in a row of four pixels; the middle one is nearer and lies over both others."""
+    low = np.array([[[[0, 0], [1, 0], [2, 0]]]], np.int32)
+    high = np.array([[[[1, 1], [2, 0], [3, 1]]]], np.int32)
+    z = np.array([[[9, 4, 9]]], np.int32)
+    seen = np.ones((1, 1, 3), bool)
+    grid = Cells(z, z, z, low, high, seen)
+    camera = Intrinsics(5, 3, 1.0, 1.0, 0.0, 0.0)
+    label = np.array([[[0, -1, 2]]], np.int32)
+    image = label_image(CellLabels(label, grid), 0, camera)
+    expected = [[0, -1, -1, 2, -1], [0, 0, 2, 2, -1], [-1] * 5]
+    assert image.tolist() == expected
+    hidden = CellLabels(label, grid._replace(in_view=seen & [[[True, False, True]]]))
+    assert label_image(hidden, 0, camera)[:2].tolist() == [[0, 0, 2, 2, -1]] * 2
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_run_lengths(first: int) -> None:
+    mask = np.array([[first, 0], [1, 0], [1, 1]], bool)
+    assert run_lengths(mask) == ([0, 3, 2, 1] if first else [1, 2, 2, 1])

@@ -1,0 +1,250 @@
+"""The page: what it says is what the tables say, it needs no network, and nothing in it runs."""
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.config import Config, GroundConfig
+from jaxdet.errors import FrameStatus
+from jaxdet.export import export
+from jaxdet.export.html.collect import MOST_BINS, Columns, Timeline
+from jaxdet.export.html.page import REASONS
+from jaxdet.export.recordings import find
+from jaxdet.results.reading import Results
+from tests.made_results import START_NS, STEP_NS, make_results
+
+HOSTILE = "</script><img src=x onerror=boom()>\u2028<!--"
+
+
+def page_of(folder: Path, output: Path, logs: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Exports results; returns what the page's script draws."""
+    with Results(folder) as results:
+        export(results, "html", output, find(results, logs))
+    text = output.read_text("utf-8")
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert match
+    return json.loads(match[1])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    config = Config(ground=GroundConfig(max_depth_m=5.0))
+    return make_results(folder / "out", {HOSTILE: 3000, "b": 400, "short": 1}, config)
+
+
+def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
+    data = page_of(made, tmp_path / "page.html")
+    frames = pq.read_table(made / "frames.parquet").to_pandas()
+    obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
+    assert [log["log"] for log in data["logs"]] == [HOSTILE, "b", "short", "torn"]
+    for log in data["logs"][:3]:
+        rows = frames[frames.log == log["log"]]
+        near = obstacles[obstacles.log == log["log"]].groupby("frame").distance_m.min()
+        assert log["frames"] == len(rows) and log["obstacles"] == rows.num_obstacles.sum()
+        assert log["status"] == rows.status.value_counts().to_dict()
+        bins, number = log["bins"], np.arange(len(rows)) // log["stride"]
+        each = rows.set_index("frame").assign(near=near).groupby(number).near.min()
+        shown = [np.nan if value is None else value for value in bins["nearest"]]
+        np.testing.assert_allclose(shown, each.round(3), atol=1e-3)
+        assert sum(bins["lost"]) == (rows.status != "ok").sum()
+        assert bins["most"] == rows.num_obstacles.groupby(number).max().tolist()
+        assert sum(log["per_frame"]) == len(near)
+        assert sum(log["per_obstacle"]) == rows.num_obstacles.sum()
+        if len(near):
+            assert log["nearest"] == [pytest.approx(near.min(), abs=1e-3), near.idxmin()]
+    assert data["logs"][3]["error"] and not data["logs"][3]["bins"]
+    assert data["settings"] == [["ground.max_depth_m", "5.0", "4.0"]]
+
+
+def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
+    data = page_of(made, tmp_path / "page.html")
+    frames = pq.read_table(made / "frames.parquet").to_pandas()
+    obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
+    names = [log["log"] for log in data["logs"]]
+    kinds = {kind for frame in data["frames"] for kind in frame["kinds"]}
+    assert kinds == {"nearest", "most", "overflow", "lost"}
+    for frame in data["frames"]:
+        log, number = names[frame["log"]], frame["frame"]
+        (row,) = frames[(frames.log == log) & (frames.frame == number)].itertuples()
+        rows = obstacles[(obstacles.log == log) & (obstacles.frame == number)]
+        assert (frame["status"], frame["count"]) == (row.status, row.num_obstacles)
+        assert frame["stamp"] == str(START_NS + frame["frame"] * STEP_NS) == str(row.stamp_ns)
+        assert [one[0] for one in frame["rows"]] == rows.obstacle.tolist()
+        assert frame["nearest"] == (
+            None if rows.empty else pytest.approx(rows.distance_m.min(), abs=1e-3)
+        )
+        assert ("lost" in frame["kinds"]) == (row.status != "ok")
+    reasons = [f["reason"] for f in data["frames"] if f["frame"] == 7 and f["status"] != "ok"]
+    assert all("isn't what it was" in reason for reason in reasons)
+
+
+def test_each_status_has_a_reason() -> None:
+    assert {str(status) for status in FrameStatus} <= {"ok", *REASONS}
+
+
+def test_timeline_is_the_same_however_it_is_fed() -> None:
+    rng = np.random.default_rng(3)
+    n = 5 * MOST_BINS + 17
+    count = rng.integers(0, 4, n)
+    status = np.where(rng.random(n) < 0.1, "unpaired", "ok").astype(object)
+    stamps, distance = np.arange(n) * 10, rng.random(count.sum()).astype(np.float32)
+    rows = Columns(np.arange(n), stamps, status, np.zeros(n, bool), count, distance)
+    whole = Timeline()
+    whole.add(rows)
+    assert MOST_BINS // 2 < whole.bins <= MOST_BINS
+    for size in (1, 100, MOST_BINS):
+        parts = Timeline()
+        for start in range(0, n, size):
+            parts.add(rows.rows(start, min(n, start + size)))
+        for name, values in vars(whole).items():
+            np.testing.assert_array_equal(getattr(parts, name), values, name)
+
+
+def test_nothing_from_a_log_is_markup(made: Path, tmp_path: Path) -> None:
+    page_of(made, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text("utf-8")
+    assert "onerror" in text and "<img src=x" not in text and text.count("</script>") == 2
+    assert "\u2028" not in text and "http" not in text.replace("http-equiv", "").replace(
+        "http://www.w3.org/2000/svg", ""
+    )
+
+
+def test_page_stays_small(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "out", {f"log {i}": 20_000 for i in range(5)})
+    page_of(folder, tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size < 500_000
+
+
+def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
+    without = page_of(drive / "out", tmp_path / "page.html")
+    assert sum(f["picture"] is not None for f in without["frames"]) == 2
+    assert without["logs"][0]["map"]["picture"].startswith("data:image/webp;base64,")
+    log = str(drive / "drive.mcap")
+    drawn = page_of(drive / "out", tmp_path / "drawn.html", (log,))
+    assert len(drawn["frames"]) == 5
+    assert all(f["picture"] and f["size"][0] <= 1024 for f in drawn["frames"])
+
+
+def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
+    log, folder = aims
+    data = page_of(folder, tmp_path / "page.html", (str(log),))
+    assert all(frame["picture"] for frame in data["frames"]) and data["logs"][0]["map"] is None
+    assert (tmp_path / "page.html").stat().st_size < 2_500_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if not program:
+        pytest.skip("no browser here")
+    with sync_api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+class Opened:
+    """A page in a browser that has no network."""
+
+    def __init__(self, browser: Any, path: Path, **how: Any) -> None:
+        context = browser.new_context(offline=True, **how)
+        self.page, self.asked, self.said = context.new_page(), [], []
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.goto(path.as_uri())
+        self.path = path
+
+    def check(self) -> None:
+        """Nothing was asked for but the page, and nothing went wrong."""
+        asked = [url for url in self.asked if not url.startswith("data:")]
+        assert asked == [self.path.as_uri()] and self.said == []
+        assert self.page.evaluate("typeof boom") == "undefined"
+
+
+def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> None:
+    data = page_of(made, tmp_path / "page.html")
+    opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
+    page = opened.page
+    assert page.title() == "Obstacles in 4 logs"
+    assert page.locator("#figures dd").nth(1).inner_text().startswith("3,401")
+    assert "No depth image is near enough" in page.locator("#lost").inner_text()
+    assert "torn: no <b>images</b> in it" in page.locator("#lost").inner_text()
+    assert page.locator(".timeline").count() == 3
+    assert page.locator("#only option").all_inner_texts()[1].startswith("</script><img")
+
+    def cards() -> int:
+        return page.locator(".card").count()
+
+    assert cards() == len(data["frames"])
+    for kind, name in (("lost", "Without a result"), ("overflow", "Overflow")):
+        page.get_by_role("radio", name=name).click()
+        assert cards() == sum(kind in frame["kinds"] for frame in data["frames"]) > 0
+    page.get_by_role("radio", name="Nearest", exact=True).click()
+    page.locator("#order").select_option("nearest")
+    texts = page.locator(".card").all_inner_texts()
+    metres = [float(re.search(r"nearest ([\d.]+) m", text)[1]) for text in texts]
+    assert metres == sorted(metres) and len(metres) == 12
+    page.keyboard.press("Tab")
+    page.get_by_role("radio", name="Nearest", exact=True).focus()
+    page.keyboard.press("ArrowLeft")
+    assert page.get_by_role("radio", name="All", exact=True).get_attribute("aria-checked") == "true"
+    page.locator("#only").select_option("1")
+    assert cards() == sum(frame["log"] == 1 for frame in data["frames"])
+    assert page.locator("#figures dd").nth(1).inner_text().startswith("400")
+    opened.check()
+
+
+def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None:
+    page_of(drive / "out", tmp_path / "page.html", (str(drive / "drive.mcap"),))
+    opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
+    page, dialog = opened.page, opened.page.locator("dialog")
+    line = page.locator(".timeline svg")
+    line.hover()
+    assert re.match(r"frame \d · .* m · \d obstacles? · picture", page.locator("#tip").inner_text())
+    line.click()
+    assert dialog.is_visible() and dialog.locator("img").evaluate("i => i.naturalWidth") == 1024
+    first = page.locator("#frame-title").inner_text()
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#frame-title").inner_text() != first
+    page.keyboard.press("Escape")
+    assert not dialog.is_visible()
+    line.focus()
+    page.keyboard.press("End")
+    page.keyboard.press("Enter")
+    assert page.locator("#frame-title").inner_text() == "drive · frame 4"
+    rows = dialog.locator("tbody tr").count()
+    assert f"obstacles\n{rows}" in dialog.inner_text()
+    page.get_by_role("button", name="Close").click()
+    page.get_by_role("radio", name="All obstacles").click()
+    assert "distance of each obstacle" in page.locator("#histogram").inner_html()
+    assert page.locator("#map image").count() == 1 and page.locator("#map svg .path").count() == 2
+    unnamed = "[...document.querySelectorAll('button,select,svg')].filter(e => "
+    unnamed += "!e.textContent.trim() && !e.getAttribute('aria-label')).length"
+    assert page.evaluate(unnamed) == 0 and page.locator("img:not([alt])").count() == 0
+    opened.check()
+
+
+def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) -> None:
+    page_of(drive / "out", tmp_path / "page.html")
+    grounds = set()
+    for scheme in ("light", "dark"):
+        how = {"viewport": {"width": 360, "height": 740}, "color_scheme": scheme}
+        opened = Opened(browser, tmp_path / "page.html", **how)
+        page = opened.page
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
+        grounds.add(page.evaluate("getComputedStyle(document.body).backgroundColor"))
+        page.emulate_media(media="print")
+        assert not page.locator("#kinds").is_visible() and page.locator(".card").first.is_visible()
+        assert len(page.pdf()) > 10_000
+        opened.check()
+    assert len(grounds) == 2

@@ -1,0 +1,143 @@
+"""Recordings for Rerun, read back with its own reader and compared with the tables."""
+
+import shutil
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.errors import ConfigError
+from jaxdet.export import export
+from jaxdet.export.recordings import find
+from jaxdet.results.reading import Results
+from tests.made_results import make_results
+
+FLOOR, CAMERA = "/world/floor", "/world/floor/camera"
+
+
+def recording_of(folder: Path, output: Path, *logs: str) -> dict[str, dict[str, dict[int, Any]]]:
+    """By entity and component what is known at each frame; of static ones at -1."""
+    chunk = pytest.importorskip("rerun.chunk")
+    with Results(folder) as results:
+        export(results, "rerun", output, find(results, logs))
+    (path,) = output.iterdir()
+    reader = chunk.RrdReader(path)
+    assert len(reader.recordings()) == 1 and len(reader.blueprints()) == 1
+    found: dict[str, dict[str, dict[int, Any]]] = defaultdict(lambda: defaultdict(dict))
+    for part in reader.stream():
+        batch = part.to_record_batch()
+        frames = [-1] * part.num_rows if part.is_static else batch.column("frame").to_pylist()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            values = column.to_pylist()
+            known = ((f, v) for f, v in zip(frames, values, strict=True) if v is not None)
+            found[part.entity_path][name.rpartition(":")[2]].update(known)
+    return found
+
+
+def motion(found: Any, entity: str, frame: int) -> np.ndarray:
+    """``T_parent_entity`` ``(4, 4)``."""
+    T = np.eye(4)
+    T[:3, :3] = np.reshape(found[entity]["mat3x3"][frame], (3, 3), order="F")
+    T[:3, 3] = np.ravel(found[entity]["translation"][frame])
+    return T
+
+
+def check(folder: Path, found: Any) -> None:
+    """The recording says what the tables say."""
+    frames = pq.read_table(folder / "frames.parquet").to_pylist()
+    rows = defaultdict(list)
+    for row in pq.read_table(folder / "obstacles.parquet").to_pylist():
+        rows[row["frame"]].append(row)
+    boxes, flat = found[f"{FLOOR}/boxes"], found[f"{CAMERA}/color/boxes"]
+    for frame in frames:
+        number, parts = frame["frame"], rows[frame["frame"]]
+        assert found["/obstacles"]["scalars"][number] == [len(parts)]
+        nearest = found["/distance/nearest"]["scalars"].get(number)
+        assert nearest == ([min(r["distance_m"] for r in parts)] if parts else None)
+        assert boxes["labels"][number][0].startswith("0 ") and len(boxes["labels"][number]) == len(
+            parts
+        )
+        centers, sizes = boxes["centers"][number], boxes["half_sizes"][number]
+        for row, center, size in zip(parts, centers, sizes, strict=True):
+            corners = np.reshape(row["corners_ground"], (4, 2))
+            np.testing.assert_allclose(center[:2], corners.mean(axis=0), atol=1e-4)
+            np.testing.assert_allclose(center[2] - size[2], row["bottom_m"], atol=1e-4)
+            np.testing.assert_allclose(center[2] + size[2], row["top_m"], atol=1e-4)
+            length = np.linalg.norm(corners[1] - corners[0])
+            np.testing.assert_allclose(2 * size[0], length, atol=1e-4)
+            if row["corners_world"]:
+                T = motion(found, FLOOR, number)
+                world = T @ [*center[:2], 0, 1]
+                expected = np.reshape(row["corners_world"], (4, 2)).mean(axis=0)
+                np.testing.assert_allclose(world[:2], expected, atol=1e-4)
+        half = np.reshape(flat["half_sizes"][number], (-1, 2))
+        low = np.reshape(flat["centers"][number], (-1, 2)) - half
+        assert low.tolist() == [[r["u_min"], r["v_min"]] for r in parts]
+
+
+def check_points(folder: Path, found: Any) -> None:
+    """The points of the nearest obstacle lie in its box on the floor."""
+    for row in pq.read_table(folder / "obstacles.parquet").to_pylist():
+        number = row["frame"]
+        if row["obstacle"]:
+            continue
+        T = motion(found, CAMERA, number)
+        points, colors = (found[f"{CAMERA}/points"][k][number] for k in ("positions", "colors"))
+        own = np.array(points)[np.array(colors) == found[f"{FLOOR}/boxes"]["colors"][number][0]]
+        height = (own @ T[:3, :3].T + T[:3, 3])[:, 2]
+        assert len(own) >= row["num_points"]
+        np.testing.assert_allclose(height.min(), row["bottom_m"], atol=0.01)
+        np.testing.assert_allclose(height.max(), row["top_m"], atol=0.01)
+
+
+def test_with_the_log(drive: Path, tmp_path: Path) -> None:
+    log = str(drive / "drive.mcap")
+    found = recording_of(drive / "out", tmp_path / "out", log)
+    check(drive / "out", found)
+    check_points(drive / "out", found)
+    assert len(found[f"{CAMERA}/color"]["blob"]) == len(found[f"{CAMERA}/depth"]["blob"]) == 5
+    shown = found["/world/map"]
+    with np.load(drive / "out" / "map_drive.npz") as map_:
+        assert np.size(shown["data"][-1]) == map_["counts"].size * 3
+        np.testing.assert_allclose(
+            np.ravel(shown["translation"][-1])[:2], map_["origin"], atol=1e-5
+        )
+    assert found["/world/path"] and found[f"{FLOOR}/free"]
+    program = shutil.which("rerun") or str(Path(shutil.which("python") or "").with_name("rerun"))
+    if Path(program).exists():
+        file = next((tmp_path / "out").iterdir())
+        env = {"HOME": str(tmp_path), "DO_NOT_TRACK": "1"}
+        subprocess.run([program, "rrd", "verify", str(file)], check=True, env=env, timeout=60)
+
+
+def test_without_the_log(drive: Path, tmp_path: Path) -> None:
+    found = recording_of(drive / "out", tmp_path / "out")
+    check(drive / "out", found)
+    assert "blob" not in found[f"{CAMERA}/color"] and f"{CAMERA}/points" not in found
+
+
+def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
+    log, folder = aims
+    found = recording_of(folder, tmp_path / "out", str(log))
+    check(folder, found)
+    check_points(folder, found)
+    assert len(found[f"{CAMERA}/color"]["blob"]) == 18 and "/world/map" not in found
+
+
+def test_each_log_and_lost_frames(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    folder = make_results(tmp_path / "results", {"a/b": 60, "c": 5})
+    with Results(folder) as results:
+        export(results, "rerun", tmp_path / "out", {})
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a_b.rrd", "c.rrd"]
+
+
+def test_missing_package_names_the_extra(drive: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "rerun", None)
+    monkeypatch.delitem(__import__("sys").modules, "jaxdet.export.rerun", raising=False)
+    with Results(drive / "out") as results, pytest.raises(ConfigError, match=r"jaxdet\[rerun\]"):
+        export(results, "rerun", tmp_path / "out", {})
