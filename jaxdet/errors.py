@@ -44,6 +44,10 @@ class JaxdetError(Exception):
         text = f"{text}; {remedy}" if remedy else text
         super().__init__(printable(" ".join(text.split()) if "\n" in text else text))
 
+    def add_remedy(self, remedy: str) -> None:
+        """Says what else the user can do."""
+        self.args = (f"{self.args[0]}; {remedy}",)
+
     def __reduce__(self) -> tuple:
         """Whatever a kind of error is made from, it arrives whole in another process."""
         return _restored, (type(self), self.args, vars(self))
@@ -92,8 +96,25 @@ class RescanError(JaxdetError):
         super().__init__(problem, path=path, topic=topic, remedy="read it with --log.scan")
 
 
+class OutputError(JaxdetError):
+    """Results can't be written: the disk is full, or the folder read-only. It ends the run."""
+
+
 class WorkerError(JaxdetError):
     """A worker process ended, or failed in a way that nobody foresaw."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal ended the run; its text is one line that says how to go on.
+
+    Args:
+        signal: Number of the signal.
+        text: The line.
+    """
+
+    def __init__(self, signal: int, text: str = "interrupted") -> None:
+        super().__init__(text)
+        self.signal = signal
 
 
 class FrameError(JaxdetError):
@@ -117,3 +138,7 @@ class FrameStatus(StrEnum):
     """The colour or depth image could not be decoded."""
     BAD_CALIBRATION = "bad_calibration"
     """The image size or the calibration of this frame contradicts the log's calibration."""
+    WORKER_CRASHED = "worker_crashed"
+    """The processes that worked on this frame and its neighbours died, twice."""
+    TIMEOUT = "timeout"
+    """They made no progress, twice."""

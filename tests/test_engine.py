@@ -17,7 +17,7 @@ from jaxdet.config import ClusterConfig, Config, GroundConfig
 from jaxdet.engine import RunOptions, decide_planes, local
 from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
-from jaxdet.errors import ConfigError, FrameStatus, InputError
+from jaxdet.errors import ConfigError, FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
 from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
 from jaxdet.sim import SimConfig, write_log
@@ -188,7 +188,7 @@ def test_nothing_is_written_when_all_fail(fake_logs: list, tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupt_leaves_nothing(fake_logs: list, tmp_path: Path) -> None:
+def test_an_interrupt_keeps_what_is_done(fake_logs: list, tmp_path: Path) -> None:
     def interrupt(now: engine.Progress) -> None:
         seen.append(now.doing)
         if not now.doing:
@@ -199,10 +199,21 @@ def test_an_interrupt_leaves_nothing(fake_logs: list, tmp_path: Path) -> None:
 
     seen: list[str] = []
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Interrupted, match="interrupted; 0 of 1 logs and 1 of 3 units of fake are"):
+        run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [".jaxdet"]
+    assert seen == ["opening", "looking for the floor", "starting", ""]
+
+
+def test_an_interrupt_before_anything_is_done_leaves_nothing(
+    fake_logs: list, tmp_path: Path
+) -> None:
+    def interrupt(now: engine.Progress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted, match="interrupted; nothing is done yet"):
         run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
     assert list(tmp_path.iterdir()) == []
-    assert seen == ["opening", "looking for the floor", "starting", ""]
 
 
 def test_results_are_not_overwritten_by_chance(fake_logs: list, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The results folder: schema, nulls, bytes that do not depend on the batch, nothing half."""
 
 import json
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +10,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from jaxdet.errors import ConfigError
+from jaxdet.errors import OutputError
 from jaxdet.results import writer
 from jaxdet.results.lists import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from jaxdet.results.writer import ResultWriter, Tables
+from jaxdet.results.writer import ResultWriter, Tables, write_json
 from tests.conftest import ROOT
 
 
@@ -69,12 +70,14 @@ def obstacle_rows(start: int, stop: int) -> dict:
     }
 
 
-def write(folder: Path, batch: int, rows: int = 50, **kwargs: bool) -> None:
-    with ResultWriter(folder, **kwargs) as writer:
+def write(folder: Path, batch: int, rows: int = 50) -> None:
+    folder.mkdir(exist_ok=True)
+    with ResultWriter(folder) as writer:
         for start in range(0, rows, batch):
             stop = min(start + batch, rows)
             writer.add(Tables.of(frame_rows(start, stop), obstacle_rows(start, stop)))
-        writer.commit({"a": 1}, {"b": "é"})
+        writer.close({}, {})
+    write_json(folder / "summary.json", {"b": "é"})
 
 
 def test_round_trip_with_nulls(tmp_path: Path) -> None:
@@ -112,43 +115,33 @@ def test_no_rows_still_give_tables(tmp_path: Path) -> None:
     assert pq.read_table(tmp_path / "obstacles.parquet").num_rows == 0
 
 
-def test_existing_results_are_refused(tmp_path: Path) -> None:
-    write(tmp_path, 7)
-    (tmp_path / "pictures").mkdir()
-    stale = tmp_path / "pictures" / "old.png"
-    stale.write_bytes(b"")
-    with pytest.raises(ConfigError, match="--overwrite"):
-        ResultWriter(tmp_path)
-    write(tmp_path, 7, overwrite=True)
-    assert not stale.exists()
+def test_rows_are_the_same_after_pickling(tmp_path: Path) -> None:
+    parts = [Tables.of(frame_rows(i, i + 5), obstacle_rows(i, i + 5)) for i in (0, 5)]
+    joined = Tables.joined(pickle.loads(pickle.dumps(parts, 5)))
+    whole = Tables.of(frame_rows(0, 10), obstacle_rows(0, 10))
+    for mine, want in zip(joined, whole, strict=True):
+        assert mine.equals(want) and mine.schema.equals(want.schema)
+    assert Tables.joined(()).frames.schema.equals(FRAMES_SCHEMA)
 
 
-def test_an_error_leaves_nothing_behind(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), ResultWriter(tmp_path) as writer:
-        writer.path("pictures/a.png").write_bytes(b"")
-        raise RuntimeError
-    assert not tmp_path.exists()
-
-
-def test_output_that_is_a_file(tmp_path: Path) -> None:
-    (tmp_path / "f").write_bytes(b"")
-    with pytest.raises(ConfigError, match="is a file"):
-        ResultWriter(tmp_path / "f")
-
-
-def test_rows_are_written_without_pandas(tmp_path: Path) -> None:
+def test_rows_are_written_without_pandas() -> None:
     code = """
+import pickle
 import sys
-from pathlib import Path
 from tests.test_results import frame_rows, obstacle_rows
 from jaxdet.results.metadata import Inputs
-from jaxdet.results.writer import Tables, join_tables
+from jaxdet.results.writer import Tables
 tables = Tables.of(frame_rows(0, 9), obstacle_rows(0, 9))
-join_tables([tables, tables]).save(Path(sys.argv[1]))
-assert Tables.load(Path(sys.argv[1])).frames.num_rows == 18
+joined = Tables.joined(pickle.loads(pickle.dumps([tables, tables], 5)))
+assert joined.frames.num_rows == 18
 rows = Inputs()
 rows.add(tables.frames)
 assert "pandas" not in sys.modules
 """
-    found = subprocess.run([sys.executable, "-c", code, str(tmp_path / "part")], cwd=ROOT)
+    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT)
     assert found.returncode == 0
+
+
+def test_a_folder_that_is_not_there_is_an_error_of_the_output(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="can't be written"):
+        ResultWriter(tmp_path / "missing")

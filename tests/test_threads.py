@@ -11,7 +11,7 @@ import warp as wp
 
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
-from jaxdet.engine.device import interrupts_held_back
+from jaxdet.engine.signals import stops_held_back
 from jaxdet.stages import _threads
 from tests.scenes import (
     D435,
@@ -113,7 +113,7 @@ def test_a_ctrl_c_in_a_kernel_is_not_taken_for_its_results(monkeypatch):
 
 def test_the_engine_finishes_a_batch_before_a_ctrl_c():
     done = False
-    with pytest.raises(KeyboardInterrupt), interrupts_held_back():
+    with pytest.raises(KeyboardInterrupt), stops_held_back():
         signal.raise_signal(signal.SIGINT)
         done = True
     assert done

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,15 +13,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import jax
+import pyarrow.parquet as pq
 import pytest
 import warp as wp
 
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import local, station
+from jaxdet.engine import local, pool, station
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError
-from jaxdet.io import Batch, LogOptions, RescanError, find_logs
+from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.stages import _upload
@@ -87,6 +89,14 @@ def run(logs: list[Path], output: Path, **options: Any) -> engine.Summary:
     return engine.run(given, config, LogOptions(), how, **others)
 
 
+@pytest.fixture(scope="module")
+def plain_run(sim_logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What this process makes of the first log, with one frame in a batch."""
+    folder = tmp_path_factory.mktemp("plain")
+    run(sim_logs[:1], folder, workers=1, batch_size=1, backend="reference", pictures=0)
+    return folder
+
+
 def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
     ways: list[Any] = [(1, 512), (2, 1), (2, 5)]
     summaries = []
@@ -117,14 +127,36 @@ def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
         ("bug", "a, frames 8 to 11: ZeroDivisionError: by nothing"),
         ("error", "a.mcap: no such file; look again"),
         ("frame", "a.mcap: torn"),
-        ("exit", "a, frames 8 to 11: a worker process ended with code 3; its own message"),
     ],
 )
 def test_an_error_says_where(sim_logs, tmp_path, way, text):
     options = {"workers": 2, "batch_size": 4, "backend": "reference"}
     summary = run(sim_logs[:1], tmp_path, observers={"odd": Odd(way)}, **options)
     assert (summary.failed[0].error or "").startswith(text)
-    assert not tmp_path.exists()  # as nothing is in it
+    reports = list(tmp_path.glob("*"))
+    assert [path.name for path in reports] == ["report_a.txt"] * (way == "bug")
+    for path in reports:
+        assert 'raise ZeroDivisionError("by nothing")' in path.read_text(encoding="utf-8")
+
+
+def test_frames_on_which_workers_die_have_rows_that_say_so(sim_logs, plain_run, tmp_path):
+    options = {"workers": 2, "batch_size": 4, "backend": "reference", "pictures": 0}
+    summary = run(sim_logs[:1], tmp_path, observers={"odd": Odd("exit")}, **options)
+    assert not summary.failed and summary.frames == FRAMES
+    reason = "a worker process ended with code 3, twice"
+    assert summary.logs[0].lost == [f"a, frames 8 to 11: worker_crashed ({reason})"]
+    folders = tmp_path, plain_run
+    tables = [pq.read_table(folder / "frames.parquet").to_pylist() for folder in folders]
+    for lost, row in zip(*tables, strict=True):
+        if lost["frame"] in range(8, 12):
+            assert (lost["status"], lost["num_obstacles"]) == ("worker_crashed", 0)
+            assert lost["free_to_m"] is lost["drop_m"] is None
+            same = ("log", "frame", "stamp_ns", "depth_stamp_ns")
+            assert [lost[key] for key in same] == [row[key] for key in same]
+        else:
+            assert lost == row
+    obstacles = pq.read_table(tmp_path / "obstacles.parquet")["frame"].to_pylist()
+    assert not set(obstacles) & set(range(8, 12))
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -158,30 +190,46 @@ def test_observers_have_names_in_the_summary(sim_logs, tmp_path):
     assert read["threads"] == [[1, "1", 1]] * 3
 
 
-def test_a_killed_worker_fails_its_log_and_no_other(sim_logs, tmp_path):
-    killed, others = [], multiprocessing.active_children()
+@pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_worker_that_dies_or_stops_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch, way):
+    def once_more(*args: Any) -> Any:
+        monkeypatch.setattr(pool, "NO_PROGRESS_S", 600.0)
+        return real(*args)
 
-    def kill(now: engine.Progress) -> None:
-        if now.done and not killed:
+    real = pool.Pool._once_more
+    monkeypatch.setattr(pool.Pool, "_once_more", once_more)
+    sent, others = [], multiprocessing.active_children()
+
+    def send(now: engine.Progress) -> None:
+        if now.done and not sent:
             mine = [p for p in multiprocessing.active_children() if p not in others]
-            killed.append(mine[0].pid)
-            os.kill(killed[0], signal.SIGKILL)
+            sent.append(mine[0].pid)
+            os.kill(sent[0], way)
+            monkeypatch.setattr(pool, "NO_PROGRESS_S", 2.0)
 
-    options = {"workers": 2, "batch_size": 1, "backend": "reference"}
-    summary = run(sim_logs, tmp_path, progress=kill, **options)
-    assert [log.log for log in summary.failed] == ["a"]
-    message = summary.failed[0].error or ""
-    assert message.startswith("a, frame ") and "SIGKILL" in message and "--workers" in message
-    assert summary.logs[1].frames == summary.logs[1].status["ok"] == FRAMES
-    assert summary.frames == FRAMES
-    assert not any(alive(int(pid)) for pid in killed)
+    options = {"workers": 2, "batch_size": 1, "backend": "reference", "pictures": 0}
+    summary = run(sim_logs[:1], tmp_path / "a", progress=send, **options)
+    assert sent and not summary.failed and not summary.logs[0].lost
+    same_results(tmp_path / "a", plain_run)
+    assert not any(alive(int(pid)) for pid in sent)
+
+
+def same_results(one: Path, other: Path) -> None:
+    """All files but the summary, with its times, and the checksum of that."""
+    names = [path.relative_to(one) for path in sorted(one.rglob("*")) if path.is_file()]
+    assert names == [p.relative_to(other) for p in sorted(other.rglob("*")) if p.is_file()]
+    for name in names:
+        if name.name not in ("summary.json", "manifest.json"):
+            assert (one / name).read_bytes() == (other / name).read_bytes(), name
 
 
 def test_short_logs_need_no_workers(tmp_path):
     def alone(count: int, devices: Any = (), **options: Any) -> list[bool]:
         how = engine.RunOptions(tmp_path, **options)
         pool: Any = SimpleNamespace(count=count, devices=devices, started=False)
-        one: Any = local._LogRun(Config(), how, {}, None, pool, "a", "a")
+        work = SimpleNamespace(taken_over=False)
+        whole: Any = SimpleNamespace(config=Config(), options=how, observers={}, work=work)
+        one = local._LogRun(whole, pool, LogFiles("a", ()), "a")
         return [one._alone(frames) for frames in (1, 499, 500)]
 
     assert alone(4) == [True, True, False]
@@ -280,6 +328,46 @@ def test_an_error_of_the_process_that_computes_reaches_the_log(sim_logs, tmp_pat
         assert "frames" in str(log.error) and "ArithmeticError: out of memory" in str(log.error)
 
 
+def test_a_device_without_memory_computes_smaller_batches(
+    sim_logs, plain_run, tmp_path, monkeypatch
+):
+    on_this_machine(monkeypatch)
+    sizes = []
+
+    def start(lane: Any, pieces: list) -> Any:
+        sizes.append(lane.rows)
+        if lane.rows > 4:
+            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
+        return real(lane, pieces)
+
+    real = station._Lane.start
+    monkeypatch.setattr(station._Lane, "start", start)
+    monkeypatch.setattr(station, "PIECE_FRAMES", 2)
+    with jax.default_device(jax.devices("cpu")[0]):
+        summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
+    assert not summary.failed and not summary.logs[0].lost and sizes[:3] == [16, 8, 4]
+    for name in ("frames.parquet", "obstacles.parquet", "map_a.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (plain_run / name).read_bytes()
+
+
+def test_a_worker_of_a_device_that_dies_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch):
+    on_this_machine(monkeypatch)
+    killed, others = [], multiprocessing.active_children()
+
+    def kill(now: engine.Progress) -> None:
+        if now.done and not killed:
+            mine = [p for p in multiprocessing.active_children() if p not in others]
+            killed.append(mine[0].pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    with jax.default_device(jax.devices("cpu")[0]):
+        options = {"workers": 2, "batch_size": 2, "pictures": 0}
+        summary = run(sim_logs[:1], tmp_path / "a", progress=kill, **options)
+    assert killed and not summary.failed and not summary.logs[0].lost
+    for name in ("frames.parquet", "obstacles.parquet", "map_a.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (plain_run / name).read_bytes()
+
+
 @pytest.mark.parametrize(("flag", "value"), [("workers", 0), ("batch_size", 0)])
 def test_workers_and_batches_are_counted_from_one(tmp_path, flag, value):
     with pytest.raises(ConfigError, match=f"--{flag.replace('_', '-')} 1 or more"):
@@ -310,7 +398,10 @@ def descendants(pid: int | str) -> list[str]:
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 @pytest.mark.parametrize("later", [False, True])
 def test_control_c_ends_everything(sim_logs, tmp_path, later):
-    """The signal goes to the whole group, as a terminal sends it, at the start or later."""
+    """The signal goes to the whole group, as a terminal sends it, at the start or later.
+
+    The same command goes on, and what it writes is what one run would have written.
+    """
     output, shared = tmp_path / "results", set(os.listdir("/dev/shm"))
     command = [sys.executable, "-m", "jaxdet", "run", *map(str, sim_logs), "--output", str(output)]
     command += ["--workers", "2", "--batch-size", "1", "--backend", "reference"]
@@ -321,11 +412,22 @@ def test_control_c_ends_everything(sim_logs, tmp_path, later):
     wanted = 4 if later else 2  # the resource tracker, the fork server, the workers
     while len(children) < wanted and process.poll() is None:
         children = descendants(process.pid)
-    while later and not list(output.glob(".jaxdet-*/log-*/*.part")) and process.poll() is None:
+    while later and not list(output.glob(".jaxdet/logs/*/*/*.part")) and process.poll() is None:
         time.sleep(0.01)  # until the first result is there
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert errors.strip().splitlines() == ["jaxdet: error: interrupted; nothing was written"]
-    assert not output.exists() and set(os.listdir("/dev/shm")) == shared
+    (line,) = errors.strip().splitlines()
+    assert set(os.listdir("/dev/shm")) == shared
     assert not any(alive(int(pid)) for pid in children)
+    if not later:
+        assert line == "jaxdet: error: interrupted; nothing is done yet" and not output.exists()
+        return
+    assert re.fullmatch(
+        r"jaxdet: error: interrupted; 0 of 2 logs and \d+ of 23 units of a are done; "
+        r"the same command goes on",
+        line,
+    )
+    again = subprocess.run(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=True)
+    assert again.stderr.startswith("jaxdet: continuing: 0 of 2 logs and ")
+    assert (output / "manifest.json").exists()  # the bytes are in test_resume.py

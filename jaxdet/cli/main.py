@@ -11,7 +11,7 @@ from tempfile import NamedTemporaryFile
 
 import jaxdet
 from jaxdet.cli.spinner import SPINNER
-from jaxdet.errors import ConfigError, JaxdetError, printable
+from jaxdet.errors import ConfigError, Interrupted, JaxdetError, printable
 
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
@@ -42,7 +42,7 @@ options:
   -h, --help   this text
   --version    the version
 
-exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted
+exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted (143 by SIGTERM)
 """
 
 
@@ -87,8 +87,10 @@ def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
         return _fail(str(error), 2)
     except JaxdetError as error:
         return _fail(str(error), 1)
+    except Interrupted as stop:
+        return _fail(str(stop), 128 + stop.signal)
     except KeyboardInterrupt:
-        return _fail("interrupted; nothing was written", 130)
+        return _fail("interrupted", 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -49,6 +49,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
         text.append(f"overflow   {frames} had more corners, surfaces or obstacles than slots")
     if score := log.observed.get("score"):
         text += _score_lines(score)
+    text += [f"lost       {lost}" for lost in log.lost]
     return text + [f"warning    {warning}" for warning in log.warnings]
 
 

@@ -134,7 +134,8 @@ def main(args: list[str]) -> int:
         observers["score"] = TruthScore(command.truth, config)
     silent = command.quiet or command.json
     with reporting(silent) as progress:
-        summary = run(logs, config, command.log, command.run, progress, observers, command.preset)
+        how = config, command.log, command.run, progress, observers, command.preset
+        summary = run(logs, *how, say=(lambda text: None) if silent else _say)
     if command.json:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
@@ -148,6 +149,12 @@ def main(args: list[str]) -> int:
             print("\n".join(track_lines(found)))
     errors = [log.error for log in summary.failed]
     errors += [log.unusable for log in summary.whole if log.unusable]
+    errors += [lost for log in summary.whole for lost in log.lost]
     for error in errors:
         print(f"jaxdet: error: {error}", file=sys.stderr)
     return 1 if errors else 0
+
+
+def _say(text: str) -> None:
+    SPINNER.stop()
+    print(f"jaxdet: {text}", file=sys.stderr, flush=True)

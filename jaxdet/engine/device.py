@@ -1,18 +1,16 @@
 """Where the obstacles of a batch are found: in this process, or by the one that has the GPU."""
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.signals import stops_held_back
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, row_inputs, to_host
-from jaxdet.types import Detections, GroundPlane
+from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -59,26 +57,6 @@ class Device(Protocol):
         ...
 
 
-@contextmanager
-def interrupts_held_back() -> Iterator[None]:
-    """A Ctrl-C waits until the end of the block.
-
-    Kernels are called back by XLA in this thread: an exception there would leave a batch half
-    computed.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    held: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *given: held.append(given))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if held and callable(before):
-            before(*held[0])
-
-
 class OwnDevice:
     """This process: NumPy, or JAX on whatever it computes on here.
 
@@ -96,15 +74,82 @@ class OwnDevice:
         self._config = config
         self._backend: BackendName = backend
 
-    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> tuple[Detections, bool]:
+    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
         """Starts a batch."""
         frames = batch.frames._replace(plane=plane)
-        with interrupts_held_back():
-            return detect(frames, self._config, backend=self._backend), whole
+        try:
+            found = self._detect(frames)
+        except Exception as error:
+            if not out_of_memory(error):
+                raise
+            found = None
+        return _Started(frames, found, whole)
 
-    def finish(self, started: tuple[Detections, bool]) -> Found:
-        """Waits for a batch."""
-        found, whole = started
-        with interrupts_held_back():
-            found = to_host(found)
+    def finish(self, started: "_Started") -> Found:
+        """Waits for a batch; one that takes too much memory is worked on in halves."""
+        frames, found, whole = started
+        try:
+            found = found and self._on_host(found)
+        except Exception as error:
+            if not out_of_memory(error):
+                raise
+            found = None
+        found = found or self._in_halves(frames)
         return Found(row_inputs(found), found if whole else None)
+
+    def _detect(self, frames: Frames) -> Detections:
+        # Kernels are called back by XLA in this thread: an exception there would leave a batch
+        # half computed.
+        with stops_held_back():
+            return detect(frames, self._config, backend=self._backend)
+
+    def _on_host(self, found: Detections) -> Detections:
+        with stops_held_back():
+            return to_host(found)
+
+    def _in_halves(self, frames: Frames) -> Detections:
+        """What is found in a batch, piece by piece; no frame's results depend on another's."""
+        count = len(frames.valid)
+        if count == 1:
+            raise MemoryError("no memory for a single frame")
+        found = []
+        for rows in (slice(0, count // 2), slice(count // 2, count)):
+            half = _rows(frames, rows)
+            try:
+                found.append(self._on_host(self._detect(half)))
+            except Exception as error:
+                if not out_of_memory(error):
+                    raise
+                found.append(self._in_halves(half))
+        return _joined(found)
+
+
+class _Started(NamedTuple):
+    """A batch that has been started."""
+
+    frames: Frames
+    found: Detections | None
+    """None: there was not enough memory for all of it."""
+    whole: bool
+
+
+def out_of_memory(error: Exception) -> bool:
+    """Whether memory, of this machine or a device, was not enough."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+
+
+def _rows(frames: Frames, rows: slice) -> Frames:
+    """Some frames of a batch."""
+    parts = {k: a[rows] for k, a in frames._asdict().items() if isinstance(a, np.ndarray)}
+    plane = frames.plane and GroundPlane(*(np.asarray(a)[rows] for a in frames.plane))
+    return frames._replace(**parts, plane=plane)
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    """Trees of named tuples, arrays and None, one after the other."""
+    first = parts[0]
+    if first is None:
+        return None
+    if isinstance(first, tuple):
+        return type(first)(*map(_joined, zip(*parts, strict=True)))
+    return np.concatenate(parts)

@@ -62,6 +62,8 @@ class LogPlan(NamedTuple):
     file_name: str
     """What the names of pictures begin with."""
     observers: Mapping[str, Observer]
+    scan: bool = False
+    """The log is read as a whole, as its index isn't enough."""
 
     def units(self) -> Iterator[Unit]:
         """The units, in the order of their frames."""

@@ -1,27 +1,27 @@
-"""Processes that work on units: how many, how they start, and what is said when one dies."""
+"""Processes that work on units: how many, how they start, and what is done when one fails."""
 
 import importlib.util
 import multiprocessing
 import os
 import signal
 import threading
-import traceback
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from functools import partial
+from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.config import Config
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.startup import start_reading, start_up
-from jaxdet.engine.station import Piped, Slots, Station
-from jaxdet.engine.unit import run_unit
-from jaxdet.errors import JaxdetError, WorkerError
+from jaxdet.engine.signals import STOPS, stops_held_back
+from jaxdet.engine.startup import start_up
+from jaxdet.engine.station import Slots, Station
+from jaxdet.engine.unit import lose_unit
+from jaxdet.engine.worker import Failure, Worker, work_on
+from jaxdet.errors import FrameStatus, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.results.summary import Counts
 
@@ -30,11 +30,16 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value")
 
-WAITING = 4
-"""Units given out ahead, for each worker."""
+WAITING = 2
+"""Units that a worker has been given: the one it works on, and the next."""
+NO_PROGRESS_S = 600.0
+"""A worker that finishes no batch for so long hangs; the first one may have to be compiled."""
 LOADED = ["jaxdet.engine.pool", "jaxdet.io.log"]
 LOADED_TO_COMPUTE = ["jaxdet.stages"]
 """What the fork server loads once for all workers; none of it may start a thread."""
+_LOOK_S = 1.0
+"""So often workers are looked after."""
+_ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
 
 
 def gpus() -> tuple[Any, ...]:
@@ -48,11 +53,17 @@ def gpus() -> tuple[Any, ...]:
     return devices_for(None) if on_cuda() else ()
 
 
-class Failure(NamedTuple):
-    """Instead of a unit's counts."""
+SaveWork = Callable[[LogPlan], Path]
+"""Writes what workers need for a plan as things are now, see :func:`jaxdet.engine.unit.save_work`,
+and returns the new file."""
 
-    error: Exception
-    trace: str
+
+class _Lost(NamedTuple):
+    """A unit on which a worker failed."""
+
+    unit: Unit
+    status: FrameStatus
+    reason: str
 
 
 class Pool:
@@ -64,6 +75,9 @@ class Pool:
     They start when they are first needed and stay for the next log. On Linux and macOS they are
     forked from a server that has loaded JAX and Warp once, elsewhere each loads them itself.
 
+    When one dies or hangs, all are ended and started anew: what was whole is on the disk, and each
+    loses at most the unit that it worked on.
+
     Args:
         count: Number of processes.
         backend: What they compute with.
@@ -74,8 +88,14 @@ class Pool:
         self.count, self.devices = count, devices
         self._backend: BackendName = backend
         self._station: Station | None = None
-        self._context = _context()
-        self._executor: ProcessPoolExecutor | None = None
+        methods = multiprocessing.get_all_start_methods()
+        self._context: Any = multiprocessing.get_context(
+            "forkserver" if "forkserver" in methods else "spawn"
+        )
+        self._workers: list[Worker] = []
+        self._early = 0
+        """Workers, one after the other, that died before they had begun."""
+        self._ended, self._awake = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
         """The pool itself."""
@@ -88,27 +108,25 @@ class Pool:
     @property
     def started(self) -> bool:
         """Whether the processes are there, or on their way."""
-        return self._executor is not None
+        return bool(self._workers)
 
     def start(self) -> None:
         """Begins to start the processes, if they are not there."""
-        if self._executor is not None:
+        if self._workers:
             return
         if self._context.get_start_method() == "forkserver":
-            with _interrupts_held_back():
+            with _stops_kept_from_processes():
                 compute = self._backend == "jax" and not self.devices
                 multiprocessing.set_forkserver_preload(LOADED + LOADED_TO_COMPUTE * compute)
                 forkserver.ensure_running()
-        numbers = self._context.SimpleQueue()
-        for number in range(self.count):
-            numbers.put(number)
         self._station = Station(self.count, self.devices) if self.devices else None
-        ends = self._station.ends if self._station else None
-        begin = partial(_begin, self._backend, numbers, ends)
-        self._executor = ProcessPoolExecutor(self.count, self._context, begin)
-        # Not a thread to be joined: a Ctrl-C while Python joins one marks it as ended.
+        ends = self._station.ends if self._station else [None] * self.count
+        self._workers = [Worker(self._context, self._backend, end) for end in ends]
         self._ended, self._awake = threading.Event(), threading.Event()
-        given = self._executor, self.count, self._ended, self._awake
+        # In a thread, as the fork server takes a while to load what it loads, and so that a signal
+        # never leaves a process half started; not to be joined: a Ctrl-C while Python joins one
+        # marks it as ended.
+        given = self._workers, self._ended, self._awake
         threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
     def serve(self, log: "Log", config: Config, batch_size: int | None) -> tuple[Slots, int]:
@@ -119,198 +137,188 @@ class Pool:
 
     def close(self) -> None:
         """Ends the processes."""
-        if self._executor is not None:
-            self._ended.set()
-            self._awake.wait()
-        for process in self._context.started:
-            process.kill()
-        self._end()
-        self._context.started.clear()
-
-    def _end(self) -> None:
-        if self._executor is not None:
-            self._executor.shutdown(cancel_futures=True)
-        if self._station is not None:
-            self._station.close()
-        self._executor = self._station = None
+        with stops_held_back():
+            if self._workers:
+                self._ended.set()
+                self._awake.wait()
+            for worker in self._workers:
+                worker.end()
+            if self._station is not None:
+                self._station.close()
+            self._workers, self._station = [], None
 
     def call(self, function: Callable[..., Value], *args: Any) -> Value:
         """What a worker's call of a function returns.
 
         Raises:
-            WorkerError: The worker died.
+            WorkerError: The worker died or hangs.
             JaxdetError: As the function raises it.
         """
-        self.start()
-        self._awake.wait()
-        assert self._executor is not None
+        where = "before the first frame"
         try:
-            found = self._executor.submit(_guarded, function, *args).result()
-        except BrokenProcessPool:
-            raise self._died(None) from None
-        if isinstance(found, Failure):
-            raise _as_raised(found, "before the first frame")
-        return found
+            return self._call(where, function, *args)
+        except _WorkerLostError:
+            return self._call(where, function, *args)
 
-    def work_through(self, path: Path, plan: LogPlan) -> Generator[Counts, None, None]:
-        """The counts of each unit of a log, in order, as its part is there.
+    def work_through(
+        self, plan: LogPlan, units: Iterable[Unit], save: SaveWork
+    ) -> Generator[Counts, None, None]:
+        """The counts of units of a log, each as its part is there.
+
+        A unit whose worker dies, hangs or runs out of memory is tried once more, alone and, where
+        workers compute, in smaller batches. If that fails too its part says that it is lost.
 
         Args:
-            path: See :func:`jaxdet.engine.unit.run_unit`.
-            plan: The same plan.
+            plan: The log's.
+            units: Which.
+            save: Called now and after each new start.
 
         Raises:
-            WorkerError: A worker died, or failed in a way that nobody foresaw.
+            WorkerError: A worker failed in a way that nobody foresaw.
             JaxdetError: As :func:`jaxdet.engine.unit.run_unit` raises it.
         """
+        todo = deque(units)
+        while todo:
+            lost = yield from self._until_one_is_lost(plan, todo, save(plan))
+            if lost:
+                yield self._once_more(plan, lost, save)
+
+    def _until_one_is_lost(
+        self, plan: LogPlan, todo: deque[Unit], path: Path
+    ) -> Generator[Counts, None, _Lost | None]:
+        """Takes units from ``todo`` until none is left, or a worker failed; then all have ended."""
         self.start()
         self._awake.wait()
-        units = plan.units()
-        waiting: deque[tuple[Unit, Future]] = deque()
         try:
-            while self._give(waiting, path, units):
-                unit, future = waiting.popleft()
-                counts = future.result()
-                if isinstance(counts, Failure):
-                    raise _as_raised(counts, plan.where(unit))
-                yield counts
-        except BrokenProcessPool:
-            raise self._died(plan) from None
+            while self._give(todo, path):
+                for worker, told in self._look():
+                    if isinstance(told, _Problem):
+                        lost = _Lost(worker.given[0], *told)
+                        left = {unit for one in self._workers for unit in one.given} - {lost.unit}
+                        todo.extendleft(sorted(left, reverse=True))
+                        return lost
+                    for unit, counts in told:
+                        if isinstance(counts, Failure):
+                            self._drain()
+                            raise counts.as_raised(plan.where(unit))
+                        yield counts
+            return None
         finally:
-            for _, future in waiting:
-                future.cancel()
-            for _, future in waiting:
-                with suppress(BaseException):
-                    future.result()
+            if any(worker.given for worker in self._workers):
+                self.close()
 
-    def _give(self, waiting: deque[tuple[Unit, Future]], path: Path, units: Iterable[Unit]) -> bool:
-        """Gives out units up to the limit; whether any are waited for."""
-        assert self._executor is not None
-        while len(waiting) < WAITING * self.count and (unit := next(iter(units), None)):
-            waiting.append((unit, self._executor.submit(_serve, path, unit)))
-        return bool(waiting)
+    def _give(self, todo: deque[Unit], path: Path) -> bool:
+        """Gives workers units to do; whether any has some."""
+        for worker in self._workers:
+            while todo and len(worker.given) < WAITING:
+                unit = todo.popleft()
+                worker.give(unit, work_on, path, unit)
+        return any(worker.given for worker in self._workers)
 
-    def _died(self, plan: LogPlan | None) -> WorkerError:
-        """What is said of the worker that died; the next log gets new ones."""
-        self._end()  # the executor has ended the other workers by SIGTERM
-        ended = [p for p in self._context.started if p.exitcode not in (None, 0)]
-        self._context.started.clear()
-        ended.sort(key=lambda process: process.exitcode == -signal.SIGTERM)
-        code = ended[0].exitcode or 0 if ended else 0
-        where = _claimed(plan, ended[0].pid) if plan and ended else "before the first frame"
-        if code >= 0:
-            remedy = "its own message is above; a script needs: if __name__ == '__main__'"
-            return WorkerError(f"{where}: a worker process ended with code {code}", remedy=remedy)
-        name = f"signal {-code}"
-        with suppress(ValueError):
-            name = signal.Signals(-code).name
+    def _drain(self) -> None:
+        """Waits for what has been given out, which is not wanted any more."""
+        while any(worker.given for worker in self._workers):
+            if any(isinstance(told, _Problem) for _, told in self._look()):
+                return
+
+    def _once_more(self, plan: LogPlan, lost: _Lost, save: SaveWork) -> Counts:
+        """A lost unit, alone; its frames get a status where that fails too."""
+        unit = lost.unit
+        smaller = plan if self.devices else plan._replace(batch_size=max(1, plan.batch_size // 2))
+        try:
+            self.start()
+            return self._call(plan.where(unit), work_on, save(smaller), unit)
+        except _WorkerLostError as again:
+            self.close()
+            self.start()
+            reason = f"{again.reason}, twice" if again.reason == lost.reason else again.reason
+            given = save(plan), unit, again.status, reason
+            return self._call(plan.where(unit), lose_unit, *given)
+
+    def _call(self, where: str, function: Callable[..., Value], *args: Any) -> Value:
+        self.start()
+        self._awake.wait()
+        self._workers[0].give(where, function, *args)
+        while True:
+            for _, told in self._look():
+                if isinstance(told, _Problem):
+                    self.close()
+                    raise _WorkerLostError(where, *told)
+                for _, found in told:
+                    if isinstance(found, Failure):
+                        raise found.as_raised(where)
+                    return found
+
+    def _look(self) -> "Iterator[tuple[Worker, list[tuple[Any, Any]] | _Problem]]":
+        """Waits a little; what workers answered, or what is the matter with one.
+
+        Raises:
+            WorkerError: Workers can't start.
+        """
+        before = time.monotonic()
+        told = wait([worker.pipe for worker in self._workers], _LOOK_S)
+        # Not more than a second or two, so that time in which this process was stopped, or the
+        # machine asleep, is nobody's fault.
+        passed = min(time.monotonic() - before, 2 * _LOOK_S)
+        for worker in list(self._workers):
+            if worker.pipe not in told:
+                worker.still += passed if worker.given else 0.0
+                if worker.still > NO_PROGRESS_S:
+                    text = f"a worker process made no progress for {NO_PROGRESS_S:g} s"
+                    yield worker, _Problem(FrameStatus.TIMEOUT, text)
+                    return
+                continue
+            try:
+                answers = worker.receive()
+            except EOFError:
+                self._early = 0 if worker.ready else self._early + 1
+                if not worker.ready and (self._early > 1 or not worker.by_signal):
+                    died = worker.death
+                    self.close()
+                    raise WorkerError(died, remedy=_ENDED_EARLY) from None
+                if worker.given:
+                    yield worker, _Problem(FrameStatus.WORKER_CRASHED, worker.death)
+                    return
+                worker.end()
+                self._workers.remove(worker)
+                continue
+            short = [one for one, found in answers if isinstance(found, Failure) and found.memory]
+            yield worker, [answer for answer in answers if answer[0] not in short]
+            if short:
+                worker.given.extendleft(reversed(short))
+                yield worker, _Problem(FrameStatus.WORKER_CRASHED, "out of memory")
+                return
+
+
+class _Problem(NamedTuple):
+    """Why a worker has to be replaced."""
+
+    status: FrameStatus
+    reason: str
+
+
+class _WorkerLostError(WorkerError):
+    """A worker died, hangs or ran out of memory."""
+
+    def __init__(self, where: str, status: FrameStatus, reason: str) -> None:
         remedy = "if memory ran out, take fewer workers (--workers) or smaller batches"
-        return WorkerError(f"{where}: {name} ended a worker process", remedy=remedy)
+        super().__init__(f"{where}: {reason}", remedy=remedy)
+        self.status, self.reason = status, reason
 
 
-def _context() -> Any:
-    """A way to start processes that keeps them in its list ``started``."""
-    methods = multiprocessing.get_all_start_methods()
-    kind: Any = type(
-        multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-    )
-
-    class Recording(kind):
-        def __init__(self) -> None:
-            super().__init__()
-            self.started: list[Any] = []
-
-        def Process(self, *args: Any, **kwargs: Any) -> Any:  # noqa: N802
-            self.started.append(super().Process(*args, **kwargs))
-            return self.started[-1]
-
-    return Recording()
-
-
-def _wake(
-    executor: ProcessPoolExecutor, count: int, ended: threading.Event, awake: threading.Event
-) -> None:
-    """Starts all processes of a pool, which starts one only where none is idle.
-
-    In a thread, as the fork server takes a while to load what it loads, and so that a Ctrl-C never
-    leaves a process half started.
-    """
-    for _ in range(count):
-        if not ended.is_set():
-            with suppress(BrokenProcessPool):  # said to whoever gives it work
-                executor.submit(os.getpid)
-    awake.set()
-
-
-_piped: Piped | None = None
-"""A worker's way to the station."""
-
-
-def _begin(backend: BackendName, numbers: Any, ends: Sequence[Piped] | None) -> None:
-    """What a worker does first."""
-    global _piped
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends the workers
-    os.environ["PJRT_NPROC"] = "1"  # threads of XLA
-    import cv2
-
-    cv2.setNumThreads(1)
-    number = numbers.get()
-    for end in ends or ():
-        if end.number == number:
-            _piped = end
-        else:
-            end.pipe.close()
-    if ends:
-        start_reading()
-    elif backend == "jax":
-        start_up()
-
-
-def _serve(path: Path, unit: Unit) -> Counts | Failure:
-    """A unit in a worker; what comes back is small enough to come back whole or not at all."""
-    _claim(path.parent, os.getpid()).write_text(f"{unit.number}", encoding="ascii")
-    return _guarded(run_unit, path, unit, _piped)
-
-
-def _guarded(function: Callable[..., Value], *args: Any) -> Value | Failure:
-    """What a function returns or raises, as something that can be sent."""
+def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:
+    """Starts all processes."""
     try:
-        return function(*args)
-    except Exception as error:
-        return _failure(error)
-
-
-def _claim(folder: Path, pid: int) -> Path:
-    """The file that says which unit a worker has."""
-    return folder / f"{pid}.worker"
-
-
-def _claimed(plan: LogPlan, pid: int) -> str:
-    """What a worker that has died worked on."""
-    try:
-        number = int(_claim(plan.folder, pid).read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return f"{plan.log}, at the start of a worker"
-    return next(plan.where(unit) for unit in plan.units() if unit.number == number)
-
-
-def _failure(error: Exception) -> Failure:
-    trace = traceback.format_exc()
-    known = isinstance(error, JaxdetError)
-    return Failure(error if known else WorkerError(f"{type(error).__name__}: {error}"), trace)
-
-
-def _as_raised(failure: Failure, where: str) -> Exception:
-    error, trace = failure
-    if type(error) is WorkerError:
-        error = WorkerError(f"{where}: {error}")
-    error.add_note(f"{where}, in a worker process:\n{trace}")
-    return error
+        for worker in workers:
+            if not ended.is_set():
+                worker.start()
+    finally:
+        awake.set()
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """A Ctrl-C waits meanwhile; processes started here never get one, their parent does.
+def _stops_kept_from_processes() -> Iterator[None]:
+    """Signals that end a run wait meanwhile; processes started here never get one from a terminal.
 
     The mask is what the processes inherit; another thread may still take the signal, so there is
     a handler too.
@@ -322,13 +330,9 @@ def _interrupts_held_back() -> Iterator[None]:
         yield
         return
     resource_tracker.ensure_running()  # else the first process starts it, and it ends the mask
-    held: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-        if held:
-            signal.raise_signal(signal.SIGINT)
+    with stops_held_back():
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.device import Found
+from jaxdet.engine.device import Found, out_of_memory
 from jaxdet.errors import WorkerError
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.pipeline import detect
@@ -273,23 +273,23 @@ class _LogStation:
 
     def _receive(self) -> None:
         """Takes what workers send until the end."""
+        pipes = list(self.pipes)
         while True:
-            for end in wait([*self.pipes, self.woken]):
+            for end in wait([*pipes, self.woken]):
                 if end is self.woken:
                     for _ in self.devices:
                         self.waiting.put(None)
                     return
-                self.waiting.put(end.recv())  # pyright: ignore
+                try:
+                    self.waiting.put(end.recv())  # pyright: ignore
+                except (EOFError, OSError):  # the worker has died, which its pool says
+                    pipes.remove(end)
 
     def _compute(self, device: Any) -> None:
         """Computes batches on one device, the next one copied while the last is computed."""
-        lane, broken = None, None
-        try:
-            with _warming:
-                lane = _Lane(self, device)
-                lane.finish([], lane.start([]))  # compiled while workers read
-        except Exception as error:
-            broken = error
+        lane = _FittingLane(self, device)
+        with suppress(Exception):  # said of each batch
+            lane.open()  # compiled while workers read
         flying: tuple[list[Piece], Any] | None = None
         more = True
         while more or flying:
@@ -297,20 +297,19 @@ class _LogStation:
             started = None
             if pieces:
                 try:
-                    started = pieces, _usable(lane, broken).start(pieces)
+                    started = pieces, lane.start(pieces)
                 except Exception as error:
                     self._refuse(pieces, error)
             if flying:
                 try:
-                    replies = _usable(lane, broken).finish(*flying)
+                    replies = lane.finish(*flying)
                 except Exception as error:
                     self._refuse(flying[0], error)
                 else:
                     for piece, reply in zip(flying[0], replies, strict=True):
                         self._send(piece, reply)
             flying = started
-        if lane is not None:
-            lane.close()
+        lane.close()
 
     def _collect(self, *, block: bool) -> tuple[list[Piece], bool]:
         """The pieces that wait, at most a batch, and whether more may come."""
@@ -355,11 +354,64 @@ class _LogStation:
             self.pipes[piece.worker].send(reply)
 
 
-def _usable(lane: "_Lane | None", broken: Exception | None) -> "_Lane":
-    """The device, or why there is none."""
-    if lane is None or broken is not None:
-        raise broken or RuntimeError("no device")
-    return lane
+class _FittingLane:
+    """A lane for as many pieces as the device has memory for: half as many where it runs out."""
+
+    def __init__(self, log: _LogStation, device: Any) -> None:
+        self.log, self.device, self.pieces = log, device, log.served.pieces
+        self._lane: _Lane | None = None
+        self._broken: Exception | None = None
+
+    def open(self) -> "_Lane":
+        """The lane, compiled."""
+        if self._broken:
+            raise self._broken
+        while self._lane is None:
+            try:
+                with _warming:
+                    self._lane = _Lane(self.log, self.device, self.pieces)
+                    self._lane.finish([], self._lane.start([]))
+            except Exception as error:
+                self._broken = error
+                self._halve(error)
+                self._broken = None
+        return self._lane
+
+    def close(self) -> None:
+        """Ends its thread."""
+        if self._lane:
+            self._lane.close()
+
+    def start(self, pieces: list[Piece]) -> "tuple[_Lane, Any] | None":
+        """Starts a batch; None: there is no memory for all of it."""
+        lane = self.open()
+        if len(pieces) > self.pieces:
+            return None
+        try:
+            return lane, lane.start(pieces)
+        except Exception as error:
+            self._halve(error)
+            return None
+
+    def finish(self, pieces: list[Piece], started: "tuple[_Lane, Any] | None") -> list[Reply]:
+        """Waits for a batch; one that was too large is computed in parts."""
+        if started:
+            try:
+                return started[0].finish(pieces, started[1])
+            except Exception as error:
+                self._halve(error)
+        replies: list[Reply] = []
+        while len(replies) < len(pieces):
+            part = pieces[len(replies) :][: self.pieces]
+            replies += self.finish(part, self.start(part))
+        return replies
+
+    def _halve(self, error: Exception) -> None:
+        """From now on half as many pieces, if that can help."""
+        if not out_of_memory(error) or self.pieces == 1:
+            raise error
+        self.close()
+        self._lane, self.pieces = None, self.pieces // 2
 
 
 class _Results(NamedTuple):
@@ -386,11 +438,11 @@ class _Started(NamedTuple):
 class _Lane:
     """One device and what belongs to it."""
 
-    def __init__(self, log: _LogStation, device: Any) -> None:
+    def __init__(self, log: _LogStation, device: Any, pieces: int) -> None:
         from jaxdet.stages._upload import Uploader
 
         slots = log.slots
-        self.log, self.device, self.rows = log, device, log.served.pieces * slots.frames
+        self.log, self.device, self.rows = log, device, pieces * slots.frames
         shapes = (self.rows, *slots.color), (self.rows, *slots.depth)
         self.uploader = Uploader(*shapes, device)
         self._watch = ThreadPoolExecutor(1, "jaxdet-watch")

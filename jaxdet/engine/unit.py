@@ -11,55 +11,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.engine.device import Device, Found, OwnDevice
+from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.station import Piped, SharedDevice, Slots
+from jaxdet.errors import FrameStatus
 from jaxdet.render import draw_frame, write_png
+from jaxdet.results.durable import writing
 from jaxdet.results.metric import rectangles
 from jaxdet.results.occupancy import OccupancyMap
-from jaxdet.results.rows import batch_rows
+from jaxdet.results.rows import batch_rows, no_inputs
 from jaxdet.results.summary import Counts
-from jaxdet.results.writer import Tables, join_tables
+from jaxdet.results.writer import Tables
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
-    from jaxdet.io import Batch, Log, Notes
+    from jaxdet.io import Batch, Log
 
 Item = TypeVar("Item")
 _END: Any = object()
-
-
-class Part(NamedTuple):
-    """What a unit leaves behind, whole or not at all, in the log's folder."""
-
-    counts: Counts
-    rows: Tables | None
-    """In files of their own."""
-    map: OccupancyMap
-    errors: list[str]
-    """Frames that could not be used, with the reason."""
-    pictures: list[str]
-    """Names of the pictures drawn."""
-    seen: dict[str, list[Any]]
-    """What each observer made of the batches."""
-    notes: list["Notes"]
-    """What reading told beside the frames."""
-
-    @classmethod
-    def load(cls, folder: Path, unit: Unit) -> "Part":
-        """Reads the part of a unit."""
-        stem = folder / f"{unit.number:08d}"
-        part = pickle.loads(stem.with_suffix(".part").read_bytes())
-        return part._replace(rows=Tables.load(stem))
-
-    def save(self, folder: Path, unit: Unit) -> None:
-        """Writes it, the rows first."""
-        stem = folder / f"{unit.number:08d}"
-        assert self.rows is not None
-        self.rows.save(stem)
-        rest = self._replace(rows=None)
-        new = stem.with_suffix(".new")
-        new.write_bytes(pickle.dumps(rest, 5))
-        new.replace(stem.with_suffix(".part"))
 
 
 class LogWork:
@@ -73,6 +42,8 @@ class LogWork:
 
     def __init__(self, log: "Log", plan: LogPlan, device: Device) -> None:
         self.log, self.plan, self.device = log, plan, device
+        self.batch_done: Callable[[], None] = lambda: None
+        """Called after each batch."""
         self._busy: Counter[str] = Counter()
 
     def work_through(
@@ -127,6 +98,7 @@ class LogWork:
         found = self._timed(self.device.doing, self.device.finish, piece.started)
         self._busy.update(found.busy_s)
         self._timed("write", building[0].add, piece, found)
+        self.batch_done()
         if piece.numbers[-1] + 1 == piece.unit.stop:
             part = building.pop().whole()
             self._timed("write", part.save, self.plan.folder, piece.unit)
@@ -161,7 +133,8 @@ class _NewPart:
     def __init__(self, plan: LogPlan) -> None:
         self.plan, self.rows = plan, []
         seen = {name: [] for name in plan.observers}
-        self.part = Part(Counts(), None, OccupancyMap(), [], [], seen, [])
+        none = Tables.joined(())
+        self.part = Part(Counts(), none, OccupancyMap(), [], [], seen, [])
 
     def add(self, piece: _Piece, found: Found) -> None:
         """Uses what was found in a batch."""
@@ -185,7 +158,7 @@ class _NewPart:
 
     def whole(self) -> Part:
         """The part, when all batches are in it."""
-        return self.part._replace(rows=join_tables(self.rows))
+        return self.part._replace(rows=Tables.joined(self.rows))
 
     def _draw(self, piece: _Piece, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, piece.batch.frames._replace(plane=plane)
@@ -195,42 +168,89 @@ class _NewPart:
                 name = f"pictures/{plan.file_name}_{number:06d}.png"
                 title = f"{plan.label}   frame {number}"
                 picture = draw_frame(frames, found, corners, row, plan.config, title)
-                (plan.folder / name).parent.mkdir(exist_ok=True)
-                write_png(plan.folder / name, picture)
+                with writing(plan.folder / name):
+                    (plan.folder / name).parent.mkdir(exist_ok=True)
+                    write_png(plan.folder / name, picture)
                 yield name
 
 
 def save_work(path: Path, log: "Log", plan: LogPlan, slots: Slots | None) -> None:
     """Writes what :func:`run_unit` needs in another process; the log's files are not in it."""
-    path.write_bytes(pickle.dumps((log, plan, slots), 5))
+    with writing(path):
+        path.write_bytes(pickle.dumps((log, plan, slots), 5))
 
 
 _open: dict[Path, LogWork] = {}
 
 
-def run_unit(path: Path, unit: Unit, piped: Piped | None = None) -> Counts:
+def run_unit(
+    path: Path,
+    unit: Unit,
+    piped: Piped | None = None,
+    batch_done: Callable[[], None] = lambda: None,
+) -> Counts:
     """Leaves the part of a unit in the log's folder: a function of its arguments alone.
 
     Args:
         path: What :func:`save_work` wrote; the log of the last call stays open.
         unit: One of the plan's.
         piped: The way to the process that computes; None: this one does.
+        batch_done: Called after each batch.
 
     Returns:
         Its counts.
 
     Raises:
         JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
+        OutputError: The disk is full or broken.
     """
+    work = _opened(path, piped)
+    work.batch_done = batch_done
+    (counts,) = work.work_through([unit])
+    return counts
+
+
+def lose_unit(path: Path, unit: Unit, status: FrameStatus, reason: str) -> Counts:
+    """Leaves a part for a unit that can't be worked on: rows with a status and no results.
+
+    No image is read.
+
+    Args:
+        path: As of :func:`run_unit`.
+        unit: The unit.
+        status: Of its frames.
+        reason: Why, for people.
+
+    Returns:
+        Its counts.
+
+    Raises:
+        As :func:`run_unit`.
+    """
+    work = _opened(path, None)
+    plan, building = work.plan, _NewPart(work.plan)
+    numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
+    for first in range(0, len(numbers), plan.batch_size):
+        some = numbers[first : first + plan.batch_size]
+        batch = work.log.without_images(some, status, reason)
+        plane = plan.planes.of(batch.frames.stamp_ns)
+        building.add(_Piece(unit, some, batch, plane, None), Found(no_inputs(len(some)), None))
+    part = building.whole()._replace(errors=[], lost=f"{plan.where(unit)}: {status} ({reason})")
+    part.save(plan.folder, unit)
+    return part.counts
+
+
+def _opened(path: Path, piped: Piped | None) -> LogWork:
+    """The log and plan of a file that :func:`save_work` wrote."""
     if path not in _open:
         for work in _open.values():
             work.log.close()
         _open.clear()
         log, plan, slots = pickle.loads(path.read_bytes())
         own = OwnDevice(plan.config, plan.backend, ahead=0)
-        _open[path] = LogWork(log, plan, SharedDevice(slots, piped) if slots and piped else own)
-    (counts,) = _open[path].work_through([unit])
-    return counts
+        shared = SharedDevice(slots, piped) if slots and piped else None
+        _open[path] = LogWork(log, plan, shared or own)
+    return _open[path]
 
 
 def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:

@@ -272,6 +272,33 @@ class Log:
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
         return self._batch(indices, len(indices))
 
+    def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
+        """The frames of these numbers with stamps and poses, but no image is read.
+
+        Args:
+            indices: The numbers.
+            status: Of each of them.
+            error: Why, for each of them.
+
+        Raises:
+            RescanError: The log isn't as its index lets expect.
+        """
+        windows = [self._window(start, stop) for _, start, stop in _runs(indices, self._at_once)]
+        count, (color, depth) = len(indices), self.image_shapes
+        frames = Frames(
+            color=np.zeros((0, *color), np.uint8),
+            depth=np.zeros((0, *depth), np.uint16),
+            calibration=self.calibration,
+            number=np.array(indices, np.int64),
+            stamp_ns=np.concatenate([window.color.stamps_ns for window in windows]),
+            depth_stamp_ns=np.concatenate([window.depth.stamps_ns for window in windows]),
+            valid=np.zeros(count, bool),
+            T_world_camera=self._poses(windows, count),
+        )
+        notes = total(window.notes for window in windows)
+        names = self.camera_frame, self.world_frame
+        return Batch(frames, (status,) * count, (error,) * count, notes, *names)
+
     def _batch(
         self,
         indices: Sequence[int],

@@ -102,6 +102,21 @@ def row_inputs(found: Detections, slots: int | None = None) -> RowInputs:
     )
 
 
+def no_inputs(count: int) -> RowInputs:
+    """Those of ``count`` frames of which nothing is known."""
+    numbers, no = np.zeros(count, np.int32), np.zeros(count, bool)
+    shapes = {"uv_min": 2, "uv_max": 2, "xyz_min": 3, "xyz_max": 3, "a": 2, "b": 2, "c": 2}
+    shapes |= {"direction": 2, "span": 4}
+    slots = {name: np.zeros((count, 0, size), np.int32) for name, size in shapes.items()}
+    none = Obstacles(
+        num_points=np.zeros((count, 0), np.int32),
+        xyz_sum=np.zeros((count, 0, 3, 2), np.int32),
+        has_vertex=np.zeros((count, 0), bool),
+        **slots,
+    )
+    return RowInputs(numbers, numbers, no, no, none, None)
+
+
 def to_host(part: Any) -> Any:
     """Detections, or what rows need of them, as NumPy arrays; waits for the device."""
     if part is None:

@@ -53,6 +53,11 @@ class Counts:
         self.floor_sources.update(rows["floor_source"][good].tolist())
         self.floor_refused.update(rows["floor_refused"][good].compressed().tolist())
 
+    def clear(self) -> None:
+        """Makes them those of no frames."""
+        for part in dataclasses.fields(Counts):
+            setattr(self, part.name, type(getattr(self, part.name))())
+
     def add(self, other: "Counts") -> None:
         """Adds those of other frames."""
         for part in dataclasses.fields(Counts):
@@ -95,6 +100,8 @@ class LogSummary(Counts):
     warnings: list[str] = field(default_factory=list)
     frame_errors: list[str] = field(default_factory=list)
     """The first few frames that could not be used, with the reason."""
+    lost: list[str] = field(default_factory=list)
+    """Ranges of frames without results, as the processes that worked on them failed, twice."""
     error: str | None = None
     """Why the log failed as a whole; it then has no rows."""
 
@@ -207,6 +214,7 @@ class Summary:
             "obstacles": self.obstacles,
             "overflow_frames": sum(log.overflow_frames for log in self.whole),
             "failed_logs": len(self.failed),
+            "lost_units": sum(len(log.lost) for log in self.whole),
             "seconds": round(self.seconds, 3),
             "logs": [log.to_dict() for log in self.logs],
             "versions": versions(),

@@ -1,0 +1,88 @@
+"""One run at a time works in a folder."""
+
+import fcntl
+import json
+import os
+import socket
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from jaxdet.errors import ConfigError, InputError
+
+
+class Lock:
+    """A file that this process has locked, and that says who it is.
+
+    The system unlocks it when the process ends, however it ends. What the file then still says is
+    the owner that ended without a word.
+
+    Args:
+        path: The file; its folder is made, and removed again by :meth:`release` where nothing else
+            is in it.
+
+    Raises:
+        ConfigError: Another run has it.
+        InputError: The folder can't be written to, or its file system has no locks.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = _locked(path)
+        with os.fdopen(os.dup(self._file), "r+", encoding="utf-8") as file:
+            self.before: str | None = _owner(file.read())
+            """The owner that ended without a word."""
+            file.seek(0)
+            file.truncate()
+            now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
+            json.dump(now, file)
+
+    def release(self) -> None:
+        """Lets others in."""
+        self.path.unlink(missing_ok=True)
+        os.close(self._file)
+
+
+def _locked(path: Path) -> int:
+    """The descriptor of the file, when it is locked and still at its place."""
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except FileNotFoundError:
+            continue  # its last owner has just removed the folder
+        except OSError as error:
+            problem = f"can't be written to ({error.strerror})"
+            raise InputError(problem, path=str(path.parent.parent)) from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(file), path.stat()):
+                return file
+        except FileNotFoundError:
+            pass  # likewise
+        except BlockingIOError:
+            owner = _owner(os.pread(file, 4096, 0).decode("utf-8", "replace"))
+            os.close(file)
+            raise ConfigError(
+                f"another run works here ({owner or 'just begun'})",
+                path=str(path.parent.parent),
+                remedy="wait for it, or give another --output",
+            ) from None
+        except OSError as error:
+            os.close(file)
+            problem = f"can't be locked ({error.strerror})"
+            remedy = "give --output a folder on a disk of this machine"
+            raise InputError(problem, path=str(path.parent.parent), remedy=remedy) from error
+        os.close(file)
+
+
+def _owner(text: str) -> str | None:
+    """Who a lock's file speaks of, in words."""
+    try:
+        found: dict[str, Any] = json.loads(text)
+        since = datetime.fromtimestamp(found["since"], UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        minutes = max(0, round((time.time() - found["since"]) / 60))
+        return f"process {found['pid']} on {found['host']} since {since}, {minutes} min"
+    except (ValueError, KeyError, TypeError, OverflowError, OSError):
+        return None

@@ -1,0 +1,51 @@
+"""What a unit leaves behind: a file that is whole, and agrees with its checksum, or no file."""
+
+import pickle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from jaxdet.engine.plan import Unit
+from jaxdet.results.durable import read_checked, write_checked
+from jaxdet.results.occupancy import OccupancyMap
+from jaxdet.results.summary import Counts
+from jaxdet.results.writer import Tables
+
+if TYPE_CHECKING:
+    from jaxdet.io import Notes
+
+
+class Part(NamedTuple):
+    """The part of a unit."""
+
+    counts: Counts
+    rows: Tables
+    map: OccupancyMap
+    errors: list[str]
+    """Frames that could not be used, with the reason."""
+    pictures: list[str]
+    """Names of the pictures drawn."""
+    seen: dict[str, list[Any]]
+    """What each observer made of the batches."""
+    notes: list["Notes"]
+    """What reading told beside the frames."""
+    lost: str = ""
+    """Why its frames have no results, where the processes that worked on it failed."""
+
+    @classmethod
+    def load(cls, folder: Path, unit: Unit) -> "Part | None":
+        """Reads the part of a unit; None: it isn't there, or damaged."""
+        content = read_checked(part_path(folder, unit))
+        return None if content is None else pickle.loads(content)
+
+    def save(self, folder: Path, unit: Unit) -> None:
+        """Writes it.
+
+        Raises:
+            OutputError: The disk is full or broken.
+        """
+        write_checked(part_path(folder, unit), pickle.dumps(self, 5))
+
+
+def part_path(folder: Path, unit: Unit) -> Path:
+    """The file of a unit's part in the folder of its log."""
+    return folder / f"{unit.number:08d}.part"

@@ -1,0 +1,86 @@
+"""What decides a run's results: written before anything is worked on, and compared to go on."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jaxdet
+from jaxdet.config import Config
+from jaxdet.engine.options import RunOptions
+from jaxdet.engine.plan import Observer
+from jaxdet.results.manifest import fingerprint
+from jaxdet.results.summary import plain, versions
+
+if TYPE_CHECKING:
+    from jaxdet.io import LogFiles, LogOptions
+
+
+def make_record(
+    logs: Sequence["LogFiles"],
+    config: Config,
+    log_options: "LogOptions",
+    options: RunOptions,
+    observers: Mapping[str, Observer],
+    preset: str | None,
+) -> dict[str, Any]:
+    """The record of a run; arguments as of :func:`jaxdet.engine.run`.
+
+    Workers and batches are not in it, as they change no result.
+
+    Returns:
+        What JSON can hold: ``about``, which goes into the manifest of the results, with versions
+        and inputs, ``config``, most of ``config.json``, and ``drawn`` and ``observed``.
+    """
+    inputs = {log.name: [fingerprint(path) for path in log.paths] for log in logs}
+    about = {"jaxdet": jaxdet.__version__, "versions": versions(), "inputs": inputs}
+    chosen = {"preset": preset, "backend": options.backend, **plain(config)}
+    chosen["log"] = plain(log_options)
+    observed = {name: {type(one).__name__: plain(vars(one))} for name, one in observers.items()}
+    record = {"about": about, "config": chosen, "pictures": options.pictures, "observed": observed}
+    return json.loads(json.dumps(record, default=lambda value: type(value).__name__))
+
+
+def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """The first thing in which two records differ, for people; None: in nothing."""
+    old, new = dict(_flat(before)), dict(_flat(now))
+    keys = [key for key in {**old, **new} if old.get(key, _NOT) != new.get(key, _NOT)]
+    if not keys:
+        return None
+    key = keys[0]
+    if key[:2] == ("about", "inputs"):
+        return _of_inputs(before["about"]["inputs"], now["about"]["inputs"])
+    was, is_now = (_said(values.get(key, _NOT)) for values in (old, new))
+    name = ".".join(part for part in key if part not in ("about", "config"))
+    return f"{name} was {was} and is {is_now} now"
+
+
+_NOT = object()
+
+
+def _flat(value: Any, *key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The values of nested mappings with their keys."""
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            yield from _flat(part, *key, name)
+    else:
+        yield key, value
+
+
+def _said(value: Any) -> str:
+    return "not set" if value is _NOT or value is None else json.dumps(value, ensure_ascii=False)
+
+
+def _of_inputs(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """How the inputs differ."""
+    for log, files in now.items():
+        if log not in before:
+            return f"the log {log} was not among its logs"
+        for was, is_now in zip(before[log], files, strict=False):
+            if was != is_now:
+                changed = Path(was["path"]) == Path(is_now["path"])
+                return f"{is_now['path']} {'has changed' if changed else 'was ' + was['path']}"
+        if len(before[log]) != len(files):
+            return f"{log} had {len(before[log])} files and has {len(files)} now"
+    missing = next(iter(before.keys() - now.keys()), "")
+    return f"the log {missing} was among its logs" if missing else "its logs had another order"

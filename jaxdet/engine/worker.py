@@ -1,0 +1,189 @@
+"""A process that works on units, and this side of it."""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.plan import Unit
+from jaxdet.engine.signals import ignore_stops
+from jaxdet.engine.startup import start_reading, start_up
+from jaxdet.engine.station import Piped
+from jaxdet.engine.unit import run_unit
+from jaxdet.errors import JaxdetError, WorkerError
+from jaxdet.pipeline import BackendName
+from jaxdet.results.summary import Counts
+
+_ALIVE = "alive"
+
+
+class Failure(NamedTuple):
+    """Instead of what a function returns."""
+
+    error: Exception
+    trace: str
+    memory: bool
+    """There was not enough."""
+
+    def as_raised(self, where: str) -> Exception:
+        """The error with where it happened."""
+        if type(self.error) is not WorkerError:
+            return self.error
+        error = WorkerError(f"{where}: {self.error}")
+        error.add_note(f"{where}, in a worker process:\n{self.trace}")
+        return error
+
+
+class Worker:
+    """A process that is given functions, one after the other.
+
+    Args:
+        context: How processes are started.
+        backend: What it computes with.
+        piped: Its way to the process that computes for it; None: it computes itself.
+    """
+
+    def __init__(self, context: Any, backend: BackendName, piped: Piped | None) -> None:
+        self.pipe, self._theirs = multiprocessing.Pipe()
+        self._piped = piped
+        given = backend, self._theirs, piped
+        self.process = context.Process(target=_work, args=given, daemon=True)
+        self.given: deque[Any] = deque()
+        """What it has been given and has not answered, the oldest first."""
+        self.ready = False
+        """It has begun."""
+        self.still = 0.0
+        """Seconds without a sign of progress, while it has something to do."""
+
+    def start(self) -> None:
+        """Starts the process; takes a while."""
+        try:
+            self.process.start()
+        finally:
+            self._theirs.close()
+            if self._piped:
+                self._piped.pipe.close()  # so that the station sees when the worker is gone
+
+    def give(self, label: Any, function: Callable[..., Any], *args: Any) -> None:
+        """Gives it a function; ``label`` says what it is."""
+        self.given.append(label)
+        with suppress(OSError):  # it has died, which receive() says
+            self.pipe.send_bytes(pickle.dumps((function, args), 5))
+
+    def receive(self) -> list[tuple[Any, Any]]:
+        """What it has answered since, with the labels.
+
+        Raises:
+            EOFError: It has died.
+        """
+        answers = []
+        try:
+            while self.pipe.poll():
+                told = self.pipe.recv()
+                self.still = 0.0
+                if isinstance(told, _Answer):
+                    answers.append((self.given.popleft(), told.value))
+                else:
+                    self.ready = True
+        except (EOFError, OSError):
+            if not answers:
+                raise EOFError from None
+        return answers
+
+    def end(self) -> None:
+        """Kills it; what is whole is on the disk."""
+        if self.process.pid is not None:
+            self.process.kill()
+            self.process.join()
+        self.pipe.close()
+        self._theirs.close()
+
+    @property
+    def by_signal(self) -> bool:
+        """Whether a signal ended it."""
+        return (self._code() or 0) < 0
+
+    @property
+    def death(self) -> str:
+        """How it ended."""
+        code = self._code()
+        if code is None:
+            return "a worker process can't be started"
+        if code >= 0:
+            return f"a worker process ended with code {code}"
+        name = f"signal {-code}"
+        with suppress(ValueError):
+            name = signal.Signals(-code).name
+        return f"{name} ended a worker process"
+
+    def _code(self) -> int | None:
+        if self.process.pid is None:
+            return None
+        self.process.join(5)
+        return self.process.exitcode
+
+
+class _Answer(NamedTuple):
+    value: Any
+
+
+_piped: Piped | None = None
+"""In a worker: its way to the process that computes for it."""
+_progress: Callable[[], Any] = int
+"""In a worker: tells its parent that it is alive."""
+
+
+def work_on(path: Path, unit: Unit) -> Counts:
+    """In a worker: :func:`jaxdet.engine.unit.run_unit`."""
+    return run_unit(path, unit, _piped, _progress)
+
+
+def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:
+    """What a worker does, until its parent ends it or has ended."""
+    global _piped, _progress
+    ignore_stops()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _begin(backend, reads_only=piped is not None)
+    _piped, _progress = piped, partial(pipe.send, _ALIVE)
+    with suppress(EOFError, OSError):
+        pipe.send(_ALIVE)
+        while True:
+            function, args = pickle.loads(pipe.recv_bytes())
+            pipe.send(_Answer(_guarded(function, args)))
+
+
+def _end_with_parent() -> None:
+    if parent := multiprocessing.parent_process():
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _begin(backend: BackendName, *, reads_only: bool) -> None:
+    os.environ["PJRT_NPROC"] = "1"  # threads of XLA
+    import cv2
+
+    cv2.setNumThreads(1)
+    if reads_only:
+        start_reading()
+    elif backend == "jax":
+        start_up()
+
+
+def _guarded(function: Callable[..., Any], args: tuple) -> Any:
+    """What a function returns or raises, as something that can be sent."""
+    try:
+        return function(*args)
+    except Exception as error:
+        known = isinstance(error, JaxdetError)
+        told = error if known else WorkerError(f"{type(error).__name__}: {error}")
+        return Failure(told, traceback.format_exc(), out_of_memory(error))

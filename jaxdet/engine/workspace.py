@@ -1,0 +1,208 @@
+"""The working folder of a run, ``.jaxdet`` in its output folder.
+
+::
+
+    lock            who works here
+    plan            what decides the results (jaxdet.engine.record)
+    logs/00012/     a log; with a file "whole" it is done
+        0/          its camera: plan, a part for each unit that is done, pictures, and when it is
+                    done its summary in "whole"; several cameras are in 1/, 2/, ...
+    result/         tables, maps, configuration, summary, manifest
+    commit          the results are whole, and move to the output folder (jaxdet.results.commit)
+
+It is there while a run goes on and after one that was stopped, with what is done. Whatever is in it
+is whole, as it was renamed there, and agrees with its checksum.
+"""
+
+import os
+import pickle
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from jaxdet.engine.lock import Lock
+from jaxdet.engine.record import difference
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.results.commit import JOURNAL, Journal, begin_commit, carry_out, read_journal
+from jaxdet.results.durable import read_checked, write_checked, writing
+from jaxdet.results.manifest import result_files
+
+NAME = ".jaxdet"
+_LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
+"""Working folders of older versions."""
+
+Say = Callable[[str], None]
+
+
+class Workspace:
+    """A working folder that this run has locked; a context manager that unlocks it.
+
+    It ends with the folder removed, unless parts are in it that the next run can use.
+
+    Args:
+        output: The output folder; made when missing.
+        record: What decides the results, see :func:`jaxdet.engine.record.make_record`.
+        overwrite: Replace results that are there.
+        say: Gets a line for each thing worth knowing.
+
+    Raises:
+        ConfigError: The folder holds results and ``overwrite`` is off, or an unfinished run of
+            another record; another run works there; or it is a file.
+        InputError: The folder can't be written to.
+    """
+
+    def __init__(
+        self, output: Path, record: Mapping[str, Any], *, overwrite: bool, say: Say
+    ) -> None:
+        self.output, self.record = output, record
+        self.folder = output.absolute() / NAME
+        if output.exists() and not output.is_dir():
+            raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
+        if not self.folder.exists() and not overwrite:
+            self._refuse_results()
+        self._lock = Lock(self.folder / "lock")
+        self.done: Journal | None = None
+        """The results were whole already, and are in their place now."""
+        self.taken_over = self._lock.before is not None
+        """The run before this one ended without a word."""
+        try:
+            self._enter(overwrite=overwrite, say=say)
+        except BaseException:
+            self._leave()
+            raise
+
+    def __enter__(self) -> "Workspace":
+        """The folder itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Unlocks it, and removes it where nothing in it is of use."""
+        self._leave()
+
+    def _enter(self, *, overwrite: bool, say: Say) -> None:
+        self._refuse_others()
+        if self._lock.before:
+            say(f"taken over from a run that ended without a word ({self._lock.before})")
+        for folder in self.output.glob(f"{NAME}-*"):
+            if _LEFT.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink():
+                shutil.rmtree(folder, ignore_errors=True)
+                say(f"removed what a run of an older version left ({folder.name})")
+        if journal := read_journal(self.folder):
+            carry_out(self.folder, journal)
+            record, _ = journal.told
+            say("the results of the last run were whole and are in their place now")
+            if difference(record, self.record) is None:
+                self.done = journal
+                return
+            self.clear()
+        if not overwrite:
+            self._refuse_results()
+        begun = self.read("plan")
+        reason = None if begun is None else difference(begun, self.record)
+        if reason:
+            if not overwrite:
+                raise ConfigError(
+                    f"holds an unfinished run, but {reason}",
+                    path=str(self.output),
+                    remedy="repeat that run's command to go on with it, give another --output, "
+                    "or --overwrite to begin anew",
+                )
+            say(f"dropped an unfinished run: {reason}")
+        if begun is None or reason:
+            self.clear()
+        with writing(self.folder):
+            shutil.rmtree(self.result, ignore_errors=True)
+            self.result.mkdir()
+            (self.folder / "logs").mkdir(exist_ok=True)
+        self.write("plan", self.record)
+
+    @property
+    def result(self) -> Path:
+        """Where files of the results are made."""
+        return self.folder / "result"
+
+    def log_folder(self, number: int) -> Path:
+        """The folder of a log; made when missing."""
+        folder = self.folder / "logs" / f"{number:05d}"
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def write(self, place: str | Path, value: Any) -> None:
+        """Keeps a value in a file of the folder."""
+        write_checked(self.folder / place, pickle.dumps(value, 5))
+
+    def read(self, place: str | Path) -> Any:
+        """What :meth:`write` kept; None: it isn't there, or damaged."""
+        content = read_checked(self.folder / place)
+        return None if content is None else pickle.loads(content)
+
+    def empty(self, folder: Path) -> None:
+        """Makes the folder of a camera, with nothing in it."""
+        shutil.rmtree(folder, ignore_errors=True)
+        with writing(folder):
+            (folder / "pictures").mkdir(parents=True, exist_ok=True)
+
+    def drop(self, files: Mapping[str, Path]) -> None:
+        """Nothing is of use but files that people may want to read; those move out."""
+        with writing(self.output):
+            for name, path in files.items():
+                if path.suffix == ".txt":
+                    path.replace(self.output / name)
+        self.clear()
+
+    def commit(self, files: Mapping[str, Path], told: Any) -> None:
+        """Makes files the results of the output folder.
+
+        Args:
+            files: By their names there.
+            told: Is given to a next run that finds them whole, as ``done.told[1]``.
+
+        Raises:
+            OutputError: The disk is full or broken.
+        """
+        begin_commit(self.folder, files, (self.record, told))
+        journal = read_journal(self.folder)
+        assert journal
+        carry_out(self.folder, journal)
+        self.clear()
+
+    def clear(self) -> None:
+        """Removes all but the lock, the journal last."""
+        for path in sorted(self.folder.iterdir(), key=lambda path: path.name == JOURNAL):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != "lock":
+                path.unlink()
+
+    def _leave(self) -> None:
+        kept = next(self.folder.glob("logs/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
+        if self.done or not kept:
+            with suppress(OSError):
+                self.clear()
+        self._lock.release()
+        for folder in (self.folder, self.output):
+            with suppress(OSError):
+                folder.rmdir()  # where nothing is in it
+
+    def _refuse_results(self) -> None:
+        found = result_files(self.output)
+        if found:
+            raise ConfigError(
+                f"holds results already ({found[0]})",
+                path=str(self.output),
+                remedy="give another --output, or --overwrite to replace them",
+            )
+
+    def _refuse_others(self) -> None:
+        """What is in the folder is trusted, so it must be this user's."""
+        owner = self.folder.stat().st_uid
+        if owner != os.geteuid():
+            raise InputError(
+                f"holds an unfinished run of another user (number {owner})",
+                path=str(self.output),
+                remedy="give another --output",
+            )

@@ -1,0 +1,67 @@
+"""Files that are whole or absent, whatever ends the process, and that say when they are damaged."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from jaxdet.errors import OutputError
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system says against writing becomes an error that ends the run, not its log.
+
+    Raises:
+        OutputError: The disk is full, read-only or broken.
+    """
+    try:
+        yield
+    except OSError as error:
+        problem = f"can't be written ({error.strerror or error})"
+        remedy = "make room or give another --output"
+        raise OutputError(problem, path=str(error.filename or path), remedy=remedy) from error
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Writes a file beside its place, flushes it to the disk and renames it there."""
+    new = path.with_name(f"{path.name}.{os.getpid()}")
+    with writing(path):
+        with new.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+
+
+def write_checked(path: Path, content: bytes) -> None:
+    """:func:`write_whole` with a checksum before the content, for :func:`read_checked`."""
+    write_whole(path, hashlib.sha256(content).digest() + content)
+
+
+def read_checked(path: Path) -> memoryview | None:
+    """What :func:`write_checked` wrote; None: it isn't there, or isn't as its checksum says."""
+    try:
+        content = memoryview(path.read_bytes())
+    except OSError:
+        return None
+    told, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == told else None
+
+
+def sha256(path: Path) -> str:
+    """Of a whole file, in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def flush(path: Path) -> None:
+    """Waits until a file, or what a folder lists, is on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

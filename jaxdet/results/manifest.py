@@ -1,0 +1,102 @@
+"""``manifest.json``: what a results folder holds and what it was made of, each with a checksum.
+
+It is the last file to arrive in the folder and the first to leave it, so a folder without it holds
+no whole results.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxdet.results.durable import sha256
+
+MANIFEST = "manifest.json"
+FORMAT = 1
+_ENDS_BYTES = 64 << 10
+
+
+def fingerprint(path: Path) -> dict[str, Any]:
+    """What tells an input file from another: path, size, time of the last change, a checksum.
+
+    The checksum is SHA-256 of the size, the first and the last 64 KiB, where MCAP has its header,
+    first messages, chunk index and statistics. It sees another recording, a file cut or gone on
+    with, and chunks that moved. Bytes changed in the middle it does not see: those the time of
+    the last change may tell, and the chunks' own checksums.
+
+    Args:
+        path: The file.
+
+    Returns:
+        What JSON can hold; without size, time and checksum where the file can't be read.
+    """
+    found: dict[str, Any] = {"path": os.fsencode(path).decode("utf-8", "backslashreplace")}
+    try:
+        with path.open("rb") as file:
+            about = os.fstat(file.fileno())
+            hashed = hashlib.sha256(about.st_size.to_bytes(8, "little"))
+            hashed.update(file.read(_ENDS_BYTES))
+            file.seek(max(about.st_size - _ENDS_BYTES, 0))
+            hashed.update(file.read(_ENDS_BYTES))
+    except OSError:
+        return found
+    return {
+        **found,
+        "size": about.st_size,
+        "mtime_ns": about.st_mtime_ns,
+        "fingerprint": hashed.hexdigest(),
+    }
+
+
+def make_manifest(about: Mapping[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:
+    """The manifest of results.
+
+    Args:
+        about: The versions that made them, and the inputs.
+        files: The files by their names in the results folder.
+
+    Returns:
+        What JSON can hold, ``files`` with size and SHA-256 of each.
+    """
+    sizes = {
+        name: {"size": path.stat().st_size, "sha256": sha256(path)}
+        for name, path in sorted(files.items())
+    }
+    return {"format": FORMAT, **about, "files": sizes}
+
+
+def result_files(folder: Path) -> tuple[str, ...]:
+    """The names of the files in a folder that are results; other files there are the user's.
+
+    They are in the manifest, or of older versions, which wrote none, in the summary.
+    """
+    names: Iterable[str] = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
+    known, logs = _read(folder / MANIFEST).get("files"), _read(folder / "summary.json").get("logs")
+    if isinstance(known, dict):
+        names = (*names, *known, MANIFEST)
+    else:
+        names = (*names, *(name for log in logs or () for name in _of_log(log)))
+    tracks = (f"tracks_{log.get('file_name')}.png" for log in logs or ())
+    names = (*names, "tracks.parquet", "track_links.parquet", *tracks)  # of jaxdet track
+    inside = (name for name in dict.fromkeys(names) if not _leaves(name))
+    return tuple(name for name in inside if (folder / name).is_file())
+
+
+def _of_log(log: Mapping[str, Any]) -> list[str]:
+    made = [f"{log['map']}.npz", f"{log['map']}.png"] if log.get("map") else []
+    return [*made, *(log.get("pictures") or ())]
+
+
+def _leaves(name: str) -> bool:
+    """Whether a name leads out of the folder."""
+    return Path(name).is_absolute() or ".." in Path(name).parts
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,43 @@
+"""Runs a function again and again in processes that end at one system call after the other.
+
+Not a test: ``tests/test_resume.py`` starts it, as a process without threads can fork. Nothing is
+flushed to the disk, which outlives the processes and is slow.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+os.fsync = lambda descriptor: None
+CALLS = ("replace", "rename", "fsync", "mkdir", "unlink", "rmdir")
+
+
+def killed_at(call: int, function: Callable[[], Any]) -> bool:
+    """Whether a process that ends right before its so many-th call ended there."""
+    child = os.fork()
+    if not child:
+        count = 0
+
+        def counted(real: Callable[..., Any]) -> Callable[..., Any]:
+            def counting(*args: Any, **more: Any) -> Any:
+                nonlocal count
+                if count == call:
+                    os._exit(9)
+                count += 1
+                return real(*args, **more)
+
+            return counting
+
+        for name in CALLS:
+            setattr(os, name, counted(getattr(os, name)))
+        try:
+            function()
+        except BaseException:
+            import traceback
+
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 9), code
+    return code == 9

@@ -1,0 +1,61 @@
+"""Ends whole runs at their system calls; started by ``tests/test_resume.py``.
+
+Each is asked for again until it ends by itself, and then has written what an unbroken run writes.
+"""
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from jaxdet import engine
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import local
+from jaxdet.io import LogFiles, LogOptions
+from tests.killed import killed_at
+from tests.test_engine import FakeLog
+
+
+def run(output: Path) -> engine.Summary:
+    """Two logs of ten frames in units of four; nothing is compiled."""
+    logs = [LogFiles(name, (Path(f"{name}.mcap"),)) for name in "ab"]
+    config = Config(GroundConfig(source="none"))
+    options = engine.RunOptions(output, "reference", batch_size=4, pictures=1, workers=1)
+    return engine.run(logs, config, LogOptions(), options)
+
+
+def files(output: Path) -> dict[str, bytes]:
+    """What a run writes, but its times."""
+    found = {str(p.relative_to(output)): p for p in output.rglob("*") if p.is_file()}
+    found.pop(".jaxdet/lock", None)  # of a run that had ended, and only cleaned up
+    assert {"summary.json", "manifest.json", "pictures/a_000000.png"} <= set(found)
+    times = ("summary.json", "manifest.json")
+    return {name: b"" if name in times else p.read_bytes() for name, p in found.items()}
+
+
+def main(folder: Path, every: int) -> None:
+    """Ends runs at every so many-th call, and what goes on with them at the same."""
+    local.open_log = lambda files, options: named(files.name)
+    run(folder / "whole")
+    want = files(folder / "whole")
+    call, ended = 1, True
+    while ended:
+        output, tries = folder / f"{call}", 0
+        while killed_at(call + 3 * tries, partial(run, output)):
+            tries += 1
+            if (output / "manifest.json").exists() and not (output / ".jaxdet/commit").exists():
+                break  # it had ended, and only cleaned up
+        assert files(output) == want, call
+        ended, call = tries > 0, call + every
+    print(f"ends at {call - every} calls")
+
+
+def named(name: str) -> Any:
+    """A log of that name."""
+    log = FakeLog()
+    log.name = log.label = name
+    return log
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,423 @@
+"""Runs that were stopped go on, and end with the bytes of an unbroken run; nothing is mixed."""
+
+import json
+import os
+import pickle
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import device, local
+from jaxdet.engine.lock import Lock
+from jaxdet.engine.part import Part
+from jaxdet.engine.workspace import Workspace
+from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError
+from jaxdet.io import LogFiles, LogOptions, find_logs
+from jaxdet.pipeline import detect
+from jaxdet.results.manifest import fingerprint, result_files, sha256
+from jaxdet.sim import SimConfig, write_log
+from tests.killed_runs import named
+from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
+from tests.test_workers import alive, descendants, same_results
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def many(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
+    """Fifty logs of ten frames."""
+    monkeypatch.setattr(local, "open_log", lambda files, options: named(files.name))
+    return [LogFiles(f"{number:02d}", (Path(f"{number}.mcap"),)) for number in range(50)]
+
+
+def run(logs: list[LogFiles], output: Path, **more: Any) -> engine.Summary:
+    """Nothing is compiled, and no floor looked for."""
+    height = more.pop("height", None)
+    config = Config(GroundConfig(source="none", camera_height_m=height))
+    own = {name: more.pop(name) for name in ("progress", "say") if name in more}
+    how = {"backend": "reference", "batch_size": 5, "pictures": 0, "workers": 1, **more}
+    return engine.run(logs, config, LogOptions(), engine.RunOptions(output, **how), **own)
+
+
+def stop_at(log: str, how: Callable[[], Any]) -> Callable[[engine.Progress], None]:
+    """Ends a run in the middle of a log."""
+
+    def progress(now: engine.Progress) -> None:
+        if now.log == log and now.done == 5:
+            how()
+
+    return progress
+
+
+def interrupt() -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("name", ["commits", "runs"])
+def test_whatever_system_call_is_the_last(tmp_path: Path, name: str) -> None:
+    arguments = [str(tmp_path), *(["29"] if name == "runs" else [])]
+    ends = [sys.executable, "-m", f"tests.killed_{name}", *arguments]
+    done = subprocess.run(ends, cwd=ROOT, capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    assert min(map(int, re.findall(r"(\d+) calls", done.stdout))) > 50
+
+
+@pytest.mark.slow
+def test_every_system_call_of_a_run(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "tests.killed_runs", str(tmp_path), "1"], cwd=ROOT, check=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 2), (signal.SIGTERM, 15), (signal.SIGHUP, 1)]
+)
+def test_signals_keep_what_is_done(many: list, tmp_path: Path, number: int, code: int) -> None:
+    before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    stop = stop_at("02", lambda: signal.raise_signal(number))
+    with pytest.raises(Interrupted) as caught:
+        run(many[:4], tmp_path / "a", progress=stop)
+    text = "interrupted; 2 of 4 logs and 1 of 2 units of 02 are done; the same command goes on"
+    assert (str(caught.value), caught.value.signal) == (text, code)
+    after = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    assert after == before
+    said: list[str] = []
+    opened: list[str] = []
+
+    def progress(now: engine.Progress) -> None:
+        opened.extend([now.log] * (now.doing == "opening"))
+
+    run(many[:4], tmp_path / "a", say=said.append, progress=progress)
+    assert said == ["continuing: 2 of 4 logs and 1 of 2 units of 02 are there"]
+    assert opened == ["02", "03"]
+    run(many[:4], tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_the_summary_is_the_same_but_for_its_times(many: list, tmp_path: Path) -> None:
+    with pytest.raises(Interrupted):
+        run(many[:3], tmp_path / "a", progress=stop_at("01", interrupt))
+    run(many[:3], tmp_path / "a")
+    run(many[:3], tmp_path / "b")
+    read = [json.loads((tmp_path / name / "summary.json").read_text("utf-8")) for name in "ab"]
+    for summary in read:
+        for values in (summary, *summary["logs"]):
+            for name in ("seconds", "first_batch_s", "frames_per_s", "busy_s"):
+                values.pop(name, None)
+    assert read[0] == read[1]
+    assert json.dumps(read[0]) == json.dumps(read[1])  # in the same order, too
+
+
+def test_a_bug_in_the_49th_log_costs_that_log(many: list, tmp_path: Path, monkeypatch) -> None:
+    def open_log(files: LogFiles, options: LogOptions) -> Any:
+        if files.name == "48":
+            raise ZeroDivisionError("by nothing")
+        return named(files.name)
+
+    monkeypatch.setattr(local, "open_log", open_log)
+    summary = run(many, tmp_path)
+    (failed,) = summary.failed
+    assert failed.error == (
+        "48: ZeroDivisionError: by nothing; a fault of jaxdet: please send its developers "
+        "report_48.txt"
+    )
+    rows = pq.read_table(tmp_path / "frames.parquet")["log"].to_pylist()
+    assert rows == [f"{number:02d}" for number in range(50) if number != 48 for _ in range(10)]
+    report = (tmp_path / "report_48.txt").read_text(encoding="utf-8")
+    assert 'raise ZeroDivisionError("by nothing")' in report and "48.mcap" in report
+
+
+def test_another_run_is_refused_with_the_reason(many: list, tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "0.mcap"
+    path.write_bytes(b"first")
+    logs = [many[0]._replace(paths=(path,)), *many[1:3]]
+    output = tmp_path / "results"
+    with pytest.raises(Interrupted):
+        run(logs, output, progress=stop_at("01", interrupt))
+
+    def refused(match: str, *given: Any, **more: Any) -> None:
+        with pytest.raises(ConfigError, match=match) as caught:
+            run(*given, output, **more)
+        assert "--overwrite to begin anew" in str(caught.value)
+
+    refused("ground.camera_height_m was not set and is 0.5 now", logs, height=0.5)
+    refused("pictures was 0 and is 3 now", logs, pictures=3)
+    refused("the log 03 was not among its logs", many[3:4])
+    refused("the log 02 was among its logs", logs[:2])
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxdet.__version__", "0.2.0")
+        refused('jaxdet was "0.1.0" and is "0.2.0" now', logs)
+    path.write_bytes(b"other")
+    refused(f"{re.escape(str(path))} has changed", logs)
+    said: list[str] = []
+    run(logs, output, overwrite=True, say=said.append)
+    assert said == [f"dropped an unfinished run: {path} has changed"]
+
+
+def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path) -> None:
+    def held() -> set[str]:
+        return set(pq.read_table(tmp_path / "frames.parquet")["log"].to_pylist())
+
+    run(many[:2], tmp_path)
+    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(ConfigError, match="holds results already"):
+        run(many[1:3], tmp_path)
+    for _ in range(2):
+        with pytest.raises(Interrupted):
+            run(many[1:3], tmp_path, overwrite=True, progress=stop_at("02", interrupt))
+        assert held() == {"00", "01"}
+        (tmp_path / ".jaxdet" / "logs" / "00001" / "0" / "00000000.part").unlink()
+    said: list[str] = []
+    run(many[1:3], tmp_path, overwrite=True, say=said.append)
+    assert said == ["continuing: 1 of 2 logs are there"]
+    assert held() == {"01", "02"}
+    assert (tmp_path / "mine.txt").read_text(encoding="utf-8") == "mine"
+    assert not (tmp_path / ".jaxdet").exists()
+
+
+def test_results_of_older_versions_are_known(tmp_path: Path) -> None:
+    for name in ("frames.parquet", "map_a.npz", "map_mine.npz", "pictures/a.png", "pictures/b.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    log = {"map": "map_a", "pictures": ["pictures/a.png", "../outside.png"]}
+    (tmp_path / "summary.json").write_text(json.dumps({"logs": [log]}), encoding="utf-8")
+    want = {"frames.parquet", "summary.json", "map_a.npz", "pictures/a.png"}
+    assert set(result_files(tmp_path)) == want
+
+
+def test_a_damaged_part_is_done_again(many: list, tmp_path: Path) -> None:
+    with pytest.raises(Interrupted):
+        run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))
+    part = tmp_path / "a" / ".jaxdet" / "logs" / "00001" / "0" / "00000000.part"
+    content = bytearray(part.read_bytes())
+    content[-100] ^= 1
+    part.write_bytes(content)
+    assert Part.load(part.parent, engine.Unit(0, 0, 5)) is None
+    run(many[:2], tmp_path / "a")
+    run(many[:2], tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_damaged_part_of_a_whole_log_is_done_again(many: list, tmp_path: Path) -> None:
+    with pytest.raises(Interrupted):
+        run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))
+    part = tmp_path / "a" / ".jaxdet" / "logs" / "00000" / "0" / "00000001.part"
+    part.write_bytes(b"")
+    with pytest.raises(OutputError, match="was changed or removed; run the command again"):
+        run(many[:2], tmp_path / "a")
+    run(many[:2], tmp_path / "a")
+    run(many[:2], tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:
+    def second() -> None:
+        with pytest.raises(ConfigError, match="another run works here") as caught:
+            run(many[:1], tmp_path)
+        owner = rf"process {os.getpid()} on \S+ since [-\d]+ [:\d]+ UTC, 0 min"
+        assert re.search(owner, str(caught.value))
+
+    run(many[:1], tmp_path, progress=stop_at("00", second))
+    assert not (tmp_path / ".jaxdet").exists()
+
+
+def test_the_lock_of_a_dead_run_is_taken_over(many: list, tmp_path: Path) -> None:
+    code = "import os, sys; from pathlib import Path; from jaxdet.engine.lock import Lock\n"
+    code += "lock = Lock(Path(sys.argv[1])); os._exit(9)"
+    path = tmp_path / ".jaxdet" / "lock"
+    child = subprocess.Popen([sys.executable, "-c", code, str(path)], cwd=ROOT)
+    assert child.wait() == 9
+    (tmp_path / ".jaxdet-abcdef_1" / "log-1").mkdir(parents=True)
+    (tmp_path / ".jaxdet-mine").mkdir()
+    said: list[str] = []
+    run(many[:1], tmp_path, say=said.append, workers=None)
+    owner, left = said
+    assert f"taken over from a run that ended without a word (process {child.pid} on" in owner
+    assert left == "removed what a run of an older version left (.jaxdet-abcdef_1)"
+    assert (tmp_path / ".jaxdet-mine").is_dir() and not (tmp_path / ".jaxdet-abcdef_1").exists()
+
+
+def test_a_lock_goes_with_its_folder(tmp_path: Path) -> None:
+    lock = Lock(tmp_path / ".jaxdet" / "lock")
+    assert lock.before is None
+    lock.release()
+    assert list((tmp_path / ".jaxdet").iterdir()) == []
+
+
+def test_work_of_another_user_is_not_trusted(many: list, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1 + tmp_path.stat().st_uid)
+    with pytest.raises(JaxdetError, match="another user"):
+        run(many[:1], tmp_path)
+
+
+def test_a_full_disk_keeps_what_is_done(many: list, tmp_path: Path) -> None:
+    def fill() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (64, limits[1]))
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with pytest.raises(OutputError) as caught:
+            run(many[:3], tmp_path / "a", progress=stop_at("01", fill))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert re.search(
+        r"can't be written \(File too large\); make room or give another --output; "
+        r"the same command goes on: 1 of 3 logs and 1 of 2 units of 01 are done",
+        str(caught.value),
+    )
+    run(many[:3], tmp_path / "a")
+    run(many[:3], tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_the_manifest_knows_every_file(many: list, tmp_path: Path) -> None:
+    run(many[:2], tmp_path, pictures=2)
+    manifest = json.loads((tmp_path / "manifest.json").read_text(encoding="utf-8"))
+    names = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert set(manifest["files"]) == names - {"manifest.json"}
+    for name, about in manifest["files"].items():
+        path = tmp_path / name
+        assert about == {"size": path.stat().st_size, "sha256": sha256(path)}
+    assert list(manifest["inputs"]) == ["00", "01"]
+    assert manifest["versions"]["numpy"] == np.__version__
+
+
+def test_what_a_fingerprint_sees(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    content = bytearray(random.Random(0).randbytes(300_000))
+
+    def seen() -> dict[str, Any]:
+        path.write_bytes(content)
+        os.utime(path, ns=(0, 0))
+        return fingerprint(path)
+
+    first = seen()
+    content[150_000] ^= 1
+    assert seen() == first  # the time of the last change would differ
+    for place in (0, 65_535, 300_000 - 65_536, 299_999):
+        content[place] ^= 1
+        assert seen()["fingerprint"] != first["fingerprint"]
+        content[place] ^= 1
+    content += b"x"
+    assert seen()["fingerprint"] != first["fingerprint"]
+    assert fingerprint(tmp_path / "missing") == {"path": str(tmp_path / "missing")}
+
+
+@pytest.mark.parametrize("fits", [2, 1, 0])
+def test_too_little_memory_halves_the_batch(monkeypatch: pytest.MonkeyPatch, fits: int) -> None:
+    calibration = small(48, 36)
+    depth = smooth_depth(5, calibration.depth)
+    images = frames(calibration, blocks(5, 36, 48), depth, plane=level(5))
+    want = detect(images, backend="reference")
+    sizes: list[int] = []
+
+    def limited(given: Any, config: Config, *, backend: str) -> Any:
+        sizes.append(len(given.valid))
+        if sizes[-1] > fits:
+            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 5 bytes")
+        return detect(given, config, backend="reference")
+
+    monkeypatch.setattr(device, "detect", limited)
+    batch: Any = type("Batch", (), {"frames": images})
+    own = device.OwnDevice(Config(), "jax", ahead=0)
+    plane = level(5)
+    if not fits:
+        with pytest.raises(MemoryError):
+            own.finish(own.start(batch, plane, whole=True))
+        return
+    found = own.finish(own.start(batch, plane, whole=True))
+    assert_equal(found.whole, want)
+    assert max(sizes[-2:]) <= fits
+
+
+def test_a_unit_without_memory_is_tried_again_in_smaller_batches(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    write_log(log, SimConfig(frames=6, width=64, height=48))
+    how = engine.RunOptions(tmp_path / "a", "reference", batch_size=6, pictures=0, workers=2)
+    given = find_logs([str(log)]), Config(), LogOptions(), how
+    summary = engine.run(*given, observers={"hungry": Hungry()})
+    assert not summary.failed and not summary.logs[0].lost
+    assert summary.logs[0].observed["hungry"] == [3, 3]
+
+
+class Hungry:
+    """An observer for whose memory three frames are enough."""
+
+    def __call__(self, batch: Any, found: Any) -> int:
+        if len(batch.status) > 3:
+            raise MemoryError
+        return len(batch.status)
+
+    def summary(self, seen: Any) -> Any:
+        return seen
+
+
+def killed_runs(tmp_path: Path, count: int) -> None:
+    """The same command again and again, its main process, workers or both killed at random."""
+    chosen = random.Random(7)
+    logs = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for seed, path in enumerate(logs):
+        write_log(path, SimConfig(frames=8, width=48, height=36, seed=seed))
+    output = tmp_path / "results"
+    command = [sys.executable, "-m", "jaxdet", "run", *map(str, logs), "--output", str(output)]
+    command += ["--backend", "reference", "--batch-size", "1", "--workers", "2", "--quiet"]
+    left = count
+    while left:
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+        begun = len(list(output.glob(".jaxdet/logs/*/*/*.part")))
+        wanted = begun + chosen.randrange(3)
+        while process.poll() is None:
+            if len(list(output.glob(".jaxdet/logs/*/*/*.part"))) >= wanted:
+                break
+            time.sleep(0.01)
+        time.sleep(chosen.random() / 4)
+        below = [int(pid) for pid in descendants(process.pid)][2:]
+        whom = chosen.choice(["main", "worker", "both"])
+        victims = {"main": [], "worker": below[:1], "both": below}[whom]
+        for pid in [*victims, *[process.pid] * (whom != "worker")]:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        left -= 1
+        errors = process.communicate()[1]
+        assert not any(alive(pid) for pid in below)
+        if process.returncode == 0 or whom == "worker":
+            assert (process.returncode, errors) == (0, "")
+            if left:
+                shutil.rmtree(output)
+    if not (output / "manifest.json").exists():
+        subprocess.run(command, cwd=ROOT, check=True)
+    config, options = Config(), engine.RunOptions(tmp_path / "b", "reference", 1, workers=1)
+    engine.run(
+        find_logs([str(log) for log in logs]), config, LogOptions(), options, preset="wheeled"
+    )
+    same_results(output, tmp_path / "b")
+
+
+def test_random_kills_change_nothing(tmp_path: Path) -> None:
+    killed_runs(tmp_path, 3)
+
+
+@pytest.mark.slow
+def test_many_random_kills_change_nothing(tmp_path: Path) -> None:
+    killed_runs(tmp_path, 20)
+
+
+def test_the_workspace_ends_empty_when_nothing_is_done(tmp_path: Path) -> None:
+    with Workspace(tmp_path / "a", {"a": 1}, overwrite=False, say=print) as work:
+        work.write("plan", pickle.dumps(1))
+    assert list(tmp_path.iterdir()) == []
