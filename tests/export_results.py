@@ -12,7 +12,7 @@ from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import preset
 from jaxdet.results.lists import Lists
 from jaxdet.results.occupancy import MapImage, save_map
-from jaxdet.results.writer import ResultWriter, Tables
+from jaxdet.results.writer import ResultWriter, Tables, write_json
 from jaxdet.sim import SimConfig, write_log
 
 START_NS = 1_700_000_000_000_000_000
@@ -41,18 +41,22 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
         frames: For each frame the middles of obstacles, right and forward [m], each 0.2 m wide,
             and how far the floor is free ahead, 0.5 m to each side at 1 m.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     with ResultWriter(folder) as writer:
         for number, (places, free_m) in enumerate(frames):
             writer.add(Tables.of(*_rows(number, places, free_m)))
         ones = np.ones((80, 80), np.int32)
         image = MapImage(ones, ones, (-1.0, -2.0), 0.05, np.zeros((len(frames), 2)))
-        save_map(writer.path("map_hand.npz"), image)
+        save_map(folder / "map_hand.npz", image)
         total = sum(len(places) for places, _ in frames)
         log = {"log": "hand", "paths": ["hand.mcap"], "frames": len(frames), "obstacles": total}
         log |= {"error": None, "map": "map_hand", "pictures": [], "calibration": None}
         log |= {"description": None, "camera": "camera", "file_name": "hand"}
         config = {"surface": {"cell_rad": 0.1}, "log": {}}
-        writer.commit(config, {"frames": len(frames), "obstacles": total, "logs": [log]})
+        summary = {"frames": len(frames), "obstacles": total, "logs": [log]}
+        writer.close(config, summary)
+    write_json(folder / "config.json", config)
+    write_json(folder / "summary.json", summary)
     return folder
 
 

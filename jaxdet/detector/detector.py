@@ -253,10 +253,10 @@ class Detector:
         return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
 
     def _found(self, batch: "Batch", plane: GroundPlane, sources: list[str]) -> BatchResult:
-        from jaxdet.engine.device import interrupts_held_back
+        from jaxdet.engine.signals import stops_held_back
 
         frames = batch.frames._replace(plane=plane)
-        with interrupts_held_back():
+        with stops_held_back():
             found = detect(frames, self.config, backend=self._backend, with_cells=True)
             found = to_host(found)
         rows = batch_rows("", "", batch, plane, sources, row_inputs(found), self.config)
