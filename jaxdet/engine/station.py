@@ -347,7 +347,7 @@ class _LogStation:
 
     def _refuse(self, pieces: list[Piece], error: Exception) -> None:
         for piece in pieces:
-            self._send(piece, Reply(piece.slot, None, None, error))
+            self._send(piece, Reply(piece.slot, None, None, error, {}))
 
     def _send(self, piece: Piece, reply: Reply) -> None:
         with suppress(OSError):  # the worker has died, which its pool says
