@@ -223,6 +223,7 @@ template <class T> T atomicCAS(T* place, T expected, T value) {
     if (before == expected) *place = value;
     return before;
 }
+template <class T> T __ldg(const T* place) { return *place; }
 inline int min(int a, int b) { return a < b ? a : b; }
 inline int max(int a, int b) { return a > b ? a : b; }
 inline unsigned __vmaxu2(unsigned a, unsigned b) {

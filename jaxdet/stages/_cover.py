@@ -11,7 +11,7 @@ from jaxdet.types import MAX_OBSTACLES, SAMPLED_CELLS, Cells, Features
 from jaxdet_kernels import cover as kernels
 from jaxdet_kernels.features import row_words
 
-_mask = TeamKernel(kernels.cover_mask, num_outputs=2)
+_mask = TeamKernel(kernels.cover_mask, num_outputs=4)
 _features = TeamKernel(kernels.cover_features, num_outputs=8)
 
 
@@ -55,20 +55,25 @@ def features_on_cells(
         batch, height, width, _ = color.shape
         cells = keep.shape[1] * keep.shape[2]
         boxes = keep, grid.in_view, grid.z, grid.uv_min, grid.uv_max, depth_range
-        mask, has_depth = _mask(
+        mask, has_depth, *taken = _mask(
             *boxes, height, width,
             batch=batch,
-            shapes={"mask_out": (batch, height, row_words(width)), "has_depth_out": (batch,)},
-            scratch=kernels.mask_scratch(cells),
+            shapes={
+                "mask_out": (batch, height, row_words(width)),
+                "has_depth_out": (batch,),
+                "num_taken_out": (batch,),
+                "taken_out": (batch, cells),
+            },
+            scratch=1,
         )  # fmt: skip
         u, v, count = strongest_corners(color, mask, settings, slots)
         _, *sampled = (len(range(n)[of]) for n, of in zip(keep.shape, SAMPLED_CELLS, strict=True))
         names = "u_out", "v_out", "x_out", "y_out", "z_out", "label_out", "valid_out", "kept_out"
         *places, of_cells, valid, kept = _features(
-            *boxes, grid.x, grid.y, label, MAX_OBSTACLES, *rays, u, v, count,
+            *boxes, *taken, grid.x, grid.y, label, MAX_OBSTACLES, *rays, u, v, count,
             batch=batch,
             shapes=dict.fromkeys(names, (batch, slots + sampled[0] * sampled[1])),
-            scratch=kernels.cover_scratch(cells, height, width, slots),
+            scratch=kernels.cover_scratch(height, width, slots),
         )  # fmt: skip
         found = Features(*places, valid, kept, overflow=count > slots)
         return CellFeatures(found, of_cells, has_depth)

@@ -14,25 +14,19 @@ TILE = 8
 """Rows and columns of a tile of ``native/cover.h``."""
 
 
-def mask_scratch(cells: int) -> int:
-    """Words of scratch memory that :func:`cover_mask` takes."""
-    return 1 + cells
-
-
-def cover_scratch(cells: int, height: int, width: int, slots: int) -> int:
+def cover_scratch(height: int, width: int, slots: int) -> int:
     """Words of scratch memory that :func:`cover_features` takes."""
-    return 3 * slots + -(-height // TILE) * -(-width // TILE) + mask_scratch(cells)
+    return 3 * slots + -(-height // TILE) * -(-width // TILE)
 
 
 _COVER = """
     const Team team(tid, share);
     const int cells = z.shape[1] * z.shape[2];
-    int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
     for (int b = team.index; b < z.shape[0]; b += shares) {
         const size_t i = (size_t)b * cells;
         const Cover cover{team, height, width, cells, keep.data + i, in_view.data + i, z.data + i,
                           (const int*)uv_min.data + i, (const int*)uv_max.data + i,
-                          depth_range.data, scratch + scratch_out.shape[1] - 1 - cells};
+                          depth_range.data, num_taken.data + b, taken.data + i};
 """
 
 
@@ -75,10 +69,13 @@ def mask_bits(
     "pixel_bits.h",
     "pixel_pair.h",
     "cover.h",
-    body=_COVER
+    body="""
+    auto &num_taken = num_taken_out, &taken = taken_out;
+"""
+    + _COVER
     + """
-        cover.paint(mask_out.data + (size_t)b * height * PixelBits::words(width));
-        const bool has_depth = cover.any_in_range();
+        const bool has_depth =
+            CoverMask{cover, mask_out.data + (size_t)b * height * PixelBits::words(width)}.run();
         if (team.rank == 0) has_depth_out.data[b] = has_depth;
         team.sync();
     }
@@ -98,6 +95,8 @@ def cover_mask(
     width: int,
     mask_out: wp.array3d[wp.uint32],
     has_depth_out: wp.array[wp.bool],
+    num_taken_out: wp.array[wp.int32],
+    taken_out: wp.array2d[wp.int32],
     scratch_out: wp.array2d[wp.int32],
 ):
     """A team of threads takes frames ``share, share + shares, ...``.
@@ -117,7 +116,9 @@ def cover_mask(
         width: Likewise.
         mask_out: ``(B, H, words)``, under a cell that takes part.
         has_depth_out: ``(B,)``, some cell in view is in range.
-        scratch_out: ``(teams, mask_scratch)``.
+        num_taken_out: ``(B,)``, how many cells take part.
+        taken_out: ``(B, R C)``, which, in no order.
+        scratch_out: Not used.
     """
 
 
@@ -133,6 +134,7 @@ def cover_mask(
     + _COVER
     + """
         const int slots = u.shape[1];
+        int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
         const size_t at = (size_t)b * slots, to = (size_t)b * u_out.shape[1];
         const FeatureSlots out{u_out.data + to, v_out.data + to, x_out.data + to, y_out.data + to,
                                z_out.data + to, label_out.data + to, valid_out.data + to,
@@ -156,6 +158,8 @@ def cover_features(
     uv_min: wp.array4d[wp.int16],
     uv_max: wp.array4d[wp.int16],
     depth_range: wp.array[wp.int32],
+    num_taken: wp.array[wp.int32],
+    taken: wp.array2d[wp.int32],
     x: wp.array3d[wp.int32],
     y: wp.array3d[wp.int32],
     label: wp.array3d[wp.int32],
@@ -187,6 +191,8 @@ def cover_features(
         uv_min: ``(B, R, C, 2)``.
         uv_max: Likewise.
         depth_range: ``(2,)``.
+        num_taken: ``(B,)``, from :func:`cover_mask`.
+        taken: ``(B, R C)``, likewise.
         x: ``(B, R, C)``, colour optical frame [depth units].
         y: Likewise.
         label: ``(B, R, C)``, -1 = none.

@@ -10,7 +10,6 @@ from jaxdet_kernels.native_source import native_kernel
 wp.set_module_options({"enable_backward": False})
 
 DIRECTIONS = 90
-CHUNK = 32
 PARTS = 4
 
 
@@ -22,8 +21,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         columns: Likewise.
         slots: Most obstacles of a frame.
     """
-    chunks = -(-columns // CHUNK)
-    by_slot = 2 * columns + 3 * DIRECTIONS + chunks + 2 + 2 * PARTS
+    by_slot = 2 * columns + 3 * DIRECTIONS + 2 + 2 * PARTS
     words = slots * by_slot + 2 + 8 * rows * columns
     return words + words % 2
 

@@ -14,78 +14,159 @@ struct Cover {
     const bool *keep, *in_view;  // (cells)
     const int *z, *low, *high;   // (cells): depth; a `PixelPair` each, first and last pixel.
     const int* range;            // (2), least and largest depth; of kept cells only the second counts.
-    int* list;                   // Scratch: (1 + cells), how many take part, and which.
+    int *count, *taken;          // (), (cells): how many take part, and which, in no order.
 
     struct Box {
         int left, top, right, bottom;
+
+        bool is_empty() const { return (left > right) | (top > bottom); }
     };
 
-    Box box(int cell) const {
-        const PixelPair first(low[cell]), last(high[cell]);
+    Box box(PixelPair first, PixelPair last) const {
         const int left = first.column() - 1, top = first.row() - 1;
         const int right = last.column() + 1, bottom = last.row() + 1;
         return {left < 0 ? 0 : left, top < 0 ? 0 : top, right < width ? right : width - 1,
                 bottom < height ? bottom : height - 1};
     }
+};
+
+// Which cells take part, and the pixels under them.
+struct CoverMask {
+    enum { GROUP = 8 };  // cells that are looked at together, since most are not kept
+
+    Cover cover;
+    unsigned* bits;  // (height, PixelBits::words(width)): whether a pixel lies under a kept cell.
 
     // Whether any cell in view is in range; all threads get it.
+    bool run() const {
+        const Team& team = cover.team;
+        const int all = cover.height * PixelBits::words(cover.width);
+        for (int i = team.rank; i < all; i += team.size) bits[i] = 0;
+        return team.any(take()) || any_in_range();
+    }
+
+    // Lists the cells that take part and paints their pixels; whether one of this thread's is in
+    // range.
+    bool take() const {
+        bool some = false;
+#if defined(__CUDA_ARCH__)
+        const Team& team = cover.team;
+        __shared__ int listed;
+        const Lanes lanes(team);
+        if (team.rank == 0) listed = 0;
+        team.sync();
+        // Groups begin where 64-bit words do.
+        const int before = (int)((size_t)cover.keep % GROUP);
+        const int groups = (before + cover.cells + GROUP - 1) / GROUP;
+        for (int start = 0; start < groups; start += team.size) {
+            const int group = start + team.rank, first = group * GROUP - before;
+            unsigned those = group < groups ? group_of(first, &some) : 0;
+            const int up_to = lanes.sum_up_to(BitRows::ones(those));
+            int place = 0;
+            if (lanes.rank == Lanes::size - 1 && up_to) place = team.add(&listed, up_to);
+            place = __shfl_sync(0xffffffff, place, Lanes::size - 1) + up_to - BitRows::ones(those);
+            if (those) paint(first, those);
+            for (; those; those &= those - 1)
+                cover.taken[place++] = first + BitRows::first(those);
+        }
+        team.sync();
+        if (team.rank == 0) *cover.count = listed;
+#else
+        int n = 0;
+        for (int first = 0; first < cover.cells; first += BitRows::WIDTH) {
+            unsigned char taken[BitRows::WIDTH];
+            const int left = cover.cells - first;
+            const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
+            for (int k = 0; k < wide; ++k) {
+                const int depth = cover.z[first + k];
+                taken[k] = cover.keep[first + k] & cover.in_view[first + k] &
+                    (depth <= cover.range[1]);
+                some |= taken[k] & (depth >= cover.range[0]);
+            }
+            unsigned those = BitRows::packed(taken, 0, wide);
+            for (int k = 0; k < BitRows::WIDTH; k += GROUP)
+                if (those >> k & 0xff) paint(first + k, those >> k & 0xff);
+            for (; those; those &= those - 1) cover.taken[n++] = first + BitRows::first(those);
+        }
+        *cover.count = n;
+#endif
+        return some;
+    }
+
+#if defined(__CUDA_ARCH__)
+    // Bit k: cell `first + k` takes part. `some` becomes true where one of these is in range.
+    unsigned group_of(int first, bool* some) const {
+        typedef unsigned long long Eight;
+        const bool *kept = cover.keep + first, *seen = cover.in_view + first;
+        unsigned those = 0, taken = 0;
+        if (first >= 0 && first + GROUP <= cover.cells && (size_t)seen % GROUP == 0) {
+            those = PixelBits::packed(Team::input((const Eight*)kept) &
+                                      Team::input((const Eight*)seen));
+        } else {
+            for (int k = 0; k < GROUP; ++k)
+                if (first + k >= 0 && first + k < cover.cells && kept[k] && seen[k])
+                    those |= 1u << k;
+        }
+        if (those == 0) return 0;
+        const int nearest = cover.range[0], farthest = cover.range[1];
+        int depth[GROUP];
+        #pragma unroll
+        for (int k = 0; k < GROUP; ++k)
+            depth[k] = those >> k & 1 ? cover.z[first + k] : 0;
+        #pragma unroll
+        for (int k = 0; k < GROUP; ++k) {
+            const bool is_taken = (those >> k & 1) & (depth[k] <= farthest);
+            taken |= (unsigned)is_taken << k;
+            *some |= is_taken & (depth[k] >= nearest);
+        }
+        return taken;
+    }
+#endif
+
     bool any_in_range() const {
         enum { AHEAD = 64 };
+        const Team& team = cover.team;
+        const int cells = cover.cells, nearest = cover.range[0], farthest = cover.range[1];
         for (int first = 0; first < cells; first += AHEAD * team.size) {
             const int last = first + AHEAD * team.size < cells ? first + AHEAD * team.size : cells;
             bool some = false;
             for (int i = first + team.rank; i < last; i += team.size)
-                some |= in_view[i] & (z[i] >= range[0]) & (z[i] <= range[1]);
+                some |= cover.in_view[i] & (cover.z[i] >= nearest) & (cover.z[i] <= farthest);
             if (team.any(some)) return true;
         }
         return false;
     }
 
-    bool takes_part(int cell) const {
-        return keep[cell] & in_view[cell] & (z[cell] <= range[1]);
+    // Of a group of cells: bit k says whether to paint cell `first + k`. Boxes of the same rows that
+    // meet, as those of neighbours mostly do, are painted as one.
+    void paint(int first, unsigned those) const {
+        int low[GROUP], high[GROUP];
+        for (int k = 0; k < GROUP; ++k) {
+            low[k] = those >> k & 1 ? cover.low[first + k] : 0;
+            high[k] = those >> k & 1 ? cover.high[first + k] : 0;
+        }
+        Cover::Box joined = {0, 0, -1, -1};
+        for (int k = 0; k < GROUP; ++k) {
+            const Cover::Box at = cover.box(low[k], high[k]);
+            if (!(those >> k & 1) || at.is_empty()) continue;
+            if (at.top == joined.top && at.bottom == joined.bottom && at.left >= joined.left &&
+                at.left <= joined.right + 1) {
+                joined.right = at.right > joined.right ? at.right : joined.right;
+                continue;
+            }
+            fill(joined);
+            joined = at;
+        }
+        fill(joined);
     }
 
-    // Lists the cells that take part, in no order.
-    void gather() const {
-#if defined(__CUDA_ARCH__)
-        // Most are not kept, so eight are looked at together.
-        typedef unsigned long long Eight;
-        if (team.rank == 0) *list = 0;
-        team.sync();
-        const int before = (int)((8 - (size_t)keep % 8) % 8), groups = (cells - before) / 8 + 2;
-        for (int group = team.rank; group < groups; group += team.size) {
-            const int first = before + (group - 1) * 8;
-            const bool is_whole = first >= 0 && first + 8 <= cells;
-            if (is_whole && *(const Eight*)(keep + first) == 0) continue;
-            for (int cell = first < 0 ? 0 : first; cell < first + 8 && cell < cells; ++cell)
-                if (keep[cell] && takes_part(cell)) list[1 + team.count(list)] = cell;
-        }
-        team.sync();
-#else
-        int n = 0;
-        for (int first = 0; first < cells; first += BitRows::WIDTH) {
-            unsigned char taken[BitRows::WIDTH];
-            const int left = cells - first;
-            const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
-            for (int k = 0; k < wide; ++k) taken[k] = takes_part(first + k);
-            for (unsigned those = BitRows::packed(taken, 0, wide); those; those &= those - 1)
-                list[1 + n++] = first + BitRows::first(those);
-        }
-        *list = n;
-#endif
-    }
-
-    // Whether each pixel lies under a kept cell: (height, PixelBits::words(width)).
-    void paint(unsigned* bits) const {
-        const int words = PixelBits::words(width);
-        for (int i = team.rank; i < height * words; i += team.size) bits[i] = 0;
-        gather();
-        for (int i = team.rank; i < *list; i += team.size) {
-            const Box at = box(list[1 + i]);
-            for (int w = at.left / 32; w <= at.right / 32 && at.left <= at.right; ++w)
-                for (int v = at.top; v <= at.bottom; ++v)
-                    team.set((int*)&bits[v * words + w],
-                             (int)PixelBits::part(w, at.left, at.right));
+    void fill(Cover::Box at) const {
+        const int words = PixelBits::words(cover.width);
+        if (at.is_empty()) return;
+        for (int w = at.left / 32; w <= at.right / 32; ++w) {
+            const unsigned part = PixelBits::part(w, at.left, at.right);
+            for (int v = at.top; v <= at.bottom; ++v)
+                cover.team.set((int*)&bits[v * words + w], (int)part);
         }
     }
 };
@@ -129,9 +210,11 @@ struct SampledCells {
 #endif
             for (int i = lanes.rank; i < across; i += Lanes::size) {
                 const int k = from + 2 * i;
-                const bool seen = cover.in_view[k], is_kept = seen & cover.keep[k];
-                const int right = x[k], down = y[k], depth = cover.z[k], own = label[k];
-                const PixelPair low(cover.low[k]), high(cover.high[k]);
+                const bool seen = Team::input(cover.in_view + k);
+                const bool is_kept = seen & Team::input(cover.keep + k);
+                const int right = Team::input(x + k), down = Team::input(y + k);
+                const int depth = Team::input(cover.z + k), own = Team::input(label + k);
+                const PixelPair low(Team::input(cover.low + k)), high(Team::input(cover.high + k));
                 out.put(to + i, (low.column() + high.column()) >> 1, (low.row() + high.row()) >> 1,
                         is_kept);
                 out.place(to + i, right, down, depth, seen ? own : -1, is_kept);
@@ -152,7 +235,16 @@ struct CoveredCorners {
     // and its coordinates; 0 and -1 without one.
     FeatureSlots out;
 
-    enum { CELL_BITS = 18, TILE = 8, RAY_BITS = 20 };
+    enum {
+        CELL_BITS = 18,
+        TILE = 8,
+        RAY_BITS = 20,
+#if defined(__CUDA_ARCH__)
+        AHEAD = 4  // the loads of so many cells wait together
+#else
+        AHEAD = 1
+#endif
+    };
 
     void run() const {
         const Team& team = cover.team;
@@ -164,32 +256,47 @@ struct CoveredCorners {
         const unsigned long long nothing = ~0ull;
         for (int i = team.rank; i < tiles; i += team.size) first[i] = -1;
         for (int i = team.rank; i < slots; i += team.size) nearest[i] = nothing;
-        cover.gather();
+        team.sync();
         for (int i = team.rank; i < count; i += team.size)
             next[i] = team.swap(&first[v[i] / TILE * across + u[i] / TILE], i);
         team.sync();
-        for (int k = team.rank; k < *cover.list; k += team.size) {
-            const int cell = cover.list[1 + k];
-            const Cover::Box at = cover.box(cell);
-            if (at.left > at.right || at.top > at.bottom) continue;
-            const unsigned long long key =
-                (unsigned long long)cover.z[cell] << CELL_BITS | (unsigned)cell;
-            for (int row = at.top / TILE; row <= at.bottom / TILE; ++row)
-                for (int column = at.left / TILE; column <= at.right / TILE; ++column)
-                    for (int i = first[row * across + column]; i >= 0; i = next[i]) {
-                        const bool is_under = (at.left <= u[i]) & (u[i] <= at.right) &
-                            (at.top <= v[i]) & (v[i] <= at.bottom);
-                        if (is_under) team.least(&nearest[i], key);
-                    }
+        const int all = *cover.count;
+        for (int start = team.rank; start < all; start += AHEAD * team.size) {
+            int cell[AHEAD], low[AHEAD], high[AHEAD], depth[AHEAD];
+                for (int n = 0; n < AHEAD; ++n) {
+                const int k = start + n * team.size;
+                cell[n] = k < all ? cover.taken[k] : -1;
+            }
+                for (int n = 0; n < AHEAD; ++n) {
+                low[n] = cell[n] < 0 ? 0 : cover.low[cell[n]];
+                high[n] = cell[n] < 0 ? 0 : cover.high[cell[n]];
+                depth[n] = cell[n] < 0 ? 0 : cover.z[cell[n]];
+            }
+                for (int n = 0; n < AHEAD; ++n) {
+                const Cover::Box at = cover.box(low[n], high[n]);
+                if (cell[n] < 0 || at.is_empty()) continue;
+                const unsigned long long key =
+                    (unsigned long long)depth[n] << CELL_BITS | (unsigned)cell[n];
+                for (int row = at.top / TILE; row <= at.bottom / TILE; ++row)
+                    for (int column = at.left / TILE; column <= at.right / TILE; ++column)
+                        for (int i = first[row * across + column]; i >= 0; i = next[i]) {
+                            const bool is_under = (at.left <= u[i]) & (u[i] <= at.right) &
+                                (at.top <= v[i]) & (v[i] <= at.bottom);
+                            if (is_under) team.least(&nearest[i], key);
+                        }
+            }
         }
         team.sync();
         for (int i = team.rank; i < slots; i += team.size) {
+            const int column = Team::input(u + i), row = Team::input(v + i);
+            const int pixel = row * cover.width + column;
+            const int right = Team::input(ray_x + pixel), down = Team::input(ray_y + pixel);
             const bool is_covered = nearest[i] != nothing;
             const int cell = (int)(nearest[i] & ((1ull << CELL_BITS) - 1));
-            const int depth = is_covered ? cover.z[cell] : 0, pixel = v[i] * cover.width + u[i];
-            out.put(i, u[i], v[i], i < count);
-            out.place(i, lateral(ray_x[pixel], depth), lateral(ray_y[pixel], depth), depth,
-                      is_covered ? label[cell] : -1, is_covered);
+            const int depth = is_covered ? Team::input(cover.z + cell) : 0;
+            const int own = is_covered ? Team::input(label + cell) : -1;
+            out.put(i, column, row, i < count);
+            out.place(i, lateral(right, depth), lateral(down, depth), depth, own, is_covered);
         }
     }
 

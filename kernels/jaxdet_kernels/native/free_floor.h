@@ -13,7 +13,15 @@ struct FreeFloor {
         BESIDE = 10,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
-        AHEAD = 4  // on CUDA the loads of so many cells wait together
+        // On CUDA the loads of so many cells wait together: up to the nearest obstacle, on the way
+        // up the floor, and behind its end.
+        SEEK = 8,
+        AHEAD = 4,
+#if defined(__CUDA_ARCH__)
+        BEHIND = 4
+#else
+        BEHIND = 1
+#endif
     };
 
     // What is known of a column while one goes up its cells.
@@ -62,9 +70,13 @@ struct FreeFloor {
                     on[n] = bottom >= n && low[k];
                     ahead[n] = forward[k], high[n] = height[k], depth[n] = z[k];
                 }
-                for (int n = 0; n < AHEAD; ++n) bow[n] = bows[depth[n]], drop[n] = drops[depth[n]];
+                for (int n = 0; n < AHEAD; ++n) {
+                    on[n] &= (ahead[n] < column.limit) & (depth[n] <= far);
+                    bow[n] = on[n] ? bows[depth[n]] : 0;
+                    drop[n] = on[n] ? drops[depth[n]] : 0;
+                }
                 for (int n = 0; n < AHEAD && !column.ended; ++n)
-                    if (on[n] && ahead[n] < column.limit && depth[n] <= far && high[n] >= -bow[n])
+                    if (on[n] && high[n] >= -bow[n])
                         follow(column, bottom - n, c, ahead[n], high[n], drop[n]);
             }
             put(column, c);
@@ -101,15 +113,15 @@ struct FreeFloor {
 #if defined(__CUDA_ARCH__)
     Column nearest_of(int c) const {
         int distance = LARGEST, found = -1;
-        for (int top = 0; top < rows; top += AHEAD) {
-            int own[AHEAD], ahead[AHEAD];
-            for (int n = 0; n < AHEAD; ++n) {
+        for (int top = 0; top < rows; top += SEEK) {
+            int own[SEEK], ahead[SEEK];
+            for (int n = 0; n < SEEK; ++n) {
                 const int row = top + n;
                 own[n] = row < rows ? label[row * columns + c] : -1;
             }
-            for (int n = 0; n < AHEAD; ++n)
+            for (int n = 0; n < SEEK; ++n)
                 ahead[n] = own[n] >= 0 ? forward[(top + n) * columns + c] : (int)LARGEST;
-            for (int n = 0; n < AHEAD; ++n) {
+            for (int n = 0; n < SEEK; ++n) {
                 if (ahead[n] >= distance) continue;
                 distance = ahead[n];
                 found = top + n;
@@ -157,16 +169,25 @@ struct FreeFloor {
     // Whether the next RUN measured cells up a column are a drop lower, and lie flat.
     int falls_after(const Column& column, int c) const {
         int found = 0, before_height = 0, before_forward = 0;
-        for (int row = column.last - 1; row >= 0; --row) {
-            const int k = row * columns + c;
-            if (label[k] >= 0) return 0;
-            if (!low[k]) continue;
-            if (column.height - height[k] <= drops[z[k]]) return 0;
-            const int rise = height[k] - before_height, run = forward[k] - before_forward;
-            if (found > 0 && (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run)) return 0;
-            if (++found == RUN) return 1;
-            before_height = height[k];
-            before_forward = forward[k];
+        for (int first = column.last - 1; first >= 0; first -= BEHIND) {
+            int own[BEHIND];
+            bool on[BEHIND];
+            for (int n = 0; n < BEHIND; ++n) {
+                const int k = (first > n ? first - n : 0) * columns + c;
+                own[n] = first >= n ? label[k] : -1;
+                on[n] = first >= n && low[k];
+            }
+            for (int n = 0; n < BEHIND; ++n) {
+                if (own[n] >= 0) return 0;
+                if (!on[n]) continue;
+                const int k = (first - n) * columns + c;
+                if (column.height - height[k] <= drops[z[k]]) return 0;
+                const int rise = height[k] - before_height, run = forward[k] - before_forward;
+                if (found > 0 && (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run)) return 0;
+                if (++found == RUN) return 1;
+                before_height = height[k];
+                before_forward = forward[k];
+            }
         }
         return 0;
     }

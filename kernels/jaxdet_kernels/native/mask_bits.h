@@ -14,13 +14,18 @@ struct MaskBits {
     void run() const {
         const int words = PixelBits::words(width);
 #if defined(__CUDA_ARCH__)
-        // A warp a word.
-        const int lane = team.rank % 32, warps = team.size / 32;
-        for (int i = team.rank / 32; i < height * words; i += warps) {
-            const int y = i / words, x = (i - y * words) * 32 + lane;
-            const unsigned bits =
-                __ballot_sync(0xffffffffu, x < width && mask[(size_t)y * width + x]);
-            if (lane == 0) bits_out[i] = bits;
+        // A word a thread.
+        for (int i = team.rank; i < height * words; i += team.size) {
+            const int y = i / words, x = (i - y * words) * 32;
+            const bool* from = mask + (size_t)y * width + x;
+            unsigned bits = 0;
+            if (x + 32 <= width && (size_t)from % sizeof(Word) == 0) {
+                for (int k = 0; k < 4; ++k)
+                    bits |= PixelBits::packed(Team::input((const Word*)from + k)) << 8 * k;
+            } else {
+                for (int k = 0; k < 32 && x + k < width; ++k) bits |= (unsigned)from[k] << k;
+            }
+            bits_out[i] = bits;
         }
 #else
         for (int y = 0; y < height; ++y) {

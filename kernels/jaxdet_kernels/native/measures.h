@@ -45,12 +45,6 @@ struct Measures {
             xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[2 * i] = xyz_sum_out[2 * i + 1] = 0;
     }
 
-    // Measures all but the vertex, when the cells are sorted; then all threads wait.
-    void run() const {
-        for (int piece = lanes.index; piece < KINDS * cells.count; piece += lanes.count)
-            measure(piece / KINDS, piece % KINDS);
-    }
-
     // Whether C stands out: when A, B and C are there.
     void find_vertices() const {
         for (int i = cells.team.rank; i < cells.count; i += cells.team.size) {
@@ -60,6 +54,7 @@ struct Measures {
         }
     }
 
+    // All but the vertex, when the cells are sorted.
     void measure(int number, int kind) const {
         const ObstacleCells::Range shown = cells.shown(number);
         if (kind == HEIGHT)

@@ -70,15 +70,12 @@ struct ObstacleCells {
         return place(listed.label[i], in_view[k], k % columns);
     }
 
-    // By one thread, after all cells are counted; then all threads wait.
-    void order() const {
-        int start = 0;
-        for (int i = 0; i < PARTS * count; ++i) {
-            const int size = filled[i];
-            starts[i] = filled[i] = start;
-            start += size;
-        }
-        starts[PARTS * count] = start;
+    // By the first warp, after all cells are counted; then all threads wait.
+    void order(const Lanes& lanes) const {
+        const int all = PARTS * count;
+        for (int i = lanes.rank; i < all; i += lanes.size) starts[i] = filled[i];
+        lanes.run_up(starts, all);
+        for (int i = lanes.rank; i < all; i += lanes.size) filled[i] = starts[i];
     }
 
     // Puts the cells in order; then all threads wait.

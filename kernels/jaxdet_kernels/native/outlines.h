@@ -11,8 +11,6 @@ struct Outlines {
         DIRECTIONS = 90,
         DIRECTION_BITS = 9,
         LONG_TRIM = 20,
-        // Columns of cells that a thread looks at for contours.
-        CHUNK = 32,
         // Cells of a frame are counted in so many bits.
         CELL_BITS = 20,
         // Larger than any sum of distances to edges, without its fraction.
@@ -31,8 +29,6 @@ struct Outlines {
     // By obstacle and direction: what is compared.
     long long* area;
     int* cost;
-    // By obstacle and chunk of columns: points of the contour.
-    int* points_of;
     // By obstacle: points of the contour in the margins to the left and to the right.
     int* margins;
     // By place in the order of the cells: along or across the direction.
@@ -46,13 +42,10 @@ struct Outlines {
         nearest = (unsigned long long*)scratch;
         area = (long long*)(nearest + (long long)slots * cells.columns);
         cost = (int*)(area + slots * DIRECTIONS);
-        points_of = cost + slots * DIRECTIONS;
-        margins = points_of + slots * chunks();
+        margins = cost + slots * DIRECTIONS;
         projected = margins + 2 * slots;
         return projected + cells.cells;
     }
-
-    int chunks() const { return (cells.columns + CHUNK - 1) / CHUNK; }
 
     // All of it, `measures` included.
     void run() const {
@@ -64,18 +57,24 @@ struct Outlines {
         cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
         look();
         team.sync();
-        if (team.rank == 0) cells.order();
-        count_points();
+        if (lanes.index == 0) cells.order(lanes);
+        for (int number = lanes.index; number < cells.count; number += lanes.count)
+            put_contour(number);
         team.sync();
         cells.sort();
-        put_contours();
-        team.sync();
         compare_directions();
-        measures.run();
+        team.sync();
+        // The rectangle of an obstacle is one piece of work, and so is each of its measures.
+        enum { PIECES = Measures::KINDS + 1 };
+        for (int piece = lanes.index; piece < PIECES * cells.count; piece += lanes.count) {
+            const int number = piece / PIECES, kind = piece % PIECES;
+            if (kind == Measures::KINDS)
+                put_rectangle(number);
+            else
+                measures.measure(number, kind);
+        }
         team.sync();
         measures.find_vertices();
-        for (int number = lanes.index; number < cells.count; number += lanes.count)
-            put_rectangle(number);
         team.sync();
     }
 
@@ -85,7 +84,6 @@ struct Outlines {
         const unsigned long long none = ~0ull;
         unsigned long long* const pairs = (unsigned long long*)contour_out;
         for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
-        for (int i = team.rank; i < 2 * cells.count; i += team.size) margins[i] = 0;
         for (int i = team.rank; i < points; i += team.size) pairs[i] = 0;
         for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
         for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
@@ -109,38 +107,25 @@ struct Outlines {
         return (unsigned long long)(x * x + y * y) << CELL_BITS | (unsigned)k;
     }
 
-    void count_points() const {
-        const Team& team = cells.team;
-        for (int piece = team.rank; piece < cells.count * chunks(); piece += team.size) {
-            const int first = piece % chunks() * CHUNK;
-            const unsigned long long* own = nearest + piece / chunks() * cells.columns;
-            int points = 0;
-            for (int c = first; c < first + CHUNK && c < cells.columns; ++c)
-                points += own[c] != ~0ull;
-            points_of[piece] = points;
+    // The nearest cells of an obstacle from left to right, and how many lie in either margin.
+    void put_contour(int number) const {
+        const unsigned long long* own = nearest + number * cells.columns;
+        int* out = contour_out + 2 * number * capacity;
+        int points = 0, sides[2] = {0, 0}, found;
+        for (int first = 0; first < cells.columns; first += lanes.size, points += found) {
+            const int c = first + lanes.rank;
+            const unsigned long long key = c < cells.columns ? own[c] : ~0ull;
+            const int at = points + lanes.before(key != ~0ull, &found);
+            if (key == ~0ull || at >= capacity) continue;
+            const int k = (int)(key & ((1 << CELL_BITS) - 1));
+            out[2 * at] = cells.right[k];
+            out[2 * at + 1] = cells.forward[k];
+            if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
         }
-    }
-
-    void put_contours() const {
-        const Team& team = cells.team;
-        for (int piece = team.rank; piece < cells.count * chunks(); piece += team.size) {
-            const int number = piece / chunks(), first = piece % chunks() * CHUNK;
-            const unsigned long long* own = nearest + number * cells.columns;
-            int* out = contour_out + 2 * number * capacity;
-            int at = 0, sides[2] = {0, 0};
-            for (int before = number * chunks(); before < piece; ++before) at += points_of[before];
-            for (int c = first; c < first + CHUNK && c < cells.columns; ++c) {
-                if (own[c] == ~0ull || at == capacity) continue;
-                const int k = (int)(own[c] & ((1 << CELL_BITS) - 1));
-                out[2 * at] = cells.right[k];
-                out[2 * at + 1] = cells.forward[k];
-                ++at;
-                if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
-            }
-            for (int side = 0; side < 2; ++side)
-                if (sides[side]) team.add(margins + 2 * number + side, sides[side]);
-            if (piece % chunks() == chunks() - 1) points_out[number] = at;
-        }
+        for (int side = 0; side < 2; ++side) sides[side] = lanes.sum(sides[side]);
+        if (lanes.rank) return;
+        points_out[number] = points < capacity ? points : capacity;
+        for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
     }
 
     // How well each direction fits each contour, without its points in the margins unless more

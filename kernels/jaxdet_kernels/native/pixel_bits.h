@@ -15,6 +15,11 @@ struct PixelBits {
         return in;
     }
 
+    // Eight bytes, each 0 or 1, as bits: the product moves all of them into the highest byte.
+    static unsigned packed(unsigned long long bytes) {
+        return (unsigned)(bytes * 0x0102040810204080ull >> 56);
+    }
+
     // An index mirrored at the first and last of `n` rows or columns, which are not repeated.
     static int mirrored(int i, int n) {
         i = i < 0 ? -i : i;

@@ -41,6 +41,32 @@ struct Team {
 #endif
     }
 
+    // Reads what the kernel writes nowhere, so that the load may be moved before stores.
+    static int input(const int* place) {
+#if defined(__CUDA_ARCH__)
+        return __ldg(place);
+#else
+        return *place;
+#endif
+    }
+
+    static bool input(const bool* place) {
+#if defined(__CUDA_ARCH__)
+        return __ldg((const unsigned char*)place);
+#else
+        return *place;
+#endif
+    }
+
+    // Eight bytes.
+    static unsigned long long input(const unsigned long long* place) {
+#if defined(__CUDA_ARCH__)
+        return __ldg(place);
+#else
+        return *place;
+#endif
+    }
+
     // Whether any thread says so; all threads must ask.
     bool any(bool mine) const {
 #if defined(__CUDA_ARCH__)
