@@ -184,7 +184,7 @@ def frames_of(size: str, batch: int) -> Frames:
 
 
 def _on_lines(images: np.ndarray) -> np.ndarray:
-    """A copy whose memory starts at a multiple of 64 bytes; XLA copies other arrays at each call."""
+    """A copy whose memory starts at a multiple of 64 bytes; XLA copies others at each call."""
     memory = np.empty(images.nbytes + 64, np.uint8)
     start = -memory.ctypes.data % 64
     copy = memory[start : start + images.nbytes].view(images.dtype).reshape(images.shape)

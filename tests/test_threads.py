@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 import pytest
-import warp as wp
 
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
@@ -56,14 +55,14 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
 def test_each_share_has_a_thread_of_its_own(threads, monkeypatch):
     """They are under way at the same time: each waits for all the others."""
     together, names = threading.Barrier(threads, timeout=30.0), set()
-    launch = wp.Launch.launch
+    launch = _threads._Launch.run
 
-    def waits(self: Any, *given: Any) -> None:
+    def waits(self: Any) -> None:
         names.add(threading.get_ident())
         together.wait()
-        launch(self, *given)
+        launch(self)
 
-    monkeypatch.setattr(wp.Launch, "launch", waits)
+    monkeypatch.setattr(_threads._Launch, "run", waits)
     depth = noise_depth(5, small().depth)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
     assert len(names) == threads
@@ -74,15 +73,15 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
     _threads._crew.cache_clear()
     jax.clear_caches()
     depth = noise_depth(4, small().depth)
-    launch = wp.Launch.launch
+    launch = _threads._Launch.run
 
-    def fails(self: Any, *given: Any) -> None:
-        if self.bounds.size == 2 and threading.current_thread().name.startswith("jaxdet-kernel"):
+    def fails(self: Any) -> None:
+        if threading.current_thread().name.startswith("jaxdet-kernel"):
             raise ArithmeticError("in a thread")
-        launch(self, *given)
+        launch(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(wp.Launch, "launch", fails)
+        patch.setattr(_threads._Launch, "run", fails)
         with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
             jax.block_until_ready(stages.align(depth, small()))
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))

@@ -5,6 +5,7 @@ the frames of a batch are shared out, and each core launches the kernel for its 
 thread for the first, a thread each for the others.
 """
 
+import ctypes
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +64,7 @@ class FrameKernel:
         inputs = len(types) + len(in_out_argnames) - num_outputs
         self._kernel, self._types, self._inputs = kernel, types, list(types)[:inputs]
         self._outputs = [*in_out_argnames, *list(types)[inputs : len(types) - num_kept]]
-        self._kept = {name: np.empty(0, np.uint8) for name in list(types)[len(types) - num_kept :]}
+        self._kept = {name: _Memory(0) for name in list(types)[len(types) - num_kept :]}
         self._name = f"{kernel.func.__module__}.{kernel.func.__qualname__}"
         self._calls: dict[int, _Call] = {}
         _xla.register(self._name, self._run)
@@ -103,12 +104,11 @@ class FrameKernel:
         with _lock:
             if not call.launches:
                 self._prepare(call)
-            kept = {name: self._memory(name, call.shapes[name]) for name in self._kept}
-            for name, address in [*zip(call.order, addresses, strict=True), *kept.items()]:
-                index = call.index[name]
-                for launch in call.launches:
-                    launch.params[index].data = address
-            _on_all_cores([launch.launch for launch in call.launches])
+            kept = [self._memory(name, call.shapes[name]) for name in self._kept]
+            for launch in call.launches:
+                for place, address in zip(launch.places, (*addresses, *kept), strict=True):
+                    place.value = address
+            _on_all_cores([launch.run for launch in call.launches])
 
     def _prepare(self, call: "_Call") -> None:
         """Records the launches of a call; to set all of their arguments anew takes longer."""
@@ -118,22 +118,20 @@ class FrameKernel:
             else wp.array(ptr=64, dtype=of.dtype, shape=call.shapes[name], device="cpu")
             for name, of in self._types.items()
         }
-        # The first parameter is the launch's own.
-        call.index.update({name: 3 + i for i, name in enumerate(values)})
+        names = ["share", "shares", *values]
+        arrays = [names.index(name) for name in (*call.order, *self._kept)]
         for share in range(call.shares):
             given, frames = [share, call.shares, *values.values()], call.frames - share
             threads = -(-frames // call.shares)
-            call.launches.append(
-                wp.launch(self._kernel, threads, given, device="cpu", record_cmd=True)
-            )
+            recorded = wp.launch(self._kernel, threads, given, device="cpu", record_cmd=True)
+            call.launches.append(_Launch(recorded, arrays))
 
     def _memory(self, name: str, shape: tuple[int, ...]) -> int:
         """The address of memory that is kept, as much as was ever asked for; at 64 bytes."""
-        size = 64 + math.prod(shape) * wp.types.type_size_in_bytes(self._types[name].dtype)
-        if self._kept[name].nbytes < size:
-            self._kept[name] = np.empty(size, np.uint8)
-        address = self._kept[name].ctypes.data
-        return address + -address % 64
+        size = math.prod(shape) * wp.types.type_size_in_bytes(self._types[name].dtype)
+        if self._kept[name].size < size:
+            self._kept[name] = _Memory(size)
+        return self._kept[name].address
 
 
 @dataclass(frozen=True)
@@ -146,9 +144,7 @@ class _Call:
     shapes: dict[str, tuple[int, ...]]
     order: list[str]
     """Of the addresses that XLA gives."""
-    index: dict[str, int] = field(default_factory=dict)
-    """Of each argument, in the launches' parameters."""
-    launches: list[Any] = field(default_factory=list)
+    launches: list["_Launch"] = field(default_factory=list)
     """One for each share, once they are recorded."""
 
     @property
@@ -156,6 +152,45 @@ class _Call:
         """Of equal calls alike in all processes: programs are kept on disk with it."""
         what = repr((self.frames, self.shares, self.scalars, self.shapes, self.order))
         return int.from_bytes(blake2b(what.encode(), digest_size=7).digest(), "big")
+
+
+class _Launch:
+    """A recorded launch whose arguments stay in place.
+
+    :meth:`warp.Launch.launch` gathers them anew each time, which takes longer than all else here.
+    """
+
+    def __init__(self, recorded: Any, arrays: Sequence[int]) -> None:
+        """Lays out the arguments as the compiled kernel takes them.
+
+        Args:
+            recorded: By Warp.
+            arrays: Numbers of the arguments whose addresses change.
+        """
+        self._bounds, *values = recorded.params
+        fields = [(f"argument_{i}", type(value)) for i, value in enumerate(values)]
+        layout = type("_Arguments", (ctypes.Structure,), {"_fields_": fields})
+        self._arguments = layout(*values)
+        self._recorded = recorded  # which the compiled code belongs to
+        self._forward = recorded.hooks.forward
+        self.places = [
+            ctypes.c_uint64.from_buffer(getattr(self._arguments, f"argument_{i}")) for i in arrays
+        ]
+        """The arrays' addresses, first in what Warp tells of an array."""
+
+    def run(self) -> None:
+        """Runs it."""
+        self._forward(ctypes.byref(self._bounds), ctypes.byref(self._arguments))
+
+
+class _Memory:
+    """Bytes that begin with a cache line."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._bytes = np.empty(size + 64, np.uint8)
+        start = self._bytes.ctypes.data
+        self.address = start + -start % 64
 
 
 _lock = Lock()
