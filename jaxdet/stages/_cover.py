@@ -75,5 +75,5 @@ def features_on_cells(
             shapes=dict.fromkeys(names, (batch, slots + sampled[0] * sampled[1])),
             scratch=kernels.cover_scratch(height, width, slots),
         )  # fmt: skip
-        found = Features(*places, valid, kept, overflow=count > slots)
+        found = Features._make((*places, valid, kept, count > slots))
         return CellFeatures(found, of_cells, has_depth)
