@@ -5,7 +5,9 @@ import os
 import signal
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -33,7 +35,7 @@ from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import flush, writing
 from jaxdet.results.manifest import MANIFEST, make_manifest
 from jaxdet.results.names import camera_file_name, file_names
 from jaxdet.results.occupancy import OccupancyMap, save_map
@@ -378,6 +380,8 @@ class _LogRun:
                 about.add(counts)
                 clock.tick()
                 self.report(about, log.label, len(log.frames), "")
+        with writing(self.folder), ThreadPoolExecutor() as disk:  # units did not wait for it
+            deque(disk.map(flush, (part_path(self.folder, unit) for unit in units)), 0)
         about.seconds = clock.seconds
 
     def _save(self, log: "Log", plan: LogPlan) -> "Path":

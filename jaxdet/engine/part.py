@@ -38,12 +38,12 @@ class Part(NamedTuple):
         return None if content is None else pickle.loads(content)
 
     def save(self, folder: Path, unit: Unit) -> None:
-        """Writes it.
+        """Writes it; whoever counts on it waits for the disk.
 
         Raises:
             OutputError: The disk is full or broken.
         """
-        write_checked(part_path(folder, unit), pickle.dumps(self, 5))
+        write_checked(part_path(folder, unit), pickle.dumps(self, 5), wait=False)
 
 
 def part_path(folder: Path, unit: Unit) -> Path:

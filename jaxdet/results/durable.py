@@ -26,20 +26,28 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(problem, path=str(error.filename or path), remedy=remedy) from error
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file beside its place, flushes it to the disk and renames it there."""
+def write_whole(path: Path, *content: bytes, wait: bool = True) -> None:
+    """Writes a file beside its place and renames it there.
+
+    Args:
+        path: The file.
+        content: What comes into it, one after the other.
+        wait: Until it is on the disk. Else only the system's failure, not this process's, can
+            leave a file that is not whole.
+    """
     new = path.with_name(f"{path.name}.{os.getpid()}")
     with writing(path):
         with new.open("wb") as file:
-            file.write(content)
+            file.writelines(content)
             file.flush()
-            os.fsync(file.fileno())
+            if wait:
+                os.fsync(file.fileno())
         new.replace(path)
 
 
-def write_checked(path: Path, content: bytes) -> None:
+def write_checked(path: Path, content: bytes, *, wait: bool = True) -> None:
     """:func:`write_whole` with a checksum before the content, for :func:`read_checked`."""
-    write_whole(path, hashlib.sha256(content).digest() + content)
+    write_whole(path, hashlib.sha256(content).digest(), content, wait=wait)
 
 
 def read_checked(path: Path) -> memoryview | None:
