@@ -63,7 +63,8 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     else:
         sources = [color_source, depth_source]
         depth = find_intrinsics(depth_source)
-        found = find_extrinsics(index, options, choice.depth, color_frame, depth_frame, path)
+        topics = choice.color, choice.depth
+        found = find_extrinsics(index, options, topics, color_frame, depth_frame, path)
         origins.append(_line("depth", depth.intrinsics, depth.origin))
         warnings += [*depth.warnings, *found.warnings]
         calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
@@ -171,9 +172,10 @@ def _info_topic(
         return topic if topic in known else ""
     parts = stream.topic.split("/")
     for end in range(len(parts) - 1, max(len(parts) - 3, 0), -1):
-        topic = "/".join([*parts[:end], "camera_info"])
-        if topic in known:
-            return topic
+        for name in ("camera_info", "info/camera_info"):  # the second is librealsense's
+            topic = "/".join([*parts[:end], name])
+            if topic in known:
+                return topic
     frame = _frame(stream, depth)
     same = [name for name, item in known.items() if frame and _frame_of(item.first) == frame]
     best = max((affinity(name, stream.topic) for name in same), default=0)

@@ -1,6 +1,11 @@
-"""One MCAP file: its bytes by position, whole chunks and their heads."""
+"""The files of a log: bytes by position, whole chunks and their heads.
+
+Whatever a file's format is, its messages are read as those of an MCAP file: from chunks whose
+records, once decompressed, are MCAP's.
+"""
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -40,7 +45,7 @@ class FileState(NamedTuple):
         return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 
-class McapFile:
+class LogFile(ABC):
     """One open file; threads may share it, since no read moves its position.
 
     Args:
@@ -49,8 +54,13 @@ class McapFile:
         state: What it must still be; default: as it is found.
 
     Raises:
-        InputError: It can't be opened, isn't an MCAP file, or is not as ``state`` says.
+        InputError: It can't be opened, has another format, or is not as ``state`` says.
     """
+
+    magic: bytes
+    """What it begins with."""
+    kind: str
+    """The format's name, for people."""
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes
@@ -60,23 +70,21 @@ class McapFile:
             self.state = state or FileState.of(os.fstat(self._descriptor))
             self.size = self.state.size
             self.check_unchanged()
-            magic = self.read(0, min(self.size, len(MAGIC)))
-        except InputError:
-            self._file.close()
-            raise
+            magic = LogFile.read(self, 0, min(self.size, len(self.magic)))
         except (OSError, DamageError) as error:
             text = getattr(error, "strerror", None) or error
             problem = f"can't be read ({text})"
             raise InputError(problem, path=str(path), remedy="check the file") from error
-        if magic != MAGIC or self.size <= 2 * len(MAGIC):
+        if magic != self.magic or self.size <= 2 * len(self.magic):
             self._file.close()
-            problem = "the file is empty" if not self.size else "not an MCAP file"
-            problem = "the MCAP file holds no records" if magic == MAGIC else problem
+            problem = "the file is empty" if not self.size else f"not {self.kind} file"
+            if magic == self.magic:
+                problem = f"the {self.kind.partition(' ')[2]} file holds no records"
             raise InputError(problem, path=str(path), remedy="record it again or leave it out")
 
     def __reduce__(self) -> tuple:
         """In another process the file is opened again."""
-        return McapFile, (self.path, self.max_bytes, self.state)
+        return type(self), (self.path, self.max_bytes, self.state)
 
     def close(self) -> None:
         """Closes the file."""
@@ -98,18 +106,21 @@ class McapFile:
             remedy = "read it again when nothing writes to it"
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
+    @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
-        """The head of the chunk record whose content begins at ``position``.
+        """The head of the chunk at ``position``, which is any number that the index gives it.
 
         Raises:
-            DamageError: It isn't one.
+            DamageError: There is none.
         """
-        start = position - RECORD_HEAD.size
-        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
-        opcode, length = RECORD_HEAD.unpack_from(known)
-        if opcode != Opcode.CHUNK:
-            raise DamageError("no chunk where one should be")
-        return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
+
+    @abstractmethod
+    def chunk(self, position: int) -> bytes:
+        """The decompressed chunk at ``position``; its messages are MCAP's records.
+
+        Raises:
+            DamageError: It can't be read any more.
+        """
 
     def chunk_bytes(self, position: int) -> int:
         """How much :meth:`chunk` may return there; 0 where no chunk can be."""
@@ -117,16 +128,6 @@ class McapFile:
             return min(self.chunk_head(position).uncompressed_size, self.max_bytes)
         except DamageError:
             return 0
-
-    def chunk(self, position: int) -> bytes:
-        """The decompressed chunk whose record's content begins at ``position``.
-
-        Raises:
-            DamageError: It can't be read any more.
-        """
-        head = self.chunk_head(position)
-        data = self.read(position + head.data_offset, min(head.data_size, self.max_bytes + 1))
-        return decompress(head, data, self.max_bytes)
 
     def read(self, position: int, size: int) -> bytes:
         """Exactly ``size`` bytes at ``position``.
@@ -146,7 +147,7 @@ class McapFile:
             raise DamageError("file ends early")
         whole = bytearray(size)
         whole[: len(data)] = data
-        self.read_into(position + len(data), [memoryview(whole)[len(data) :]])
+        LogFile.read_into(self, position + len(data), [memoryview(whole)[len(data) :]])
         return bytes(whole)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
@@ -173,6 +174,36 @@ class McapFile:
             left = left[done:]
             if count:
                 left[0] = left[0][count:]
+
+
+class McapFile(LogFile):
+    """An MCAP file; the position of a chunk is where its record's content begins."""
+
+    magic = MAGIC
+    kind = "an MCAP"
+
+    def chunk_head(self, position: int) -> ChunkHead:
+        """The head of the chunk record whose content begins at ``position``.
+
+        Raises:
+            DamageError: It isn't one.
+        """
+        start = position - RECORD_HEAD.size
+        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
+        opcode, length = RECORD_HEAD.unpack_from(known)
+        if opcode != Opcode.CHUNK:
+            raise DamageError("no chunk where one should be")
+        return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
+
+    def chunk(self, position: int) -> bytes:
+        """The decompressed chunk whose record's content begins at ``position``.
+
+        Raises:
+            DamageError: It can't be read any more.
+        """
+        head = self.chunk_head(position)
+        data = self.read(position + head.data_offset, min(head.data_size, self.max_bytes + 1))
+        return decompress(head, data, self.max_bytes)
 
 
 def _unreadable(error: Exception) -> DamageError:

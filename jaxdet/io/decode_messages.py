@@ -1,6 +1,6 @@
-"""CDR, protobuf and JSON to the messages of :mod:`jaxdet.io.messages`.
+"""CDR, ROS 1, protobuf and JSON to the messages of :mod:`jaxdet.io.messages`.
 
-All three are decoded by the schema that stands in the log, never by offsets known beforehand.
+All are decoded by the schema that stands in the log, never by offsets known beforehand.
 """
 
 import json
@@ -23,9 +23,18 @@ from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SCHEMA_LINES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
+from jaxdet.io.ros1 import MissingRosbagsError, ros1_decoder
 
-_HEADER_FIRST = re.compile(r"\s*std_msgs/(msg/)?Header\s+header\s*")
-_STAMP_FIRST = re.compile(r"\s*builtin_interfaces/(msg/)?Time\s+stamp\s*")
+_HEADERS = {
+    "cdr": (
+        re.compile(r"std_msgs/(msg/)?Header header"),
+        re.compile(r"builtin_interfaces/(msg/)?Time stamp(; .*)?"),
+    ),
+    "ros1": (re.compile(r"(std_msgs/)?Header header"), re.compile(r"uint32 seq; time stamp")),
+}
+"""The first field of a message and the first two of its header, where the stamp leads."""
+STAMP_BYTES = 12
+"""In which a stamp that leads is."""
 
 
 class MessageDecoder:
@@ -47,9 +56,7 @@ class MessageDecoder:
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
         self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
-        self.stamp_leads: bool = channel.message_encoding == "cdr" and _stamp_leads(
-            channel.schema_text
-        )
+        self.stamp_leads: bool = _stamp_leads(channel.message_encoding, channel.schema_text)
         small = kind not in IMAGE_KINDS
         json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
         self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
@@ -76,8 +83,20 @@ class MessageDecoder:
             problem = f"{self.kind.value} message can't be decoded ({_short(error)})"
             raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
 
+    def reads_stamp(self, head: bytes | memoryview) -> bool:
+        """Whether the header stamp can be told by a message's first bytes.
+
+        CDR has it after its own 4 bytes, of which one says the order; ROS 1 after the header's
+        number, little-endian.
+        """
+        if not self.stamp_leads or len(head) < STAMP_BYTES:
+            return False
+        return self.channel.message_encoding == "ros1" or head[1] in (0, 1)
+
     def _readable(self, payload: bytes | memoryview) -> Any:
-        """What the decoder reads: a copy, but for CDR images, whose pixels stay where they are."""
+        """What the decoder reads: a copy, but for ROS's images, whose pixels stay."""
+        if self.kind in IMAGE_KINDS and self.channel.message_encoding == "ros1":
+            return payload
         if self.kind in IMAGE_KINDS and self.channel.message_encoding == "cdr":
             return np.frombuffer(payload, np.uint8).view(_Payload)
         return bytes(payload)
@@ -88,8 +107,9 @@ class MessageDecoder:
         Raises:
             FrameError: It can't be decoded.
         """
-        if self.stamp_leads and len(payload) >= 12 and payload[1] in (0, 1):
-            order = "little" if payload[1] else "big"
+        if self.reads_stamp(payload):
+            little = self.channel.message_encoding == "ros1" or payload[1]
+            order = "little" if little else "big"
             sec = int.from_bytes(payload[4:8], order, signed=True)
             return nanoseconds(sec, int.from_bytes(payload[8:12], order))
         return int(getattr(self.decode(payload), "stamp_ns", 0))
@@ -115,6 +135,13 @@ def _raw_decoder(
     """A log may have many topics of one schema, which is parsed once."""
     if message_encoding == "json":
         return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
+    if message_encoding == "ros1" and schema_encoding == "ros1msg":
+        try:
+            return ros1_decoder(name, bare_definition(data.decode("utf-8", "replace")))
+        except MissingRosbagsError as error:
+            raise ValueError(str(error)) from error
+        except Exception as error:  # parsers of foreign text raise what they like
+            raise ValueError(f"its schema can't be read ({_short(error)})") from error
     factories = {"cdr": Ros2Factory, "protobuf": ProtobufFactory}
     decode = None
     try:
@@ -130,7 +157,7 @@ def _raw_decoder(
     if decode is None:
         what = f"{message_encoding} with {schema_encoding} schema"
         raise ValueError(
-            f"encoding {what} is not supported (only cdr with ros2msg, protobuf, json)"
+            f"encoding {what} is not supported (only cdr with ros2msg, ros1, protobuf, json)"
         )
     return decode
 
@@ -155,18 +182,21 @@ def bare_definition(text: str) -> str:
     return "\n".join(lines)
 
 
-def _stamp_leads(schema_text: str) -> bool:
+def _stamp_leads(message_encoding: str, schema_text: str) -> bool:
     """Whether the definition begins with a header that begins with its stamp."""
+    if message_encoding not in _HEADERS:
+        return False
+    first, header = _HEADERS[message_encoding]
     sections = re.split(r"^=+\s*$", schema_text, flags=re.MULTILINE)
-    if not _HEADER_FIRST.fullmatch(_first_field(sections[0])):
+    if not first.fullmatch(_first_fields(sections[0], 1)):
         return False
     for section in sections[1:]:
         name, _, body = section.strip().partition("\n")
         if re.fullmatch(r"MSG:\s+std_msgs/(msg/)?Header\s*", name):
-            return bool(_STAMP_FIRST.fullmatch(_first_field(body)))
+            return bool(header.fullmatch(_first_fields(body, 2)))
     return False
 
 
-def _first_field(definition: str) -> str:
-    lines = (line.partition("#")[0].strip() for line in definition.splitlines())
-    return next((line for line in lines if line), "")
+def _first_fields(definition: str, count: int) -> str:
+    lines = (" ".join(line.partition("#")[0].split()) for line in definition.splitlines())
+    return "; ".join([line for line in lines if line][:count])

@@ -6,7 +6,8 @@ import numpy as np
 
 from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.index import LogIndex
-from jaxdet.io.motion import difference, motion_matrix
+from jaxdet.io.messages import ExtrinsicsMessage
+from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import affinity
 from jaxdet.types import Extrinsics
@@ -25,7 +26,7 @@ class FoundExtrinsics(NamedTuple):
 def find_extrinsics(
     index: LogIndex,
     options: LogOptions,
-    depth_topic: str,
+    topics: tuple[str, str],
     color_frame: str,
     depth_frame: str,
     path: str,
@@ -35,6 +36,14 @@ def find_extrinsics(
     Two images in one and the same frame have none between them. A difference between topic and
     TF is a warning; never is a missing motion taken for none.
 
+    Args:
+        index: The log's.
+        options: What the user says.
+        topics: Those of the colour and of the depth images.
+        color_frame: Of the colour images; empty where unknown.
+        depth_frame: Of the depth images.
+        path: The log's, for errors.
+
     Raises:
         CalibrationError: Nothing in the log tells it, or the transforms form a cycle.
     """
@@ -42,12 +51,14 @@ def find_extrinsics(
     if given is not None:
         T = motion_matrix(np.array(given[:3]), np.array(given[3:]))
         return FoundExtrinsics(_extrinsics(T), "--log.color-from-depth", ())
+    streams = _between_streams(index, *topics)
+    if streams is not None:
+        return FoundExtrinsics(_extrinsics(streams), "librealsense's topics of both streams", ())
+    depth_topic = topics[1]
     topic = _topic(index, depth_topic)
     tf = index.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
     if topic:
-        message = index.extrinsics[topic]
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = message.rotation, message.translation
+        T = _matrix(index.extrinsics[topic])
         warnings = _contradiction(T, tf, topic) if color_frame != depth_frame else ()
         return FoundExtrinsics(_extrinsics(T), f"topic {printable(topic)}", warnings)
     if tf is None:
@@ -65,6 +76,27 @@ def _topic(index: LogIndex, depth_topic: str) -> str:
     """The ``depth_to_color`` topic that shares most of its name with the depth images'."""
     names = [name for name in index.extrinsics if "depth_to_color" in name.lower()]
     return max(sorted(names), key=lambda name: affinity(name, depth_topic), default="")
+
+
+def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.ndarray | None:
+    """``T_color_depth`` of a recording of librealsense; None where it is none.
+
+    It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
+    group N to the stream. Source: librealsense, ``media/ros/ros_file_format.h``.
+    """
+    color, depth = (topic.removesuffix("image/data") + "tf/" for topic in (color_topic, depth_topic))
+    for name in sorted(index.extrinsics):
+        other = depth + name.removeprefix(color)
+        if name.startswith(color) and other in index.extrinsics:
+            T_color, T_depth = (_matrix(index.extrinsics[key]) for key in (name, other))
+            return T_color @ inverse(T_depth)
+    return None
+
+
+def _matrix(message: ExtrinsicsMessage) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = message.rotation, message.translation
+    return T
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:

@@ -11,7 +11,20 @@ from typing import NamedTuple
 from jaxdet.errors import InputError, printable
 from jaxdet.io.splits import Recording, Sketch, difference, recordings, sketch
 
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.mcap")
+SUFFIXES = (".mcap", ".db3", ".bag")
+"""Of the files that are read; of one recording in several formats the first is taken."""
+_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.(mcap|db3|bag)")
+_OTHERS = {
+    ".zstd": "run unzstd on it",
+    ".zst": "run unzstd on it",
+    ".active": "run rosbag reindex on it and name it .bag",
+    ".svo": "play it to ROS 2 topics and record them as MCAP",
+    ".svo2": "play it to ROS 2 topics and record them as MCAP",
+    ".mkv": "play it to ROS 2 topics and record them as MCAP",
+    ".oni": "play it to ROS 2 topics and record them as MCAP",
+}
+"""Suffixes of recordings that are not read, and what can be done."""
+_MAX_LISTED = 4
 
 
 class LogFiles(NamedTuple):
@@ -30,21 +43,28 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     Files ``NAME_0.mcap``, ``NAME_1.mcap``, ... of one folder are the splits of one log called
     ``NAME``, in the order of their numbers, with or without a ``metadata.yaml``, unless what is in
     them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
-    its stem. Names are made printable. Equal names get as many parent folders put
-    before them as it takes. A file named twice counts once; the order is by path and does not
-    depend on the order of ``inputs``.
+    its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
+    these formats one is taken, MCAP first. Names are made printable. Equal names get as many
+    parent folders put before them as it takes. A file named twice counts once; the order is by
+    path and does not depend on the order of ``inputs``.
 
     Raises:
-        InputError: An input doesn't exist or holds no ``.mcap`` file.
+        InputError: An input doesn't exist or holds nothing that is read.
     """
     named = [inputs] if isinstance(inputs, str | PathLike) else inputs
-    paths = {path.resolve(): path for item in named for path in _files(os.fspath(item))}
-    groups: dict[tuple[Path, str], list[Path]] = {}
+    paths: dict[Path, Path] = {}
+    said: dict[Path, str] = {}
+    for item in named:
+        found, note = _files(os.fspath(item))
+        paths |= {path.resolve(): path for path in found}
+        said |= {found[0].resolve(): note} if note else {}
+    groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
         match = _SPLIT.fullmatch(path.name)
-        groups.setdefault((path.parent, match["stem"] if match else path.name), []).append(path)
+        key = path.parent, match["stem"] if match else path.name, path.suffix
+        groups.setdefault(key, []).append(path)
     stems, members = [], []
-    for (_, stem), group in groups.items():
+    for (_, stem, _), group in groups.items():
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
             parts = recordings((_number(path), path) for path in group)
@@ -55,7 +75,11 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         members += parts
     names = _unique_names(stems)
     return [
-        LogFiles(name, tuple(paths[path] for path in part.paths), part.note)
+        LogFiles(
+            name,
+            tuple(paths[path] for path in part.paths),
+            "; ".join(filter(None, [part.note, *(said.get(path, "") for path in part.paths)])),
+        )
         for name, part in zip(names, members, strict=True)
     ]
 
@@ -79,7 +103,7 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
     if not match:
         return ()
     found = []
-    for path in first.parent.glob("*.mcap"):
+    for path in first.parent.glob(f"*{first.suffix}"):
         other = _SPLIT.fullmatch(path.name)
         if other and other["stem"] == match["stem"] and path.resolve() not in have:
             found.append(path)
@@ -96,28 +120,60 @@ def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
     return not difference(*pair, abs(steps))
 
 
-def _files(text: str) -> list[Path]:
+def _files(text: str) -> tuple[list[Path], str]:
+    """The files that an input names, at least one, and what is to be said of their choice."""
     path = Path(text)
     if path.is_dir():
-        found = [file for file in path.rglob("*.mcap") if file.is_file()]
-        packed = next(path.rglob("*.mcap.zstd"), None)
+        seen = sorted(file for file in path.rglob("*") if file.is_file())
     elif path.exists():
-        found, packed = [path], path if path.suffix == ".zstd" else None
+        seen = [path]
     elif glob.has_magic(text):
         matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
-        found = [file for match in matches for file in _within(match)]
-        packed = next((match for match in matches if match.suffix == ".zstd"), None)
+        seen = [file for match in matches for file in _within(match)]
     else:
         raise InputError("no such file or folder", path=text, remedy="check the path")
-    if packed and (not found or found == [packed]):
-        raise InputError("the file is compressed", path=str(packed), remedy="run unzstd on it")
+    others = [file for file in seen if file.suffix in _OTHERS]
+    found = [file for file in seen if file.suffix in SUFFIXES]
+    if path.is_file():
+        if others:
+            problem, remedy = f"{path.suffix} files are not read", _OTHERS[path.suffix]
+            raise InputError(problem, path=text, remedy=remedy)
+        return seen, ""
     if not found:
-        raise InputError("no .mcap file found", path=text, remedy="name an MCAP file or a folder")
-    return found
+        where, remedy = text, "name an MCAP file or a folder"
+        problem = "no .mcap, .bag or .db3 file found"
+        if others:
+            where, remedy = str(others[0]), _OTHERS[others[0].suffix]
+            problem = f"{others[0].suffix} files are not read, and there is nothing else here"
+        raise InputError(problem, path=where, remedy=remedy)
+    return _preferred(found, others)
+
+
+def _preferred(found: Sequence[Path], others: Sequence[Path]) -> tuple[list[Path], str]:
+    """The files that are taken of those found, and which others are left out and why."""
+    formats: dict[tuple[Path, str], set[str]] = {}
+    for file in found:
+        formats.setdefault(_recording(file), set()).add(file.suffix)
+    best = {key: min(kinds, key=SUFFIXES.index) for key, kinds in formats.items()}
+    taken = [file for file in found if file.suffix == best[_recording(file)]]
+    notes = []
+    for file in found:
+        suffix = best[_recording(file)]
+        if file.suffix != suffix:
+            notes.append(f"{file.name} is left out: its recording is there as {suffix}")
+    notes += [f"{file.name} is left out: {_OTHERS[file.suffix]}" for file in others]
+    more = [f"and {len(notes) - _MAX_LISTED} more"] if len(notes) > _MAX_LISTED else []
+    return taken, "; ".join(map(printable, notes[:_MAX_LISTED] + more))
+
+
+def _recording(path: Path) -> tuple[Path, str]:
+    """What the files of one recording share, whatever their format."""
+    match = _SPLIT.fullmatch(path.name)
+    return path.parent, match["stem"] if match else path.stem
 
 
 def _within(path: Path) -> Iterable[Path]:
-    return path.rglob("*.mcap") if path.is_dir() else [path] if path.suffix == ".mcap" else []
+    return (file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
 
 
 def _number(path: Path) -> int:

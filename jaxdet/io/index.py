@@ -7,7 +7,7 @@ never held. So a log of a million images takes about 64 MB.
 from contextlib import suppress
 
 from jaxdet.errors import FrameError
-from jaxdet.io.container import Location, McapFile
+from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import check_pixels
@@ -119,7 +119,7 @@ class IndexBuilder:
             topic.first_ns = min(topic.first_ns, first_ns)
             topic.last_ns = max(topic.last_ns, last_ns)
 
-    def next_file(self, file: McapFile) -> None:
+    def next_file(self, file: LogFile) -> None:
         """Call before each file's scan."""
         self.file_number += 1
         self.path = str(file.path)

@@ -7,19 +7,17 @@ import numpy as np
 
 from jaxdet.errors import RescanError
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
-from jaxdet.io.container import Location, McapFile
+from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.formats import read_file_index
 from jaxdet.io.index import IndexBuilder, LogIndex
-from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_images, check_motions, check_topics
-from jaxdet.io.message_index import read_message_index
-from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
+from jaxdet.io.messages import IMAGE_KINDS, Kind
 from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows, decode_motions
 from jaxdet.io.records import IndexedMessages, read_message
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
-from jaxdet.io.summary import read_summary
 from jaxdet.io.validity import InfoMessages
 from jaxdet.io.windows import StreamWindows
 
@@ -63,7 +61,7 @@ class _Topic(NamedTuple):
     messages: IndexedMessages
 
 
-def open_index(files: Sequence[McapFile], store: ChunkStore, use_tf: bool, path: str) -> IndexedLog:
+def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: str) -> IndexedLog:
     """What the indexes of a log's files tell, and its first messages.
 
     Args:
@@ -122,7 +120,7 @@ def open_index(files: Sequence[McapFile], store: ChunkStore, use_tf: bool, path:
     return IndexedLog(index, streams, windows, infos, store)
 
 
-def search_index(file: McapFile, builder: IndexBuilder) -> None:
+def search_index(file: LogFile, builder: IndexBuilder) -> None:
     """Calibration and static transforms of a file, by its index.
 
     Raises:
@@ -158,41 +156,36 @@ def feed_messages(
         builder.add(info, int(topic.messages.log_ns[number]), payload, location)
 
 
-def _read_topics(files: Sequence[McapFile], builder: IndexBuilder) -> list[_Topic]:
+def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[_Topic]:
     """The topics that are of use; those of no use are noted and counted only."""
     found: dict[str, tuple[list[_Channel], list[IndexedMessages]]] = {}
     for number, file in enumerate(files):
-        summary = read_summary(file)
         builder.path, builder.bytes = str(file.path), builder.bytes + file.size
-        check_topics(len(summary.declared.channels), builder.path)
-        infos = {key: summary.declared.info(key) for key in summary.declared.channels}
-        infos = {key: info for key, info in infos.items() if info is not None}
-        useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
-        entries = read_message_index(file, summary, useful)
+        entries = read_file_index(file)
+        check_topics(len(entries.infos), builder.path)
         if builder.images:
-            builder.index.integrity.append(_integrity(file, summary.chunks.start, entries.total))
+            builder.index.integrity.append(entries.integrity)
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
-            builder.count(infos[key], *count)
-        chunks = summary.chunks.start + RECORD_HEAD.size
-        for key in useful:
+            builder.count(entries.infos[key], *count)
+        for key, info in entries.infos.items():
             mine = entries.channel == key
-            decoder = builder.decoder(infos[key]) if mine.any() else None
+            decoder = builder.decoder(info) if mine.any() else None
             if decoder is None or not builder.wants(decoder):
                 continue
-            channels, messages = found.setdefault(infos[key].topic, ([], []))
+            channels, messages = found.setdefault(info.topic, ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
             messages.append(
                 IndexedMessages(
                     entries.log_ns[mine],
                     same + number,
-                    chunks[entries.chunk[mine]],
-                    summary.chunks.length[entries.chunk[mine]] - RECORD_HEAD.size,
+                    entries.position[mine],
+                    entries.length[mine],
                     entries.offset[mine],
                     same + key,
                     same + len(channels),
                 )
             )
-            channels.append(_Channel(number, key, infos[key], decoder))
+            channels.append(_Channel(number, key, info, decoder))
     topics = [_topic(name, *parts) for name, parts in found.items()]
     small = 0
     for topic in topics:
@@ -282,21 +275,3 @@ def _in_time(parts: Sequence[IndexedMessages]) -> np.ndarray:
     if len(parts) == 1 and not (np.diff(log_ns) < 0).any():
         return np.arange(len(log_ns))
     return np.lexsort((offset, position, file, log_ns))
-
-
-def _integrity(file: McapFile, chunks: np.ndarray, messages: int) -> FileIntegrity:
-    has_crc = len(chunks) and file.chunk_head(int(chunks[0]) + RECORD_HEAD.size).crc != 0
-    return FileIntegrity(
-        path=file.path,
-        messages=messages,
-        declared_messages=messages,
-        chunks=len(chunks),
-        chunks_with_crc=len(chunks) if has_crc else 0,
-        has_end=True,
-        lost={},
-        lost_bytes=0,
-        lost_spans_ns=(),
-        last_log_time_ns=0,
-        missing={},
-        by_index=True,
-    )

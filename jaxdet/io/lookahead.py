@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
-from jaxdet.io.container import McapFile
+from jaxdet.io.container import LogFile
 
 AHEAD_BYTES = 64 << 20
 """Of decompressed chunks."""
@@ -35,7 +35,7 @@ class Ahead(NamedTuple):
 
 
 def ahead(
-    file: McapFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
+    file: LogFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
 ) -> Iterator[Ahead]:
     """The records in order; up to 64 MiB of chunks (or one chunk, if larger) are ahead.
 

@@ -22,6 +22,7 @@ from jaxdet.io.messages import (
     RgbdMessage,
     TransformMessage,
 )
+from jaxdet.io.motion import motion_matrix
 
 _MAX_STAMP_S = 9_000_000_000
 UNIT_TOLERANCE = 0.01

@@ -30,12 +30,14 @@ _KINDS = {
     "sensor_msgs/CameraInfo": Kind.INFO,
     "foxglove.CameraCalibration": Kind.INFO,
     "tf2_msgs/TFMessage": Kind.TRANSFORM,
+    "tf/tfMessage": Kind.TRANSFORM,
     "foxglove.FrameTransform": Kind.TRANSFORM,
     "foxglove.FrameTransforms": Kind.TRANSFORM,
     "nav_msgs/Odometry": Kind.ODOMETRY,
     "geometry_msgs/PoseStamped": Kind.POSE,
     "foxglove.PoseInFrame": Kind.POSE,
     "realsense2_camera_msgs/Extrinsics": Kind.EXTRINSICS,
+    "geometry_msgs/Transform": Kind.EXTRINSICS,
 }
 
 
@@ -114,10 +116,13 @@ class TransformMessage(NamedTuple):
 
 
 class ExtrinsicsMessage(NamedTuple):
-    """RealSense's ``depth_to_color``: takes depth-camera points to the colour camera."""
+    """RealSense's ``depth_to_color``: takes depth-camera points to the colour camera.
+
+    In recordings of librealsense: takes a reference stream's points to the stream's of the topic.
+    """
 
     rotation: np.ndarray
-    """``(3, 3)`` float64 (column-major in the message)."""
+    """``(3, 3)`` float64 (column-major or a quaternion in the message)."""
     translation: tuple[float, float, float]
     """Metres."""
 

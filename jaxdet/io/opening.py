@@ -6,19 +6,19 @@ from typing import NamedTuple
 from jaxdet.cores import cores
 from jaxdet.errors import InputError, printable
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import McapFile
+from jaxdet.io.container import LogFile
 from jaxdet.io.files import LogFiles, missing_splits, siblings
+from jaxdet.io.formats import open_file, scan_file
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.options import LogOptions
-from jaxdet.io.scan import scan
 from jaxdet.io.store import ChunkStore
 
 
 class OpenedFiles(NamedTuple):
     """A log's open files, and what is wrong with the others."""
 
-    files: tuple[McapFile, ...]
+    files: tuple[LogFile, ...]
     warnings: tuple[str, ...]
 
     def close(self) -> None:
@@ -33,11 +33,11 @@ def open_files(log: LogFiles, options: LogOptions) -> OpenedFiles:
     Raises:
         InputError: None of its files can be read.
     """
-    files: list[McapFile] = []
+    files: list[LogFile] = []
     failures: list[InputError] = []
     for path in log.paths:
         try:
-            files.append(McapFile(path, options.max_chunk_mib << 20))
+            files.append(open_file(path, options.max_chunk_mib << 20))
         except InputError as error:
             failures.append(error)
     if not files:
@@ -52,7 +52,7 @@ def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogIn
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
         for file in opened.files:
             builder.next_file(file)
-            index.integrity.append(scan(file, builder.add, pool))
+            index.integrity.append(scan_file(file, builder.add, pool))
     _finish(index, opened, log, options)
     return index
 
@@ -83,7 +83,7 @@ def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> Non
     """Static transforms and calibration from the recording's other splits, first to last."""
     for path in siblings(log):
         try:
-            file = McapFile(path, options.max_chunk_mib << 20)
+            file = open_file(path, options.max_chunk_mib << 20)
         except InputError:
             continue
         try:
@@ -97,12 +97,12 @@ def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> Non
             return
 
 
-def _search(file: McapFile, builder: IndexBuilder) -> None:
+def _search(file: LogFile, builder: IndexBuilder) -> None:
     try:
         search_index(file, builder)
     except DamageError:
         with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-            scan(file, builder.add, pool)
+            scan_file(file, builder.add, pool)
 
 
 def _note(index: LogIndex, log: LogFiles) -> None:

@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 from jaxdet.errors import InputError, RescanError
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import McapFile
+from jaxdet.io.container import LogFile
+from jaxdet.io.formats import open_file, read_file_index
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.indexed import search_index
-from jaxdet.io.message_index import read_message_index
 from jaxdet.io.messages import IMAGE_KINDS, kind_of
 from jaxdet.io.options import LogOptions
-from jaxdet.io.summary import read_summary
 from jaxdet.io.validity import values_of
 
 _MAX_OVERLAP_NS = 1_000_000_000
@@ -43,7 +42,7 @@ class Sketch(NamedTuple):
 def sketch(path: Path) -> Sketch | None:
     """The sketch of a file by its index; None where that can't be read."""
     with suppress(InputError, DamageError, RescanError):
-        file = McapFile(path, LogOptions.max_chunk_mib << 20)
+        file = open_file(path, LogOptions.max_chunk_mib << 20)
         try:
             return _sketch(file)
         finally:
@@ -51,12 +50,11 @@ def sketch(path: Path) -> Sketch | None:
     return None
 
 
-def _sketch(file: McapFile) -> Sketch:
-    summary = read_summary(file)
-    infos = {key: summary.declared.info(key) for key in summary.declared.channels}
-    useful = {key: info for key, info in infos.items() if info and kind_of(info.schema_name)}
+def _sketch(file: LogFile) -> Sketch:
+    entries = read_file_index(file)
+    counts = entries.counts
+    useful = {key: info for key, info in entries.infos.items() if kind_of(info.schema_name)}
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
-    counts = read_message_index(file, summary, images).counts
     seen = [key for key in images if key in counts]
     spans = [(counts[key].first_ns, counts[key].last_ns) for key in seen]
     builder = IndexBuilder(LogIndex(), use_tf=False, images=False)

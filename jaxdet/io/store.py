@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 
 from jaxdet.cores import cores
 from jaxdet.io.chunks import ChunkHead, DamageError
-from jaxdet.io.container import McapFile
+from jaxdet.io.container import LogFile
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -37,7 +37,7 @@ class ChunkStore:
     """
 
     def __init__(
-        self, files: Sequence[McapFile], threads: int | None = None, cache_bytes: int = CACHE_BYTES
+        self, files: Sequence[LogFile], threads: int | None = None, cache_bytes: int = CACHE_BYTES
     ) -> None:
         self.files, self.cache_bytes = files, cache_bytes
         self.checked: set[Place] = set()

@@ -139,7 +139,7 @@ class StreamWindows:
         size, payload = read_message(
             self._store, self.messages, number, _STAMP_BYTES if leads else None
         )
-        if leads and not (len(payload) >= 12 and payload[1] in (0, 1)):
+        if leads and not decoder.reads_stamp(payload):
             size, payload = read_message(self._store, self.messages, number)
         try:
             stamps = image_stamps(decoder, payload)

@@ -31,6 +31,7 @@ _DEFINITIONS = {
     "geometry_msgs/Transform transform",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
     "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
     "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
     "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
@@ -51,6 +52,9 @@ _DEFINITIONS = {
     "vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id",
     "vision_msgs/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
     "realsense2_camera_msgs/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
+    "realsense2_camera_msgs/RGBD": "std_msgs/Header header\n"
+    "sensor_msgs/CameraInfo rgb_camera_info\nsensor_msgs/CameraInfo depth_camera_info\n"
+    "sensor_msgs/Image rgb\nsensor_msgs/Image depth",
 }
 _FORMATS = {
     "bool": "?",
@@ -78,6 +82,11 @@ def _fields(type_name: str) -> tuple[_Field, ...]:
         base, bracket, rest = kind.partition("[")
         fields.append(_Field(base, name, int(rest[:-1] or 0) if bracket else None))
     return tuple(fields)
+
+
+def is_known(type_name: str) -> bool:
+    """Whether there is a definition of a type."""
+    return type_name in _DEFINITIONS
 
 
 @cache

@@ -1,0 +1,226 @@
+"""The messages of a ROS 1 bag: by its index, or by a walk over the whole file.
+
+A bag that was not closed has no index at its end; then, or where the index is torn, the walk takes
+what is whole: it goes over damaged chunks, and ends where a record's length is damaged, but for
+the chunks that the index at the end knows.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from jaxdet.io.bag import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, BagFile, records
+from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.container import Location
+from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
+from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.limits import check_messages
+from jaxdet.io.lookahead import FileRecord, ahead
+from jaxdet.io.messages import kind_of
+from jaxdet.io.scan import Handler
+
+_ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
+_COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
+_HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
+_INDEX_VERSION = 1
+_TORN = 0
+
+
+def read_bag_index(file: BagFile) -> FileIndex:
+    """What a bag's index tells.
+
+    Raises:
+        DamageError: It is missing, torn or wrong.
+    """
+    counts = _read_end(file)
+    ends = [*sorted(counts), file.record(len(MAGIC)).number(b"index_pos", 8)]
+    parts = [np.zeros((5, 0), np.int64)]
+    for position, end in pairwise(ends):
+        parts += _chunk_index(file, position, end, counts[position])
+    channel, log_ns, place, length, offset = np.concatenate(parts, axis=1)
+    total = len(channel)
+    check_messages(total, file.size, str(file.path))
+    if set(np.unique(channel).tolist()) - file.connections.keys():
+        raise DamageError("message index of an undeclared connection")
+    infos = dict(sorted(file.connections.items()))
+    useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
+    which = np.flatnonzero(np.isin(channel, np.array(useful, np.int64)))
+    which = which[np.lexsort((offset[which], place[which]))]
+    columns = (column[which] for column in (channel, log_ns, place, length, offset))
+    integrity = indexed_integrity(file.path, total, len(counts), False)
+    return FileIndex(infos, count_channels(channel, log_ns), integrity, *columns)
+
+
+def scan_bag(file: BagFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
+    """Gives every readable message to ``handler``, in file order; says what was lost.
+
+    Args:
+        file: The file.
+        handler: Called by this thread.
+        pool: Decompresses chunks ahead.
+
+    Raises:
+        InputError: The file was changed meanwhile, or holds more messages than it has room for.
+    """
+    walk = _Walk(file, handler)
+    for item in ahead(file, walk.records(), pool):
+        try:
+            walk.take(item.record, item.chunk)
+        except DamageError as error:
+            walk.lost[str(error)] += 1
+            walk.lost_bytes += item.record.length
+        del item
+    file.check_unchanged()
+    return walk.integrity()
+
+
+def _read_end(file: BagFile) -> dict[int, dict[int, int]]:
+    """The messages of each connection in each chunk, by its position; declares the connections.
+
+    Raises:
+        DamageError: The file's end is missing or damaged.
+    """
+    head = file.record(len(MAGIC))
+    start = head.number(b"index_pos", 8) if head.op == BAG else 0
+    if not head.end <= start < file.size:
+        raise DamageError("no index: the bag was not closed")
+    if file.size - start > file.max_bytes:
+        raise DamageError("index is larger than --log.max-chunk-mib")
+    data = file.read(start, file.size - start)
+    found: dict[int, dict[int, int]] = {}
+    for record in records(data):
+        content = data[record.data : record.end]
+        if record.op == CONNECTION:
+            file.declare(record, content)
+        elif record.op == CHUNK_INFO:
+            position = record.number(b"chunk_pos", 8)
+            if not head.end <= position < start or len(content) % _COUNT.itemsize:
+                raise DamageError("index leaves the file")
+            pairs = np.frombuffer(content, _COUNT).tolist()
+            found[position] = dict(pairs)
+    if len(found) != head.number(b"chunk_count"):
+        raise DamageError("index lacks chunks")
+    return found
+
+
+def _chunk_index(
+    file: BagFile, position: int, end: int, counts: dict[int, int]
+) -> Iterator[np.ndarray]:
+    """Connection, log time, chunk, its length and offset ``(5, N)`` of a chunk's messages.
+
+    Raises:
+        DamageError: The index of the chunk isn't what it should be.
+    """
+    chunk = file.record(position, end)
+    size = chunk.number(b"size")
+    if chunk.op != CHUNK or size > file.max_bytes or end - chunk.end > file.max_bytes:
+        raise DamageError("no chunk where one should be")
+    data = file.read(chunk.end, end - chunk.end)
+    seen: Counter[int] = Counter()
+    for record in records(data):
+        if record.op != INDEX:
+            continue
+        number, content = record.number(b"conn"), data[record.data : record.end]
+        if record.number(b"ver") != _INDEX_VERSION or len(content) % _ENTRY.itemsize:
+            raise DamageError("message index is damaged")
+        entries = np.frombuffer(content, _ENTRY)
+        found = np.empty((5, len(entries)), np.int64)
+        found[0], found[2], found[3] = number, position, chunk.size
+        found[1] = entries["sec"].astype(np.int64) * 1_000_000_000 + entries["nanosec"]
+        found[4] = entries["offset"]
+        if len(entries) and found[4].max() > size - _HEAD:
+            raise DamageError("message index leaves its chunk")
+        seen[number] += len(entries)
+        yield found
+    if +seen != +Counter(counts):
+        raise DamageError("message indexes contradict the index of the chunks")
+
+
+class _Walk:
+    """The state of a walk over a bag."""
+
+    def __init__(self, file: BagFile, handler: Handler) -> None:
+        self.file, self.handler = file, handler
+        self.lost: Counter[str] = Counter()
+        self.lost_bytes = self.messages = self.chunks = self.last_ns = 0
+        self.read: Counter[int] = Counter()
+        self.problem = ""
+        try:
+            self.counts = _read_end(file)
+        except DamageError as error:
+            self.counts, self.problem = {}, str(error)
+
+    def records(self) -> Iterator[FileRecord]:
+        """The chunks up to the file's end, and in their places what can't be one."""
+        position, end = len(MAGIC), self.file.size
+        while position < end:
+            try:
+                record = self.file.record(position)
+            except DamageError:
+                after = [start for start in self.counts if start > position]
+                start, position = position, min(after, default=end)
+                yield FileRecord(_TORN, start, position - start)
+                continue
+            if record.op == CHUNK:
+                yield FileRecord(Opcode.CHUNK, position, record.size)
+            position = record.end
+
+    def take(self, record: FileRecord, decompressed: Future[bytes] | None) -> None:
+        """Takes in a chunk.
+
+        Raises:
+            DamageError: It can't be used.
+        """
+        if decompressed is None:
+            raise DamageError("damaged or torn record")
+        self.chunks += 1
+        chunk = memoryview(decompressed.result())
+        for place, size in _messages(chunk):
+            number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(chunk, place + RECORD_HEAD.size)
+            info = self.file.connections.get(number)
+            if info is None:
+                raise DamageError("message of an undeclared connection")
+            self.messages += 1
+            self.read[number] += 1
+            self.last_ns = max(self.last_ns, log_ns)
+            check_messages(self.messages, self.file.size, str(self.file.path))
+            where = Location(record.position, place + _HEAD, size)
+            self.handler(info, log_ns, chunk[place + _HEAD : place + _HEAD + size], where)
+
+    def integrity(self) -> FileIntegrity:
+        """What was found, and of what the index speaks beside that."""
+        declared: Counter[int] = Counter()
+        for counts in self.counts.values():
+            declared.update(counts)
+        missing: Counter[str] = Counter()
+        for number, count in sorted((declared - self.read).items()):
+            info = self.file.connections.get(number)
+            missing[info.topic if info else f"connection {number}"] += count
+        return FileIntegrity(
+            path=self.file.path,
+            messages=self.messages,
+            declared_messages=None if self.problem else declared.total(),
+            chunks=self.chunks,
+            chunks_with_crc=0,
+            has_end=not self.problem,
+            lost=dict(self.lost),
+            lost_bytes=self.lost_bytes,
+            lost_spans_ns=(),
+            last_log_time_ns=self.last_ns,
+            missing=dict(missing),
+            summary_problem=self.problem,
+        )
+
+
+def _messages(chunk: memoryview) -> Iterator[tuple[int, int]]:
+    """Where the messages of a chunk begin, and the sizes of their payloads."""
+    place = 0
+    while place < len(chunk):
+        opcode, length = RECORD_HEAD.unpack_from(chunk, place)
+        if opcode == Opcode.MESSAGE:
+            yield place, length - MESSAGE_HEAD.size
+        place += RECORD_HEAD.size + length

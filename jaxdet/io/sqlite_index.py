@@ -1,0 +1,185 @@
+"""The messages of a rosbag2 recording in SQLite: without their data, or all of it."""
+
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import Location
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
+from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
+from jaxdet.io.messages import kind_of
+from jaxdet.io.scan import Handler
+from jaxdet.io.sqlite import HEAD_BYTES, POSITION_BITS, SqliteFile, check_row, damage, position_of
+from jaxdet.io.writer_cdr import is_known, schema_text
+
+_ROWS_AT_ONCE = 1 << 14
+_INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
+_DATA = """SELECT id, topic_id, timestamp,
+CASE WHEN length(data) <= ? THEN data END, length(data) FROM messages WHERE id > ? ORDER BY id"""
+_COUNT = "SELECT count(*) FROM messages INDEXED BY timestamp_idx"
+_TOPICS = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+_DEFINITIONS = """SELECT topic_type, encoding, encoded_message_definition
+FROM message_definitions WHERE length(encoded_message_definition) <= ? ORDER BY id"""
+
+
+def read_sqlite_index(file: SqliteFile) -> FileIndex:
+    """What the tables of a recording tell, but for the data of messages.
+
+    Raises:
+        DamageError: A table can't be read as a whole.
+    """
+    if file.declared_bytes > file.size:
+        raise DamageError("file ends early")
+    infos = _channels(file)
+    parts = [np.zeros((4, 0), np.int64)]
+    try:
+        rows = file.query(_INDEX)
+        while some := rows.fetchmany(_ROWS_AT_ONCE):
+            parts.append(np.array(some, np.int64).T)
+    except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
+        raise damage(error) from error
+    number, channel, log_ns, size = np.concatenate(parts, axis=1)
+    check_messages(len(number), file.size, str(file.path))
+    for value in (channel.min(initial=0), channel.max(initial=0)):
+        check_row(int(value), int(log_ns.min(initial=0)))
+    for value in (number.min(initial=0), number.max(initial=0)):
+        position_of(int(value))
+    counts = count_channels(channel, log_ns)
+    if counts.keys() - infos.keys():
+        raise DamageError("message of an undeclared topic")
+    if _declared(file) not in (None, len(number)):
+        raise DamageError("index of times contradicts the messages")
+    useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
+    which = np.isin(channel, np.array(useful, np.int64))
+    place = number[which] << POSITION_BITS
+    columns = channel[which], log_ns[which], place, size[which] + HEAD_BYTES, np.zeros_like(place)
+    integrity = indexed_integrity(file.path, len(number), 0, False)
+    return FileIndex(infos, counts, integrity, *columns)
+
+
+def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
+    """Gives every readable message to ``handler``, in the order of their numbers.
+
+    Where SQLite finds a page damaged, the walk goes on at the next message that it can reach, and
+    each number passed over is counted as lost.
+
+    Raises:
+        InputError: The file was changed meanwhile, or holds more messages than it has room for.
+    """
+    problem, infos = "", {}
+    try:
+        infos = _channels(file)
+    except DamageError as error:
+        problem = str(error)
+    lost: Counter[str] = Counter()
+    lost_bytes = messages = last_ns = 0
+    for row in _rows(file, lost):
+        number, channel, log_ns, data, size = row
+        try:
+            check_row(channel, log_ns)
+            position = position_of(number)
+            if data is None:
+                raise DamageError("message is larger than --log.max-chunk-mib")
+            if channel not in infos or not isinstance(data, bytes):
+                raise DamageError("message of an undeclared topic")
+        except DamageError as error:
+            lost[str(error)] += 1
+            lost_bytes += size or 0
+            continue
+        messages += 1
+        last_ns = max(last_ns, log_ns)
+        check_messages(messages, file.size, str(file.path))
+        where = Location(position, HEAD_BYTES, len(data))
+        handler(infos[channel], log_ns, memoryview(data), where)
+    file.check_unchanged()
+    return FileIntegrity(
+        path=file.path,
+        messages=messages,
+        declared_messages=_declared(file),
+        chunks=0,
+        chunks_with_crc=0,
+        has_end=True,
+        lost=dict(lost),
+        lost_bytes=lost_bytes,
+        lost_spans_ns=(),
+        last_log_time_ns=last_ns,
+        missing={},
+        summary_problem=problem,
+    )
+
+
+def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
+    """Number, topic, log time, data and their bytes of all messages that can be reached."""
+    before = -1
+    last = _last_number(file)
+    while True:
+        try:
+            for row in file.query(_DATA, (file.max_bytes, before)):
+                yield row
+                before = row[0]
+            return
+        except (sqlite3.Error, DamageError) as error:
+            lost[f"damaged page ({error})" if isinstance(error, sqlite3.Error) else str(error)] += 1
+            before += 1
+            if before >= last:
+                return
+
+
+def _last_number(file: SqliteFile) -> int:
+    """The greatest number of a message, by the messages or by the index of their times."""
+    numbers = [0]
+    for text in ("SELECT max(id) FROM messages", _GREATEST):
+        try:
+            numbers.append(file.query(text).fetchone()[0] or 0)
+        except (sqlite3.Error, DamageError):
+            continue
+    return max(numbers)
+
+
+_GREATEST = "SELECT max(id) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
+
+
+def _declared(file: SqliteFile) -> int | None:
+    """How many messages the index of their times has; None where it can't be read."""
+    try:
+        return int(file.query(_COUNT).fetchone()[0])
+    except (sqlite3.Error, DamageError):
+        return None
+
+
+def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
+    """The topics with their definitions; where the file has none (before ROS 2 Iron), ROS 2's.
+
+    Raises:
+        DamageError: The table can't be read.
+    """
+    try:
+        topics = file.query(_TOPICS).fetchall()
+    except sqlite3.Error as error:
+        raise damage(error) from error
+    check_topics(len(topics), str(file.path))
+    try:
+        known = {row[0]: row[1:] for row in file.query(_DEFINITIONS, (MAX_SCHEMA_BYTES,))}
+    except (sqlite3.Error, DamageError):
+        known = {}
+    found = {}
+    for number, topic, name, encoding in topics:
+        schema, text = known.get(name) or ("ros2msg", _definition(str(name)))
+        data = str(text).encode()
+        useful = kind_of(str(name)) is not None
+        kept = data if useful else b""
+        found[number] = ChannelInfo(
+            str(topic), str(encoding), str(name), str(schema), kept, len(data)
+        )
+    return found
+
+
+def _definition(name: str) -> str:
+    plain = name.replace("/msg/", "/")
+    return schema_text(plain) if is_known(plain) else ""

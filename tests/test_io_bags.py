@@ -1,0 +1,239 @@
+"""Recordings of ROS 1 and of rosbag2 in SQLite: the same frames as from MCAP, whole or damaged."""
+
+import bz2
+import importlib.util
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.convert.converter import convert
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from jaxdet import engine
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
+from jaxdet.errors import FrameStatus, InputError
+from jaxdet.io import Log, LogOptions, find_logs, open_log
+from jaxdet.io.bag import records
+from jaxdet.sim import SimConfig, write_log
+
+TABLES = ("frames.parquet", "obstacles.parquet")
+
+
+def small(writer: Writer) -> None:
+    writer.chunk_threshold = 1 << 10
+
+
+def convert_log(source: Path, target: Path, compress: str | None = None) -> Path:
+    """What ``rosbags-convert`` makes of a log; the file in it. Bags get a chunk for each image."""
+    store = get_typestore(Stores.EMPTY)
+    given = "sqlite3", 9, compress, "file", store, None
+    with pytest.MonkeyPatch.context() as patch:
+        init = Writer.__init__
+        patch.setattr(Writer, "__init__", lambda self, path: init(self, path) or small(self))
+        convert([source], target, *given, (), (), (), ())
+    return target if target.suffix == ".bag" else target / f"{target.name}.db3"
+
+
+@pytest.fixture(scope="module")
+def mcap(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mcap") / "sim.mcap"
+    write_log(path, SimConfig(frames=8, width=160, height=120, rate_hz=5))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(mcap: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return convert_log(mcap, tmp_path_factory.mktemp("bag") / "sim.bag")
+
+
+@pytest.fixture(scope="module")
+def db3(mcap: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return convert_log(mcap, tmp_path_factory.mktemp("db3") / "sim")
+
+
+def copy(path: Path, folder: Path) -> Path:
+    target = folder / path.name
+    target.write_bytes(path.read_bytes())
+    return target
+
+
+def run(log: Path, output: Path) -> list[bytes]:
+    given = RunOptions(output, backend="reference", pictures=0, workers=1)
+    engine.run(find_logs([str(log)]), Config(), LogOptions(), given)
+    return [(output / name).read_bytes() for name in TABLES]
+
+
+def assert_same(found: Log, expected: Log) -> None:
+    """Two logs give the same frames."""
+    assert found.num_frames == expected.num_frames
+    assert found.calibration == expected.calibration
+    assert np.array_equal(found.T_base_camera, expected.T_base_camera)
+    for one, other in zip(found.batches(3), expected.batches(3), strict=True):
+        assert one.status == other.status
+        for name in ("color", "depth", "number", "stamp_ns", "depth_stamp_ns", "T_world_camera"):
+            pair = getattr(one.frames, name), getattr(other.frames, name)
+            assert np.array_equal(*pair, equal_nan=name == "T_world_camera"), name
+
+
+def by_index(log: Log) -> bool:
+    return all(file.by_index for file in log.description.integrity)
+
+
+def test_tables_are_the_bytes_of_the_mcap_file(mcap, bag, db3, tmp_path):
+    expected = run(mcap, tmp_path / "mcap")
+    assert run(bag, tmp_path / "bag") == expected
+    assert run(db3, tmp_path / "db3") == expected
+
+
+@pytest.mark.parametrize("compress", [None, "lz4", "bz2"])
+@pytest.mark.parametrize("scan", [False, True])
+def test_bag_gives_the_frames_of_the_mcap_file(mcap, tmp_path, compress, scan):
+    path = convert_log(mcap, tmp_path / "sim.bag", compress)
+    with open_log(str(path), LogOptions(scan=scan)) as log, open_log(str(mcap)) as expected:
+        assert by_index(log) is not scan
+        assert_same(log, expected)
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_db3_gives_the_frames_of_the_mcap_file(mcap, db3, scan):
+    with open_log(str(db3), LogOptions(scan=scan)) as log, open_log(str(mcap)) as expected:
+        assert by_index(log) is not scan
+        assert_same(log, expected)
+
+
+def test_db3_without_definitions_has_those_of_ros(mcap, db3, tmp_path):
+    path = copy(db3, tmp_path)
+    with sqlite3.connect(path) as file:
+        file.execute("DROP TABLE message_definitions")
+        file.execute("DROP TABLE metadata")
+    file.close()
+    with open_log(str(path)) as log, open_log(str(mcap)) as expected:
+        assert_same(log, expected)
+
+
+def test_real_recording_of_librealsense(shared_data):
+    folder = shared_data / "realsense_d435_bag"
+    source = folder / "unit-tests" / "resources" / "single_depth_color_640x480.bag"
+    with open_log(str(source)) as log:
+        with open_log(str(folder / "realsense_d435_1pair.mcap")) as expected:
+            for name in ("color", "depth"):
+                pair = getattr(log.calibration, name), getattr(expected.calibration, name)
+                assert np.allclose(*(camera[:6] for camera in pair), rtol=0, atol=1e-6)
+            pair = log.calibration.color_from_depth, expected.calibration.color_from_depth
+            for one, other in zip(*pair, strict=True):
+                assert np.allclose(one, other, rtol=0, atol=1e-6)
+            [found], [other] = list(log.batches(1)), list(expected.batches(1))
+            assert found.status == other.status == (FrameStatus.OK,)
+            assert np.array_equal(found.frames.color, other.frames.color)
+            assert np.array_equal(found.frames.depth, other.frames.depth)
+
+
+def test_bag_that_was_not_closed(mcap, bag, tmp_path):
+    """Without its end a bag gives all frames; of a torn chunk those that are whole."""
+    data = bag.read_bytes()
+    start = next(item.start for item in records(data[13:]) if item.op == 3) + 13
+    end = int.from_bytes(dict(next(records(data[13:])).fields)[b"index_pos"], "little")
+    path = tmp_path / "torn.bag"
+    path.write_bytes(data[:end])
+    with open_log(str(path)) as log, open_log(str(mcap)) as expected:
+        assert not by_index(log)
+        assert any("no index" in text for text in log.description.warnings)
+        assert_same(log, expected)
+    path.write_bytes(data[: start + (end - start) // 2])
+    with open_log(str(path)) as log:
+        assert 0 < log.num_frames < 8
+        assert any("bytes lost" in text for text in log.description.warnings)
+        [batch] = log.batches(8)
+        assert set(batch.status) <= {FrameStatus.OK, FrameStatus.UNPAIRED}
+
+
+def test_bag_with_a_damaged_chunk_says_what_is_missing(mcap, tmp_path):
+    path = convert_log(mcap, tmp_path / "sim.bag", "bz2")
+    data = bytearray(path.read_bytes())
+    chunks = [item for item in records(bytes(data[13:])) if item.op == 5]
+    middle = chunks[len(chunks) // 2]
+    content = slice(13 + middle.data, 13 + middle.end)
+    assert bz2.decompress(data[content])
+    data[content.start + 100 : content.start + 110] = bytes(10)
+    path.write_bytes(data)
+    with open_log(str(path), LogOptions(scan=True)) as log:
+        [integrity] = log.description.integrity
+        assert integrity.lost == {"chunk can't be decompressed": 1}
+        assert integrity.messages + sum(integrity.missing.values()) == integrity.declared_messages
+
+
+def test_damaged_db3_counts_what_is_lost(db3, tmp_path):
+    data = bytearray(db3.read_bytes())
+    with sqlite3.connect(db3) as file:
+        count = file.execute("SELECT count(*) FROM messages").fetchone()[0]
+    file.close()
+    path = tmp_path / "sim.db3"
+    path.write_bytes(data[: len(data) // 2 // 4096 * 4096])
+    with open_log(str(path)) as log:
+        [integrity] = log.description.integrity
+        assert 0 < integrity.messages < count
+        assert integrity.messages + sum(integrity.lost.values()) >= integrity.messages
+        assert integrity.recovered
+        assert 0 < log.num_frames <= 8
+
+
+def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path):
+    for path in (mcap, bag, db3):
+        copy(path, tmp_path)
+    (tmp_path / "other.svo2").write_bytes(b"x")
+    [log] = find_logs([str(tmp_path)])
+    assert [path.name for path in log.paths] == ["sim.mcap"]
+    for text in ("sim.bag is left out", "sim.db3 is left out", "other.svo2 is left out: play"):
+        assert text in log.note
+    with open_log(log) as opened:
+        assert log.note in opened.description.warnings
+    [named] = find_logs([str(tmp_path / "sim.bag")])
+    assert [path.name for path in named.paths] == ["sim.bag"]
+
+
+def test_folder_without_anything_to_read(tmp_path):
+    (tmp_path / "run.bag.active").write_bytes(b"x")
+    with pytest.raises(InputError, match=r"run\.bag\.active.*rosbag reindex"):
+        find_logs([str(tmp_path)])
+
+
+def test_bag_without_rosbags_names_the_extra(bag, monkeypatch):
+    find_spec = importlib.util.find_spec
+    hidden = lambda name, *rest: None if name == "rosbags" else find_spec(name, *rest)  # noqa: E731
+    monkeypatch.setattr("jaxdet.io.ros1.find_spec", hidden)
+    with pytest.raises(InputError, match=r"jaxdet\[rosbag\].*rosbags-convert --src .*sim\.bag"):
+        open_log(str(bag))
+
+
+@pytest.mark.parametrize(
+    "name, content, problem",
+    [
+        ("a.bag", b"#ROSBAG V1.2\n" + bytes(99), "not a ROS 1 bag"),
+        ("a.bag", b"#ROSBAG V2.0\n" + bytes(99), "no colour and no depth"),
+        ("a.db3", b"SQLite format 3\0" + bytes(99), "can't be read"),
+        ("a.db3", b"x" * 99, "not a rosbag2 SQLite file"),
+        ("a.db3", b"", "is empty"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path, name, content, problem):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(Exception, match=problem):
+        open_log(str(path))
+
+
+def test_db3_that_was_not_closed_or_is_compressed(db3, tmp_path):
+    path = copy(db3, tmp_path)
+    beside = tmp_path / "sim.db3-wal"
+    beside.write_bytes(b"x")
+    with pytest.raises(InputError, match=r"not closed: sim\.db3-wal"):
+        open_log(str(path))
+    beside.unlink()
+    with sqlite3.connect(path) as file:
+        file.execute("UPDATE messages SET data = X'28B52FFD0000'")
+    file.close()
+    with pytest.raises(InputError, match=r"compressed one by one.*rosbags-convert"):
+        open_log(str(path))
