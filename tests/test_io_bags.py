@@ -3,6 +3,7 @@
 import bz2
 import importlib.util
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -106,10 +107,9 @@ def test_db3_gives_the_frames_of_the_mcap_file(mcap, db3, scan):
 
 def test_db3_without_definitions_has_those_of_ros(mcap, db3, tmp_path):
     path = copy(db3, tmp_path)
-    with sqlite3.connect(path) as file:
+    with closing(sqlite3.connect(path)) as file, file:
         file.execute("DROP TABLE message_definitions")
         file.execute("DROP TABLE metadata")
-    file.close()
     with open_log(str(path)) as log, open_log(str(mcap)) as expected:
         assert_same(log, expected)
 
@@ -117,18 +117,18 @@ def test_db3_without_definitions_has_those_of_ros(mcap, db3, tmp_path):
 def test_real_recording_of_librealsense(shared_data):
     folder = shared_data / "realsense_d435_bag"
     source = folder / "unit-tests" / "resources" / "single_depth_color_640x480.bag"
-    with open_log(str(source)) as log:
-        with open_log(str(folder / "realsense_d435_1pair.mcap")) as expected:
-            for name in ("color", "depth"):
-                pair = getattr(log.calibration, name), getattr(expected.calibration, name)
-                assert np.allclose(*(camera[:6] for camera in pair), rtol=0, atol=1e-6)
-            pair = log.calibration.color_from_depth, expected.calibration.color_from_depth
-            for one, other in zip(*pair, strict=True):
-                assert np.allclose(one, other, rtol=0, atol=1e-6)
-            [found], [other] = list(log.batches(1)), list(expected.batches(1))
-            assert found.status == other.status == (FrameStatus.OK,)
-            assert np.array_equal(found.frames.color, other.frames.color)
-            assert np.array_equal(found.frames.depth, other.frames.depth)
+    other = str(folder / "realsense_d435_1pair.mcap")
+    with open_log(str(source)) as log, open_log(other) as expected:
+        for name in ("color", "depth"):
+            pair = getattr(log.calibration, name), getattr(expected.calibration, name)
+            assert np.allclose(*(camera[:6] for camera in pair), rtol=0, atol=1e-6)
+        pair = log.calibration.color_from_depth, expected.calibration.color_from_depth
+        for one, other in zip(*pair, strict=True):
+            assert np.allclose(one, other, rtol=0, atol=1e-6)
+        [found], [other] = list(log.batches(1)), list(expected.batches(1))
+        assert found.status == other.status == (FrameStatus.OK,)
+        assert np.array_equal(found.frames.color, other.frames.color)
+        assert np.array_equal(found.frames.depth, other.frames.depth)
 
 
 def test_bag_that_was_not_closed(mcap, bag, tmp_path):
@@ -165,19 +165,29 @@ def test_bag_with_a_damaged_chunk_says_what_is_missing(mcap, tmp_path):
         assert integrity.messages + sum(integrity.missing.values()) == integrity.declared_messages
 
 
-def test_damaged_db3_counts_what_is_lost(db3, tmp_path):
-    data = bytearray(db3.read_bytes())
-    with sqlite3.connect(db3) as file:
-        count = file.execute("SELECT count(*) FROM messages").fetchone()[0]
-    file.close()
-    path = tmp_path / "sim.db3"
-    path.write_bytes(data[: len(data) // 2 // 4096 * 4096])
+def count_messages(path: Path) -> int:
+    with closing(sqlite3.connect(path)) as file:
+        return file.execute("SELECT count(*) FROM messages").fetchone()[0]
+
+
+@pytest.mark.parametrize("where", [0.25, 0.5, 0.75])
+@pytest.mark.parametrize("torn", [False, True])
+def test_damaged_db3_accounts_for_every_message(db3, tmp_path, where, torn):
+    """One page is zero or the file ends there; the index of times still counts all messages."""
+    data, path = bytearray(db3.read_bytes()), tmp_path / "sim.db3"
+    leaves = [at for at in range(0, len(data), 4096) if data[at] == 0x0D]
+    page = leaves[int(where * len(leaves))]
+    path.write_bytes(data[:page] if torn else data[:page] + bytes(4096) + data[page + 4096 :])
     with open_log(str(path)) as log:
         [integrity] = log.description.integrity
-        assert 0 < integrity.messages < count
-        assert integrity.messages + sum(integrity.lost.values()) >= integrity.messages
-        assert integrity.recovered
-        assert 0 < log.num_frames <= 8
+        count = count_messages(db3)
+        assert 0 < integrity.messages < count == integrity.declared_messages
+        assert integrity.messages + sum(integrity.lost.values()) == count
+        assert integrity.has_end is not torn
+        images = integrity.missing.get("/camera/camera/color/image_raw", 0)
+        assert images + log.num_frames <= 8
+        for batch in log.batches(4):
+            assert set(batch.status) <= {FrameStatus.OK, FrameStatus.UNPAIRED}
 
 
 def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path):
@@ -232,8 +242,7 @@ def test_db3_that_was_not_closed_or_is_compressed(db3, tmp_path):
     with pytest.raises(InputError, match=r"not closed: sim\.db3-wal"):
         open_log(str(path))
     beside.unlink()
-    with sqlite3.connect(path) as file:
+    with closing(sqlite3.connect(path)) as file, file:
         file.execute("UPDATE messages SET data = X'28B52FFD0000'")
-    file.close()
     with pytest.raises(InputError, match=r"compressed one by one.*rosbags-convert"):
         open_log(str(path))

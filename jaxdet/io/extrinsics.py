@@ -84,7 +84,9 @@ def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.
     It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
     group N to the stream. Source: librealsense, ``media/ros/ros_file_format.h``.
     """
-    color, depth = (topic.removesuffix("image/data") + "tf/" for topic in (color_topic, depth_topic))
+    color, depth = (
+        topic.removesuffix("image/data") + "tf/" for topic in (color_topic, depth_topic)
+    )
     for name in sorted(index.extrinsics):
         other = depth + name.removeprefix(color)
         if name.startswith(color) and other in index.extrinsics:

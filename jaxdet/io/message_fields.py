@@ -161,6 +161,10 @@ def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
 
 
 def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
+    if name == "geometry_msgs/Transform":
+        motion = _motion(0, "", "", message.translation, message.rotation)
+        T = motion_matrix(np.array(motion.translation), np.array(motion.rotation))
+        return ExtrinsicsMessage(T[:3, :3], motion.translation)
     rotation = np.array(message.rotation, np.float64).reshape(3, 3).T
     if not (np.abs(rotation) <= 2).all():
         raise ValueError("rotation is not orthonormal")

@@ -8,7 +8,6 @@ from typing import Any
 from jaxdet.errors import InputError
 
 
-
 class MissingRosbagsError(Exception):
     """``rosbags`` isn't installed."""
 

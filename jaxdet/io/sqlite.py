@@ -178,7 +178,7 @@ class SqliteFile(LogFile):
             tables = {row[0] for row in self.query(_TABLES)}
             first = self.query(_FIRST).fetchone() if tables >= _NEEDED else None
         except (sqlite3.Error, DamageError) as error:
-            problem = f"the SQLite file can't be read ({error})"
+            problem = str(error if isinstance(error, DamageError) else damage(error))
             remedy = "recover it with sqlite3 FILE .recover, or leave it out"
             raise InputError(problem, path=str(self.path), remedy=remedy) from error
         if not tables >= _NEEDED:

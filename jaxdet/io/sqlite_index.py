@@ -3,6 +3,7 @@
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,12 @@ from jaxdet.io.writer_cdr import is_known, schema_text
 
 _ROWS_AT_ONCE = 1 << 14
 _INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
-_DATA = """SELECT id, topic_id, timestamp,
-CASE WHEN length(data) <= ? THEN data END, length(data) FROM messages WHERE id > ? ORDER BY id"""
+_DATA = """SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ?1 THEN data END, length(data)
+FROM messages WHERE id > ?2 ORDER BY id LIMIT ?3"""
+_WITHOUT_DATA = """SELECT id, topic_id, timestamp, NULL, length(data)
+FROM messages WHERE id > ?2 AND ?1 ORDER BY id LIMIT ?3"""
 _COUNT = "SELECT count(*) FROM messages INDEXED BY timestamp_idx"
+_GREATEST = "SELECT max(id) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
 _DEFINITIONS = """SELECT topic_type, encoding, encoded_message_definition
 FROM message_definitions WHERE length(encoded_message_definition) <= ? ORDER BY id"""
@@ -66,8 +70,8 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
 def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
     """Gives every readable message to ``handler``, in the order of their numbers.
 
-    Where SQLite finds a page damaged, the walk goes on at the next message that it can reach, and
-    each number passed over is counted as lost.
+    Where SQLite finds a page damaged, the walk goes on at the next message that it can reach. Of
+    a message whose data are damaged the topic is known mostly; else its number is counted as lost.
 
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
@@ -78,16 +82,17 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
     except DamageError as error:
         problem = str(error)
     lost: Counter[str] = Counter()
+    missing: Counter[str] = Counter()
     lost_bytes = messages = last_ns = 0
-    for row in _rows(file, lost):
-        number, channel, log_ns, data, size = row
+    for number, channel, log_ns, data, size in _rows(file, lost):
         try:
             check_row(channel, log_ns)
             position = position_of(number)
-            if data is None:
-                raise DamageError("message is larger than --log.max-chunk-mib")
-            if channel not in infos or not isinstance(data, bytes):
+            if channel not in infos:
                 raise DamageError("message of an undeclared topic")
+            if not isinstance(data, bytes):
+                missing[infos[channel].topic] += 1
+                raise DamageError("message is damaged or larger than --log.max-chunk-mib")
         except DamageError as error:
             lost[str(error)] += 1
             lost_bytes += size or 0
@@ -104,31 +109,38 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
         declared_messages=_declared(file),
         chunks=0,
         chunks_with_crc=0,
-        has_end=True,
+        has_end=file.declared_bytes <= file.size,
         lost=dict(lost),
         lost_bytes=lost_bytes,
         lost_spans_ns=(),
         last_log_time_ns=last_ns,
-        missing={},
+        missing=dict(missing),
         summary_problem=problem,
     )
 
 
 def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
-    """Number, topic, log time, data and their bytes of all messages that can be reached."""
-    before = -1
-    last = _last_number(file)
-    while True:
-        try:
-            for row in file.query(_DATA, (file.max_bytes, before)):
+    """Number, topic, log time, data and their bytes of all messages that can be reached.
+
+    The data are None where they can't be read.
+    """
+    before, last = -1, _last_number(file)
+    while before < last:
+        with suppress(sqlite3.Error, DamageError):
+            for row in file.query(_DATA, (file.max_bytes, before, -1)):
                 yield row
                 before = row[0]
             return
-        except (sqlite3.Error, DamageError) as error:
-            lost[f"damaged page ({error})" if isinstance(error, sqlite3.Error) else str(error)] += 1
+        # The next one may be whole: what SQLite could not read can come after it.
+        for text in (_DATA, _WITHOUT_DATA):
+            with suppress(sqlite3.Error, DamageError):
+                [row] = file.query(text, (file.max_bytes, before, 1)).fetchall()
+                yield row
+                before = row[0]
+                break
+        else:
+            lost["page is damaged"] += 1
             before += 1
-            if before >= last:
-                return
 
 
 def _last_number(file: SqliteFile) -> int:
@@ -140,9 +152,6 @@ def _last_number(file: SqliteFile) -> int:
         except (sqlite3.Error, DamageError):
             continue
     return max(numbers)
-
-
-_GREATEST = "SELECT max(id) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
 
 
 def _declared(file: SqliteFile) -> int | None:
