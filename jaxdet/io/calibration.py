@@ -49,7 +49,7 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     color_source = _source(index, color_stream, False, options, path)
     color = find_intrinsics(color_source)
     depth_source = _source(index, depth_stream, True, options, path)
-    unit = options.depth_unit_m or DEPTH_UNIT_M
+    unit, unit_source = _depth_unit(index, options, choice.depth, path)
     origins = [_line("colour", color.intrinsics, color.origin)]
     warnings = list(color.warnings)
     same_frame = bool(color_frame) and _frame(color_stream, False) == depth_frame
@@ -74,8 +74,7 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         check_calibration(calibration)
     except CalibrationError as error:
         raise CalibrationError(error.problem, path=path, remedy=error.remedy) from error
-    given = "--log.depth-unit-m" if options.depth_unit_m else "the default"
-    origins.append(f"depth unit: {unit:g} m, {given}")
+    origins.append(f"depth unit: {unit:g} m, {unit_source}")
     used = {item.topic: item.info for item in sources if item.info and item.matrix is None}
     warnings += _changes(index, used)
     return Calibrated(
@@ -86,6 +85,24 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
 def _frame(stream: ImageStream, depth: bool) -> str:
     image = first_image(stream, depth)
     return image.frame_id if image is not None else ""
+
+
+def _depth_unit(
+    index: LogIndex, options: LogOptions, depth_topic: str, path: str
+) -> tuple[float, str]:
+    """Metres in a depth unit, and where that comes from."""
+    if options.depth_unit_m:
+        return options.depth_unit_m, "--log.depth-unit-m"
+    near = [name for name in sorted(index.depth_units) if affinity(name, depth_topic) > 1]
+    if not near:
+        return DEPTH_UNIT_M, "the default"
+    topic = max(near, key=lambda name: affinity(name, depth_topic))
+    # The shortest decimal that is this float32: 0.001, not 0.0010000000475.
+    unit = float(str(np.float32(index.depth_units[topic])))
+    if not 0 < unit < 1:
+        problem, remedy = f"a depth unit of {unit:g} m", "give --log.depth-unit-m"
+        raise CalibrationError(problem, path=path, topic=printable(topic), remedy=remedy)
+    return unit, f"topic {printable(topic)}"
 
 
 def _aligned(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
+from jaxdet.io.image_folder import image_folders, stamp_note
 from jaxdet.io.splits import Recording, Sketch, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -44,9 +45,10 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     ``NAME``, in the order of their numbers, with or without a ``metadata.yaml``, unless what is in
     them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
     its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
-    these formats one is taken, MCAP first. Names are made printable. Equal names get as many
-    parent folders put before them as it takes. A file named twice counts once; the order is by
-    path and does not depend on the order of ``inputs``.
+    these formats one is taken, MCAP first. Where there is none of them, a folder of colour and
+    depth images (:mod:`jaxdet.io.image_folder`) is a log called by its name. Names are made
+    printable. Equal names get as many parent folders put before them as it takes. A file named
+    twice counts once; the order is by path and does not depend on the order of ``inputs``.
 
     Raises:
         InputError: An input doesn't exist or holds nothing that is read.
@@ -71,7 +73,8 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         for part in parts:
             alone = len(part.paths) == 1 or len(parts) > 1
             first = part.paths[0]
-            stems.append(first.with_suffix("") if alone else first.with_name(stem))
+            alone_name = first if first.is_dir() else first.with_suffix("")
+            stems.append(alone_name if alone else first.with_name(stem))
         members += parts
     names = _unique_names(stems)
     return [
@@ -139,14 +142,19 @@ def _files(text: str) -> tuple[list[Path], str]:
             problem, remedy = f"{path.suffix} files are not read", _OTHERS[path.suffix]
             raise InputError(problem, path=text, remedy=remedy)
         return seen, ""
+    folders = image_folders(seen)
+    if not found and folders:
+        return folders, "; ".join(note for item in folders if (note := stamp_note(item)))
     if not found:
         where, remedy = text, "name an MCAP file or a folder"
-        problem = "no .mcap, .bag or .db3 file found"
+        problem = "no .mcap, .bag or .db3 file and no folder of images found"
         if others:
             where, remedy = str(others[0]), _OTHERS[others[0].suffix]
             problem = f"{others[0].suffix} files are not read, and there is nothing else here"
         raise InputError(problem, path=where, remedy=remedy)
-    return _preferred(found, others)
+    taken, note = _preferred(found, others)
+    left = [f"{printable(item.name)} is left out: images beside recordings" for item in folders]
+    return taken, "; ".join(filter(None, [note, *left[:_MAX_LISTED]]))
 
 
 def _preferred(found: Sequence[Path], others: Sequence[Path]) -> tuple[list[Path], str]:

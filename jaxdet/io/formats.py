@@ -1,4 +1,4 @@
-"""The formats of log files: MCAP, ROS 1's bag and ROS 2's SQLite files.
+"""The formats of logs: MCAP, ROS 1's bags, ROS 2's SQLite files and folders of images.
 
 Whichever it is, the file gives its channels, an index of its messages and chunks of MCAP records;
 all that reads logs stands on these.
@@ -12,6 +12,8 @@ from jaxdet.io.bag_index import read_bag_index, scan_bag
 from jaxdet.io.chunks import RECORD_HEAD
 from jaxdet.io.container import LogFile, McapFile
 from jaxdet.io.file_index import FileIndex, indexed_integrity
+from jaxdet.io.image_folder import ImageFolder
+from jaxdet.io.image_folder_index import read_folder_index, scan_folder
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.message_index import read_message_index
 from jaxdet.io.messages import kind_of
@@ -28,13 +30,14 @@ def open_file(path: Path, max_bytes: int) -> LogFile:
     """Opens a file of a log.
 
     Args:
-        path: The file.
+        path: The file or folder.
         max_bytes: Largest chunk or message, before and after decompression.
 
     Raises:
         InputError: It can't be opened, or isn't of the format that its name says.
     """
-    return _FORMATS.get(path.suffix, McapFile)(path, max_bytes)
+    kind = ImageFolder if path.is_dir() else _FORMATS.get(path.suffix, McapFile)
+    return kind(path, max_bytes)
 
 
 def read_file_index(file: LogFile) -> FileIndex:
@@ -47,6 +50,8 @@ def read_file_index(file: LogFile) -> FileIndex:
         return read_bag_index(file)
     if isinstance(file, SqliteFile):
         return read_sqlite_index(file)
+    if isinstance(file, ImageFolder):
+        return read_folder_index(file)
     assert isinstance(file, McapFile)
     summary = read_summary(file)
     infos = {key: summary.declared.info(key) for key in summary.declared.channels}
@@ -82,5 +87,7 @@ def scan_file(file: LogFile, handler: Handler, pool: ThreadPoolExecutor) -> File
         return scan_bag(file, handler, pool)
     if isinstance(file, SqliteFile):
         return scan_sqlite(file, handler)
+    if isinstance(file, ImageFolder):
+        return scan_folder(file, handler)
     assert isinstance(file, McapFile)
     return scan(file, handler, pool)

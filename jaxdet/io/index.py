@@ -20,6 +20,7 @@ from jaxdet.io.messages import (
     ExtrinsicsMessage,
     ImageMessage,
     Kind,
+    NumberMessage,
     RgbdMessage,
     TransformMessage,
     kind_of,
@@ -28,6 +29,9 @@ from jaxdet.io.motion import MotionSamples
 from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageStream
 from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
+
+DEPTH_UNIT_TOPIC = "/option/Depth Units/value"
+"""How librealsense's recorder ends the topic with the metres in a depth unit."""
 
 
 class TopicInfo:
@@ -78,6 +82,8 @@ class LogIndex:
         self.streams: dict[str, ImageStream] = {}
         self.calibrations: dict[str, CalibrationTopic] = {}
         self.extrinsics: dict[str, ExtrinsicsMessage] = {}
+        self.depth_units: dict[str, float] = {}
+        """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
         self.tree = TransformTree()
         self.integrity: list[FileIntegrity] = []
@@ -109,6 +115,8 @@ class IndexBuilder:
         """Whether messages of this kind are used."""
         if decoder.kind in IMAGE_KINDS:
             return self.images
+        if decoder.kind is Kind.NUMBER:
+            return decoder.channel.topic.endswith(DEPTH_UNIT_TOPIC)
         return self.use_tf or decoder.kind is not Kind.TRANSFORM
 
     def count(self, channel: ChannelInfo, messages: int, first_ns: int, last_ns: int) -> None:
@@ -138,7 +146,7 @@ class IndexBuilder:
             if decoder.kind in IMAGE_KINDS:
                 if self.images:
                     self._image(channel.topic, decoder, log_ns, payload, location)
-            else:
+            elif self.wants(decoder):
                 self._small(channel.topic, decoder, payload, log_ns)
         except FrameError:
             topic.undecodable += 1
@@ -229,7 +237,11 @@ class IndexBuilder:
             message = decoder.decode(payload)
             assert isinstance(message, ExtrinsicsMessage)
             self.index.extrinsics.setdefault(topic, message)
-        elif self.use_tf or decoder.kind is not Kind.TRANSFORM:
+        elif decoder.kind is Kind.NUMBER:
+            message = decoder.decode(payload)
+            assert isinstance(message, NumberMessage)
+            self.index.depth_units.setdefault(topic, message.value)
+        else:
             self._motions(topic, decoder, payload)
 
     def _motions(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:

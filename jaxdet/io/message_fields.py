@@ -19,6 +19,7 @@ from jaxdet.io.messages import (
     ImageMessage,
     Kind,
     Message,
+    NumberMessage,
     RgbdMessage,
     TransformMessage,
 )
@@ -174,6 +175,10 @@ def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
     return ExtrinsicsMessage(rotation, (x, y, z))
 
 
+def _number(message: Any, name: str) -> NumberMessage:
+    return NumberMessage(float(message.data))
+
+
 _PARSE: dict[Kind, Callable[[Any, str], Message]] = {
     Kind.IMAGE: _image,
     Kind.COMPRESSED: _compressed,
@@ -183,4 +188,5 @@ _PARSE: dict[Kind, Callable[[Any, str], Message]] = {
     Kind.ODOMETRY: _odometry,
     Kind.POSE: _pose,
     Kind.EXTRINSICS: _extrinsics,
+    Kind.NUMBER: _number,
 }

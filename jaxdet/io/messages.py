@@ -17,6 +17,7 @@ class Kind(Enum):
     ODOMETRY = "odometry"
     POSE = "pose"
     EXTRINSICS = "extrinsics"
+    NUMBER = "number"
 
 
 IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED, Kind.RGBD)
@@ -38,6 +39,7 @@ _KINDS = {
     "foxglove.PoseInFrame": Kind.POSE,
     "realsense2_camera_msgs/Extrinsics": Kind.EXTRINSICS,
     "geometry_msgs/Transform": Kind.EXTRINSICS,
+    "std_msgs/Float32": Kind.NUMBER,
 }
 
 
@@ -127,12 +129,19 @@ class ExtrinsicsMessage(NamedTuple):
     """Metres."""
 
 
+class NumberMessage(NamedTuple):
+    """A single number."""
+
+    value: float
+
+
 Message = (
     ImageMessage
     | CompressedImageMessage
     | CameraInfoMessage
     | RgbdMessage
     | ExtrinsicsMessage
+    | NumberMessage
     | tuple[TransformMessage, ...]
 )
 """What :class:`jaxdet.io.decode_messages.MessageDecoder` returns."""

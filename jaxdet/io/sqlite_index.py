@@ -14,9 +14,10 @@ from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
+from jaxdet.io.message_file import HEAD_BYTES, POSITION_BITS, MessageRow, position_of
 from jaxdet.io.messages import kind_of
 from jaxdet.io.scan import Handler
-from jaxdet.io.sqlite import HEAD_BYTES, POSITION_BITS, SqliteFile, check_row, damage, position_of
+from jaxdet.io.sqlite import SqliteFile, damage
 from jaxdet.io.writer_cdr import is_known, schema_text
 
 _ROWS_AT_ONCE = 1 << 14
@@ -51,7 +52,7 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
     number, channel, log_ns, size = np.concatenate(parts, axis=1)
     check_messages(len(number), file.size, str(file.path))
     for value in (channel.min(initial=0), channel.max(initial=0)):
-        check_row(int(value), int(log_ns.min(initial=0)))
+        MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
     for value in (number.min(initial=0), number.max(initial=0)):
         position_of(int(value))
     counts = count_channels(channel, log_ns)
@@ -86,7 +87,7 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
     lost_bytes = messages = last_ns = 0
     for number, channel, log_ns, data, size in _rows(file, lost):
         try:
-            check_row(channel, log_ns)
+            MessageRow(channel, log_ns, size).check()
             position = position_of(number)
             if channel not in infos:
                 raise DamageError("message of an undeclared topic")

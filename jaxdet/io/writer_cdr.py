@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 _DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "std_msgs/Float32": "float32 data",
     "sensor_msgs/Image": "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
     "uint8 is_bigendian\nuint32 step\nuint8[] data",
     "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",

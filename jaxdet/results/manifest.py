@@ -24,16 +24,19 @@ def fingerprint(path: Path) -> dict[str, Any]:
     The checksum is SHA-256 of the size, the first and the last 64 KiB, where MCAP has its header,
     first messages, chunk index and statistics. It sees another recording, a file cut or gone on
     with, and chunks that moved. Bytes changed in the middle it does not see: those the time of
-    the last change may tell, and the chunks' own checksums.
+    the last change may tell, and the chunks' own checksums. Of a folder of images it is that of
+    its files' names, sizes and times of change.
 
     Args:
-        path: The file.
+        path: The file or folder.
 
     Returns:
         What JSON can hold; without size, time and checksum where the file can't be read.
     """
     found: dict[str, Any] = {"path": os.fsencode(path).decode("utf-8", "backslashreplace")}
     try:
+        if path.is_dir():
+            return found | _folder(path)
         with path.open("rb") as file:
             about = os.fstat(file.fileno())
             hashed = hashlib.sha256(about.st_size.to_bytes(8, "little"))
@@ -48,6 +51,17 @@ def fingerprint(path: Path) -> dict[str, Any]:
         "mtime_ns": about.st_mtime_ns,
         "fingerprint": hashed.hexdigest(),
     }
+
+
+def _folder(path: Path) -> dict[str, Any]:
+    """Bytes, latest change and checksum of a folder's files and those of the folders in it."""
+    hashed, size, latest = hashlib.sha256(), 0, 0
+    for file in sorted([*path.glob("*"), *path.glob("*/*")]):
+        about = file.stat()
+        line = f"{file.relative_to(path)} {about.st_size} {about.st_mtime_ns}\n"
+        hashed.update(line.encode("utf-8", "surrogateescape"))
+        size, latest = size + about.st_size, max(latest, about.st_mtime_ns)
+    return {"size": size, "mtime_ns": latest, "fingerprint": hashed.hexdigest()}
 
 
 def make_manifest(about: Mapping[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:

@@ -1,0 +1,315 @@
+"""A folder of colour and depth images as a log, as TUM's RGB-D benchmark and Open3D lay it out.
+
+In it are a folder of colour images (``rgb color colour``: PNG, JPEG) and one of depth images
+(``depth``: 16-bit PNG, aligned to colour). Stamps [s] and names are in ``rgb.txt`` and
+``depth.txt``, or the names are stamps with a decimal point, or their last numbers are frames'
+numbers: then :data:`RATE_HZ` of them make a second. ``groundtruth.txt`` has the camera's poses
+(stamp, tx ty tz, qx qy qz qw), and a JSON file the camera matrix: ``intrinsic_matrix`` (nine
+numbers, column-major), ``width``, ``height`` and, perhaps, ``depth_scale`` (depth units in a
+metre). Sources: the benchmark's page "File Formats"; Open3D's ``PinholeCameraIntrinsic`` and
+``RGBDVideoMetadata``.
+"""
+
+import json
+import os
+import re
+from collections.abc import Iterable, Sequence
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxdet.errors import InputError
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import FileState
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.message_file import MessageFile, MessageRow
+from jaxdet.io.writer_cdr import encode_cdr, schema_text
+
+RATE_HZ = 30
+COLOR_NAMES = ("rgb", "color", "colour")
+DEPTH_NAMES = ("depth",)
+COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
+DEPTH_SUFFIXES = (".png",)
+_SECOND = 1_000_000_000
+_FIRST_S = 1
+"""Stamp of frame 0 where frames have numbers only [s]; 0 would count as none."""
+_MAX_TEXT_BYTES = 64 << 20
+_NUMBER = re.compile(r"(\d+)\D*$")
+_FRAME = "camera_color_optical_frame"
+_TYPES = {
+    "/camera/color/image": "sensor_msgs/CompressedImage",
+    "/camera/depth_registered/image": "sensor_msgs/CompressedImage",
+    "/camera/color/camera_info": "sensor_msgs/CameraInfo",
+    "/camera/depth_registered/option/Depth Units/value": "std_msgs/Float32",
+    "/tf": "tf2_msgs/TFMessage",
+}
+_COLOR, _DEPTH, _INFO, _UNIT, _TF = range(len(_TYPES))
+
+
+class _Message(NamedTuple):
+    """A message: some bytes, then a file."""
+
+    log_ns: int
+    channel: int
+    head: bytes
+    path: Path | None = None
+    size: int = 0
+    """Of the file; 0 where it is missing."""
+
+
+class ImageFolder(MessageFile):
+    """A folder of colour and depth images.
+
+    Attributes:
+        infos: Its channels.
+        rows: What is known of its messages, in order of time.
+    """
+
+    magic = b""
+    kind = "a folder of images"
+
+    def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
+        self.path, self.max_bytes = path, max_bytes
+        try:
+            self.state = state or _state(path)
+            self.check_unchanged()
+            self._messages = _messages(path)
+        except OSError as error:
+            problem = f"can't be read ({error.strerror})"
+            raise InputError(problem, path=str(path), remedy="check the folder") from error
+        self.size = sum(len(item.head) + item.size for item in self._messages)
+        self.infos = {
+            number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())
+            for number, (topic, name) in enumerate(_TYPES.items())
+        }
+
+    @property
+    def rows(self) -> list[MessageRow]:
+        """What is known of the messages, in order of time."""
+        return [self.row(number) for number in range(len(self._messages))]
+
+    def close(self) -> None:
+        """Does nothing: an image is open while it is read."""
+
+    def check_unchanged(self) -> None:
+        """Makes sure that no image came, went or got another name since the folder was opened.
+
+        Raises:
+            InputError: One did.
+        """
+        if _state(self.path) != self.state:
+            problem, remedy = "the folder was changed while it was read", "read it again"
+            raise InputError(problem, path=str(self.path), remedy=remedy)
+
+    def row(self, number: int) -> MessageRow:
+        """What is known of a message.
+
+        Raises:
+            DamageError: There is none.
+        """
+        if not 0 <= number < len(self._messages):
+            raise DamageError("no message where one should be")
+        item = self._messages[number]
+        return MessageRow(item.channel, item.log_ns, len(item.head) + item.size)
+
+    def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
+        """Fills writable byte views with a message's data from ``start``, one after the other.
+
+        Raises:
+            DamageError: They end before, or can't be read.
+        """
+        item = self._messages[number]
+        size = sum(map(len, parts))
+        data = item.head[start : start + size]
+        if len(data) < size and item.path is not None:
+            try:
+                with item.path.open("rb") as file:
+                    file.seek(max(0, start - len(item.head)))
+                    data += file.read(size - len(data))
+            except OSError as error:
+                raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
+        if len(data) < size:
+            raise DamageError("message ends early")
+        for part in parts:
+            part[:], data = data[: len(part)], data[len(part) :]
+
+
+def image_folders(files: Iterable[Path]) -> list[Path]:
+    """The folders with colour and depth images, among whose files are some; in order."""
+    found: dict[Path, set[bool]] = {}
+    for file in files:
+        name, suffix = file.parent.name.lower(), file.suffix.lower()
+        if name in DEPTH_NAMES and suffix in DEPTH_SUFFIXES:
+            found.setdefault(file.parent.parent, set()).add(True)
+        elif name in COLOR_NAMES and suffix in COLOR_SUFFIXES:
+            found.setdefault(file.parent.parent, set()).add(False)
+    return sorted(folder for folder, kinds in found.items() if len(kinds) == 2)
+
+
+def stamp_note(folder: Path) -> str:
+    """What is to be said of the stamps of a folder's images; empty where they are recorded."""
+    if (folder / "rgb.txt").exists() and (folder / "depth.txt").exists():
+        return ""
+    names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
+    if all("." in name for name in names):
+        return ""
+    return f"{folder.name} has no stamps; its frames' numbers count as {RATE_HZ} frames a second"
+
+
+def _messages(folder: Path) -> list[_Message]:
+    """The messages of a folder in order of time."""
+    found = [
+        *_image_messages(folder, _COLOR, "rgb.txt", COLOR_NAMES, COLOR_SUFFIXES),
+        *_image_messages(folder, _DEPTH, "depth.txt", DEPTH_NAMES, DEPTH_SUFFIXES),
+    ]
+    first = min((item.log_ns for item in found), default=0)
+    found += _calibration(folder, first)
+    found += _poses(folder)
+    return sorted(found, key=lambda item: item[:2])
+
+
+def _image_messages(
+    folder: Path, channel: int, listed: str, names: Sequence[str], suffixes: Sequence[str]
+) -> list[_Message]:
+    if (folder / listed).exists():
+        lines = _table(folder / listed, 2)
+        images = [(_nanoseconds(stamp, folder / listed), folder / name) for stamp, name in lines]
+    else:
+        paths = _images(folder, names, suffixes)
+        dots = bool(paths) and all("." in path.stem for path in paths)
+        images = [(_stamp_of(path, dots), path) for path in paths]
+    form = "16UC1; png" if channel == _DEPTH else "png"
+    found = []
+    for stamp_ns, path in images:
+        size = path.stat().st_size if path.is_file() else 0
+        message = {"header": _header(stamp_ns), "format": form, "data": b""}
+        head = encode_cdr("sensor_msgs/CompressedImage", message)
+        head = head[:-4] + size.to_bytes(4, "little")
+        found.append(_Message(stamp_ns, channel, head, path, size))
+    return found
+
+
+def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list[Path]:
+    parts = sorted(part for part in folder.iterdir() if part.name.lower() in names)
+    if len(parts) > 1:
+        listed = ", ".join(part.name for part in parts)
+        raise InputError(
+            f"several folders of images: {listed}", path=str(folder), remedy="keep one"
+        )
+    files = (path for part in parts for path in part.iterdir())
+    return sorted(path for path in files if path.suffix.lower() in suffixes)
+
+
+def _stamp_of(path: Path, is_stamp: bool) -> int:
+    """Nanoseconds of an image by its name."""
+    if is_stamp:
+        return _nanoseconds(path.stem, path)
+    match = _NUMBER.search(path.stem)
+    if match is None or len(match[1]) > 9:
+        problem = "the name has neither a stamp in seconds nor a frame's number"
+        raise InputError(problem, path=str(path), remedy="number the images, or write rgb.txt")
+    return _FIRST_S * _SECOND + int(match[1]) * _SECOND // RATE_HZ
+
+
+def _calibration(folder: Path, log_ns: int) -> list[_Message]:
+    """The camera's calibration and depth unit, where a JSON file has them."""
+    found = [(path, value) for path in sorted(folder.glob("*.json")) if (value := _camera(path))]
+    if not found:
+        return []
+    if len(found) > 1:
+        names = ", ".join(path.name for path, _ in found)
+        raise InputError(f"several calibrations: {names}", path=str(folder), remedy="keep one")
+    path, camera = found[0]
+    try:
+        fx, _, lower, _, fy, row, cx, cy, one = (float(item) for item in camera["intrinsic_matrix"])
+        if (lower, row, one) != (0, 0, 1):
+            raise ValueError("not column-major")
+        width, height = int(camera["width"]), int(camera["height"])
+        scale = float(camera.get("depth_scale", 1000))
+        info = {
+            "header": _header(log_ns), "height": height, "width": width,
+            "distortion_model": "plumb_bob", "d": (0.0,) * 5,
+            "k": (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
+            "r": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+            "p": (fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
+            "binning_x": 0, "binning_y": 0,
+            "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+        }  # fmt: skip
+        unit = encode_cdr("std_msgs/Float32", {"data": 1 / scale})
+        head = encode_cdr("sensor_msgs/CameraInfo", info)
+    except (ArithmeticError, KeyError, TypeError, ValueError, OverflowError) as error:
+        problem = f"the calibration can't be read ({type(error).__name__}: {error})"
+        remedy = "give intrinsic_matrix (nine numbers, column-major), width and height"
+        raise InputError(problem, path=str(path), remedy=remedy) from error
+    return [_Message(log_ns, _INFO, head), _Message(log_ns, _UNIT, unit)]
+
+
+def _camera(path: Path) -> dict[str, Any] | None:
+    """What a JSON file says of a camera; None where it is about something else."""
+    if path.stat().st_size > 1 << 20:
+        return None
+    try:
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and "intrinsic_matrix" in found else None
+
+
+def _poses(folder: Path) -> list[_Message]:
+    """The camera's poses in the world."""
+    path, found = folder / "groundtruth.txt", []
+    if not path.exists():
+        return []
+    for stamp, *numbers in _table(path, 8):
+        stamp_ns = _nanoseconds(stamp, path)
+        try:
+            tx, ty, tz, qx, qy, qz, qw = map(float, numbers)
+        except ValueError as error:
+            raise InputError("a pose is no number", path=str(path), remedy="correct it") from error
+        motion = {
+            "translation": {"x": tx, "y": ty, "z": tz},
+            "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
+        }
+        head = {**_header(stamp_ns), "frame_id": "map"}
+        item = {"header": head, "child_frame_id": _FRAME, "transform": motion}
+        data = encode_cdr("tf2_msgs/TFMessage", {"transforms": [item]})
+        found.append(_Message(stamp_ns, _TF, data))
+    return found
+
+
+def _table(path: Path, columns: int) -> list[list[str]]:
+    """The lines of a text file, in words; ``#`` begins a comment."""
+    if path.stat().st_size > _MAX_TEXT_BYTES:
+        raise InputError("the file is too large", path=str(path), remedy="split the recording")
+    lines = path.read_text("utf-8", "replace").replace(",", " ").splitlines()
+    rows = [words for line in lines if (words := line.partition("#")[0].split())]
+    for words in rows:
+        if len(words) < columns:
+            problem = f"a line has {len(words)} columns, not {columns}"
+            raise InputError(problem, path=str(path), remedy="correct it")
+    return [words[:columns] for words in rows]
+
+
+def _nanoseconds(text: str, path: Path) -> int:
+    """A stamp in seconds, exactly."""
+    try:
+        found = int(Decimal(text) * _SECOND)
+    except (InvalidOperation, ValueError, OverflowError) as error:
+        problem = f"{text[:40]!a} is no stamp in seconds"
+        raise InputError(problem, path=str(path), remedy="correct it") from error
+    if not 0 <= found < 9_000_000_000 * _SECOND:
+        raise InputError(f"stamp {text} is out of range", path=str(path), remedy="correct it")
+    return found
+
+
+def _header(stamp_ns: int) -> dict[str, Any]:
+    sec, nanosec = divmod(stamp_ns, _SECOND)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": _FRAME}
+
+
+def _state(folder: Path) -> FileState:
+    """The folder's state: that of itself and of the folders in it, of which the latest change."""
+    about = os.stat(folder)
+    parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
+    latest = max(item.st_mtime_ns for item in (about, *parts))
+    return FileState(about.st_dev, about.st_ino, about.st_size, latest)

@@ -1,0 +1,128 @@
+"""Files whose messages are reached one by one: each is a chunk of its own that isn't packed.
+
+The position of message ``number`` is ``number << 32``, and its bytes follow from there: first the
+head that it would have in an MCAP file, then its payload. So any part of it can be read, and
+pixels straight into their arrays.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+
+from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError
+from jaxdet.io.container import LogFile
+
+POSITION_BITS = 32
+HEAD_BYTES = RECORD_HEAD.size + MESSAGE_HEAD.size
+_WITHIN = (1 << POSITION_BITS) - 1
+_MAX_NUMBER = (1 << 31) - 1
+_MAX_CHANNEL = 0xFFFF
+
+
+class MessageRow(NamedTuple):
+    """What is known of a message without its payload."""
+
+    channel: int
+    log_ns: int
+    """Log time [ns]."""
+    size: int
+    """Of the payload."""
+
+    def check(self) -> "MessageRow":
+        """The row itself.
+
+        Raises:
+            DamageError: Channel or log time are out of range.
+        """
+        if not isinstance(self.channel, int) or not 0 <= self.channel <= _MAX_CHANNEL:
+            raise DamageError("number of a topic is out of range")
+        if not isinstance(self.log_ns, int) or self.log_ns < 0:
+            raise DamageError("time of a message is out of range")
+        return self
+
+
+def position_of(number: int) -> int:
+    """The position of a message.
+
+    Raises:
+        DamageError: Its number is out of range.
+    """
+    if not 0 <= number <= _MAX_NUMBER:
+        raise DamageError("number of a message is out of range")
+    return number << POSITION_BITS
+
+
+class MessageFile(LogFile):
+    """A file whose messages have numbers."""
+
+    @abstractmethod
+    def row(self, number: int) -> MessageRow:
+        """What is known of a message.
+
+        Raises:
+            DamageError: There is none, or it can't be read.
+        """
+
+    @abstractmethod
+    def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
+        """Fills writable byte views with a message's payload from ``start``, one after the other.
+
+        Raises:
+            DamageError: It ends before, or can't be read.
+        """
+
+    def chunk_head(self, position: int) -> ChunkHead:
+        """The head of the chunk that a message is.
+
+        Raises:
+            DamageError: There is none.
+        """
+        _, log_ns, size = self.row(position >> POSITION_BITS)
+        size += HEAD_BYTES
+        return ChunkHead(log_ns, log_ns, size, 0, "", 0, size, size)
+
+    def chunk(self, position: int) -> bytes:
+        """A message with its head.
+
+        Raises:
+            DamageError: It can't be read.
+        """
+        head = self.chunk_head(position)
+        if head.uncompressed_size > self.max_bytes:
+            raise DamageError("chunk is larger than --log.max-chunk-mib")
+        return self.read(position, head.uncompressed_size)
+
+    def read(self, position: int, size: int) -> bytes:
+        """Exactly ``size`` bytes of a message.
+
+        Raises:
+            DamageError: It ends before, or can't be read.
+        """
+        found = bytearray(size)
+        self.read_into(position, [memoryview(found)])
+        return bytes(found)
+
+    def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
+        """Fills writable byte views with what begins at ``position``, one after the other.
+
+        Raises:
+            DamageError: The message ends before, or can't be read.
+        """
+        number, start = position >> POSITION_BITS, position & _WITHIN
+        left = list(parts)
+        if start < HEAD_BYTES:
+            head = self._head(number)
+            while left and start < HEAD_BYTES:
+                known = head[start : start + len(left[0])]
+                left[0][: len(known)] = known
+                left[0], start = left[0][len(known) :], start + len(known)
+                left = [part for part in left if len(part)]
+        if left:
+            self.read_payload(number, start - HEAD_BYTES, left)
+
+    def _head(self, number: int) -> bytes:
+        channel, log_ns, size = self.row(number)
+        head = RECORD_HEAD.pack(Opcode.MESSAGE, MESSAGE_HEAD.size + size)
+        return head + MESSAGE_HEAD.pack(channel, 0, log_ns, log_ns)

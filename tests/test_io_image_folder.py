@@ -1,0 +1,158 @@
+"""Folders of colour and depth images as logs, as TUM's benchmark and Open3D lay them out."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxdet.errors import CalibrationError, FrameStatus, InputError
+from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.results.manifest import fingerprint
+
+SIZE = (40, 30)
+K = (50.0, 51.0, 20.5, 14.5)
+CAMERA = {
+    "width": SIZE[0],
+    "height": SIZE[1],
+    "intrinsic_matrix": [K[0], 0, 0, 0, K[1], 0, K[2], K[3], 1],
+}
+STAMPS = ("1305031102.175304", "1305031102.211214", "1305031102.275326")
+GIVEN = LogOptions(color_intrinsics=K, depth_unit_m=0.0002)
+
+
+def images(count: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(3)
+    width, height = SIZE
+    color = random.integers(0, 256, (count, height, width, 3), np.uint8)
+    return color, random.integers(0, 1 << 16, (count, height, width), np.uint16)
+
+
+def write(folder: Path, color_names: list[str], depth_names: list[str]) -> None:
+    for array, names in zip(images(), (color_names, depth_names), strict=True):
+        for image, name in zip(array, names, strict=True):
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            flipped = image[..., ::-1] if image.ndim == 3 else image
+            assert cv2.imwrite(str(path), flipped)
+
+
+def write_tum(folder: Path) -> Path:
+    names = [[f"{part}/{stamp}.png" for stamp in STAMPS] for part in ("rgb", "depth")]
+    write(folder, *names)
+    for part, files in zip(("rgb", "depth"), names, strict=True):
+        lines = [f"{stamp} {name}\n" for stamp, name in zip(STAMPS, files, strict=True)]
+        (folder / f"{part}.txt").write_text("# timestamp filename\n" + "".join(lines))
+    poses = [f"{stamp} {i} 0 1.5 0 0 0 1\n" for i, stamp in enumerate(STAMPS)]
+    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "".join(poses))
+    return folder
+
+
+def write_open3d(folder: Path, **camera: object) -> Path:
+    write(
+        folder,
+        [f"color/{number}.png" for number in (8, 9, 10)],
+        [f"depth/{number:06d}.png" for number in (8, 9, 10)],
+    )
+    (folder / "camera.json").write_text(json.dumps({**CAMERA, **camera}))
+    return folder
+
+
+def assert_frames(log, stamps_ns: list[int]) -> None:
+    color, depth = images()
+    [batch] = log.batches(3)
+    assert set(batch.status) == {FrameStatus.OK}
+    assert np.array_equal(batch.frames.color, color)
+    assert np.array_equal(batch.frames.depth, depth)
+    assert batch.frames.stamp_ns.tolist() == batch.frames.depth_stamp_ns.tolist() == stamps_ns
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_tum_has_stamps_and_poses(tmp_path, scan):
+    folder = write_tum(tmp_path / "desk.1")
+    options = LogOptions(color_intrinsics=K, depth_unit_m=0.0002, scan=scan)
+    with open_log(str(folder), options) as log:
+        assert log.name == "desk.1"
+        assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
+        assert log.calibration.is_aligned and log.calibration.depth_unit == 0.0002
+        poses = log.T_world_camera
+        assert poses is not None
+        assert poses[:, :3, 3].tolist() == [[0, 0, 1.5], [1, 0, 1.5], [2, 0, 1.5]]
+        assert not any("stamps" in text for text in log.description.warnings)
+
+
+def test_names_are_stamps_where_nothing_lists_them(tmp_path):
+    folder = write_tum(tmp_path / "desk")
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        (folder / name).unlink()
+    with open_log(str(folder), GIVEN) as log:
+        assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_open3d_has_a_camera_and_numbers(tmp_path, scan):
+    folder = write_open3d(tmp_path / "room", depth_scale=5000)
+    [files] = find_logs([str(folder)])
+    with open_log(files, LogOptions(scan=scan)) as log:
+        assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
+        assert log.calibration.color[:6] == (*SIZE, *K)
+        assert log.calibration.depth_unit == 0.0002
+        assert files.note in log.description.warnings and "30 frames a second" in files.note
+
+
+def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
+    folder = write_tum(tmp_path)
+    (folder / "rgb" / f"{STAMPS[1]}.png").unlink()
+    (folder / "depth" / f"{STAMPS[2]}.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    with open_log(str(folder), GIVEN) as log:
+        [batch] = log.batches(3)
+        assert batch.status == (FrameStatus.OK, *[FrameStatus.DECODE_ERROR] * 2)
+    with (folder / "rgb.txt").open("a") as file:
+        file.write("1305031110.5 rgb/none.png\n")
+    with open_log(str(folder), GIVEN) as log:
+        assert log.num_frames == 4
+
+
+def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
+    folder = write_open3d(tmp_path / "room")
+    (folder / "camera.json").write_text("{}")
+    with pytest.raises(CalibrationError, match=r"--log\.color-intrinsics"):
+        open_log(str(folder))
+    row_major = [K[0], 0, K[2], 0, K[1], K[3], 0, 0, 1]
+    (folder / "camera.json").write_text(json.dumps({**CAMERA, "intrinsic_matrix": row_major}))
+    with pytest.raises(InputError, match=r"camera\.json.*column-major"):
+        open_log(str(folder))
+    (folder / "color" / "8.png").rename(folder / "color" / "first.png")
+    with pytest.raises(InputError, match=r"first\.png.*neither a stamp.*number"):
+        open_log(str(folder), GIVEN)
+
+
+def test_folder_that_changes_is_said(tmp_path):
+    folder = write_open3d(tmp_path / "room")
+    before = fingerprint(folder)
+    with open_log(str(folder)) as log:
+        (folder / "color" / "11.png").write_bytes(b"x")
+        with pytest.raises(InputError, match="changed while it was read"):
+            list(log.batches(3))
+    assert fingerprint(folder) != before and "size" in before
+
+
+def test_recordings_go_before_images_beside_them(tmp_path):
+    write_open3d(tmp_path / "frames")
+    (tmp_path / "drive.mcap").write_bytes(b"x")
+    [log] = find_logs([str(tmp_path)])
+    assert [path.name for path in log.paths] == ["drive.mcap"]
+    assert "frames is left out: images beside recordings" in log.note
+
+
+def test_real_folder_of_open3d(shared_data):
+    folder = shared_data / "d435_boxes_felixchenfy" / "data"
+    with open_log(str(folder)) as log:
+        assert log.num_frames == 10 and log.calibration.is_aligned
+        batch = log.read([7])
+        assert batch.status == (FrameStatus.OK,)
+        depth = cv2.imread(str(folder / "depth" / "000007.png"), cv2.IMREAD_UNCHANGED)
+        color = cv2.imread(str(folder / "color" / "000007.png"))
+        assert np.array_equal(batch.frames.depth[0], depth)
+        assert np.array_equal(batch.frames.color[0], color[..., ::-1])
