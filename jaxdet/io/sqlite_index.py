@@ -21,6 +21,9 @@ from jaxdet.io.sqlite import SqliteFile, damage
 from jaxdet.io.writer_cdr import is_known, schema_text
 
 _ROWS_AT_ONCE = 1 << 14
+_DAMAGED = "page is damaged"
+_MAX_LOST = 100_000
+"""Numbers tried one by one where pages are damaged; a few seconds."""
 _INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
 _DATA = """SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ?1 THEN data END, length(data)
 FROM messages WHERE id > ?2 ORDER BY id LIMIT ?3"""
@@ -53,6 +56,8 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
     check_messages(len(number), file.size, str(file.path))
     for value in (channel.min(initial=0), channel.max(initial=0)):
         MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
+    if (np.diff(number) <= 0).any():
+        raise DamageError("numbers of messages are out of order")
     for value in (number.min(initial=0), number.max(initial=0)):
         position_of(int(value))
     counts = count_channels(channel, log_ns)
@@ -126,21 +131,23 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
     The data are None where they can't be read.
     """
     before, last = -1, _last_number(file)
-    while before < last:
+    while before < last and lost[_DAMAGED] < _MAX_LOST:
         with suppress(sqlite3.Error, DamageError):
             for row in file.query(_DATA, (file.max_bytes, before, -1)):
-                yield row
-                before = row[0]
+                # A damaged page may lead back.
+                if isinstance(row[0], int) and row[0] > before:
+                    yield row
+                    before = row[0]
             return
         # The next one may be whole: what SQLite could not read can come after it.
         for text in (_DATA, _WITHOUT_DATA):
             with suppress(sqlite3.Error, DamageError):
                 [row] = file.query(text, (file.max_bytes, before, 1)).fetchall()
                 yield row
-                before = row[0]
+                before = max(before + 1, row[0])
                 break
         else:
-            lost["page is damaged"] += 1
+            lost[_DAMAGED] += 1
             before += 1
 
 
