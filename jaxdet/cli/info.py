@@ -50,7 +50,7 @@ class InfoCommand:
     """What ``jaxdet info`` takes."""
 
     logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
-    """MCAP files, folders (searched for .mcap) or globs."""
+    """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
     preset: str = DEFAULT_PRESET
     """Configuration to start from, as for jaxdet run."""
     config: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None

@@ -59,8 +59,8 @@ class RunCommand:
     """What ``jaxdet run`` takes."""
 
     logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
-    """MCAP files, folders (searched for .mcap) or globs; the split files of one recording are one
-    log."""
+    """MCAP, .bag or .db3 files, folders of them or of images, or globs; the split files of one
+    recording are one log."""
     run: Annotated[RunOptions, tyro.conf.arg(name="")]
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,

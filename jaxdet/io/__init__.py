@@ -1,4 +1,4 @@
-"""Logs of depth cameras: MCAP files to arrays, and arrays to files.
+"""Logs of depth cameras: recordings to arrays, and arrays to files.
 
 ``find_logs`` turns what the user names into logs, ``open_log`` finds in one what its index and
 first messages tell, and :class:`Log` gives its frames in batches. The names are loaded when they
