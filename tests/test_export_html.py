@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import FrameStatus
+from jaxdet.errors import FrameStatus, printable
 from jaxdet.export import export
 from jaxdet.export.html.collect import MOST_BINS, Columns, Timeline
 from jaxdet.export.html.page import REASONS
@@ -44,7 +44,7 @@ def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
     data = page_of(made, tmp_path / "page.html")
     frames = pq.read_table(made / "frames.parquet").to_pandas()
     obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
-    assert [log["log"] for log in data["logs"]] == [HOSTILE, "b", "short", "torn"]
+    assert [log["log"] for log in data["logs"]] == [printable(HOSTILE), "b", "short", "torn"]
     for log in data["logs"][:3]:
         rows = frames[frames.log == log["log"]]
         near = obstacles[obstacles.log == log["log"]].groupby("frame").distance_m.min()

@@ -113,15 +113,18 @@ def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
         assert str(folder.parent) not in "".join(about.values())
 
 
-@pytest.mark.parametrize("name", ["summary.json", "config.json", "obstacles.parquet"])
+@pytest.mark.parametrize(
+    "name", ["manifest.json", "summary.json", "config.json", "obstacles.parquet"]
+)
 def test_half_a_folder_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
     half = copied(folder, tmp_path / "half")
     (half / name).unlink()
     with pytest.raises(InputError, match=f"no whole results folder .{name}"):
         Results(half)
-    (half / name).write_bytes(b"{")
-    with pytest.raises(InputError, match="is not"):
-        Results(half)
+    for damaged in (b"{", b"[]"):
+        (half / name).write_bytes(damaged)
+        with pytest.raises(InputError, match="is not"):
+            Results(half)
 
 
 def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -138,6 +141,12 @@ def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) 
         Results(other)
     replace(pa.concat_tables([table.slice(1), table.slice(0, 1)]), about)
     with Results(other) as results, pytest.raises(InputError, match="don't belong together"):
+        list(results.chunks())
+    replace(table, about)
+    summary = json.loads((other / "summary.json").read_text(encoding="utf-8"))
+    summary["logs"][-1]["frames"] += 1
+    (other / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    with Results(other) as results, pytest.raises(InputError, match="more frames of b than"):
         list(results.chunks())
     replace(table, {**about, b"jaxdet.format": b"99"})
     with pytest.raises(InputError, match="format 99 of the tables"):

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.io.options import LogOptions
+from jaxdet.results.manifest import MANIFEST
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
 from jaxdet.results.occupancy import MapImage, load_map
 
@@ -115,6 +116,7 @@ class Results:
         self.folder = folder
         if not folder.is_dir():
             raise InputError("no such folder", path=str(folder), remedy=_AGAIN)
+        self._json(MANIFEST)  # the last file to arrive
         self.summary = self._json("summary.json")
         self.config = self._json("config.json")
         self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
@@ -195,6 +197,9 @@ class Results:
             try:
                 while left:
                     taken = rows.take(min(size, left))
+                    if not taken.num_rows:
+                        problem = f"summary.json says more frames of {one.label} than there are"
+                        raise InputError(problem, path=str(self.folder), remedy=_AGAIN)
                     left -= taken.num_rows
                     count = taken["num_obstacles"].to_numpy()
                     chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
@@ -237,12 +242,15 @@ class Results:
     def _json(self, name: str) -> dict[str, Any]:
         path = self.folder / name
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            found = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError as error:
             problem = f"is no whole results folder ({name} is missing)"
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
         except ValueError as error:
             raise InputError("is not JSON", path=str(path), remedy=_AGAIN) from error
+        if not isinstance(found, dict):
+            raise InputError("is not a JSON object", path=str(path), remedy=_AGAIN)
+        return found
 
     def _table(self, name: str) -> pq.ParquetFile:
         path = self._path(name)
