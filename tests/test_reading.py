@@ -15,6 +15,7 @@ from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.results import writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
+from jaxdet.results.names import camera_file_name, file_names
 from jaxdet.results.reading import Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
@@ -165,3 +166,15 @@ def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
     (torn / "obstacles.parquet").write_bytes(data)
     with Results(torn) as results, pytest.raises(InputError, match="can't be read"):
         list(results.frames())
+
+
+def test_files_of_different_logs_and_cameras_have_different_names() -> None:
+    logs = ["a b", "a/b", "a_b", "...", "", "é" * 200, "é" * 201, "x" * 300]
+    names = file_names(logs)
+    assert names[:5] == ["a_b", "a_b_2", "a_b_3", "log", "log_2"] and len(set(names)) == len(logs)
+    assert camera_file_name("log", "front/left") == "log@front-left"
+    cameras = ["front left", "front_left", "front-left", "front/left", "x" * 300, "x" * 301]
+    files = {camera_file_name("log", camera) for camera in cameras}
+    assert len(files) == len(cameras)
+    for name in (*names, *files):
+        assert set(name.encode()).isdisjoint(b"/ ") and len(name.encode()) < 110
