@@ -105,6 +105,7 @@ class Results:
         folder: The same.
         config: What ``config.json`` holds.
         summary: What ``summary.json`` holds.
+        metadata: What the tables say of themselves, see :mod:`jaxdet.results.metadata`.
         version: The jaxdet that wrote it.
         logs: The logs that are in the tables, in their order there.
 
@@ -120,7 +121,8 @@ class Results:
         self.summary = self._json("summary.json")
         self.config = self._json("config.json")
         self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
-        self.version = _text(self._frames, VERSION_KEY)
+        self.metadata = _metadata(self._obstacles)
+        self.version = self.metadata.get(VERSION_KEY, "")
         self.logs = tuple(self._logs())
         for table, name in ((self._frames, "frames"), (self._obstacles, "obstacles")):
             expected, found = self.summary[name], table.metadata.num_rows
@@ -261,8 +263,8 @@ class Results:
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
         except (pa.ArrowException, OSError) as error:
             raise InputError("is not a Parquet file", path=str(path), remedy=_AGAIN) from error
-        if (found := _text(table, FORMAT_KEY)) != str(FORMAT):
-            problem = f"has format {found or 'none'} of the tables, not {FORMAT}"
+        if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
+            problem = f"has format {found} of the tables, not {FORMAT}"
             raise InputError(problem, path=str(path), remedy="run jaxdet run again")
         return table
 
@@ -329,8 +331,9 @@ class _Rows:
         return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
 
 
-def _text(table: pq.ParquetFile, key: str) -> str:
-    return (table.metadata.metadata or {}).get(key.encode(), b"").decode()
+def _metadata(table: pq.ParquetFile) -> dict[str, str]:
+    own = (table.metadata.metadata or {}).items()
+    return {k.decode(): v.decode() for k, v in own if k.startswith(b"jaxdet.")}
 
 
 def _restored(kind: type, values: Mapping[str, Any]) -> Any:
