@@ -108,6 +108,13 @@ def test_timeline_is_the_same_however_it_is_fed() -> None:
             np.testing.assert_array_equal(getattr(parts, name), values, name)
 
 
+def test_logs_that_failed_are_passed_over(made: Path, tmp_path: Path) -> None:
+    for name in ("b", "torn"):
+        (tmp_path / f"{name}.mcap").touch()
+    with Results(made) as results:
+        assert list(find(results, [str(tmp_path)])) == ["b"]
+
+
 def test_nothing_from_a_log_is_markup(made: Path, tmp_path: Path) -> None:
     page_of(made, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text("utf-8")

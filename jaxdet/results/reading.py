@@ -80,6 +80,12 @@ class Chunk(NamedTuple):
         """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
         return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
 
+    def each(self) -> Iterator["Frame"]:
+        """The frames one by one."""
+        rows, parts = self.frames.to_pylist(), self.obstacles.to_pylist()
+        for row, (start, stop) in zip(rows, pairwise(self.first.tolist()), strict=True):
+            yield Frame(row, parts[start:stop])
+
     def take(self, rows: np.ndarray) -> "Chunk":
         """Some of the frames ``(n,)``, ascending, with all their obstacles."""
         chosen = np.zeros(self.frames.num_rows, bool)
@@ -219,9 +225,7 @@ class Results:
     ) -> Iterator[Frame]:
         """The frames one by one, each with its obstacles; see :meth:`chunks`."""
         for chunk in self.chunks(log, frames, obstacles):
-            rows, parts = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
-            for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
-                yield Frame(row, parts[start:stop])
+            yield from chunk.each()
 
     def world_frame(self, log: ResultLog) -> str:
         """The frame that poses, outlines in the world and the map are in; empty without poses."""
