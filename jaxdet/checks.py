@@ -5,6 +5,7 @@ All that comes from a log, a flag or a caller passes here once; kernels check no
 
 import math
 import sys
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -55,13 +56,8 @@ def check_calibration(calibration: Calibration) -> None:
     motion = calibration.color_from_depth
     if motion is None:
         return
-    rotation = np.array(motion.rotation, np.float64)
-    rigid = rotation.size == 9 and np.isfinite(rotation).all() and np.abs(rotation).max() < 2
-    if rigid:
-        R = rotation.reshape(3, 3)
-        rigid = np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
     remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
-    if not rigid:
+    if not is_rotation(motion.rotation):
         raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)
     distance = math.hypot(*motion.translation)
     if len(motion.translation) != 3 or not distance <= MAX_BASELINE_M:
@@ -70,6 +66,15 @@ def check_calibration(calibration: Calibration) -> None:
             f"{MAX_BASELINE_M:g} m are taken",
             remedy=remedy,
         )
+
+
+def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
+    """Whether numbers, row by row, are those of a rotation matrix."""
+    found = np.array(values, np.float64).ravel()
+    if found.size != 9 or not np.isfinite(found).all() or np.abs(found).max() >= 2:
+        return False
+    R = found.reshape(3, 3)
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0)
 
 
 def _check_camera(name: str, camera: Intrinsics) -> None:

@@ -11,6 +11,7 @@ from jaxdet.engine import RunOptions
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import preset
 from jaxdet.results.lists import Lists
+from jaxdet.results.manifest import MANIFEST, make_manifest
 from jaxdet.results.occupancy import MapImage, save_map
 from jaxdet.results.writer import ResultWriter, Tables, write_json
 from jaxdet.sim import SimConfig, write_log
@@ -57,6 +58,7 @@ def by_hand(folder: Path, frames: list[tuple[list[tuple[float, float]], float]])
         writer.close(config, summary)
     write_json(folder / "config.json", config)
     write_json(folder / "summary.json", summary)
+    write_json(folder / MANIFEST, make_manifest({}, {}))
     return folder
 
 

@@ -8,11 +8,13 @@ import numpy as np
 import pyarrow as pa
 
 from jaxdet.config import Config
+from jaxdet.errors import printable
 from jaxdet.io import LogOptions
+from jaxdet.results.manifest import MANIFEST, make_manifest
 from jaxdet.results.names import file_names
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary, plain
-from jaxdet.results.writer import ResultWriter, Tables
+from jaxdet.results.writer import ResultWriter, Tables, write_json
 from jaxdet.types import Calibration, Intrinsics
 
 LOST = ("unpaired", "decode_error")
@@ -26,9 +28,10 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
     A frame has up to 4 obstacles, whose distances are anything up to 6 m.
     """
     summary = Summary("jax", 16, seconds=12.5)
+    folder.mkdir(parents=True, exist_ok=True)
     with ResultWriter(folder) as writer:
-        for seed, (name, file_name) in enumerate(zip(logs, file_names(logs), strict=True)):
-            count = logs[name]
+        for seed, (given, file_name) in enumerate(zip(logs, file_names(logs), strict=True)):
+            name, count = printable(given), logs[given]  # as find_logs does
             about = LogSummary(name, (f"/nowhere/{name}.mcap",), camera="front")
             about.file_name = file_name
             about.calibration = Calibration(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0))
@@ -45,7 +48,11 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
         summary.logs.append(failed)
         how = {"preset": "wheeled", "backend": "jax", "batch_size": 16}
         method = plain(config or Config())
-        writer.commit({**how, **method, "log": plain(LogOptions())}, summary.to_dict())
+        resolved = {**how, **method, "log": plain(LogOptions())}
+        writer.close(resolved, summary.to_dict())
+    write_json(folder / "config.json", resolved)
+    write_json(folder / "summary.json", summary.to_dict())
+    write_json(folder / MANIFEST, make_manifest({}, {}))
     return folder
 
 

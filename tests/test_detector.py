@@ -106,6 +106,18 @@ def test_a_recorded_log_gives_the_rows_of_jaxdet_run(shared_data, tmp_path):
     assert_rows_of_run(path, tmp_path / "results", Config())
 
 
+def test_a_detector_is_of_its_log(sim_log, tmp_path):
+    config = Config(ground=GroundConfig(source="none"))
+    path = tmp_path / "other.mcap"
+    path.write_bytes(sim_log.read_bytes())
+    with jaxdet.open_log(sim_log) as log, jaxdet.open_log(path) as other:
+        detector = Detector.from_log(log, config=config, backend="reference")
+        with pytest.raises(InputError, match="made from 'sim', not from 'other'"):
+            next(detector.run(other))
+        with jaxdet.open_log(sim_log) as again:
+            assert next(detector.run(again, 1)).number == 0
+
+
 def test_time_windows_have_their_floors(sim_log, tmp_path):
     config = replace(Config(), ground=GroundConfig(window_s=0.5, sample_frames=2))
     config = replace(config, floor=FloorConfig(min_share=0.9))  # no frame shows its own
@@ -366,6 +378,8 @@ REFUSED_IMAGES = {
         ({"stamp_ns": 1 << 70}, "stamps_ns: .*numbers"),
         ({"T_world_camera": np.eye(3)}, "T_world_camera: shape"),
         ({"T_world_camera": "T"}, "T_world_camera: .*numbers"),
+        ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera: is no rigid motion"),
+        ({"T_world_camera": np.diag([1, 1, -1, 1])}, "T_world_camera: is no rigid motion"),
         ({"mount": 0.3}, "mount: 0.3 is none"),
     ],
 )

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import FrameStatus
+from jaxdet.errors import FrameStatus, printable
 from jaxdet.export import export
 from jaxdet.export.html.collect import MOST_BINS, Columns, Timeline
 from jaxdet.export.html.page import REASONS
@@ -44,7 +44,7 @@ def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
     data = page_of(made, tmp_path / "page.html")
     frames = pq.read_table(made / "frames.parquet").to_pandas()
     obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
-    assert [log["log"] for log in data["logs"]] == [HOSTILE, "b", "short", "torn"]
+    assert [log["log"] for log in data["logs"]] == [printable(HOSTILE), "b", "short", "torn"]
     for log in data["logs"][:3]:
         rows = frames[frames.log == log["log"]]
         near = obstacles[obstacles.log == log["log"]].groupby("frame").distance_m.min()
@@ -106,6 +106,13 @@ def test_timeline_is_the_same_however_it_is_fed() -> None:
             parts.add(rows.rows(start, min(n, start + size)))
         for name, values in vars(whole).items():
             np.testing.assert_array_equal(getattr(parts, name), values, name)
+
+
+def test_logs_that_failed_are_passed_over(made: Path, tmp_path: Path) -> None:
+    for name in ("b", "torn"):
+        (tmp_path / f"{name}.mcap").touch()
+    with Results(made) as results:
+        assert list(find(results, [str(tmp_path)])) == ["b"]
 
 
 def test_nothing_from_a_log_is_markup(made: Path, tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.m
 DOCUMENTS["README"] = ROOT / "README.md"
 CONSOLE = ("pip ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
 """What a block that is not run may hold: installing, and other programs."""
+OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only")
+"""Flags of other programs."""
 
 
 def blocks(text: str) -> Iterator[tuple[str, str]]:
@@ -81,6 +83,16 @@ LINKS = [
 @pytest.mark.parametrize(("name", "target"), LINKS)
 def test_links_lead_somewhere(name, target):
     assert (DOCUMENTS[name].parent / target).exists()
+
+
+def test_flags_that_are_named_are_there(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    flag = r"(?<![\w-])--[a-z](?:[\w.-]*\w)?"
+    for command in ("run --help-all", "track -h", "export -h", "info -h", "sim -h", "doctor -h"):
+        assert main(command.split()) == 0
+    known = {*re.findall(flag, capsys.readouterr().out), *OTHERS}
+    for path in DOCUMENTS.values():
+        assert {*re.findall(flag, path.read_text(encoding="utf-8"))} <= known, path.name
 
 
 def test_pages_that_are_named_are_there():

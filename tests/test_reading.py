@@ -15,6 +15,7 @@ from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.results import writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
+from jaxdet.results.names import camera_file_name, file_names
 from jaxdet.results.reading import Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
@@ -113,15 +114,18 @@ def test_tables_say_units_configuration_and_inputs(folder: Path) -> None:
         assert str(folder.parent) not in "".join(about.values())
 
 
-@pytest.mark.parametrize("name", ["summary.json", "config.json", "obstacles.parquet"])
+@pytest.mark.parametrize(
+    "name", ["manifest.json", "summary.json", "config.json", "obstacles.parquet"]
+)
 def test_half_a_folder_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
     half = copied(folder, tmp_path / "half")
     (half / name).unlink()
     with pytest.raises(InputError, match=f"no whole results folder .{name}"):
         Results(half)
-    (half / name).write_bytes(b"{")
-    with pytest.raises(InputError, match="is not"):
-        Results(half)
+    for damaged in (b"{", b"[]"):
+        (half / name).write_bytes(damaged)
+        with pytest.raises(InputError, match="is not"):
+            Results(half)
 
 
 def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -138,6 +142,12 @@ def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) 
         Results(other)
     replace(pa.concat_tables([table.slice(1), table.slice(0, 1)]), about)
     with Results(other) as results, pytest.raises(InputError, match="don't belong together"):
+        list(results.chunks())
+    replace(table, about)
+    summary = json.loads((other / "summary.json").read_text(encoding="utf-8"))
+    summary["logs"][-1]["frames"] += 1
+    (other / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    with Results(other) as results, pytest.raises(InputError, match="more frames of b than"):
         list(results.chunks())
     replace(table, {**about, b"jaxdet.format": b"99"})
     with pytest.raises(InputError, match="format 99 of the tables"):
@@ -156,3 +166,15 @@ def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
     (torn / "obstacles.parquet").write_bytes(data)
     with Results(torn) as results, pytest.raises(InputError, match="can't be read"):
         list(results.frames())
+
+
+def test_files_of_different_logs_and_cameras_have_different_names() -> None:
+    logs = ["a b", "a/b", "a_b", "...", "", "é" * 200, "é" * 201, "x" * 300]
+    names = file_names(logs)
+    assert names[:5] == ["a_b", "a_b_2", "a_b_3", "log", "log_2"] and len(set(names)) == len(logs)
+    assert camera_file_name("log", "front/left") == "log@front-left"
+    cameras = ["front left", "front_left", "front-left", "front/left", "x" * 300, "x" * 301]
+    files = {camera_file_name("log", camera) for camera in cameras}
+    assert len(files) == len(cameras)
+    for name in (*names, *files):
+        assert set(name.encode()).isdisjoint(b"/ ") and len(name.encode()) < 110

@@ -84,6 +84,13 @@ def test_a_thing_that_stands_and_one_that_walks():
     np.testing.assert_allclose((walks.length_m, walks.width_m, walks.top_m), (0.5, 0.4, 1.7))
 
 
+def test_the_sides_of_an_outline_that_change_places():
+    """A to B is the longer side in some frames, the shorter one in others."""
+    long, wide = corners_of(2, 0, (1.0, 0.4)), corners_of(2, 0, (0.4, 1.0), np.pi / 2)
+    (cart,), _ = follow([[long] if f % 2 else [wide] for f in range(10)])
+    np.testing.assert_allclose((cart.length_m, cart.width_m), (1.0, 0.4), rtol=1e-6)
+
+
 def test_two_people_cross():
     """Each keeps its number though they pass 0.6 m from each other and change their order."""
     frames = []
@@ -226,6 +233,8 @@ def test_rectangles():
 def test_settings_out_of_range(field):
     with pytest.raises(ConfigError, match=f"{field.replace('_', '-')} is out of its range"):
         TrackConfig(**{field: -1})
+    with pytest.raises(ConfigError, match=f"{field.replace('_', '-')} is out of its range"):
+        TrackConfig(**{field: float("inf")})
 
 
 def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: object) -> Path:

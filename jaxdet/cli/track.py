@@ -51,7 +51,9 @@ def track_lines(found: Sequence["LogTracks"]) -> list[str]:
     """What is said of the tracks, a line a log."""
     lines = []
     for log in found:
-        where = "" if log.in_world == log.tracks else ", in the camera's frame (no poses)"
+        blind = log.tracks - log.in_world
+        which = "" if blind == log.tracks else f"{blind} of them "
+        where = f", {which}in the camera's frame (no poses)" if blind else ""
         lines.append(
             f"{log.log}: {log.tracks} tracks, {log.moving} moving{where}; "
             f"{log.linked} of {log.obstacles} obstacles are in one"

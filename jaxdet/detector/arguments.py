@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.checks import check_calibration
+from jaxdet.checks import check_calibration, is_rotation
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.types import Calibration, Extrinsics, Intrinsics, focal_and_center
 
@@ -297,6 +297,24 @@ def numbers(name: str, values: Any, kind: type) -> np.ndarray:
     except (TypeError, ValueError, OverflowError) as error:
         problem = f"{type(values).__name__} is no array of numbers"
         raise InputError(problem, topic=name, remedy="give NumPy arrays") from error
+
+
+def world_poses(values: Any, count: int) -> np.ndarray:
+    """Poses ``(count, 4, 4)`` float64; those with a NaN are unknown.
+
+    Raises:
+        InputError: They are something else.
+    """
+    poses = numbers("T_world_camera", values, np.float64)
+    if poses.shape != (count, 4, 4):
+        problem, remedy = f"shape {poses.shape}", "give a (4, 4) matrix for each frame"
+        raise InputError(problem, topic="T_world_camera", remedy=remedy)
+    for T in poses[~np.isnan(poses).any(axis=(1, 2))]:
+        last = T[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+        if not last or not is_rotation(T[:3, :3]) or not np.isfinite(T[:3, 3]).all():
+            remedy = "give (4, 4) matrices of rigid motions, in metres, NaN where unknown"
+            raise InputError("is no rigid motion", topic="T_world_camera", remedy=remedy)
+    return poses
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:

@@ -17,6 +17,7 @@ from jaxdet.detector.arguments import (
     numbers,
     one_frame,
     one_of,
+    world_poses,
 )
 from jaxdet.detector.result import BatchResult, FrameResult
 from jaxdet.errors import ConfigError, FrameStatus, InputError
@@ -24,7 +25,7 @@ from jaxdet.floor.mount import Mount
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import BackendName, detect, floor_of
 from jaxdet.results.rows import batch_rows, row_inputs, to_host
-from jaxdet.types import Extrinsics, Frames, GroundPlane, Intrinsics
+from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane, Intrinsics
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
@@ -92,6 +93,7 @@ class Detector:
         self._order: ColorOrder = color_order
         self._backend: BackendName = backend
         self._mount = _checked(mount)
+        self._log: tuple[str, Calibration] | None = None
         self._planes: Planes | None = None
         if backend == "jax":
             _prepare()
@@ -121,6 +123,7 @@ class Detector:
 
         detector = cls(log.calibration.color, config=config, backend=backend)
         detector._cameras = Cameras.of(log.calibration)
+        detector._log = log.label, log.calibration
         detector._planes = decide_planes(log, detector.config, backend)
         return detector
 
@@ -186,15 +189,7 @@ class Detector:
         images = color_images(color, self._order), depth_images(depth, self._cameras.depth_unit_m)
         count = len(images[0])
         stamps = numbers("stamps_ns", [0] * count if stamps_ns is None else stamps_ns, np.int64)
-        poses = None
-        if T_world_camera is not None:
-            poses = numbers("T_world_camera", T_world_camera, np.float64)
-        if poses is not None and poses.shape != (count, 4, 4):
-            raise InputError(
-                f"shape {poses.shape}",
-                topic="T_world_camera",
-                remedy="give a (4, 4) matrix for each frame",
-            )
+        poses = None if T_world_camera is None else world_poses(T_world_camera, count)
         for name, of_each in (("depth", images[1]), ("stamps_ns", stamps), ("mounts", mounts)):
             if of_each is not None and len(of_each) != count:
                 raise InputError(
@@ -225,12 +220,12 @@ class Detector:
             InputError: The detector is of another log.
             RescanError: The log isn't as its index lets expect.
         """
-        if self._planes is None:
-            raise InputError(
-                "the detector was not made from a log",
-                topic="log",
-                remedy="make it with Detector.from_log",
-            )
+        remedy = "make it with Detector.from_log"
+        if self._log is None:
+            raise InputError("the detector was not made from a log", topic="log", remedy=remedy)
+        if self._log != (log.label, log.calibration):
+            problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
+            raise InputError(problem, topic="log", remedy=remedy)
         for batch in log.batches(batch_size):
             plane, sources = self._known(batch.frames, None)
             yield from self._found(batch, plane, sources)

@@ -87,7 +87,6 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
 
 def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
-    sequence = 0
     own_poses = not log.poses_from_tf
     for sequence, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
         stamp_ns = frame.row["stamp_ns"]

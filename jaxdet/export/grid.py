@@ -67,8 +67,9 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
         cells, low = view
         x, y = (low - first).tolist()
         rows, columns = counted.counts.shape
-        here = slice(max(y, 0), max(y + cells.shape[0], 0)), slice(max(x, 0), x + cells.shape[1])
-        part = cells[max(-y, 0) : rows - y, max(-x, 0) : columns - x]
+        top, left = max(y, 0), max(x, 0)
+        part = cells[top - y : max(rows - y, 0), left - x : max(columns - x, 0)]
+        here = slice(top, top + part.shape[0]), slice(left, left + part.shape[1])
         odds[here] = np.clip(odds[here] + _ADDED[part], LEAST, MOST)
         seen[here] |= part > 0
     states = np.where(odds > 0, OCCUPIED, FREE)

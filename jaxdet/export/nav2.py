@@ -59,6 +59,7 @@ def _write(path: Path, grid: Grid, log: str, frame: str) -> None:
     picture = path.with_name(f"{path.name}.pgm")
     picture.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + greys[::-1].tobytes())
     x, y = grid.origin
-    names = {"log": " ".join(log.split()), "frame": frame, "image": picture.name}
+    log, frame = (" ".join(text.split()) for text in (log, frame))
+    names = {"log": log, "frame": frame, "image": picture.name}
     text = _YAML.format(**names, cell_m=grid.cell_m, x=x, y=y)
     path.with_name(f"{path.name}.yaml").write_text(text, encoding="utf-8")

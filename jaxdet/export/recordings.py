@@ -33,7 +33,8 @@ class Seen(NamedTuple):
 def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     """The logs of the results among files, folders and globs.
 
-    They are told by their names; a single one is that of results of a single log.
+    They are told by their names; a single one is that of results of a single log. Logs that failed
+    in the run are passed over.
 
     Returns:
         By name in the results.
@@ -45,6 +46,8 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     names = {log.name for log in results.logs}
     if len(logs) == len(names) == 1:
         return dict(zip(names, logs, strict=True))
+    failed = {entry["log"] for entry in results.summary["logs"] if entry["error"]} - names
+    logs = [log for log in logs if log.name not in failed]
     for log in logs:
         if log.name not in names:
             problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"

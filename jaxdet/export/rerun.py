@@ -14,8 +14,7 @@ Entities of a recording::
     frames                       text: why a frame has no result
 """
 
-from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +108,7 @@ class _Recording:
         self._start()
         for chunk in self.results.chunks(self.log):
             _series(self.stream, chunk)
-            for frame in _frames(chunk):
+            for frame in chunk.each():
                 self._at(frame.row)
                 self._frame(frame)
         if files is not None:
@@ -165,29 +164,18 @@ class _Recording:
             for path in (COLOR, DEPTH, f"{CAMERA}/points"):
                 log(path, rr.Clear(recursive=False))
             return
-        color = cv2.imencode(
-            ".jpg", frames.color[b, ..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-        )
-        depth = cv2.imencode(".png", frames.depth[b], [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+        color = _encoded(".jpg", frames.color[b, ..., ::-1], cv2.IMWRITE_JPEG_QUALITY, QUALITY)
+        depth = _encoded(".png", frames.depth[b], cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL)
         unit = frames.calibration.depth_unit
-        log(COLOR, rr.EncodedImage(contents=color[1].tobytes(), media_type="image/jpeg"))
+        log(COLOR, rr.EncodedImage(contents=color, media_type="image/jpeg"))
         reach = (0.0, self.results.method.ground.max_depth_m / unit)
-        blob = depth[1].tobytes()
-        image = rr.EncodedDepthImage(
-            blob, media_type="image/png", meter=1 / unit, depth_range=reach
-        )
-        log(DEPTH, image)
+        how = {"media_type": "image/png", "meter": 1 / unit, "depth_range": reach}
+        log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
         log(f"{CAMERA}/points", _points(seen.found, b, unit))
 
 
 def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
     return cv2.imencode(kind, image, how)[1].tobytes()
-
-
-def _frames(chunk: Chunk) -> Iterator[Frame]:
-    rows, obstacles = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
-    for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
-        yield Frame(row, obstacles[start:stop])
 
 
 def _series(stream: rr.RecordingStream, chunk: Chunk) -> None:

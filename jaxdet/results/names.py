@@ -1,21 +1,35 @@
 """What files of a log are called."""
 
 import re
+import zlib
 from collections.abc import Iterable
+
+MOST_BYTES = 80
+"""Of a log's or a camera's name in a file's: file systems take 255 in all."""
 
 
 def file_names(logs: Iterable[str]) -> list[str]:
     """The logs' names with nothing that a file name should not have, each different."""
-    names: list[str] = []
+    names: dict[str, None] = {}
     for log in logs:
-        name = stem = re.sub(r"[^\w.-]+", "_", log).strip(".")[:80] or "log"
+        name = stem = _plain(log).strip(".") or "log"
         number = 2
         while name in names:
             name, number = f"{stem}_{number}", number + 1
-        names.append(name)
-    return names
+        names[name] = None
+    return list(names)
 
 
 def camera_file_name(log: str, camera: str) -> str:
-    """For one of several cameras of a log, from the name of the log's files."""
-    return f"{log}@" + re.sub(r"[^\w.-]+", "_", camera.replace("/", "-"))  # no log's name has an @
+    """For one of several cameras of a log, from the name of the log's files.
+
+    Different cameras have different names: what can't be told from the name has a checksum.
+    """
+    name = _plain(camera.replace("/", "-"))
+    if name.replace("-", "/") != camera:
+        name += f"_{zlib.crc32(camera.encode(errors='backslashreplace')):08x}"
+    return f"{log}@{name}"  # no log's name has an @
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", name).encode()[:MOST_BYTES].decode(errors="ignore")

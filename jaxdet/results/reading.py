@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.io.options import LogOptions
+from jaxdet.results.manifest import MANIFEST
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
 from jaxdet.results.occupancy import MapImage, load_map
 
@@ -79,6 +80,12 @@ class Chunk(NamedTuple):
         """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
         return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
 
+    def each(self) -> Iterator["Frame"]:
+        """The frames one by one."""
+        rows, parts = self.frames.to_pylist(), self.obstacles.to_pylist()
+        for row, (start, stop) in zip(rows, pairwise(self.first.tolist()), strict=True):
+            yield Frame(row, parts[start:stop])
+
     def take(self, rows: np.ndarray) -> "Chunk":
         """Some of the frames ``(n,)``, ascending, with all their obstacles."""
         chosen = np.zeros(self.frames.num_rows, bool)
@@ -104,6 +111,7 @@ class Results:
         folder: The same.
         config: What ``config.json`` holds.
         summary: What ``summary.json`` holds.
+        metadata: What the tables say of themselves, see :mod:`jaxdet.results.metadata`.
         version: The jaxdet that wrote it.
         logs: The logs that are in the tables, in their order there.
 
@@ -115,10 +123,12 @@ class Results:
         self.folder = folder
         if not folder.is_dir():
             raise InputError("no such folder", path=str(folder), remedy=_AGAIN)
+        self._json(MANIFEST)  # the last file to arrive
         self.summary = self._json("summary.json")
         self.config = self._json("config.json")
         self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
-        self.version = _text(self._frames, VERSION_KEY)
+        self.metadata = _metadata(self._obstacles)
+        self.version = self.metadata.get(VERSION_KEY, "")
         self.logs = tuple(self._logs())
         for table, name in ((self._frames, "frames"), (self._obstacles, "obstacles")):
             expected, found = self.summary[name], table.metadata.num_rows
@@ -195,6 +205,9 @@ class Results:
             try:
                 while left:
                     taken = rows.take(min(size, left))
+                    if not taken.num_rows:
+                        problem = f"summary.json says more frames of {one.label} than there are"
+                        raise InputError(problem, path=str(self.folder), remedy=_AGAIN)
                     left -= taken.num_rows
                     count = taken["num_obstacles"].to_numpy()
                     chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
@@ -212,9 +225,7 @@ class Results:
     ) -> Iterator[Frame]:
         """The frames one by one, each with its obstacles; see :meth:`chunks`."""
         for chunk in self.chunks(log, frames, obstacles):
-            rows, parts = chunk.frames.to_pylist(), chunk.obstacles.to_pylist()
-            for row, (start, stop) in zip(rows, pairwise(chunk.first.tolist()), strict=True):
-                yield Frame(row, parts[start:stop])
+            yield from chunk.each()
 
     def world_frame(self, log: ResultLog) -> str:
         """The frame that poses, outlines in the world and the map are in; empty without poses."""
@@ -237,12 +248,15 @@ class Results:
     def _json(self, name: str) -> dict[str, Any]:
         path = self.folder / name
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            found = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError as error:
             problem = f"is no whole results folder ({name} is missing)"
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
         except ValueError as error:
             raise InputError("is not JSON", path=str(path), remedy=_AGAIN) from error
+        if not isinstance(found, dict):
+            raise InputError("is not a JSON object", path=str(path), remedy=_AGAIN)
+        return found
 
     def _table(self, name: str) -> pq.ParquetFile:
         path = self._path(name)
@@ -253,8 +267,8 @@ class Results:
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
         except (pa.ArrowException, OSError) as error:
             raise InputError("is not a Parquet file", path=str(path), remedy=_AGAIN) from error
-        if (found := _text(table, FORMAT_KEY)) != str(FORMAT):
-            problem = f"has format {found or 'none'} of the tables, not {FORMAT}"
+        if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
+            problem = f"has format {found} of the tables, not {FORMAT}"
             raise InputError(problem, path=str(path), remedy="run jaxdet run again")
         return table
 
@@ -321,8 +335,9 @@ class _Rows:
         return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
 
 
-def _text(table: pq.ParquetFile, key: str) -> str:
-    return (table.metadata.metadata or {}).get(key.encode(), b"").decode()
+def _metadata(table: pq.ParquetFile) -> dict[str, str]:
+    own = (table.metadata.metadata or {}).items()
+    return {k.decode(): v.decode() for k, v in own if k.startswith(b"jaxdet.")}
 
 
 def _restored(kind: type, values: Mapping[str, Any]) -> Any:

@@ -1,5 +1,6 @@
 """What links obstacles to tracks."""
 
+import math
 from dataclasses import dataclass
 
 from jaxdet.errors import ConfigError
@@ -52,5 +53,5 @@ class TrackConfig:
             "smooth-s": self.smooth_s > 0,
         }
         for name, kept in rules.items():
-            if not kept:
+            if not kept or not math.isfinite(getattr(self, name.replace("-", "_"))):
                 raise ConfigError(f"{name} is out of its range", remedy="see jaxdet track --help")

@@ -143,7 +143,8 @@ class Tracker:
 
 
 def _track(seen: Things, points: np.ndarray, speed: np.ndarray, moving: bool) -> Track:
-    half = np.median(seen.outline.half, axis=0)
+    # Which side of an outline is its first one changes from frame to frame.
+    shorter, longer = 2 * np.median(np.sort(seen.outline.half, axis=1), axis=0)
     top = seen.top_m[~np.isnan(seen.top_m)]
     return Track(
         bool(seen.in_world[0]),
@@ -156,8 +157,8 @@ def _track(seen: Things, points: np.ndarray, speed: np.ndarray, moving: bool) ->
         moving,
         float(speed.mean()),
         float(speed.max()),
-        float(2 * half.max()),
-        float(2 * half.min()),
+        float(longer),
+        float(shorter),
         float(np.median(top)) if len(top) else float("nan"),
         points if moving else np.median(points, axis=0)[None],
         (speed if moving else speed[:1]).astype(np.float32),
