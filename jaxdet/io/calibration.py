@@ -63,7 +63,8 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     else:
         sources = [color_source, depth_source]
         depth = find_intrinsics(depth_source)
-        found = find_extrinsics(index, options, choice.depth, color_frame, depth_frame, path)
+        topics = choice.color, choice.depth
+        found = find_extrinsics(index, options, topics, color_frame, depth_frame, path)
         origins.append(_line("depth", depth.intrinsics, depth.origin))
         warnings += [*depth.warnings, *found.warnings]
         calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)

@@ -8,7 +8,7 @@ from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.index import LogIndex
 from jaxdet.io.motion import difference, motion_matrix
 from jaxdet.io.options import LogOptions
-from jaxdet.io.topics import affinity
+from jaxdet.io.topics import affinity, camera_name
 from jaxdet.types import Extrinsics
 
 _AGREE_M, _AGREE_RAD = 0.001, 0.002
@@ -25,7 +25,7 @@ class FoundExtrinsics(NamedTuple):
 def find_extrinsics(
     index: LogIndex,
     options: LogOptions,
-    depth_topic: str,
+    topics: tuple[str, str],
     color_frame: str,
     depth_frame: str,
     path: str,
@@ -35,6 +35,14 @@ def find_extrinsics(
     Two images in one and the same frame have none between them. A difference between topic and
     TF is a warning; never is a missing motion taken for none.
 
+    Args:
+        index: The log's.
+        options: What the user says.
+        topics: Those of the colour and of the depth images.
+        color_frame: Of the colour images; empty where unknown.
+        depth_frame: Of the depth images.
+        path: The log's, for errors.
+
     Raises:
         CalibrationError: Nothing in the log tells it, or the transforms form a cycle.
     """
@@ -42,7 +50,8 @@ def find_extrinsics(
     if given is not None:
         T = motion_matrix(np.array(given[:3]), np.array(given[3:]))
         return FoundExtrinsics(_extrinsics(T), "--log.color-from-depth", ())
-    topic = _topic(index, depth_topic)
+    depth_topic = topics[1]
+    topic = _topic(index, topics)
     tf = index.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
     if topic:
         message = index.extrinsics[topic]
@@ -61,10 +70,18 @@ def find_extrinsics(
     return FoundExtrinsics(_extrinsics(tf), origin, ())
 
 
-def _topic(index: LogIndex, depth_topic: str) -> str:
-    """The ``depth_to_color`` topic that shares most of its name with the depth images'."""
-    names = [name for name in index.extrinsics if "depth_to_color" in name.lower()]
-    return max(sorted(names), key=lambda name: affinity(name, depth_topic), default="")
+def _topic(index: LogIndex, topics: tuple[str, str]) -> str:
+    """The ``depth_to_color`` topic that shares most of its name with the depth images'.
+
+    Those of the log's other cameras are left out.
+    """
+    others = {camera_name(name) for name in index.streams} - {camera_name(name) for name in topics}
+    names = [
+        name
+        for name in index.extrinsics
+        if "depth_to_color" in name.lower() and camera_name(name) not in others
+    ]
+    return max(sorted(names), key=lambda name: affinity(name, topics[1]), default="")
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:

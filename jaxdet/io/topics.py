@@ -26,6 +26,7 @@ _IMAGE_WORDS = (
     | _DEPTH_WORDS
     | {"image", "raw", "rect", "rectified", "mono", "gray", "grey", "rgbd", "data", "sensor"}
     | {"compressed", "compresseddepth", "aligned", "registered", "to", "sw", "hw", "transport"}
+    | {"extrinsics"}
 )
 """Of topics, no part of a camera's name."""
 _MAX_LISTED = 12
@@ -104,8 +105,8 @@ def camera_name(topic: str) -> str:
         kept = "_".join(words)
         if len(words) < len(part.split("_")) and kept.replace("_", "").isdigit():
             continue  # sensor_0, Color_0
-        if kept and not (parts and kept.startswith(parts[-1])):  # camera/camera, zed/zed_node
-            parts.append(kept)
+        if kept and not (parts and kept in (parts[-1], f"{parts[-1]}_node")):
+            parts.append(kept)  # once of camera/camera and zed/zed_node
     return "/".join([part for part in parts if part != "camera"]) or "camera"
 
 
