@@ -226,6 +226,10 @@ def test_numbered_files_are_one_log_only_if_they_belong_together(tmp_path):
     assert names_of(tmp_path) == [("x_0", 3), ("x_3", 2)]
     [first, second] = find_logs([str(tmp_path)])
     assert first.note == second.note and "another calibration" in first.note
+    drive(tmp_path / "x_5.mcap", START + 9000 * SECOND, (60.0, 51.0, 20.5, 14.5))
+    notes = [log.note for log in find_logs([str(tmp_path)])]
+    assert notes[0] == first.note and notes[1] == f"{notes[0]}; {notes[2]}"
+    assert "x_4.mcap and x_5.mcap are different recordings: there are" in notes[2]
 
 
 @pytest.mark.parametrize(
