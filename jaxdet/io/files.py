@@ -38,7 +38,7 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         InputError: An input doesn't exist or holds no ``.mcap`` file.
     """
     named = [inputs] if isinstance(inputs, str | PathLike) else inputs
-    paths = {path.resolve(): path for item in named for path in _files(os.fspath(item))}
+    paths = _once([path for item in named for path in _files(os.fspath(item))])
     groups: dict[tuple[Path, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
         match = _SPLIT.fullmatch(path.name)
@@ -58,6 +58,18 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         LogFiles(name, tuple(paths[path] for path in part.paths), part.note)
         for name, part in zip(names, members, strict=True)
     ]
+
+
+def _once(found: Iterable[Path]) -> dict[Path, Path]:
+    """Each file once, by its absolute path; one that is named by links as well, by its own name.
+
+    Links are not followed for names: caches of data sets link them to files named by a hash.
+    """
+    names = sorted(((Path(os.path.abspath(path)), path) for path in found), reverse=True)
+    own: dict[Path, tuple[Path, Path]] = {}
+    for absolute, path in sorted(names, key=lambda item: item[0] == item[0].resolve()):
+        own[path.resolve()] = absolute, path
+    return dict(own.values())
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
