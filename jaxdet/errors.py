@@ -46,6 +46,7 @@ class JaxdetError(Exception):
 
     def add_remedy(self, remedy: str) -> None:
         """Says what else the user can do."""
+        self.remedy = f"{self.remedy}; {remedy}" if self.remedy else remedy
         self.args = (f"{self.args[0]}; {remedy}",)
 
     def __reduce__(self) -> tuple:

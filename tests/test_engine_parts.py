@@ -145,6 +145,16 @@ def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys)
     assert "no colour frame is in --start 100; its 12 colour frames are" in capsys.readouterr().err
 
 
+def test_info_goes_on_after_a_camera_that_fails(two_cameras, capsys):
+    """The camera front has no frame so late."""
+    assert info.main([str(two_cameras), "--json", "--start", "1.9"]) == 1
+    said = capsys.readouterr()
+    front, rear = json.loads(said.out)["logs"]
+    assert front["camera"] == "front" and "no colour frame is in" in front["error"]
+    assert rear["camera"] == "rear" and rear["frames"] == 12
+    assert said.err.count("\n") == 1
+
+
 def test_a_bar_for_each_camera(monkeypatch):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     seen = []

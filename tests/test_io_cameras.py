@@ -29,6 +29,8 @@ from tests.io_helpers import (
         ("/robot1/front_camera/rgb/image_rect_color", "robot1/front_camera"),
         ("/robot1/front_camera/depth_registered/sw_registered/image_rect", "robot1/front_camera"),
         ("/zed/zed_node/depth/depth_registered", "zed"),
+        ("/camera/camera1/color/image_raw", "camera1"),
+        ("/robot/robot_front/depth/image_raw", "robot/robot_front"),
         ("/oak/stereo/image_raw", "oak"),
         ("/depth_to_rgb/image_raw", "camera"),
         ("/front_rgb", "front"),

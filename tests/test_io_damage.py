@@ -9,7 +9,7 @@ import zstandard
 from mcap.reader import make_reader
 
 from jaxdet import io
-from jaxdet.errors import InputError, JaxdetError
+from jaxdet.errors import InputError, JaxdetError, TopicError
 from jaxdet.io import LogOptions, RescanError, lookahead, open_log
 from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
 from tests.io_both_ways import is_indexed
@@ -46,6 +46,13 @@ def test_truncated_file(tmp_path, compression):
         text = log.description.integrity[0].text
         assert text.startswith("recovered:") and "no end of file" in text and "bytes lost" in text
         assert 3 <= frames_right(log) < 12
+
+
+def test_that_no_images_are_left_is_said_with_the_damage(tmp_path):
+    path = write_log(tmp_path / "x.mcap", SCENE)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(TopicError, match=r"no messages; x.mcap is recovered: .* bytes lost"):
+        open_log(str(path))
 
 
 def test_any_truncation_ends_in_frames_or_one_clear_line(tmp_path):

@@ -53,6 +53,36 @@ def test_extrinsics_topic_is_column_major_and_goes_before_tf(tmp_path):
         assert any("differs from TF" in text for text in log.description.warnings)
 
 
+@pytest.mark.parametrize("with_tf", [True, False])
+def test_no_camera_takes_the_extrinsics_of_another(tmp_path, with_tf):
+    path = tmp_path / "log.mcap"
+    with LogFile(path) as log:
+        for name in ("front", "rear"):
+            for kind, size, K in (("color", COLOR_SIZE, COLOR_K), ("depth", DEPTH_SIZE, DEPTH_K)):
+                info = ros_info(size, K, START, f"{name}_{kind}")
+                log.ros(f"/{name}/{kind}/camera_info", info, START)
+            image = ros_image(make_scene().color[0], "rgb8", START, f"{name}_color")
+            log.ros(f"/{name}/color/image_raw", image, START)
+            image = ros_image(make_scene().depth[0], "16UC1", START, f"{name}_depth")
+            log.ros(f"/{name}/depth/image_raw", image, START)
+        message = ros_type("realsense2_camera_msgs/msg/Extrinsics")
+        shift = np.array([0.015, 0.0, 0.0])
+        log.ros("/front/extrinsics/depth_to_color", message(np.eye(3).reshape(-1), shift), START)
+        if with_tf:
+            edge = "rear_color", "rear_depth", (0.05, 0.0, 0.0), (0, 0, 0, 1)
+            log.ros("/tf_static", ros_tf(edge), START)
+    with open_log(str(path), LogOptions(camera="front")) as log:
+        assert log.calibration.color_from_depth is not None
+        assert log.calibration.color_from_depth.translation == (0.015, 0.0, 0.0)
+    if not with_tf:
+        with pytest.raises(CalibrationError, match="no transform from depth to colour"):
+            open_log(str(path), LogOptions(camera="rear"))
+        return
+    with open_log(str(path), LogOptions(camera="rear")) as log:
+        assert log.calibration.color_from_depth is not None
+        assert log.calibration.color_from_depth.translation == (0.05, 0.0, 0.0)
+
+
 def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
     path = str(tmp_path / "log.mcap")
     with LogFile(tmp_path / "log.mcap") as log:

@@ -49,6 +49,19 @@ def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
     assert again == logs
 
 
+def test_links_are_called_by_their_own_names(tmp_path):
+    touch(tmp_path, "blobs/a0", "blobs/b1", "drives/one.mcap")
+    for number, blob in enumerate(("a0", "b1")):
+        (tmp_path / f"drives/run_{number}.mcap").symlink_to(tmp_path / "blobs" / blob)
+    (tmp_path / "drives/latest.mcap").symlink_to("one.mcap")
+    logs = find_logs([str(tmp_path / "drives")])
+    assert [(log.name, len(log.paths)) for log in logs] == [("one", 1), ("run", 2)]
+    one = str(tmp_path / "drives/one.mcap")
+    latest = find_logs([str(tmp_path / "drives/latest.mcap")])
+    assert [log.name for log in latest] == ["latest"]
+    assert find_logs([one, str(tmp_path / "drives/latest.mcap")]) == find_logs([one])
+
+
 def test_siblings_of_a_single_split(tmp_path):
     touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
     [log] = find_logs([str(tmp_path / "run_1.mcap")])

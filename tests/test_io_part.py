@@ -56,7 +56,9 @@ def test_moments(text, moment):
     assert parse_moment(text, "--start") == moment
 
 
-@pytest.mark.parametrize("text", ["", "-1", "5 m", "nan", "1e3", "today", "10:00", "१२"])
+@pytest.mark.parametrize(
+    "text", ["", "-1", "5 m", "nan", "1e3", "today", "10:00", "१२", "9" * 13, "9" * 400]
+)
 def test_what_is_no_moment_is_said_with_its_flag(text):
     with pytest.raises(ConfigError, match=r"--stop .* is no time; give it as 12.5, 90s, 2024"):
         LogOptions(stop=text)

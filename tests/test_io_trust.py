@@ -175,6 +175,22 @@ def test_frames_of_another_calibration_are_not_used(tmp_path):
         assert any("frames with another calibration" in t for t in log.description.warnings)
 
 
+@pytest.mark.parametrize("part", [{"start": "1"}, {"every": 15}])
+def test_a_calibration_that_changes_before_the_part_that_is_read(tmp_path, part):
+    """And is recorded where it changes only."""
+    scene = make_scene(36)
+    path = tmp_path / "x.mcap"
+    with LogFile(path, chunk_size=9000) as log:
+        write_calibration(log)
+        write_images(log, scene)
+        at = int(scene.color_ns[20])
+        message = ros_info(COLOR_SIZE, (60.0, 51.0, 20.5, 14.5), at, COLOR_FRAME)
+        log.ros(COLOR_INFO, message, at)
+    options = LogOptions(**part)
+    with open_log(str(path), options) as log, pytest.raises(RescanError, match="calibration chan"):
+        list(log.batches(3))
+
+
 def test_a_camera_that_is_not_calibrated_for_a_while_says_nothing(tmp_path):
     path = other_calibration(tmp_path / "x.mcap", range(4, 6), (0.0, 0.0, 0.0, 0.0))
     with open_log(str(path)) as log:
@@ -210,6 +226,10 @@ def test_numbered_files_are_one_log_only_if_they_belong_together(tmp_path):
     assert names_of(tmp_path) == [("x_0", 3), ("x_3", 2)]
     [first, second] = find_logs([str(tmp_path)])
     assert first.note == second.note and "another calibration" in first.note
+    drive(tmp_path / "x_5.mcap", START + 9000 * SECOND, (60.0, 51.0, 20.5, 14.5))
+    notes = [log.note for log in find_logs([str(tmp_path)])]
+    assert notes[0] == first.note and notes[1] == f"{notes[0]}; {notes[2]}"
+    assert "x_4.mcap and x_5.mcap are different recordings: there are" in notes[2]
 
 
 @pytest.mark.parametrize(
@@ -246,6 +266,8 @@ def test_a_split_without_an_index_stays_with_the_others(tmp_path):
     [
         ((1e14, 0, 0), (0, 0, 0, 1), "none that a robot has"),
         ((float("nan"), 0, 0), (0, 0, 0, 1), "none that a robot has"),
+        ((0, float("nan"), 0), (0, 0, 0, 1), "none that a robot has"),
+        ((0, 0, float("nan")), (0, 0, 0, 1), "none that a robot has"),
         ((0, 0, 0), (0, 0, 0, 0), "not of unit length"),
         ((0, 0, 0), (0, 0, 0, 1.1), "not of unit length"),
         ((0, 0, 0), (1e200, 0, 0, 0), "not of unit length"),

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from jaxdet.cli.progress import _text
+from jaxdet.cli.progress import _text, _thousands
 from jaxdet.engine import LogSummary, Progress
 
 
@@ -40,3 +40,10 @@ def test_line() -> None:
         "1200/4000 frames, 950.0 frames/s, slowest: decode 1.0k/s "
         "(read 16k, transfer 60k, compute 120k, write 16k)"
     )
+
+
+@pytest.mark.parametrize(
+    "rate, shown", [(0.21, "0.2"), (9.6, "9.6"), (42.0, "42"), (1540.0, "1.5k"), (97_400.0, "97k")]
+)
+def test_rates(rate: float, shown: str) -> None:
+    assert _thousands(rate) == shown

@@ -73,32 +73,28 @@ def main(args: list[str]) -> int:
     from jaxdet.results.summary import to_json
 
     failed, found = 0, []
-    for files in find_logs(given(command.logs)):
+    options = replace(command.log, scan=command.log.scan or command.check)
+    method = replace(config, ground=command.ground)
+    todo = [(files, options) for files in reversed(find_logs(given(command.logs)))]
+    while todo:
+        files, options = todo.pop()
         try:
-            options = replace(command.log, scan=command.log.scan or command.check)
-            method = replace(config, ground=command.ground)
-            for about, lines in _each_camera(files, method, options):
-                found.append(about)
-                if not command.json:
-                    print("\n".join(lines))
+            about, lines = describe(files, method, options)
+        except CamerasError as error:
+            cameras = reversed(error.cameras)
+            todo += [(files, replace(options, camera=camera)) for camera in cameras]
         except JaxdetError as error:
             failed += 1
-            found.append({"log": files.name, "error": str(error)})
+            camera = {"camera": options.camera} if options.camera else {}
+            found.append({"log": files.name, **camera, "error": str(error)})
             print(f"jaxdet: error: {error}", file=sys.stderr)
+        else:
+            found.append(about)
+            if not command.json:
+                print("\n".join(lines))
     if command.json:
         print(to_json({"logs": found}), end="")
     return 1 if failed else 0
-
-
-def _each_camera(
-    files: "LogFiles", config: Config, options: LogOptions
-) -> Iterator[tuple[dict[str, Any], list[str]]]:
-    """What :func:`describe` says of all cameras of a log, or of the one of the options."""
-    try:
-        yield describe(files, config, options)
-    except CamerasError as error:
-        for camera in error.cameras:
-            yield describe(files, config, replace(options, camera=camera))
 
 
 def describe(

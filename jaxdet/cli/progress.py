@@ -106,4 +106,6 @@ def _steps_text(now: "Progress") -> str:
 
 def _thousands(rate: float) -> str:
     """A rate in two or three digits."""
-    return f"{rate:.0f}" if rate < 1000 else f"{rate / 1000:.{1 if rate < 10_000 else 0}f}k"
+    if rate < 1000:
+        return f"{rate:.1f}" if rate < 10 else f"{rate:.0f}"
+    return f"{rate / 1000:.{1 if rate < 10_000 else 0}f}k"

@@ -7,6 +7,7 @@ records, once decompressed, are MCAP's.
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
@@ -64,23 +65,24 @@ class LogFile(ABC):
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes
-        try:
-            self._file = path.open("rb", buffering=0)
-            self._descriptor = self._file.fileno()
-            self.state = state or FileState.of(os.fstat(self._descriptor))
-            self.size = self.state.size
-            self.check_unchanged()
-            magic = LogFile.read(self, 0, min(self.size, len(self.magic)))
-        except (OSError, DamageError) as error:
-            text = getattr(error, "strerror", None) or error
-            problem = f"can't be read ({text})"
-            raise InputError(problem, path=str(path), remedy="check the file") from error
-        if magic != self.magic or self.size <= 2 * len(self.magic):
-            self._file.close()
-            problem = "the file is empty" if not self.size else f"not {self.kind} file"
-            if magic == self.magic:
-                problem = f"the {self.kind.partition(' ')[2]} file holds no records"
-            raise InputError(problem, path=str(path), remedy="record it again or leave it out")
+        with ExitStack() as failed:
+            try:
+                self._file = failed.enter_context(path.open("rb", buffering=0))
+                self._descriptor = self._file.fileno()
+                self.state = state or FileState.of(os.fstat(self._descriptor))
+                self.size = self.state.size
+                self.check_unchanged()
+                magic = LogFile.read(self, 0, min(self.size, len(self.magic)))
+            except (OSError, DamageError) as error:
+                text = getattr(error, "strerror", None) or error
+                problem = f"can't be read ({text})"
+                raise InputError(problem, path=str(path), remedy="check the file") from error
+            if magic != self.magic or self.size <= 2 * len(self.magic):
+                problem = "the file is empty" if not self.size else f"not {self.kind} file"
+                if magic == self.magic:
+                    problem = f"the {self.kind.partition(' ')[2]} file holds no records"
+                raise InputError(problem, path=str(path), remedy="record it again or leave it out")
+            failed.pop_all()
 
     def __reduce__(self) -> tuple:
         """In another process the file is opened again."""

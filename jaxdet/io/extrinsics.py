@@ -9,7 +9,7 @@ from jaxdet.io.index import LogIndex
 from jaxdet.io.messages import ExtrinsicsMessage
 from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.options import LogOptions
-from jaxdet.io.topics import affinity
+from jaxdet.io.topics import affinity, camera_name
 from jaxdet.types import Extrinsics
 
 _AGREE_M, _AGREE_RAD = 0.001, 0.002
@@ -54,8 +54,7 @@ def find_extrinsics(
     streams = _between_streams(index, *topics)
     if streams is not None:
         return FoundExtrinsics(_extrinsics(streams), "librealsense's topics of both streams", ())
-    depth_topic = topics[1]
-    topic = _topic(index, depth_topic)
+    topic = _topic(index, topics)
     tf = index.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
     if topic:
         T = _matrix(index.extrinsics[topic])
@@ -65,17 +64,25 @@ def find_extrinsics(
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
         problem = f"no transform from depth to colour (frames {frames})"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
-        raise CalibrationError(problem, path=path, topic=printable(depth_topic), remedy=remedy)
+        raise CalibrationError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
     if color_frame == depth_frame:
         return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
     origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"
     return FoundExtrinsics(_extrinsics(tf), origin, ())
 
 
-def _topic(index: LogIndex, depth_topic: str) -> str:
-    """The ``depth_to_color`` topic that shares most of its name with the depth images'."""
-    names = [name for name in index.extrinsics if "depth_to_color" in name.lower()]
-    return max(sorted(names), key=lambda name: affinity(name, depth_topic), default="")
+def _topic(index: LogIndex, topics: tuple[str, str]) -> str:
+    """The ``depth_to_color`` topic that shares most of its name with the depth images'.
+
+    Those of the log's other cameras are left out.
+    """
+    others = {camera_name(name) for name in index.streams} - {camera_name(name) for name in topics}
+    names = [
+        name
+        for name in index.extrinsics
+        if "depth_to_color" in name.lower() and camera_name(name) not in others
+    ]
+    return max(sorted(names), key=lambda name: affinity(name, topics[1]), default="")
 
 
 def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.ndarray | None:

@@ -54,12 +54,13 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         InputError: An input doesn't exist or holds nothing that is read.
     """
     named = [inputs] if isinstance(inputs, str | PathLike) else inputs
-    paths: dict[Path, Path] = {}
+    chosen: list[Path] = []
     said: dict[Path, str] = {}
     for item in named:
         found, note = _files(os.fspath(item))
-        paths |= {path.resolve(): path for path in found}
+        chosen += found
         said |= {found[0].resolve(): note} if note else {}
+    paths = _once(chosen)
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
         match = _SPLIT.fullmatch(path.name)
@@ -81,10 +82,22 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         LogFiles(
             name,
             tuple(paths[path] for path in part.paths),
-            "; ".join(filter(None, [part.note, *(said.get(path, "") for path in part.paths)])),
+            "; ".join(filter(None, [part.note, *(said.get(p.resolve(), "") for p in part.paths)])),
         )
         for name, part in zip(names, members, strict=True)
     ]
+
+
+def _once(found: Iterable[Path]) -> dict[Path, Path]:
+    """Each file once, by its absolute path; one that is named by links as well, by its own name.
+
+    Links are not followed for names: caches of data sets link them to files named by a hash.
+    """
+    names = sorted(((Path(os.path.abspath(path)), path) for path in found), reverse=True)
+    own: dict[Path, tuple[Path, Path]] = {}
+    for absolute, path in sorted(names, key=lambda item: item[0] == item[0].resolve()):
+        own[path.resolve()] = absolute, path
+    return dict(own.values())
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:

@@ -63,7 +63,8 @@ class FileIntegrity(NamedTuple):
         for start, end in self.lost_spans_ns[:3]:
             parts.append(f"log time {_utc(start)} to {_utc(end)} lost")
         if not self.has_end:
-            parts.append(f"no end of file; data up to {_utc(self.last_log_time_ns)}")
+            upto = f"; data up to {_utc(self.last_log_time_ns)}" if self.messages else ""
+            parts.append(f"no end of file{upto}")
         parts.append(crc)
         return "recovered: " + "; ".join(parts)
 

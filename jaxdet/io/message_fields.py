@@ -117,7 +117,7 @@ def _rgbd(message: Any, name: str) -> RgbdMessage:
 
 def _motion(stamp: int, parent: str, child: str, t: Any, q: Any) -> TransformMessage:
     tx, ty, tz = (float(value) for value in (t.x, t.y, t.z))
-    if not max(abs(tx), abs(ty), abs(tz)) <= MAX_TRANSLATION_M:
+    if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # NaN neither
         raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is none that a robot has")
     rotation = np.array([q.x, q.y, q.z, q.w], np.float64)
     if not (np.abs(rotation) <= 2).all() or abs(float(rotation @ rotation) - 1) > UNIT_TOLERANCE:

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from jaxdet.errors import ConfigError
 
-_SECONDS = re.compile(r"(\d+\.?\d*|\.\d+)(s?)", re.ASCII)
+_SECONDS = re.compile(r"(\d{1,12}(?:\.\d*)?|\.\d+)s?", re.ASCII)
+"""Of more digits there is no such time; stamps in milliseconds are none either."""
 _NANOSECONDS = re.compile(r"\d{16,19}", re.ASCII)
 """As seconds after the begin of a log they would be 30 million years."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

@@ -108,19 +108,22 @@ class Recording(NamedTuple):
 def recordings(files: Iterable[tuple[int, Path]]) -> list[Recording]:
     """Numbered files of one name, in order, as the recordings that they are of."""
     found: list[list[Path]] = []
-    notes: list[str] = []
+    notes: list[list[str]] = []
     before: tuple[int, Sketch | None] = (0, None)
     for number, path in files:
         now = sketch(path)
         why = difference(before[1], now, max(1, number - before[0])) if found else ""
-        if why:
-            notes.append(f"{found[-1][-1].name} and {path.name} are different recordings: {why}")
         if why or not found:
             found.append([])
+            notes.append([])
+        if why:
+            names = f"{found[-2][-1].name} and {path.name}"
+            for about in notes[-2:]:
+                about.append(f"{names} are different recordings: {why}")
         found[-1].append(path)
         if now:
             known = before[1] if before[1] and not why else now
             merged = known.schemas | now.schemas, known.calibrations | now.calibrations
             before = number, Sketch(merged[0], now.images, now.span_ns or known.span_ns, merged[1])
-    text = "; ".join(notes[:4])
-    return [Recording(tuple(paths), text) for paths in found]
+    both = zip(found, notes, strict=True)
+    return [Recording(tuple(paths), "; ".join(about)) for paths, about in both]

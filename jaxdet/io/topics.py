@@ -26,6 +26,7 @@ _IMAGE_WORDS = (
     | _DEPTH_WORDS
     | {"image", "raw", "rect", "rectified", "mono", "gray", "grey", "rgbd", "data", "sensor"}
     | {"compressed", "compresseddepth", "aligned", "registered", "to", "sw", "hw", "transport"}
+    | {"extrinsics"}
 )
 """Of topics, no part of a camera's name."""
 _MAX_LISTED = 12
@@ -104,8 +105,8 @@ def camera_name(topic: str) -> str:
         kept = "_".join(words)
         if len(words) < len(part.split("_")) and kept.replace("_", "").isdigit():
             continue  # sensor_0, Color_0
-        if kept and not (parts and kept.startswith(parts[-1])):  # camera/camera, zed/zed_node
-            parts.append(kept)
+        if kept and not (parts and kept in (parts[-1], f"{parts[-1]}_node")):
+            parts.append(kept)  # once of camera/camera and zed/zed_node
     return "/".join([part for part in parts if part != "camera"]) or "camera"
 
 
@@ -261,6 +262,8 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
         for name, info in sorted(index.topics.items())
     ]
     listed = f"its topics are {_listed(names)}" if names else "it has no messages"
+    damage = [f"{file.path.name} is {file.text}" for file in index.integrity if file.recovered]
+    listed = "; ".join([listed, *map(printable, damage[:2])])
     remedy = "record a colour and a depth image topic, or name them with --log.color, --log.depth"
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
 

@@ -95,9 +95,13 @@ class CalibrationWindows:
         self._store, self._path = store, path
         self._good: set[tuple[str, bytes]] = set()
         """What follows the stamp in messages that were compared."""
+        self._last: dict[str, int] = {}
+        """The message of each topic before the end of the latest span: it was compared."""
 
     def check(self, begin: int | None, end: int | None) -> set[Place]:
-        """Compares the messages of a span of log times.
+        """Compares the messages of a span of log times, and the one before it, which holds there.
+
+        Of a part of a log no other window may have looked at that one.
 
         Args:
             begin: Log time of the first, None = the log's.
@@ -116,8 +120,10 @@ class CalibrationWindows:
             start = 0 if begin is None else int(np.searchsorted(log_ns, begin))
             stop = len(log_ns) if end is None else int(np.searchsorted(log_ns, end))
             chunks |= topic.messages.chunks(slice(start, stop))
-            for number in range(start, stop):
+            known = self._last.get(topic.topic) == start - 1
+            for number in range(start if known else max(0, start - 1), stop):
                 self._compare(topic, number)
+            self._last[topic.topic] = stop - 1
         return chunks
 
     def _compare(self, topic: InfoMessages, number: int) -> None:
