@@ -13,6 +13,8 @@ import pytest
 
 from jaxdet.cli import main
 from jaxdet.cli.help import FIRST, pages, title_of
+from jaxdet.engine import local
+from jaxdet.errors import FrameStatus
 from jaxdet.sim import SimConfig, write_log
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,6 +48,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", sorted(DOCUMENTS.keys() - {"queries"}))
 def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(local, "CPU_BATCH", 8)  # one compiled program for all pages
     text = DOCUMENTS[name].read_text(encoding="utf-8")
     if "jaxdet sim drive.mcap" not in text:
         (tmp_path / "drive.mcap").hardlink_to(drive)
@@ -93,6 +96,11 @@ def test_flags_that_are_named_are_there(capsys, monkeypatch):
     known = {*re.findall(flag, capsys.readouterr().out), *OTHERS}
     for path in DOCUMENTS.values():
         assert {*re.findall(flag, path.read_text(encoding="utf-8"))} <= known, path.name
+
+
+def test_each_status_is_explained():
+    text = DOCUMENTS["logs"].read_text(encoding="utf-8")
+    assert all(f"| `{status}` |" in text for status in FrameStatus)
 
 
 def test_pages_that_are_named_are_there():

@@ -156,7 +156,9 @@ class Detector:
             InputError: The images are no such arrays.
             CalibrationError: They are of another size than the calibration.
         """
-        poses = None if T_world_camera is None else [T_world_camera]
+        poses = None
+        if T_world_camera is not None:
+            poses = numbers("T_world_camera", T_world_camera, np.float64)[None]
         given = one_frame("color", color), one_frame("depth", depth)
         mounts = None if mount is None else [mount]
         return self.batch(*given, mounts=mounts, stamps_ns=[stamp_ns], T_world_camera=poses)[0]
