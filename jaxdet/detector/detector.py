@@ -170,7 +170,7 @@ class Detector:
         *,
         mounts: Sequence[Mount] | None = None,
         stamps_ns: ArrayLike | None = None,
-        T_world_camera: ArrayLike | None = None,
+        T_world_camera: ArrayLike | Sequence[ArrayLike] | None = None,
     ) -> BatchResult:
         """Finds the obstacles in ``B`` frames, together.
 

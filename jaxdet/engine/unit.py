@@ -78,8 +78,8 @@ class LogWork:
         for unit in units:
             batches = self.log.batches(self.plan.batch_size, unit.start, unit.stop, **given)
             while (batch := self._timed("read", next, batches, None)) is not None:
-                self._busy["decode"] += batch.decoding_s  # pyright: ignore
-                self._busy["read"] -= batch.decoding_s  # pyright: ignore
+                self._busy["decode"] += batch.decoding_s
+                self._busy["read"] -= batch.decoding_s
                 yield unit, batch
 
     def _start(self, unit: Unit, batch: "Batch") -> "_Piece":
