@@ -26,7 +26,7 @@ from jaxdet.engine import device, local
 from jaxdet.engine.lock import Lock
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError
+from jaxdet.errors import ConfigError, InputError, Interrupted, JaxdetError, OutputError
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint, result_files, sha256
@@ -257,6 +257,12 @@ def test_the_lock_of_a_dead_run_is_taken_over(many: list, tmp_path: Path) -> Non
     assert f"taken over from a run that ended without a word (process {child.pid} on" in owner
     assert left == "removed what a run of an older version left (.jaxdet-abcdef_1)"
     assert (tmp_path / ".jaxdet-mine").is_dir() and not (tmp_path / ".jaxdet-abcdef_1").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no procfs")
+def test_a_file_system_that_never_makes_folders() -> None:
+    with pytest.raises(InputError, match="can't be written to"):
+        Lock(Path("/proc/jaxdet/.jaxdet/lock"))
 
 
 def test_a_lock_goes_with_its_folder(tmp_path: Path) -> None:

@@ -11,6 +11,9 @@ from typing import Any
 
 from jaxdet.errors import ConfigError, InputError
 
+_TRIES = 100
+"""To make the folder and the file; some file systems never let one."""
+
 
 class Lock:
     """A file that this process has locked, and that says who it is.
@@ -46,13 +49,15 @@ class Lock:
 
 def _locked(path: Path) -> int:
     """The descriptor of the file, when it is locked and still at its place."""
+    tries = 0
     while True:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        except FileNotFoundError:
-            continue  # its last owner has just removed the folder
         except OSError as error:
+            tries += 1
+            if isinstance(error, FileNotFoundError) and tries < _TRIES:
+                continue  # its last owner has just removed the folder
             problem = f"can't be written to ({error.strerror})"
             raise InputError(problem, path=str(path.parent.parent)) from error
         try:
