@@ -125,6 +125,8 @@ def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
                 poses[3, :3, 3], [2 + 0.1 * np.cos(0.4), 0.1 * np.sin(0.4), 0.5], atol=1e-6
             )
             assert form in log.description.pose_source.lower()
+        with pytest.raises(CalibrationError, match=r"'nope' and .*change --log\.world-frame"):
+            open_log(str(tmp_path / "log.mcap"), LogOptions(world_frame="nope"))
 
 
 def test_topics_that_several_cameras_have_are_not_guessed(tmp_path):

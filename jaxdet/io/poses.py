@@ -117,7 +117,8 @@ def find_poses(
 
     Raises:
         TopicError: ``--log.odom`` names no topic with poses.
-        CalibrationError: The transforms form a cycle.
+        CalibrationError: The frame that ``--log.world-frame`` names isn't joined to the camera, or
+            the transforms form a cycle.
     """
     if options.odom:
         if options.odom not in index.poses:
@@ -126,6 +127,11 @@ def find_poses(
             remedy = f"--log.odom can be: {names}"
             raise TopicError("no poses on the topic", path=path, topic=topic, remedy=remedy)
         return _from_track(index, options.odom, camera_frame, base_frame)
+    if options.world_frame and not (
+        camera_frame and index.tree.joins(options.world_frame, camera_frame)
+    ):
+        problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
+        raise CalibrationError(problem, path=path, remedy="change --log.world-frame")
     for world in [options.world_frame] if options.world_frame else _named(index, _WORLDS):
         if not camera_frame or world == base_frame or not index.tree.joins(world, camera_frame):
             continue
