@@ -69,6 +69,14 @@ def test_siblings_of_a_single_split(tmp_path):
     assert [path.name for path in siblings(log)] == ["run_0.mcap", "run_2.mcap"]
 
 
+def test_no_name_is_not_this_folder(tmp_path, monkeypatch):
+    touch(tmp_path, "x.mcap")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="a log without a name"):
+        find_logs([""])
+    assert [log.name for log in find_logs(["."])] == ["x"]
+
+
 def test_compressed_files_and_several_logs_are_refused_by_name(tmp_path):
     touch(tmp_path, "x/run_0.mcap.zstd")
     with pytest.raises(InputError, match=r"run_0\.mcap\.zstd.*unzstd"):

@@ -139,6 +139,8 @@ def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
 def _files(text: str) -> tuple[list[Path], str]:
     """The files that an input names, at least one, and what is to be said of their choice."""
     path = Path(text)
+    if not text:  # a shell's variable that is not set is not this folder
+        raise InputError("a log without a name", remedy="check the arguments")
     if path.is_dir():
         seen = sorted(file for file in path.rglob("*") if file.is_file())
     elif path.exists():
