@@ -45,9 +45,9 @@ class JaxdetError(Exception):
         super().__init__(printable(" ".join(text.split()) if "\n" in text else text))
 
     def add_remedy(self, remedy: str) -> None:
-        """Says what else the user can do."""
+        """Says what else the user can do, or should know."""
         self.remedy = f"{self.remedy}; {remedy}" if self.remedy else remedy
-        self.args = (f"{self.args[0]}; {remedy}",)
+        self.args = (printable(f"{self.args[0]}; {remedy}"),)
 
     def __reduce__(self) -> tuple:
         """Whatever a kind of error is made from, it arrives whole in another process."""

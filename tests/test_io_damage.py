@@ -51,8 +51,14 @@ def test_truncated_file(tmp_path, compression):
 def test_that_no_images_are_left_is_said_with_the_damage(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE)
     path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(TopicError, match=r"no messages; x.mcap is recovered: .* bytes lost"):
+    with pytest.raises(TopicError, match=r"no messages; .*; x.mcap is recovered: .* bytes lost"):
         open_log(str(path))
+
+
+def test_that_chunks_are_larger_than_what_is_taken_is_said(tmp_path):
+    path = write_log(tmp_path / "x.mcap", make_scene(400), chunk_size=5 << 20)
+    with pytest.raises(TopicError, match=r"larger than --log.max-chunk-mib \(1\)"):
+        open_log(str(path), LogOptions(max_chunk_mib=1))
 
 
 def test_any_truncation_ends_in_frames_or_one_clear_line(tmp_path):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
-from jaxdet.errors import FrameStatus, InputError, RescanError
+from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
@@ -389,7 +389,14 @@ def open_log(source: str | PathLike[str] | LogFiles, options: LogOptions | None 
                 found = find_indexed(indexed, options, path)
                 return Log(source, indexed.contents, found, store, options)
         contents = scan_files(opened, source, options)
-        return Log(source, contents, find_scanned(contents, options, path), store, options)
+        try:
+            found = find_scanned(contents, options, path)
+        except (TopicError, CalibrationError) as error:
+            damaged = [file for file in contents.integrity if file.recovered]
+            for file in damaged[:2]:
+                error.add_remedy(f"{file.path.name} is {file.text}")
+            raise
+        return Log(source, contents, found, store, options)
     except BaseException:
         store.close()
         raise

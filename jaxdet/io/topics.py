@@ -262,8 +262,6 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
         for name, info in sorted(index.topics.items())
     ]
     listed = f"its topics are {_listed(names)}" if names else "it has no messages"
-    damage = [f"{file.path.name} is {file.text}" for file in index.integrity if file.recovered]
-    listed = "; ".join([listed, *map(printable, damage[:2])])
     remedy = "record a colour and a depth image topic, or name them with --log.color, --log.depth"
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
 
