@@ -18,6 +18,7 @@ from jaxdet.errors import ConfigError
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET, PRESETS, preset
 
+_WORDS = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false"}
 SECTIONS = tuple(part.name for part in dataclasses.fields(Config)) + ("log",)
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def read_table(path: Path) -> dict[str, Any]:
     """
     where = str(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ConfigError(f"can't be read ({error.strerror})", path=where) from error
     except UnicodeDecodeError as error:
@@ -147,9 +148,10 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
             known = ", ".join(hints) or "nothing"
             problem = f"no key {key!r} in [{name}]"
             raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {known}")
+        if field in clean:
+            raise ConfigError(f"[{name}] {key} is given twice, as {field}", path=path)
         if not _fits(given, hints[field]):
-            wanted = getattr(hints[field], "__name__", str(hints[field]))
-            raise ConfigError(f"[{name}] {key} = {value!r} is not {wanted}", path=path)
+            raise ConfigError(f"[{name}] {key} = {value!r} is not {_said(hints[field])}", path=path)
         clean[field] = _as(given, hints[field])
     try:
         return dataclasses.replace(section, **clean)
@@ -171,11 +173,17 @@ def _fits(value: Any, hint: Any) -> bool:
         parts = typing.get_args(hint)
         same = isinstance(value, list) and len(value) == len(parts)
         return same and all(_fits(v, part) for v, part in zip(value, parts, strict=True))
-    if origin is typing.Literal:
-        return value in typing.get_args(hint)
     if hint in (float, int) and isinstance(value, int):
         return not isinstance(value, bool) and abs(value) < 1 << 63
     return isinstance(value, hint)
+
+
+def _said(hint: Any) -> str:
+    """A type in words."""
+    parts = [part for part in typing.get_args(hint) or (hint,) if part is not types.NoneType]
+    if len(parts) == 1 and typing.get_origin(parts[0]) is tuple:
+        return f"a list of {len(typing.get_args(parts[0]))} numbers"
+    return " or ".join(_WORDS[part] for part in parts)
 
 
 def _as(value: Any, hint: Any) -> Any:

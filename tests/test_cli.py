@@ -223,18 +223,24 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
         ("[ground]\ncamera_pitch = 1\n", r"camera_pitch = 1: give an angle with its unit"),
         ("[clusters]\n", r"bad.toml: no section \[clusters\]; did you mean cluster\?"),
         ("cluster = 1\n", r"no section \[cluster\]"),
-        ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not int"),
-        ("[cluster]\nmin_points = true\n", "min_points = True is not int"),
-        ("[log]\ncolor_intrinsics = [1, 2]\n", "color_intrinsics"),
+        ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not a whole number"),
+        ("[cluster]\nmin_points = true\n", "min_points = True is not a whole number"),
+        ("[log]\nstart = 5\n", "start = 5 is not text in quotes"),
+        ("[log]\ncolor_intrinsics = [1, 2]\n", "is not a list of 4 numbers"),
+        (
+            "[ground]\ncamera_pitch = '1deg'\ncamera_pitch_rad = 0.1\n",
+            "camera_pitch_rad is given twice",
+        ),
         ("[ground]\nmin_depth_m = 9\n", "bad.toml: ground.min-depth-m must be"),
         ("[cluster\n", "bad.toml: is not TOML"),
     ],
 )
 def test_bad_files_name_the_key_and_the_file(text: str, said: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
-    file.write_text(text)
-    with pytest.raises(ConfigError, match=said):
-        defaults(["--config", str(file)])
+    for encoding in ("utf-8", "utf-8-sig"):  # the second as Windows' editors write
+        file.write_text(text, encoding)
+        with pytest.raises(ConfigError, match=said):
+            defaults(["--config", str(file)])
 
 
 def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
