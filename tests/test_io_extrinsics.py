@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxdet.errors import CalibrationError, CamerasError, TopicError
+from jaxdet.errors import CalibrationError, CamerasError, FrameStatus, TopicError
 from jaxdet.io import LogOptions, open_log
 from tests.io_helpers import (
     COLOR_FRAME,
@@ -125,6 +125,13 @@ def test_floor_and_poses_from_transforms_and_odometry(tmp_path):
                 poses[3, :3, 3], [2 + 0.1 * np.cos(0.4), 0.1 * np.sin(0.4), 0.5], atol=1e-6
             )
             assert form in log.description.pose_source.lower()
+            read, lost = log.read([1, 3]), log.without_images([1, 3], FrameStatus.TIMEOUT, "why")
+            assert (lost.camera_frame, lost.world_frame) == (read.camera_frame, read.world_frame)
+            assert (read.camera_frame, read.world_frame) == (COLOR_FRAME, "odom")
+            assert lost.status == (FrameStatus.TIMEOUT,) * 2 and lost.errors == ("why",) * 2
+            for name in ("number", "stamp_ns", "depth_stamp_ns", "T_world_camera"):
+                one, other = getattr(read.frames, name), getattr(lost.frames, name)
+                np.testing.assert_array_equal(one, other)
         with pytest.raises(CalibrationError, match=r"'nope' and .*change --log\.world-frame"):
             open_log(str(tmp_path / "log.mcap"), LogOptions(world_frame="nope"))
 

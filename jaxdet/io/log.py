@@ -296,8 +296,8 @@ class Log:
             T_world_camera=self._poses(windows, count),
         )
         notes = total(window.notes for window in windows)
-        names = self.camera_frame, self.world_frame
-        return Batch(frames, (status,) * count, (error,) * count, notes, *names)
+        rest = notes, 0.0, self.camera_frame, self.world_frame
+        return Batch(frames, (status,) * count, (error,) * count, *rest)
 
     def _batch(
         self,
