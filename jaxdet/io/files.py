@@ -89,15 +89,19 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
 
 
 def _once(found: Iterable[Path]) -> dict[Path, Path]:
-    """Each file once, by its absolute path; one that is named by links as well, by its own name.
+    """Each file once, by its place; one that is named by links as well, by its own name.
 
-    Links are not followed for names: caches of data sets link them to files named by a hash.
+    Links of files are not followed for names: caches of data sets link to files named by a hash.
     """
-    names = sorted(((Path(os.path.abspath(path)), path) for path in found), reverse=True)
+    names = sorted(((_place(path), path) for path in found), reverse=True)
     own: dict[Path, tuple[Path, Path]] = {}
-    for absolute, path in sorted(names, key=lambda item: item[0] == item[0].resolve()):
-        own[path.resolve()] = absolute, path
+    for place, path in sorted(names, key=lambda item: item[0] == item[0].resolve()):
+        own[place.resolve()] = place, path
     return dict(own.values())
+
+
+def _place(path: Path) -> Path:
+    return path.resolve() if path.is_dir() else path.parent.resolve() / path.name
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
