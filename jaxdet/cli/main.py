@@ -17,6 +17,7 @@ COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
     "track": "link the obstacles of results over time: paths, speeds, what moves",
     "export": "write results for other programs, or as a page: foxglove, ros2, html ...",
+    "verify": "check results: every file, frame and table, and a sample against the reference",
     "info": "say what is in a log, and what would be used of it and why",
     "sim": "simulate a log with known obstacles",
     "help": "show a page: logs, calibration, tuning, recipes, ...; without a name their list",

@@ -96,7 +96,9 @@ def _word(record: GroundRecord, estimated: str) -> str:
     return estimated if record.source == "estimate" else record.source
 
 
-def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
+def decide_planes(
+    log: "Log", config: Config, backend: BackendName, frames: np.ndarray | None = None
+) -> Planes:
     """What is known of the floor of a log's frames, in the order flags, TF, none.
 
     A sample of the frames is looked at first, each for itself, and the median of the floors that
@@ -111,6 +113,7 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
         config: ``config.ground`` says which source is wanted, and whether each time window has a
             sample of its own (which takes the stamps of all frames).
         backend: Backend that finds the floors.
+        frames: Numbers of the frames whose planes are wanted; None: all that are read.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -123,8 +126,9 @@ def decide_planes(log: "Log", config: Config, backend: BackendName) -> Planes:
     known, plane, warnings = _stated(log, config.ground)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
-    for number, frames in _windows(log, window_ns):
-        sample = evenly(frames, config.ground.sample_frames)
+    wanted = np.array(log.frames, int) if frames is None else frames
+    for number, all_frames in _windows(log, window_ns, wanted):
+        sample = evenly(all_frames, config.ground.sample_frames)
         record, windows[number] = _look(log, sample, known, plane, config, backend)
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
@@ -150,13 +154,13 @@ def evenly(values: np.ndarray, count: int) -> np.ndarray:
     return values[np.linspace(0, values.size - 1, count).round().astype(np.int64)]
 
 
-def _windows(log: "Log", window_ns: int) -> list[tuple[int, np.ndarray]]:
-    """The frames of each time window that is needed, or of the whole log."""
+def _windows(log: "Log", window_ns: int, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """All frames of each time window with a wanted one, or of the whole log."""
     frames = np.arange(log.num_frames)
     if not window_ns:
         return [(0, frames)] if frames.size else []
     numbers = np.asarray(log.stamps_ns) // window_ns
-    needed = np.unique(numbers[np.array(log.frames, int)])
+    needed = np.unique(numbers[wanted])
     return [(number, frames[numbers == number]) for number in needed.tolist()]
 
 

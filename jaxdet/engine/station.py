@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -156,7 +155,7 @@ class Reply(NamedTuple):
     packing: Packing | None
     whole: Detections | None
     error: Exception | None
-    busy_s: Mapping[str, float] = MappingProxyType({})
+    busy_s: Mapping[str, float]
     """Its share of the times of its batch."""
 
 

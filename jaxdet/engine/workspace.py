@@ -28,9 +28,8 @@ from jaxdet.engine.record import difference
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.results.commit import JOURNAL, Journal, begin_commit, carry_out, read_journal
 from jaxdet.results.durable import read_checked, write_checked, writing
-from jaxdet.results.manifest import result_files
+from jaxdet.results.manifest import WORKING, result_files
 
-NAME = ".jaxdet"
 _LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
 """Working folders of older versions."""
 
@@ -58,7 +57,7 @@ class Workspace:
         self, output: Path, record: Mapping[str, Any], *, overwrite: bool, say: Say
     ) -> None:
         self.output, self.record = output, record
-        self.folder = output.absolute() / NAME
+        self.folder = output.absolute() / WORKING
         if output.exists() and not output.is_dir():
             raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
         if not self.folder.exists() and not overwrite:
@@ -86,7 +85,7 @@ class Workspace:
         self._refuse_others()
         if self._lock.before:
             say(f"taken over from a run that ended without a word ({self._lock.before})")
-        for folder in self.output.glob(f"{NAME}-*"):
+        for folder in self.output.glob(f"{WORKING}-*"):
             if _LEFT.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink():
                 shutil.rmtree(folder, ignore_errors=True)
                 say(f"removed what a run of an older version left ({folder.name})")

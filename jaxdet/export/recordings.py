@@ -82,9 +82,9 @@ def images(
     Raises:
         InputError: It is another log, or it can't be read.
     """
-    chunks = results.chunks(log, size=BATCH) if wanted is None else _some(results, log, wanted)
+    chunks = results.chunks(log, size=BATCH) if wanted is None else some(results, log, wanted)
     waiting = next(chunks, None)
-    for options in _ways(results, log):
+    for options in ways(results, log):
         try:
             with open_log(files, options) as opened:
                 while waiting is not None:
@@ -138,7 +138,7 @@ def look_again(
         yield Seen(batch._replace(frames=frames), found, chunk)
 
 
-def _some(results: Results, log: ResultLog, wanted: np.ndarray) -> Iterator[Chunk]:
+def some(results: Results, log: ResultLog, wanted: np.ndarray) -> Iterator[Chunk]:
     """The rows of some frames, at most :data:`BATCH` at a time."""
     for chunk in results.chunks(log):
         rows = np.flatnonzero(np.isin(chunk.frames["frame"].to_numpy(), wanted))
@@ -148,7 +148,7 @@ def _some(results: Results, log: ResultLog, wanted: np.ndarray) -> Iterator[Chun
 
 def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
     """The floor that the run gave each frame."""
-    by_index, whole = _ways(results, log)
+    by_index, whole = ways(results, log)
     try:
         with open_log(files, by_index) as opened:
             return decide_planes(opened, results.method, "jax")
@@ -157,8 +157,8 @@ def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
             return decide_planes(opened, results.method, "jax")
 
 
-def _ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
-    """By the log's index, and where that isn't enough by reading all of it."""
+def ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
+    """How to open a log: by its index, and where that isn't enough by reading all of it."""
     options = results.options_of(log)
     yield options
     yield replace(options, scan=True)

@@ -11,9 +11,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxdet.results.durable import sha256
+from jaxdet.errors import InputError
+from jaxdet.results.durable import sha256, write_whole
+from jaxdet.results.summary import to_json
 
 MANIFEST = "manifest.json"
+WORKING = ".jaxdet"
+"""The working folder of a run, in the folder of its results."""
 FORMAT = 1
 _ENDS_BYTES = 64 << 10
 
@@ -72,13 +76,61 @@ def make_manifest(about: Mapping[str, Any], files: Mapping[str, Path]) -> dict[s
         files: The files by their names in the results folder.
 
     Returns:
-        What JSON can hold, ``files`` with size and SHA-256 of each.
+        What JSON can hold: ``files`` with size and SHA-256 of each, and ``sha256`` of all else
+        that is in the manifest.
     """
-    sizes = {
+    return _sealed({"format": FORMAT, **about, "files": _checksums(files)})
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a results folder.
+
+    Raises:
+        InputError: It is missing, or not as it was written, to the byte.
+    """
+    path = folder / MANIFEST
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        problem = "is missing: the results are not whole, or of a version that wrote none"
+        raise InputError(problem, path=str(path), remedy="run jaxdet run again") from None
+    found = _read(path)
+    if not isinstance(found.get("files"), dict) or to_json(_sealed(found)).encode() != content:
+        raise InputError("was changed", path=str(path), remedy="run jaxdet run again")
+    return found
+
+
+def replace_in_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Path]) -> None:
+    """Changes which files are in the manifest of a folder; one without a manifest stays so.
+
+    Args:
+        folder: The results folder.
+        gone: Names of files that are not results any more.
+        come: The files that are now, by their names.
+
+    Raises:
+        InputError: The manifest is not as it was written.
+        OutputError: The disk is full or broken.
+    """
+    if not (folder / MANIFEST).exists():
+        return
+    manifest = read_manifest(folder)
+    kept = {name: about for name, about in manifest["files"].items() if name not in {*gone}}
+    manifest["files"] = dict(sorted({**kept, **_checksums(come)}.items()))
+    write_whole(folder / MANIFEST, to_json(_sealed(manifest)).encode())
+
+
+def _checksums(files: Mapping[str, Path]) -> dict[str, Any]:
+    return {
         name: {"size": path.stat().st_size, "sha256": sha256(path)}
         for name, path in sorted(files.items())
     }
-    return {"format": FORMAT, **about, "files": sizes}
+
+
+def _sealed(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """A manifest with a checksum of itself at its end."""
+    found = {key: value for key, value in manifest.items() if key != "sha256"}
+    return {**found, "sha256": hashlib.sha256(to_json(found).encode()).hexdigest()}
 
 
 def result_files(folder: Path) -> tuple[str, ...]:

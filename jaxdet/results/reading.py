@@ -111,7 +111,8 @@ class Results:
         folder: The same.
         config: What ``config.json`` holds.
         summary: What ``summary.json`` holds.
-        metadata: What the tables say of themselves, see :mod:`jaxdet.results.metadata`.
+        metadata: What ``obstacles.parquet`` says of itself, see :mod:`jaxdet.results.metadata`.
+        frames_metadata: Likewise ``frames.parquet``; the same, where they belong together.
         version: The jaxdet that wrote it.
         logs: The logs that are in the tables, in their order there.
 
@@ -128,6 +129,7 @@ class Results:
         self.config = self._json("config.json")
         self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
         self.metadata = _metadata(self._obstacles)
+        self.frames_metadata = _metadata(self._frames)
         self.version = self.metadata.get(VERSION_KEY, "")
         self.logs = tuple(self._logs())
         for table, name in ((self._frames, "frames"), (self._obstacles, "obstacles")):
@@ -337,7 +339,7 @@ class _Rows:
 
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:
     own = (table.metadata.metadata or {}).items()
-    return {k.decode(): v.decode() for k, v in own if k.startswith(b"jaxdet.")}
+    return {k.decode(): v.decode("utf-8", "replace") for k, v in own if k.startswith(b"jaxdet.")}
 
 
 def _restored(kind: type, values: Mapping[str, Any]) -> Any:

@@ -6,8 +6,9 @@ of a fixed size whatever the batch, and the writer's settings are fixed here.
 
 import contextlib
 from collections.abc import Iterable, Mapping
+from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -73,17 +74,11 @@ class _Table:
     """A Parquet file in row groups of a fixed size."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
-        self.path, self.schema = path, schema
+        self.path = path
         self.pending: list[pa.Table] = []
         self.rows = 0
-        self.writer = pq.ParquetWriter(
-            path,
-            schema,
-            compression="zstd",
-            compression_level=3,
-            write_page_checksum=True,
-            use_dictionary=DICTIONARIES,  # pyright: ignore[reportArgumentType]
-        )
+        self.file = path.open("wb")  # Arrow opens no path that isn't UTF-8
+        self.writer = _writer(self.file, schema)
 
     def add(self, table: pa.Table) -> None:
         self.pending.append(table)
@@ -102,6 +97,33 @@ class _Table:
             self._write_group()
         self.writer.add_key_value_metadata(dict(metadata))
         self.writer.close()
+        self.file.close()
+
+    def drop(self) -> None:
+        """Closes what is open."""
+        for file in (self.writer, self.file):
+            with contextlib.suppress(OSError):
+                file.close()
+
+
+def _writer(file: IO[bytes], schema: pa.Schema, **more: Any) -> pq.ParquetWriter:
+    return pq.ParquetWriter(
+        file,
+        schema,
+        compression="zstd",
+        compression_level=3,
+        write_page_checksum=True,
+        use_dictionary=DICTIONARIES,  # pyright: ignore[reportArgumentType]
+        **more,
+    )
+
+
+def table_bytes(table: pa.Table) -> bytes:
+    """Rows as they are written; tables of the same bytes hold the same to the bit."""
+    file = BytesIO()
+    with _writer(file, table.schema, store_schema=False) as writer:
+        writer.write_table(table.combine_chunks())
+    return file.getvalue()
 
 
 class ResultWriter:
@@ -126,8 +148,7 @@ class ResultWriter:
 
     def __exit__(self, *_: object) -> None:
         for table in (self._frames, self._obstacles):
-            with contextlib.suppress(OSError):
-                table.writer.close()
+            table.drop()
 
     def add(self, rows: "Tables") -> None:
         """Appends rows, in order."""

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from jaxdet.errors import InputError
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.durable import flush
+from jaxdet.results.manifest import replace_in_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
@@ -188,10 +189,17 @@ class _staging(tempfile.TemporaryDirectory):  # noqa: N801
 
 
 def _commit(staging: Path, folder: Path) -> None:
-    """Moves all to their final names, ``tracks.parquet`` last, after the old ones are gone."""
-    for old in [folder / TRACKS, folder / LINKS, *sorted(folder.glob("tracks_*.png"))]:
-        old.unlink(missing_ok=True)
-    for path in sorted(staging.iterdir(), key=lambda p: (p.name == TRACKS, p.name)):
+    """Moves all to their final names, ``tracks.parquet`` last, after the old ones are gone.
+
+    Meanwhile the manifest knows neither, so that a stop on the way can be seen.
+    """
+    old = [folder / TRACKS, folder / LINKS, *sorted(folder.glob("tracks_*.png"))]
+    replace_in_manifest(folder, [path.name for path in old], {})
+    for path in old:
+        path.unlink(missing_ok=True)
+    new = sorted(staging.iterdir(), key=lambda p: (p.name == TRACKS, p.name))
+    for path in new:
         flush(path)
         os.replace(path, folder / path.name)
     flush(folder)
+    replace_in_manifest(folder, (), {path.name: folder / path.name for path in new})

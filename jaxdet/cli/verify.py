@@ -1,0 +1,70 @@
+"""``jaxdet verify``: whether results are whole, unchanged, of their logs and right."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxdet.cli.flags import parse_flags
+from jaxdet.errors import ConfigError, printable
+
+if TYPE_CHECKING:
+    from jaxdet.verify import Report
+
+DESCRIPTION = """\
+Checks results: every file against its checksum in manifest.json; the tables, which must be in
+order, belong together and have a row for every frame; stamps and poses of all frames against the
+logs; and of each log some frames, whose rows the NumPy reference must find again, byte for byte.
+The logs are looked for where the run found them. Says a line for each thing that is not as it
+should be, and ends with exit code 1 where there is one.
+
+Examples:
+  jaxdet verify results
+  jaxdet verify results --against moved/drive.mcap --sample 100
+"""
+
+
+@dataclass(frozen=True)
+class VerifyCommand:
+    """What ``jaxdet verify`` takes."""
+
+    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
+    """Folder that jaxdet run wrote."""
+    against: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG...")] = ()
+    """Where the logs are now: MCAP files, folders or globs."""
+    sample: int = 8
+    """Frames of each log that are computed again, spread evenly; 0: none."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print what was found as JSON, and nothing else."""
+
+
+def main(args: list[str]) -> int:
+    """Runs the command; returns the exit code."""
+    missing: Any = tyro.MISSING
+    command = parse_flags(VerifyCommand(missing), args, "jaxdet verify", DESCRIPTION)
+    if command.sample < 0:
+        raise ConfigError("--sample is a number of frames, at least 0")
+    from jaxdet.verify import verify
+
+    report = verify(command.results, command.against, command.sample)
+    if command.json:
+        found = asdict(report) | {"findings": [f._asdict() for f in report.findings]}
+        print(json.dumps(found, indent=2))
+    else:
+        print("\n".join(map(printable, report_lines(report))))
+    return 1 if report.findings else 0
+
+
+def report_lines(report: "Report") -> list[str]:
+    """What a person wants to read after a check."""
+    lines = [str(finding) for finding in report.findings]
+    lines += [f"note: {note}" for note in report.notes]
+    lines.append(
+        f"{report.files} files, {report.frames} frames and {report.obstacles} obstacles read, "
+        f"{report.frames_of_logs} frames compared with their logs, "
+        f"{report.frames_again} computed again"
+    )
+    count = len(report.findings)
+    return [*lines, f"{count} finding{'s' * (count > 1)}" if count else "all as it should be"]

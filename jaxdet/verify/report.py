@@ -1,0 +1,40 @@
+"""What a check of results has found."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+
+class Finding(NamedTuple):
+    """Something that is not as it should be."""
+
+    check: str
+    """``files``, ``tables``, ``log`` or ``sample``."""
+    where: str
+    """A file of the results, a log or a file of it."""
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.problem}"
+
+
+@dataclass
+class Report:
+    """What was looked at, and what was found."""
+
+    findings: list[Finding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What could not be looked at, and what is worth knowing."""
+    files: int = 0
+    """Files whose checksums were computed."""
+    frames: int = 0
+    """Rows of ``frames.parquet`` that were read."""
+    obstacles: int = 0
+    """Rows of ``obstacles.parquet`` that were read."""
+    frames_of_logs: int = 0
+    """Frames whose stamps and poses were compared with their log's."""
+    frames_again: int = 0
+    """Frames whose rows were computed again."""
+
+    def add(self, check: str, where: str, problem: str) -> None:
+        """Something was found."""
+        self.findings.append(Finding(check, where, problem))

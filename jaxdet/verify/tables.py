@@ -1,0 +1,116 @@
+"""The tables by themselves: readable, in order, belonging together, every frame accounted for."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from jaxdet.errors import InputError
+from jaxdet.results.metadata import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
+from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.summary import Counts
+from jaxdet.verify.report import Report
+
+_TABLES = ("frames.parquet", "obstacles.parquet")
+
+
+def check_tables(results: Results, inputs: Mapping[str, Any] | None, report: Report) -> None:
+    """Reads all rows.
+
+    Args:
+        results: The results.
+        inputs: The manifest's, by log; None: they aren't known.
+        report: Gets what is found.
+    """
+    read, whole = Inputs(), True
+    for log in results.logs:
+        try:
+            _check_log(results, log, read, report)
+        except InputError as error:
+            whole = False
+            report.add("tables", log.label, error.problem)
+    named = {log["log"] for log in results.summary["logs"]}
+    for name in sorted((inputs or {}).keys() ^ named if inputs is not None else ()):
+        report.add("tables", name, "is in only one of manifest.json and summary.json")
+    for log in results.summary["logs"]:
+        if log["error"]:
+            report.notes.append(f"{log['log']} failed in the run and has no rows: {log['error']}")
+        report.notes += [f"lost in the run: {lost}" for lost in log["lost"]]
+    if whole:
+        _check_metadata(results, read, report)
+
+
+def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -> None:
+    counts, numbers, problems = Counts(), [], set[str]()
+    for chunk in results.chunks(log):
+        read.add(chunk.frames)
+        counts.count(_columns(chunk))
+        numbers.append(chunk.frames["frame"].to_numpy())
+        problems |= _problems(chunk)
+        report.frames += chunk.frames.num_rows
+        report.obstacles += chunk.obstacles.num_rows
+    for problem in sorted(problems):
+        report.add("tables", log.label, problem)
+    if problem := _gap(results, log, np.concatenate([*numbers, np.zeros(0, np.int64)])):
+        report.add("tables", log.label, problem)
+    for part in fields(Counts):
+        found, told = getattr(counts, part.name), log.summary[part.name]
+        if part.name != "busy_s" and found != (Counter(told) if isinstance(told, dict) else told):
+            found = dict(found) if isinstance(found, Counter) else found
+            problem = f"{part.name} of its rows is {found}, summary.json says {told}"
+            report.add("tables", log.label, problem)
+
+
+def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
+    """What :meth:`jaxdet.results.summary.Counts.count` takes."""
+    columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
+    columns["floor_refused"] = np.ma.masked_equal(columns["floor_refused"], None)
+    return columns | {name: chunk.frames[name].to_numpy() for name in _NUMBERS}
+
+
+_WORDS = ("status", "floor_source", "floor_refused")
+_NUMBERS = ("num_features", "num_obstacles", "overflow")
+
+
+def _problems(chunk: Chunk) -> set[str]:
+    """In what the obstacles are not those of the frames."""
+    found, count = set(), chunk.frames["num_obstacles"].to_numpy()
+    labels = np.arange(chunk.obstacles.num_rows) - np.repeat(chunk.first[:-1], count)
+    if not np.array_equal(chunk.obstacles["obstacle"].to_numpy(), labels):
+        found.add("obstacles of a frame are not numbered from 0")
+    stamps = np.repeat(chunk.frames["stamp_ns"].to_numpy(), count)
+    if not np.array_equal(chunk.obstacles["stamp_ns"].to_numpy(), stamps):
+        found.add("stamp_ns of obstacles is not that of their frames")
+    return found
+
+
+def _gap(results: Results, log: ResultLog, numbers: np.ndarray) -> str:
+    """Where a frame is missing, comes twice or is out of order; empty: nowhere."""
+    options = results.log_options
+    if not numbers.size:
+        return ""
+    if options.start is None and numbers[0]:
+        return f"begins with frame {numbers[0]}, not 0"
+    for at in np.flatnonzero(np.diff(numbers) != options.every)[:1]:
+        this, following = numbers[at], numbers[at + 1]
+        missing = following > this + options.every
+        what = f"frame {this + options.every} is missing" if missing else "is out of order"
+        return f"{what}: frame {following} follows {this}"
+    return ""
+
+
+def _check_metadata(results: Results, read: Inputs, report: Report) -> None:
+    """What both tables say of their configuration and inputs is so."""
+    expected = table_metadata(results.config, results.summary, read)
+    expected[VERSION_KEY] = results.summary["jaxdet"]
+    for name, told in zip(_TABLES, (results.frames_metadata, results.metadata), strict=True):
+        for key, value in expected.items():
+            if told.get(key) != value:
+                what = (
+                    "stamps and calibrations are not those of its rows and of summary.json"
+                    if key == INPUTS_KEY
+                    else f"{key} in its metadata is not that of config.json and summary.json"
+                )
+                report.add("tables", name, what)

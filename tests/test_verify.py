@@ -1,0 +1,324 @@
+"""jaxdet verify: each thing that can be wrong with results is found, and nothing else."""
+
+import json
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine
+from jaxdet.cli import main
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import RunOptions
+from jaxdet.errors import InputError
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.results.manifest import replace_in_manifest
+from jaxdet.results.metadata import INPUTS_KEY, Inputs, table_metadata
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.tracks import track_results
+from jaxdet.verify import Report, verify
+from jaxdet.verify.files import check_files
+from jaxdet.verify.logs import _OF_LOG
+
+FRAMES = 12
+TABLES = ("frames.parquet", "obstacles.parquet")
+KEYS = {"log", "camera", "frame", "stamp_ns", "depth_stamp_ns", *_OF_LOG}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of two logs, ``a`` and ``b``, in units of four frames, with tracks."""
+    folder = tmp_path_factory.mktemp("verify")
+    for seed, name in enumerate("ab"):
+        write_log(folder / f"{name}.mcap", SimConfig(frames=FRAMES, width=96, height=72, seed=seed))
+    config = Config(ground=GroundConfig(sample_frames=3, window_s=0.2))
+    run = RunOptions(folder / "out", backend="reference", batch_size=4, pictures=1)
+    engine.run(find_logs([str(folder)]), config, LogOptions(), run)
+    track_results(folder / "out")
+    return folder / "out"
+
+
+@pytest.fixture
+def results(whole: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    shutil.copytree(whole, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def found(report: Report) -> list[str]:
+    return [str(finding) for finding in report.findings]
+
+
+def sealed(folder: Path, *names: str) -> None:
+    """The manifest knows files as they are now: whoever changed them covered it up."""
+    replace_in_manifest(folder, (), {name: folder / name for name in names})
+
+
+def rewrite(folder: Path, tables: Mapping[str, pa.Table], *, inputs: bool = False) -> None:
+    """Writes tables, their logs' figures and the manifest; with ``inputs`` the digests as well."""
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    for log in summary["logs"]:
+        for name, table in tables.items():
+            log[name.partition(".")[0]] = table["log"].to_pylist().count(log["log"])
+    for name, table in tables.items():
+        summary[name.partition(".")[0]] = table.num_rows
+    rows = tables["frames.parquet"]
+    for log in summary["logs"]:
+        mine = rows.filter(pa.array([name == log["log"] for name in rows["log"].to_pylist()]))
+        log["status"] = {"ok": mine.num_rows}
+        log["floor_sources"] = dict.fromkeys(log["floor_sources"], mine.num_rows)
+        log["features"] = sum(mine["num_features"].to_pylist())
+    read = Inputs()
+    read.add(rows)
+    for name, table in tables.items():
+        about = dict(pq.ParquetFile(folder / name).metadata.metadata)
+        if inputs:
+            config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+            about[INPUTS_KEY.encode()] = table_metadata(config, summary, read)[INPUTS_KEY].encode()
+        pq.write_table(table.replace_schema_metadata(about), folder / name)
+    (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    sealed(folder, "summary.json", *tables)
+
+
+def read(folder: Path) -> dict[str, pa.Table]:
+    return {name: pq.read_table(folder / name) for name in TABLES}
+
+
+def frames_of(table: pa.Table, log: str, start: int, stop: int) -> list[int]:
+    """The rows of some frames."""
+    keys = zip(table["log"].to_pylist(), table["frame"].to_pylist(), strict=True)
+    return [row for row, (name, frame) in enumerate(keys) if name == log and start <= frame < stop]
+
+
+def without(tables: Mapping[str, pa.Table], frame: int) -> dict[str, pa.Table]:
+    """Tables in which a frame of log ``a`` is missing."""
+    left = {}
+    for name, table in tables.items():
+        gone = {*frames_of(table, "a", frame, frame + 1)}
+        left[name] = table.take([row for row in range(table.num_rows) if row not in gone])
+    return left
+
+
+def test_what_a_run_wrote_is_as_it_should_be(whole: Path) -> None:
+    report = verify(whole, sample=3)
+    assert report.findings == report.notes == []
+    rows = [pq.read_metadata(whole / name).num_rows for name in TABLES]
+    assert [report.frames, report.obstacles] == rows and rows[1] > 0
+    assert (report.frames_of_logs, report.frames_again) == (2 * FRAMES, 2 * 3)
+    assert report.files == sum(path.is_file() for path in whole.rglob("*")) - 1
+
+
+def test_parts_of_logs_are_as_they_should_be(whole: Path, tmp_path: Path) -> None:
+    log = whole.parent / "a.mcap"
+    options = LogOptions(start="0.1", every=3)
+    run = RunOptions(tmp_path, backend="reference", pictures=0)
+    engine.run(find_logs([str(log)]), Config(), options, run)
+    report = verify(tmp_path, sample=1)
+    assert report.findings == report.notes == [] and 1 < report.frames < FRAMES / 2
+
+
+def test_one_flipped_byte_is_found_in_any_file(results: Path) -> None:
+    names = [str(p.relative_to(results)) for p in results.rglob("*") if p.is_file()]
+    assert {*TABLES, "tracks.parquet", "map_a.npz", "pictures/b_000000.png"} <= {*names}
+    for name in names:
+        content = (results / name).read_bytes()
+        places = {0, len(content) // 2, len(content) - 1}
+        if name == "manifest.json":
+            places |= {*range(0, len(content), 13)}
+        for place in places:
+            spoiled = bytearray(content)
+            spoiled[place] ^= 1
+            (results / name).write_bytes(spoiled)
+            report = Report()
+            check_files(results, report)
+            assert [finding.where for finding in report.findings] == [name], place
+        (results / name).write_bytes(content)
+    report = Report()
+    check_files(results, report)
+    assert not report.findings and report.files == len(names) - 1
+
+
+def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
+    (results / "map_a.npz").unlink()
+    (results / "map_b.npz").write_bytes(b"")
+    (results / "pictures" / "c_000000.png").touch()
+    (results / "mine.txt").touch()
+    (results / ".jaxdet").mkdir()
+    report = verify(results, sample=0)
+    assert found(report)[0] == "map_a.npz: is missing"
+    assert found(report)[1].startswith("map_b.npz: has 0 bytes, ")
+    assert found(report)[2:] == ["pictures/c_000000.png: is not in the manifest"]
+    assert report.notes == [
+        "a run that will replace these results goes on here, or was stopped",
+        "mine.txt is no file of the results",
+    ]
+    (results / "manifest.json").unlink()
+    (results / ".jaxdet" / "commit").touch()
+    assert found(verify(results, sample=0)) == [
+        ".jaxdet: a run was stopped while its results moved here; repeat its command",
+        "manifest.json: is missing: the results are not whole, or of a version that wrote none",
+    ]
+
+
+def test_exchanged_units_are_found(results: Path) -> None:
+    tables = read(results)
+    for name, table in tables.items():
+        first, second = (frames_of(table, "a", at, at + 4) for at in (0, 4))
+        rest = range(len(first) + len(second), table.num_rows)
+        tables[name] = table.take([*second, *first, *rest])
+    rewrite(results, tables)
+    assert found(verify(results)) == [
+        "a: begins with frame 4, not 0",
+        *[f"{name}: stamps and calibrations are not those of its rows and of summary.json"
+          for name in TABLES],
+    ]  # fmt: skip
+
+
+def test_exchanged_contents_are_found(results: Path) -> None:
+    """Rows with the right keys, and all checksums made to fit: only the reference can tell."""
+    tables = read(results)
+    frames = tables["frames.parquet"]
+    order = [*range(4, 8), *range(4), *range(8, frames.num_rows)]
+    moved = {name: frames[name] if name in KEYS else frames[name].take(order)
+             for name in frames.column_names}  # fmt: skip
+    obstacles = tables["obstacles.parquet"]
+    rows = [row for at in order[:8] for row in frames_of(obstacles, "a", at, at + 1)]
+    rows += range(len(rows), obstacles.num_rows)
+    target = {old: new for new, old in enumerate(order[:8])}
+    columns = {name: obstacles[name].take(rows) for name in obstacles.column_names}
+    number = zip(columns["log"].to_pylist(), columns["frame"].to_pylist(), strict=True)
+    at = [target.get(frame, frame) if log == "a" else frame for log, frame in number]
+    stamps = dict(zip(frames["frame"].to_pylist(), frames["stamp_ns"].to_pylist(), strict=False))
+    columns["frame"] = pa.array(at, pa.int64())
+    columns["stamp_ns"] = pa.array([stamps[one] for one in at], pa.int64())
+    spoiled = {
+        "frames.parquet": pa.table(moved, schema=frames.schema),
+        "obstacles.parquet": pa.table(columns, schema=obstacles.schema),
+    }
+    rewrite(results, spoiled)
+    report = verify(results, sample=FRAMES)
+    assert {finding.check for finding in report.findings} == {"sample"}
+    numbers = [int(re.findall(r"a: frame (\d+): ", text)[0]) for text in found(report)]
+    assert {*numbers} == {*range(8)}
+
+
+def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
+    tables = read(results)
+    obstacles = tables["obstacles.parquet"]
+    (row, *_) = frames_of(obstacles, "b", 11, 12)
+    values = obstacles["distance_m"].to_pylist()
+    values[row] += 0.001
+    column = obstacles.column_names.index("distance_m")
+    field = obstacles.schema.field(column)
+    tables["obstacles.parquet"] = obstacles.set_column(
+        column, field, [pa.array(values, field.type)]
+    )
+    rewrite(results, tables)
+    assert found(verify(results, sample=2)) == [
+        "b: frame 11: distance_m of obstacles.parquet is not what the reference finds"
+    ]
+    assert not verify(results, sample=0).findings
+
+
+@pytest.mark.parametrize(
+    ("frame", "problem"),
+    [
+        (5, "a: frame 5 is missing: frame 6 follows 4"),
+        (11, "a: the log has 12 frames, the results 11"),
+    ],
+)
+def test_a_missing_frame_is_found(results: Path, frame: int, problem: str) -> None:
+    rewrite(results, without(read(results), frame), inputs=True)
+    assert found(verify(results)) == [problem]
+
+
+def test_the_figures_of_a_missing_frame_are_found(results: Path) -> None:
+    for name, table in without(read(results), 11).items():
+        about = pq.ParquetFile(results / name).metadata.metadata
+        pq.write_table(table.replace_schema_metadata(about), results / name)
+    sealed(results, *TABLES)
+    (problem,) = found(verify(results))
+    assert problem.endswith("frames.parquet: 23 rows, but summary.json says 24")
+
+
+def test_a_row_of_another_log_is_found(results: Path) -> None:
+    tables = read(results)
+    frames = tables["frames.parquet"]
+    rows = list(range(frames.num_rows))
+    rows[3] = frames_of(frames, "b", 3, 4)[0]
+    tables["frames.parquet"] = frames.take(rows)
+    for name, table in tables.items():
+        about = pq.ParquetFile(results / name).metadata.metadata
+        pq.write_table(table.replace_schema_metadata(about), results / name)
+    sealed(results, *TABLES)
+    problem = "frames.parquet and obstacles.parquet don't belong together"
+    assert f"a: {problem}" in found(verify(results))
+
+
+def test_figures_that_are_not_those_of_the_rows_are_found(results: Path) -> None:
+    path = results / "summary.json"
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    summary["logs"][0]["status"] = {"ok": 11, "unpaired": 1}
+    summary["logs"][1]["lost"] = ["b, frames 0 to 3: timeout (twice)"]
+    path.write_text(json.dumps(summary), encoding="utf-8")
+    sealed(results, "summary.json")
+    report = verify(results)
+    (problem,) = found(report)
+    assert problem.startswith("a: status of its rows is {'ok': 12}, summary.json says {'ok': 11")
+    assert report.notes[0] == "lost in the run: b, frames 0 to 3: timeout (twice)"
+
+
+def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
+    """One with the same number of frames at the same times."""
+    other = SimConfig(frames=FRAMES, width=96, height=72, seed=5)
+    write_log(tmp_path / "a.mcap", other)
+    report = verify(whole, [str(tmp_path / "a.mcap")], sample=2)
+    assert {(finding.check, finding.where) for finding in report.findings} >= {
+        ("log", str(tmp_path / "a.mcap"))
+    }
+    write_log(tmp_path / "a.mcap", SimConfig(frames=FRAMES - 1, width=96, height=72))
+    problems = found(verify(whole, [str(tmp_path / "a.mcap")], sample=0))
+    assert problems[-1] == "a: the log has 11 frames, the results 12"
+    (tmp_path / "a.mcap").write_bytes(b"no log")
+    assert "a.mcap" in found(verify(whole, [str(tmp_path / "a.mcap")], sample=0))[-1]
+    with pytest.raises(InputError, match="no log 'c'"):
+        shutil.copy(tmp_path / "a.mcap", tmp_path / "c.mcap")
+        verify(whole, [str(tmp_path / "c.mcap")])
+
+
+def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole.parent, tmp_path / "all")
+    summary = tmp_path / "all" / "out" / "summary.json"
+    summary.write_text(summary.read_text("utf-8").replace(str(whole.parent), "/gone"), "utf-8")
+    sealed(summary.parent, "summary.json")
+    report = verify(summary.parent)
+    assert not report.findings and not report.frames_of_logs
+    assert report.notes[0].startswith("a was not compared: /gone/a.mcap: the log isn't where")
+    report = verify(summary.parent, [str(tmp_path / "all" / "*.mcap")], sample=1)
+    assert report.findings == report.notes == [] and report.frames_of_logs == 2 * FRAMES
+
+
+def test_tracks_are_results(results: Path) -> None:
+    track_results(results)
+    assert not verify(results, sample=0).findings
+    (results / "tracks.parquet").unlink()
+    assert found(verify(results, sample=0)) == ["tracks.parquet: is missing"]
+
+
+def test_the_command(results: Path, capsys: Any) -> None:
+    assert main(["verify", str(results), "--sample", "1"]) == 0
+    assert capsys.readouterr().out.endswith("all as it should be\n")
+    (results / "config.json").unlink()
+    assert main(["verify", str(results), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["findings"][0] == {
+        "check": "files", "where": "config.json", "problem": "is missing"
+    }  # fmt: skip
+    assert main(["verify", str(results / "missing")]) == 1
+    assert "no such folder" in capsys.readouterr().err
+    assert main(["verify", str(results), "--sample", "-1"]) == 2
