@@ -31,6 +31,8 @@ from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint, result_files, sha256
 from jaxdet.sim import SimConfig, write_log
+from jaxdet.tracks import track_results
+from jaxdet.verify import verify
 from tests.killed_runs import named
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 from tests.test_workers import alive, descendants, same_results
@@ -434,3 +436,21 @@ def test_the_workspace_ends_empty_when_nothing_is_done(tmp_path: Path) -> None:
     with Workspace(tmp_path / "a", {"a": 1}, overwrite=False, say=print) as work:
         work.write("plan", pickle.dumps(1))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("below", ["", "below"])
+def test_an_output_that_is_a_file(many: list, tmp_path: Path, below: str) -> None:
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    problem = "can't be written to" if below else "is a file; give --output a folder"
+    with pytest.raises(JaxdetError, match=problem):
+        run(many[:1], tmp_path / "file" / below, overwrite=True)
+    assert [path.read_text(encoding="utf-8") for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems' names are UTF-8")
+def test_an_output_whose_name_is_not_utf8(many: list, tmp_path: Path) -> None:
+    output = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+    run(many[:1], output, pictures=1)
+    track_results(output)
+    report = verify(output, sample=0)
+    assert not report.findings and (report.files, report.frames) == (7, 10)

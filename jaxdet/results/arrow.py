@@ -4,12 +4,23 @@
 in each process.
 """
 
-from typing import Any
+import os
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 
 from jaxdet.results.lists import Lists
+
+
+def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
+    """A file for Arrow, which itself opens no path that isn't UTF-8.
+
+    Raises:
+        OSError: It can't be opened.
+    """
+    return pa.OSFile(os.fsencode(path), mode)
 
 
 def to_array(values: Any, field: pa.Field) -> pa.Array:

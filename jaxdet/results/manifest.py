@@ -101,7 +101,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def replace_in_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Path]) -> None:
-    """Changes which files are in the manifest of a folder; one without a manifest stays so.
+    """Changes which files are in the manifest of a folder.
 
     Args:
         folder: The results folder.
@@ -109,11 +109,9 @@ def replace_in_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Pa
         come: The files that are now, by their names.
 
     Raises:
-        InputError: The manifest is not as it was written.
+        InputError: The manifest is missing, or not as it was written.
         OutputError: The disk is full or broken.
     """
-    if not (folder / MANIFEST).exists():
-        return
     manifest = read_manifest(folder)
     kept = {name: about for name, about in manifest["files"].items() if name not in {*gone}}
     manifest["files"] = dict(sorted({**kept, **_checksums(come)}.items()))

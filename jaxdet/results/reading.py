@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.io.options import LogOptions
+from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
 from jaxdet.results.occupancy import MapImage, load_map
@@ -146,8 +147,8 @@ class Results:
 
     def close(self) -> None:
         """Closes the tables."""
-        self._frames.close()
-        self._obstacles.close()
+        self._frames.close(force=True)
+        self._obstacles.close(force=True)
 
     @cached_property
     def method(self) -> Config:
@@ -263,7 +264,7 @@ class Results:
     def _table(self, name: str) -> pq.ParquetFile:
         path = self._path(name)
         try:
-            table = pq.ParquetFile(path, page_checksum_verification=True)
+            table = pq.ParquetFile(open_file(path, "rb"), page_checksum_verification=True)
         except FileNotFoundError as error:
             problem = f"is no whole results folder ({path.name} is missing)"
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +222,7 @@ class Summary:
         }
 
 
+@cache
 def versions() -> dict[str, str | None]:
     """Versions of Python and of the packages that results depend on; None: not installed."""
     found = {name: _version(name) for name in PACKAGES}

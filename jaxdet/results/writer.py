@@ -8,12 +8,12 @@ import contextlib
 from collections.abc import Iterable, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.results.arrow import to_array
+from jaxdet.results.arrow import open_file, to_array
 from jaxdet.results.durable import writing
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
@@ -77,7 +77,7 @@ class _Table:
         self.path = path
         self.pending: list[pa.Table] = []
         self.rows = 0
-        self.file = path.open("wb")  # Arrow opens no path that isn't UTF-8
+        self.file = open_file(path, "wb")
         self.writer = _writer(self.file, schema)
 
     def add(self, table: pa.Table) -> None:
@@ -106,7 +106,7 @@ class _Table:
                 file.close()
 
 
-def _writer(file: IO[bytes], schema: pa.Schema, **more: Any) -> pq.ParquetWriter:
+def _writer(file: pa.NativeFile | BytesIO, schema: pa.Schema, **more: Any) -> pq.ParquetWriter:
     return pq.ParquetWriter(
         file,
         schema,

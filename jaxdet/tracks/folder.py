@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from jaxdet.errors import InputError
 from jaxdet.render import draw_map, write_png
+from jaxdet.results.arrow import open_file
 from jaxdet.results.durable import flush
 from jaxdet.results.manifest import replace_in_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results
@@ -148,8 +149,9 @@ class _Writer:
     """A Parquet file whose bytes are a function of its rows and of the metadata."""
 
     def __init__(self, path: Path, schema: pa.Schema, metadata: dict[str, str]) -> None:
+        self.sink = open_file(path, "wb")
         self.file = pq.ParquetWriter(
-            path,
+            self.sink,
             schema.with_metadata(metadata),
             compression="zstd",
             compression_level=3,
@@ -162,6 +164,7 @@ class _Writer:
 
     def __exit__(self, *_: object) -> None:
         self.file.close()
+        self.sink.close()
 
     def write(self, table: pa.Table) -> None:
         """Appends the rows of a log."""
