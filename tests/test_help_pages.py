@@ -91,7 +91,15 @@ def test_links_lead_somewhere(name, target):
 def test_flags_that_are_named_are_there(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     flag = r"(?<![\w-])--[a-z](?:[\w.-]*\w)?"
-    for command in ("run --help-all", "track -h", "export -h", "info -h", "sim -h", "doctor -h"):
+    for command in (
+        "run --help-all",
+        "track -h",
+        "export -h",
+        "verify -h",
+        "info -h",
+        "sim -h",
+        "doctor -h",
+    ):
         assert main(command.split()) == 0
     known = {*re.findall(flag, capsys.readouterr().out), *OTHERS}
     for path in DOCUMENTS.values():

@@ -66,7 +66,8 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
 def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
     """What :meth:`jaxdet.results.summary.Counts.count` takes."""
     columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
-    columns["floor_refused"] = np.ma.masked_equal(columns["floor_refused"], None)
+    refused = columns["floor_refused"]
+    columns["floor_refused"] = np.ma.array(refused, mask=[word is None for word in refused])
     return columns | {name: chunk.frames[name].to_numpy() for name in _NUMBERS}
 
 
