@@ -18,7 +18,8 @@ def tables(tmp_path_factory):
         log.parent.mkdir()
         write_log(log, SimConfig(scene="row", frames=4, width=320, height=240, depth_form=form))
         options = RunOptions(output=folder / f"{form}_out", pictures=0)
-        run(find_logs([str(log)]), Config(), LogOptions(), options)
+        summary = run(find_logs([str(log)]), Config(), LogOptions(), options)
+        assert [log.error for log in summary.logs] == [None]
         names = ("frames", "obstacles")
         found[form] = [pq.read_table(folder / f"{form}_out/{n}.parquet") for n in names]
     return found
