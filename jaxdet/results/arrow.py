@@ -1,7 +1,7 @@
 """NumPy columns as Arrow arrays, from their memory.
 
-``pa.array`` of a NumPy array imports pandas where that is installed: a third of a second and 40 MB
-in each process.
+``pa.array`` of a NumPy array and, in earlier versions, ``to_pandas_dtype`` import pandas where that
+is installed: a third of a second and 40 MB in each process.
 """
 
 import os
@@ -12,6 +12,14 @@ import numpy as np
 import pyarrow as pa
 
 from jaxdet.results.lists import Lists
+
+_NUMPY = {
+    pa.int8(): np.int8,
+    pa.int32(): np.int32,
+    pa.int64(): np.int64,
+    pa.float32(): np.float32,
+    pa.float64(): np.float64,
+}
 
 
 def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
@@ -54,7 +62,7 @@ def _numbers(values: np.ndarray, kind: pa.DataType, null: np.ndarray | None = No
     if pa.types.is_boolean(kind):
         memory = np.packbits(np.asarray(values, bool), bitorder="little")
     else:
-        memory = np.ascontiguousarray(values, kind.to_pandas_dtype())
+        memory = np.ascontiguousarray(values, _NUMPY[kind])
     null = np.zeros(len(values), bool) if null is None else null
     return _array(kind, null, [pa.py_buffer(memory)])
 
