@@ -5,8 +5,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
+from rosbags.convert.converter import convert
+from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jaxdet.errors import FrameStatus
@@ -212,6 +215,21 @@ def write_log(path: Path, scene: Scene | None = None, **options: Any) -> Path:
         write_calibration(log)
         write_images(log, scene or make_scene())
     return path
+
+
+def convert_log(source: Path, target: Path, compress: str | None = None) -> Path:
+    """What ``rosbags-convert`` makes of a log; the file in it. Bags get a chunk for each image."""
+
+    def small(writer: BagWriter, path: Path) -> None:
+        init(writer, path)
+        writer.chunk_threshold = 1 << 10
+
+    given = "sqlite3", 9, compress, "file", get_typestore(Stores.EMPTY), None
+    init = BagWriter.__init__
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(BagWriter, "__init__", small)
+        convert([source], target, *given, (), (), (), ())
+    return target if target.suffix == ".bag" else target / f"{target.name}.db3"
 
 
 def assert_holds(log: Log, scene: Scene, batch_size: int = 2) -> None:

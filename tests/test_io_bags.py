@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.convert.converter import convert
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
 
 from jaxdet import engine
 from jaxdet.config import Config
@@ -19,23 +16,9 @@ from jaxdet.errors import FrameStatus, InputError
 from jaxdet.io import Log, LogOptions, find_logs, open_log
 from jaxdet.io.bag import records
 from jaxdet.sim import SimConfig, write_log
+from tests.io_helpers import convert_log
 
 TABLES = ("frames.parquet", "obstacles.parquet")
-
-
-def small(writer: Writer) -> None:
-    writer.chunk_threshold = 1 << 10
-
-
-def convert_log(source: Path, target: Path, compress: str | None = None) -> Path:
-    """What ``rosbags-convert`` makes of a log; the file in it. Bags get a chunk for each image."""
-    store = get_typestore(Stores.EMPTY)
-    given = "sqlite3", 9, compress, "file", store, None
-    with pytest.MonkeyPatch.context() as patch:
-        init = Writer.__init__
-        patch.setattr(Writer, "__init__", lambda self, path: init(self, path) or small(self))
-        convert([source], target, *given, (), (), (), ())
-    return target if target.suffix == ".bag" else target / f"{target.name}.db3"
 
 
 @pytest.fixture(scope="module")

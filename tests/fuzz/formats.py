@@ -1,9 +1,11 @@
 """The logs that are mutated: small, one for each way that images and calibration are written."""
 
 import base64
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import cv2
@@ -21,10 +23,10 @@ from tests.io_helpers import (
     DEPTH_K,
     DEPTH_SIZE,
     START,
-    STORE,
     T_DEPTH_COLOR,
     LogFile,
     Scene,
+    convert_log,
     make_scene,
     ros_compressed,
     ros_image,
@@ -46,15 +48,20 @@ class Format(NamedTuple):
     name: str
     write: Callable[[LogFile, Scene], None]
     options: dict[str, Any]
+    suffix: str = ".mcap"
+    compress: str | None = None
+    """Of the chunks of a bag."""
 
     @property
     def has_crc(self) -> bool:
         """Whether a changed byte of a chunk must be seen."""
-        return self.options.get("crc", True) and self.options.get("use_chunking", True)
+        has = self.options.get("crc", True) and self.options.get("use_chunking", True)
+        return has and self.suffix == ".mcap"
 
-
-def _scene() -> Scene:
-    return make_scene(FRAMES)
+    @property
+    def is_counted(self) -> bool:
+        """Whether the log may hold how many messages there are."""
+        return self.suffix != ""
 
 
 def _both(log: LogFile, scene: Scene, color: Callable[..., Any], depth: Callable[..., Any]) -> None:
@@ -194,31 +201,78 @@ def _json(log: LogFile, scene: Scene) -> None:
 
 _SMALL = {"chunk_size": 9000}
 _BARE = {"chunk_size": 9000, "crc": False}
+_PLAIN = _ros(_raw_color, _raw_depth)
 FORMATS = {
     item.name: item
     for item in (
-        Format("raw", _ros(_raw_color, _raw_depth), {"compression": "none", **_SMALL}),
-        Format("zstd", _ros(_raw_color, _raw_depth), {"compression": "zstd", **_SMALL}),
+        Format("raw", _PLAIN, {"compression": "none", **_SMALL}),
+        Format("zstd", _PLAIN, {"compression": "zstd", **_SMALL}),
         Format("lz4", _ros(_bgr, _raw_depth), {"compression": "lz4", **_SMALL}),
         Format("metres", _ros(_bgr, _metres), {"compression": "none", **_SMALL}),
         Format("jpeg_png", _ros(_jpeg, _png), {"compression": "none", **_SMALL}),
         Format("jpeg_rvl", _ros(_jpeg, _rvl), {"compression": "zstd", **_SMALL}),
         Format("rgbd", _rgbd, {"compression": "lz4", **_SMALL}),
         Format("json", _json, {"compression": "zstd", **_SMALL}),
-        Format("no_crc", _ros(_raw_color, _raw_depth), {"compression": "none", **_BARE}),
+        Format("no_crc", _PLAIN, {"compression": "none", **_BARE}),
         Format("no_crc_png", _ros(_jpeg, _png), {"compression": "zstd", **_BARE}),
-        Format("no_chunks", _ros(_raw_color, _raw_depth), {"use_chunking": False, "crc": False}),
+        Format("no_chunks", _PLAIN, {"use_chunking": False, "crc": False}),
         Format("no_index", _ros(_raw_color, _rvl), {"use_statistics": False, **_SMALL}),
+        Format("bag", _PLAIN, {}, ".bag"),
+        Format("bag_bz2", _ros(_jpeg, _raw_depth), {}, ".bag", "bz2"),
+        Format("bag_lz4", _ros(_bgr, _metres), {}, ".bag", "lz4"),
+        Format("db3", _PLAIN, {}, ".db3"),
+        Format("db3_jpeg", _ros(_jpeg, _png), {}, ".db3"),
+        Format("tum", _PLAIN, {}, ""),
+        Format("numbered", _PLAIN, {}, ""),
     )
 }
 
 
 def write_format(name: str, path: Path) -> Path:
-    """A log of ``FRAMES`` frames."""
+    """A log of ``FRAMES`` frames, at a path with its format's suffix."""
     form = FORMATS[name]
-    with LogFile(path, **form.options) as log:
-        form.write(log, _scene())
+    if not form.suffix:
+        return _write_images(path, form.name)
+    plain = path.with_suffix(".mcap")
+    with LogFile(plain, **form.options) as log:
+        form.write(log, make_scene(FRAMES))
+    if plain == path:
+        return path
+    with TemporaryDirectory(dir=path.parent) as folder:
+        target = Path(folder) / path.name
+        file = target.with_suffix("") if form.suffix == ".db3" else target
+        converted = convert_log(plain, file, form.compress)
+        converted.replace(path)
+    plain.unlink()
     return path
 
 
-assert STORE  # the message types are registered
+def _write_images(folder: Path, name: str) -> Path:
+    """TUM's folder with stamps and poses, or images whose names are numbers; with a camera."""
+    scene = make_scene(FRAMES, size=COLOR_SIZE)
+    form = ".png" if name == "tum" else ".jpg"
+    tables: dict[str, list[str]] = {"rgb.txt": [], "depth.txt": [], "groundtruth.txt": []}
+    for part in ("rgb", "depth"):
+        (folder / part).mkdir(parents=True)
+    for number, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
+        stems = [
+            f"{int(ns) / 1e9:.6f}" if name == "tum" else f"{number:04d}" for ns in (at, depth_at)
+        ]
+        names = f"rgb/{stems[0]}{form}", f"depth/{stems[1]}.png"
+        for image, file in zip((np.ascontiguousarray(color[..., ::-1]), depth), names, strict=True):
+            assert cv2.imwrite(str(folder / file), image)
+        for listed, stem, file in zip(tables, stems, names, strict=False):
+            tables[listed].append(f"{stem} {file}\n")
+        tables["groundtruth.txt"].append(f"{stems[0]} {number} 0 0.5 0 0 0 1\n")
+    for listed, lines in tables.items():
+        if name == "tum":
+            (folder / listed).write_text("# of a camera\n" + "".join(lines), encoding="utf-8")
+    fx, fy, cx, cy = COLOR_K
+    camera = {
+        "width": COLOR_SIZE[0],
+        "height": COLOR_SIZE[1],
+        "intrinsic_matrix": [fx, 0, 0, 0, fy, 0, cx, cy, 1],
+        "depth_scale": 1000,
+    }
+    (folder / "camera.json").write_text(json.dumps(camera), encoding="utf-8")
+    return folder

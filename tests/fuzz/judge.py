@@ -1,18 +1,16 @@
 """Reads a mutated log and judges what came of it, by the pixels of the log before."""
 
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import FrameStatus, JaxdetError, RescanError
+from jaxdet.errors import FrameStatus, RescanError
 from jaxdet.io import Log, LogOptions, open_log
 from jaxdet.io.notes import total
+from tests.fuzz.case import Verdict, ended
 from tests.fuzz.formats import FORMATS, FRAMES
 from tests.fuzz.mutations import WRITER_IS_WRONG
-
-MOST_S = 10.0
 
 
 class Truth(NamedTuple):
@@ -21,19 +19,6 @@ class Truth(NamedTuple):
     color: dict[int, bytes]
     depth: dict[int, bytes]
     calibration: object
-
-
-class Verdict(NamedTuple):
-    """What came of a mutated log."""
-
-    kind: str
-    """clean, lost, error, frames, doubled, unseen (not to be seen without CRC), or a failure."""
-    text: str = ""
-
-    @property
-    def failed(self) -> bool:
-        """Whether it must not be so."""
-        return self.kind in ("wrong pixels", "silently lost", "crash", "hang", "two lines")
 
 
 def truth_of(path: Path) -> Truth:
@@ -51,20 +36,7 @@ def truth_of(path: Path) -> Truth:
 
 def judge(path: Path, truth: Truth, format_name: str, mutation: str) -> Verdict:
     """Reads the log as a run does, by its index or as a whole, and compares."""
-    start = time.perf_counter()
-    try:
-        verdict = _judge(path, truth, format_name, mutation)
-    except JaxdetError as error:
-        one_line = str(error).isprintable()
-        verdict = Verdict("error" if one_line else "two lines", str(error))
-    except MemoryError as error:
-        verdict = Verdict("crash", f"MemoryError {error}")
-    except Exception as error:
-        import traceback
-
-        verdict = Verdict("crash", "".join(traceback.format_exception(error)))
-    seconds = time.perf_counter() - start
-    return Verdict("hang", f"{seconds:.1f} s") if seconds > MOST_S else verdict
+    return ended(lambda: _judge(path, truth, format_name, mutation))
 
 
 def _judge(path: Path, truth: Truth, format_name: str, mutation: str) -> Verdict:
@@ -111,11 +83,12 @@ def _verdict(
     said: list[str],
 ) -> Verdict:
     seen, bad, wrong, same, recovered = counts
-    checked = FORMATS[how[0]].has_crc and how[1] not in WRITER_IS_WRONG
+    form, honest = FORMATS[how[0]], how[1] not in WRITER_IS_WRONG
+    checked = form.has_crc and honest
     text = f"{seen} frames, {bad} bad, wrong {wrong}: {'; '.join(said)}"
     if (wrong or not same) and checked:
         return Verdict("wrong pixels", text)
-    if seen < FRAMES and not recovered and how[1] not in WRITER_IS_WRONG and _tells(log):
+    if seen < FRAMES and not recovered and honest and form.is_counted and _tells(log):
         return Verdict("silently lost", text)
     if wrong or not same:
         return Verdict("unseen", text)

@@ -1,44 +1,62 @@
-"""What can happen to a file: its bytes, its records, its lengths and what its messages say."""
+"""What can happen to a log: its bytes, its records, its lengths and what its messages say."""
 
+import bz2
+import sqlite3
 import struct
 import zlib
 from collections.abc import Callable
+from contextlib import closing, suppress
 from random import Random
 from typing import NamedTuple
 
 import lz4.frame
 import zstandard
 
+from jaxdet.io import bag
 from tests.mcap_bytes import MAGIC, record
+
+Files = dict[str, bytes]
+"""A log: its files by their names in its folder."""
 
 
 class Record(NamedTuple):
-    """A record of a file."""
+    """A record of an MCAP file or of a bag."""
 
     opcode: int
     start: int
+    head: int
+    """Bytes before its content."""
     size: int
     """Of its content."""
 
     @property
     def end(self) -> int:
         """After its content."""
-        return self.start + 9 + self.size
+        return self.start + self.head + self.size
+
+
+def _is_bag(data: bytes) -> bool:
+    return data.startswith(bag.MAGIC)
 
 
 def records(data: bytes) -> list[Record]:
     """The records of an unbroken file."""
+    if _is_bag(data):
+        size = len(bag.MAGIC)
+        each = bag.records(data[size:])
+        return [Record(r.op, r.start + size, r.data - r.start, r.size) for r in each]
     found, place = [], len(MAGIC)
     while place + 9 <= len(data) - len(MAGIC):
         opcode, size = struct.unpack_from("<BQ", data, place)
-        found.append(Record(opcode, place, size))
+        found.append(Record(opcode, place, 9, size))
         place += 9 + size
     return found
 
 
 def chunks(data: bytes) -> list[Record]:
     """Its chunks."""
-    return [item for item in records(data) if item.opcode == 6]
+    kind = bag.CHUNK if _is_bag(data) else 6
+    return [item for item in records(data) if item.opcode == kind]
 
 
 def _flip(data: bytearray, random: Random, places: range) -> None:
@@ -56,6 +74,8 @@ def flip_bits(data: bytes, random: Random) -> bytes:
 def flip_summary(data: bytes, random: Random) -> bytes:
     """Bits behind the data."""
     ends = [item.start for item in records(data) if item.opcode == 15]
+    if _is_bag(data):
+        ends = [item.end for item in records(data) if item.opcode in (bag.CHUNK, bag.INDEX)][-1:]
     changed = bytearray(data)
     _flip(changed, random, range(ends[0], len(data)))
     return bytes(changed)
@@ -94,13 +114,13 @@ def drop_record(data: bytes, random: Random) -> bytes:
 
 def drop_chunk(data: bytes, random: Random) -> bytes:
     """A chunk is missing, perhaps with its message indexes."""
-    all_records = records(data)
-    which = [i for i, item in enumerate(all_records) if item.opcode == 6]
-    if not which:
+    all_records, index = records(data), bag.INDEX if _is_bag(data) else 7
+    known = chunks(data)
+    if not known:
         return drop_record(data, random)
-    first = last = random.choice(which)
+    first = last = all_records.index(random.choice(known))
     if random.random() < 0.5:
-        while all_records[last + 1].opcode == 7:
+        while all_records[last + 1].opcode == index:
             last += 1
     return data[: all_records[first].start] + data[all_records[last].end :]
 
@@ -122,8 +142,12 @@ def swap_records(data: bytes, random: Random) -> bytes:
 def lie_length(data: bytes, random: Random) -> bytes:
     """A record's length is another one."""
     item = random.choice(records(data))
-    size = random.choice((0, 1, item.size + 1, item.size - 1, 2**31, 2**63, 2**64 - 1))
-    return data[: item.start + 1] + struct.pack("<Q", max(size, 0)) + data[item.start + 9 :]
+    size = max(0, random.choice((0, 1, item.size + 1, item.size - 1, 2**31, 2**63, 2**64 - 1)))
+    form, place = struct.Struct("<Q"), item.start + 1
+    if _is_bag(data):
+        form, place = struct.Struct("<I"), random.choice((item.start, item.start + item.head - 4))
+        size = min(size, 2**32 - 1)
+    return data[:place] + form.pack(size) + data[place + form.size :]
 
 
 def lie_numbers(data: bytes, random: Random) -> bytes:
@@ -145,48 +169,153 @@ def rewrite(data: bytes, random: Random) -> bytes:
     if not found:
         return lie_numbers(data, random)
     item = random.choice(found)
+    changer = random.choice((lie_numbers, flip_bits, cut, zeros))
+    make = _rewritten_of_bag if _is_bag(data) else _rewritten
+    return data[: item.start] + make(data, item, lambda p: changer(p, random)) + data[item.end :]
+
+
+def _rewritten(data: bytes, item: Record, change: Callable[[bytes], bytes]) -> bytes:
     content = data[item.start + 9 : item.end]
     first, last, _, crc, size = struct.unpack_from("<QQQII", content)
     name = content[32 : 32 + size].decode()
-    packed = content[40 + size :]
-    plain = _unpacked(name, packed)
-    changer = random.choice((lie_numbers, flip_bits, cut, zeros))
-    changed = changer(plain, random)
+    changed = change(_unpacked(name, content[40 + size :]))
     packed = _packed(name, changed)
     head = struct.pack("<QQQII", first, last, len(changed), zlib.crc32(changed) * bool(crc), size)
-    new = head + name.encode() + struct.pack("<Q", len(packed)) + packed
-    return data[: item.start] + record(6, new) + data[item.end :]
+    return record(6, head + name.encode() + struct.pack("<Q", len(packed)) + packed)
+
+
+def _rewritten_of_bag(data: bytes, item: Record, change: Callable[[bytes], bytes]) -> bytes:
+    fields = bag.read_record(data, item.start).fields
+    name = fields[b"compression"].decode()
+    changed = change(_unpacked(name, data[item.start + item.head : item.end]))
+    fields[b"size"], packed = struct.pack("<I", len(changed)), _packed(name, changed)
+    parts = [key + b"=" + value for key, value in fields.items()]
+    head = b"".join(struct.pack("<I", len(part)) + part for part in parts)
+    return struct.pack("<I", len(head)) + head + struct.pack("<I", len(packed)) + packed
 
 
 def _unpacked(name: str, data: bytes) -> bytes:
     if name == "zstd":
         return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    if name == "bz2":
+        return bz2.decompress(data)
     return lz4.frame.decompress(data) if name == "lz4" else data
 
 
 def _packed(name: str, data: bytes) -> bytes:
     if name == "zstd":
         return zstandard.compress(data, 1)
+    if name == "bz2":
+        return bz2.compress(data)
     return lz4.frame.compress(data) if name == "lz4" else data
 
 
-MUTATIONS: dict[str, Callable[[bytes, Random], bytes]] = {
-    make.__name__: make
-    for make in (
-        flip_bits,
-        flip_summary,
-        flip_heads,
-        cut,
-        cut_out,
-        zeros,
-        drop_record,
-        drop_chunk,
-        double_record,
-        swap_records,
-        lie_length,
-        lie_numbers,
-        rewrite,
-    )
+_ROWS = ("id", "topic_id", "timestamp", "data")
+_VALUES = (None, "text", b"", b"\0" * 9, -1, 0, 3, 99, 1 << 40, (1 << 63) - 1, 1.5, float("inf"))
+
+
+def change_rows(data: bytes, random: Random) -> bytes:
+    """The writer of an SQLite file was wrong: rows and tables are not what they should be."""
+    with closing(sqlite3.connect(":memory:")) as file:
+        file.deserialize(data)
+        tables = ["messages", "messages", "messages", "topics", "message_definitions", "metadata"]
+        table = random.choice(tables)
+        columns = [row[1] for row in file.execute(f"PRAGMA table_info({table})")]
+        ids = [row[0] for row in file.execute(f"SELECT rowid FROM {table}")]
+        column, value, row = random.choice(columns), random.choice(_VALUES), random.choice(ids)
+        one = f"UPDATE {table} SET {column} = ? WHERE rowid = ?"
+        with suppress(sqlite3.Error):  # a column may refuse a value
+            how = random.randrange(10)
+            if how == 0:
+                file.execute(f"DROP TABLE {table}")
+            elif how == 1:
+                file.execute(f"DELETE FROM {table} WHERE rowid = ?", (row,))
+            elif how == 2:
+                file.execute(f"ALTER TABLE {table} RENAME COLUMN {column} TO other")
+            elif how == 3:
+                file.execute(f"UPDATE {table} SET {column} = ?", (value,))
+            elif how == 4 and column == "data":
+                more = random.randrange(10_000)
+                change = f"UPDATE {table} SET data = substr(data, 1, {more}) || zeroblob({more})"
+                file.execute(f"{change} WHERE rowid = ?", (row,))
+            else:
+                file.execute(one, (value, row))
+        file.commit()
+        return file.serialize()
+
+
+def swap_pages(data: bytes, random: Random) -> bytes:
+    """Two pages of an SQLite file change places, or one takes the place of another."""
+    pages = [data[place : place + 4096] for place in range(0, len(data), 4096)]
+    one, two = random.randrange(1, len(pages)), random.randrange(1, len(pages))
+    pages[one], pages[two] = pages[two], random.choice((pages[one], pages[two]))
+    return b"".join(pages)
+
+
+_NUMBER = (b"nan", b"inf", b"-1", b"0", b"1e39", b"1e999999999", b"9" * 5000, b"x", b"null", b"[]")
+
+
+def change_word(data: bytes, random: Random) -> bytes:
+    """A word of a text is another one; of other files a bit."""
+    words = data.split(b" ")
+    if data.startswith((b"\x89PNG", b"\xff\xd8")) or len(words) < 2:
+        return flip_bits(data, random)
+    place = random.randrange(1, len(words))
+    last = words[place][-1:]
+    words[place] = random.choice(_NUMBER) + (last if last in (b",", b"]", b"}") else b"")
+    return b" ".join(words)
+
+
+def drop_file(files: Files, random: Random) -> Files:
+    """A file is missing, or empty."""
+    name = random.choice(sorted(files))
+    if random.random() < 0.3:
+        return {**files, name: b""}
+    return {key: data for key, data in files.items() if key != name}
+
+
+def rename_file(files: Files, random: Random) -> Files:
+    """A file has the name of another, or one that says nothing."""
+    name, other = random.choice(sorted(files)), random.choice(sorted(files))
+    odd = ("x.png", "rgb/x.png", "depth/.png", "rgb/1e9.png", "rgb/9999999999999.5.png", "a.json")
+    other = random.choice((other, *odd))
+    kept = {key: data for key, data in files.items() if key != name}
+    return {**kept, other: files[name]}
+
+
+Mutation = Callable[[Files, Random], Files]
+
+
+def _of_a_file(change: Callable[[bytes, Random], bytes]) -> Mutation:
+    def changed(files: Files, random: Random) -> Files:
+        name = random.choice(sorted(files))
+        return {**files, name: change(files[name], random) if files[name] else b"x"}
+
+    return changed
+
+
+def _named(*makers: Callable[[bytes, Random], bytes]) -> dict[str, Mutation]:
+    return {make.__name__: _of_a_file(make) for make in makers}
+
+
+_BYTES = _named(flip_bits, cut, cut_out, zeros, lie_numbers)
+_RECORDS = _named(
+    flip_summary,
+    flip_heads,
+    drop_record,
+    drop_chunk,
+    double_record,
+    swap_records,
+    lie_length,
+    rewrite,
+)
+_WHOLE: dict[str, Mutation] = {make.__name__: make for make in (drop_file, rename_file)}
+MUTATIONS: dict[str, dict[str, Mutation]] = {
+    ".mcap": _BYTES | _RECORDS,
+    ".bag": _BYTES | _RECORDS,
+    ".db3": _BYTES | _named(change_rows, swap_pages),
+    "": _BYTES | _named(change_word) | _WHOLE,
 }
-WRITER_IS_WRONG = {"rewrite"}
-"""Mutations after which the file is as its CRCs say."""
+"""By the suffix of a log; a folder of images has none."""
+WRITER_IS_WRONG = {"rewrite", "change_rows"}
+"""Mutations after which the file is as its CRCs and its counts say."""

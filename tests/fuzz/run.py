@@ -1,111 +1,148 @@
-"""Mutates logs for some minutes: ``scripts/fuzz --minutes N``. Failures are kept as files."""
+"""Tries what is hostile until it is enough: ``scripts/fuzz logs --minutes N``.
+
+Each core has a process of its own, which may die. Failures are kept as files.
+"""
 
 import argparse
 import faulthandler
 import multiprocessing
+import os
 import resource
 import sys
+import threading
 import time
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
-from random import Random
+from tempfile import TemporaryDirectory
+from typing import Any
 
-from tests.fuzz.formats import FORMATS, write_format
-from tests.fuzz.judge import Truth, Verdict, judge, truth_of
-from tests.fuzz.mutations import MUTATIONS, flip_bits
+from tests.fuzz.case import FAILURES, Case, Subject
 
+SUBJECTS = {"logs": "Logs", "calibrations": "Calibrations", "calls": "Calls"}
+"""Modules beside this one, and the class in each."""
 MOST_BYTES = 6 << 30
-"""Of addresses above the memory that the fuzzer takes at first; threads reserve many."""
+"""Of addresses above the memory that a process takes at first; threads reserve many."""
+DIES_AFTER_S = 120
+BLOCK = 500
+"""Seeds of a process."""
 
 
-class Fuzzer:
-    """Reads mutated logs in this process.
+def make(name: str, folder: Path) -> Subject:
+    """What tries the seeds of a subject; its files go into a folder."""
+    return getattr(import_module(f"tests.fuzz.{name}"), SUBJECTS[name])(folder)
+
+
+def work(
+    name: str, core: int, seeds: range, until: float, corpus: Path, at: Any, ends: Any
+) -> None:
+    """Tries some seeds until a time, on one core; says how each has ended."""
+    os.sched_setaffinity(0, {core})
+    memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with TemporaryDirectory(prefix="jaxdet-fuzz-", dir=memory) as folder:
+        subject = make(name, Path(folder))
+        limit = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 + MOST_BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        for seed in seeds:
+            if time.monotonic() > until:
+                break
+            at.value = seed
+            faulthandler.dump_traceback_later(DIES_AFTER_S, exit=True)
+            case = subject.one(seed)
+            faulthandler.cancel_dump_traceback_later()
+            if case.verdict.failed:
+                _keep(case, corpus)
+            ends.put(case.verdict.kind)
+
+
+def _keep(case: Case, corpus: Path) -> None:
+    folder = corpus / case.title.replace(" ", "_")
+    for name, data in case.files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    kind, text = case.verdict
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "failure.txt").write_text(f"{case.title}: {kind}\n{text}\n", encoding="utf-8")
+    print(f"{case.title}: {kind}: {text[-300:]}", flush=True)
+
+
+class Crew:
+    """Processes that share out the seeds.
 
     Args:
-        folder: Where the logs go.
-        formats: Names of those mutated.
+        name: The subject's.
+        seeds: Those to try.
+        until: When to end, by the monotonic clock.
+        corpus: Where failures are kept.
     """
 
-    def __init__(self, folder: Path, formats: list[str]) -> None:
-        self.folder = folder
-        self.logs: dict[str, tuple[bytes, Truth]] = {}
-        for name in formats:
-            path = write_format(name, folder / f"{name}.mcap")
-            self.logs[name] = path.read_bytes(), truth_of(path)
+    def __init__(self, name: str, seeds: range, until: float, corpus: Path) -> None:
+        self.found: Counter[str] = Counter()
+        self._name, self._left, self._until, self._corpus = name, seeds, until, corpus
+        self._lock, self._context = threading.Lock(), multiprocessing.get_context("spawn")
 
-    def one(self, seed: int) -> tuple[str, bytes, Verdict]:
-        """The log of a seed: its name, its bytes, and what came of it."""
-        random = Random(seed)
-        name, mutation = random.choice(list(self.logs)), random.choice(list(MUTATIONS))
-        data, truth = self.logs[name]
-        data = MUTATIONS[mutation](data, random)
-        if random.random() < 0.25:
-            data = flip_bits(data, random) if data else data
-        path = self.folder / "mutated.mcap"
-        path.write_bytes(data)
-        title = f"{name} {mutation} seed {seed}"
-        return title, data, judge(path, truth, name, mutation)
+    def run(self) -> None:
+        """Returns when no seed or no time is left."""
+        threads = [
+            threading.Thread(target=self._use, args=(core,)) for core in os.sched_getaffinity(0)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
 
+    def _use(self, core: int) -> None:
+        seeds = range(0)
+        while time.monotonic() < self._until:
+            with self._lock:
+                if not seeds:
+                    seeds, self._left = self._left[:BLOCK], self._left[BLOCK:]
+            if not seeds:
+                return
+            seeds = self._try(core, seeds)
 
-def count_up(folder: Path, formats: list[str], seeds: range, until: float, corpus: Path) -> Counter:
-    """Judges the logs of some seeds until a time; keeps the failures in ``corpus``."""
-    fuzzer, found = Fuzzer(folder, formats), Counter()
-    limit = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 + MOST_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    for seed in seeds:
-        if time.monotonic() > until:
-            break
-        (folder / "seed.txt").write_text(str(seed))
-        faulthandler.dump_traceback_later(60, exit=True)
-        title, data, verdict = fuzzer.one(seed)
-        faulthandler.cancel_dump_traceback_later()
-        found[verdict.kind] += 1
-        if verdict.failed:
-            corpus.mkdir(parents=True, exist_ok=True)
-            stem = corpus / title.replace(" ", "_")
-            stem.with_suffix(".mcap").write_bytes(data)
-            stem.with_suffix(".txt").write_text(f"{title}: {verdict.kind}\n{verdict.text}\n")
-            print(f"{title}: {verdict.kind}: {verdict.text[-300:]}", flush=True)
-    return found
+    def _try(self, core: int, seeds: range) -> range:
+        """Tries some seeds in a process; those behind one that killed it are left."""
+        at, ends = self._context.Value("q", seeds[0]), self._context.SimpleQueue()
+        job = self._name, core, seeds, self._until, self._corpus, at, ends
+        process = self._context.Process(target=work, args=job)
+        process.start()
+        while process.is_alive():
+            process.join(0.2)
+            self._count(ends)
+        self._count(ends)
+        if not process.exitcode:
+            return range(0)
+        died = f"{self._name} seed {at.value}: the process died with {process.exitcode}"
+        print(died, flush=True)
+        with self._lock:
+            self.found["crash"] += 1
+        return range(at.value + 1, seeds.stop)
 
-
-def _worker(arguments: tuple) -> None:
-    folder, formats, seeds, until, corpus, counts = arguments
-    counts.put(count_up(folder, formats, seeds, until, corpus))
+    def _count(self, ends: Any) -> None:
+        with self._lock:
+            while not ends.empty():
+                self.found[ends.get()] += 1
 
 
 def main() -> int:
-    """Mutates logs in a process that may die, again and again until the time is over."""
+    """The exit code is 1 where something failed."""
     parser = argparse.ArgumentParser(prog="scripts/fuzz", description=__doc__)
+    parser.add_argument("subject", choices=list(SUBJECTS))
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=0, help="of the first log")
-    parser.add_argument("--formats", nargs="*", default=list(FORMATS), choices=list(FORMATS))
+    parser.add_argument("--count", type=int, default=1 << 40, help="end after so many")
+    parser.add_argument("--seed", type=int, default=0, help="the first")
     parser.add_argument("--corpus", type=Path, default=Path(".cache/fuzz"), help="for failures")
     given = parser.parse_args()
-    until, first, found = time.monotonic() + 60 * given.minutes, given.seed, Counter()
-    work = given.corpus / "work"
-    work.mkdir(parents=True, exist_ok=True)
-    context = multiprocessing.get_context("spawn")
-    while time.monotonic() < until:
-        counts = context.Queue()
-        job = work, given.formats, range(first, first + 2000), until, given.corpus, counts
-        process = context.Process(target=_worker, args=(job,))
-        process.start()
-        process.join()
-        if process.exitcode:
-            at = int((work / "seed.txt").read_text())
-            kept = given.corpus / f"died_seed_{at}.mcap"
-            kept.write_bytes((work / "mutated.mcap").read_bytes())
-            print(f"seed {at}: the process died with {process.exitcode}; {kept}", flush=True)
-            found["crash"] += 1
-            found["not counted"] += at - first  # their counts died with it
-            first = at + 1
-            continue
-        found += counts.get()
-        first += 2000
-        print(f"{sum(found.values())} logs: {dict(found.most_common())}", flush=True)
-    bad = {"wrong pixels", "silently lost", "crash", "hang", "two lines"} & found.keys()
-    return 1 if bad else 0
+    start = time.monotonic()
+    seeds = range(given.seed, given.seed + given.count)
+    crew = Crew(given.subject, seeds, start + 60 * given.minutes, given.corpus)
+    crew.run()
+    seconds = time.monotonic() - start
+    print(
+        f"{crew.found.total()} {given.subject} in {seconds:.0f} s: {dict(crew.found.most_common())}"
+    )
+    return 1 if FAILURES & crew.found.keys() else 0
 
 
 if __name__ == "__main__":
