@@ -156,3 +156,19 @@ def test_real_folder_of_open3d(shared_data):
         color = cv2.imread(str(folder / "color" / "000007.png"))
         assert np.array_equal(batch.frames.depth[0], depth)
         assert np.array_equal(batch.frames.color[0], color[..., ::-1])
+
+
+@pytest.mark.parametrize("camera", [{"width": -5}, {"height": 1e39}, {"depth_scale": 0}])
+def test_cameras_that_are_none(tmp_path, camera):
+    with pytest.raises(InputError, match=r"camera\.json.*can't be read"):
+        open_log(str(write_open3d(tmp_path / "room", **camera)))
+
+
+@pytest.mark.parametrize("stamp", ["nan", "inf", "-1", "1e999999999", "9" * 5000, "x"])
+def test_stamps_that_are_none(tmp_path, stamp):
+    folder = write_tum(tmp_path / "desk")
+    with (folder / "rgb.txt").open("a") as file:
+        file.write(f"{stamp} rgb/{STAMPS[0]}.png\n")
+    with pytest.raises(InputError, match=r"rgb\.txt.*(no stamp|out of range)") as caught:
+        open_log(str(folder), GIVEN)
+    assert len(str(caught.value)) < 200 + len(str(folder))

@@ -23,12 +23,12 @@ import pytest
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device, local
-from jaxdet.engine.lock import Lock
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import ConfigError, InputError, Interrupted, JaxdetError, OutputError
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
+from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import fingerprint, result_files, sha256
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import track_results
@@ -246,7 +246,7 @@ def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:
 
 
 def test_the_lock_of_a_dead_run_is_taken_over(many: list, tmp_path: Path) -> None:
-    code = "import os, sys; from pathlib import Path; from jaxdet.engine.lock import Lock\n"
+    code = "import os, sys; from pathlib import Path; from jaxdet.results.lock import Lock\n"
     code += "lock = Lock(Path(sys.argv[1])); os._exit(9)"
     path = tmp_path / ".jaxdet" / "lock"
     child = subprocess.Popen([sys.executable, "-c", code, str(path)], cwd=ROOT)

@@ -17,8 +17,9 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
-from jaxdet.results.manifest import replace_in_manifest
+from jaxdet.results.manifest import changed_manifest
 from jaxdet.results.metadata import INPUTS_KEY, Inputs, table_metadata
+from jaxdet.results.writer import write_json
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import track_results
 from jaxdet.verify import Report, verify
@@ -56,7 +57,8 @@ def found(report: Report) -> list[str]:
 
 def sealed(folder: Path, *names: str) -> None:
     """The manifest knows files as they are now: whoever changed them covered it up."""
-    replace_in_manifest(folder, (), {name: folder / name for name in names})
+    changed = changed_manifest(folder, (), {name: folder / name for name in names})
+    write_json(folder / "manifest.json", changed)
 
 
 def rewrite(folder: Path, tables: Mapping[str, pa.Table], *, inputs: bool = False) -> None:
@@ -160,7 +162,7 @@ def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
     (results / "manifest.json").unlink()
     (results / ".jaxdet" / "commit").touch()
     assert found(verify(results, sample=0)) == [
-        ".jaxdet: a run was stopped while its results moved here; repeat its command",
+        ".jaxdet: a command was stopped while its files moved here; repeat it",
         "manifest.json: is missing: the results are not whole, or of a version that wrote none",
     ]
 

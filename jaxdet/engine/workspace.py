@@ -8,13 +8,13 @@
         0/          its camera: plan, a part for each unit that is done, pictures, and when it is
                     done its summary in "whole"; several cameras are in 1/, 2/, ...
     result/         tables, maps, configuration, summary, manifest
+    tracks/         what jaxdet track makes (jaxdet.tracks.folder)
     commit          the results are whole, and move to the output folder (jaxdet.results.commit)
 
 It is there while a run goes on and after one that was stopped, with what is done. Whatever is in it
 is whole, as it was renamed there, and agrees with its checksum.
 """
 
-import os
 import pickle
 import re
 import shutil
@@ -23,11 +23,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from jaxdet.engine.lock import Lock
 from jaxdet.engine.record import difference
-from jaxdet.errors import ConfigError, InputError
-from jaxdet.results.commit import JOURNAL, Journal, begin_commit, carry_out, read_journal
+from jaxdet.errors import ConfigError
+from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
+from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import WORKING, result_files
 
 _LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
@@ -50,7 +50,7 @@ class Workspace:
     Raises:
         ConfigError: The folder holds results and ``overwrite`` is off, or an unfinished run of
             another record; another run works there; or it is a file.
-        InputError: The folder can't be written to.
+        InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
     def __init__(
@@ -82,21 +82,18 @@ class Workspace:
         self._leave()
 
     def _enter(self, *, overwrite: bool, say: Say) -> None:
-        self._refuse_others()
         if self._lock.before:
             say(f"taken over from a run that ended without a word ({self._lock.before})")
         for folder in self.output.glob(f"{WORKING}-*"):
             if _LEFT.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink():
                 shutil.rmtree(folder, ignore_errors=True)
                 say(f"removed what a run of an older version left ({folder.name})")
-        if journal := read_journal(self.folder):
-            carry_out(self.folder, journal)
-            record, _ = journal.told
-            say("the results of the last run were whole and are in their place now")
-            if difference(record, self.record) is None:
+        if journal := settle(self.folder):
+            what = "results of the last run" if journal.told else "tracks of the last jaxdet track"
+            say(f"the {what} were whole and are in their place now")
+            if journal.told and difference(journal.told[0], self.record) is None:
                 self.done = journal
                 return
-            self.clear()
         if not overwrite:
             self._refuse_results()
         begun = self.read("plan")
@@ -163,15 +160,13 @@ class Workspace:
         Raises:
             OutputError: The disk is full or broken.
         """
-        begin_commit(self.folder, files, (self.record, told))
-        journal = read_journal(self.folder)
-        assert journal
-        carry_out(self.folder, journal)
+        rest = "logs", "result", "tracks"
+        commit(self.folder, files, result_files(self.output), rest, (self.record, told))
         self.clear()
 
     def clear(self) -> None:
-        """Removes all but the lock, the journal last."""
-        for path in sorted(self.folder.iterdir(), key=lambda path: path.name == JOURNAL):
+        """Removes all but the lock."""
+        for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             elif path.name != "lock":
@@ -194,14 +189,4 @@ class Workspace:
                 f"holds results already ({found[0]})",
                 path=str(self.output),
                 remedy="give another --output, or --overwrite to replace them",
-            )
-
-    def _refuse_others(self) -> None:
-        """What is in the folder is trusted, so it must be this user's."""
-        owner = self.folder.stat().st_uid
-        if owner != os.geteuid():
-            raise InputError(
-                f"holds an unfinished run of another user (number {owner})",
-                path=str(self.output),
-                remedy="give another --output",
             )

@@ -13,6 +13,7 @@ metre). Sources: the benchmark's page "File Formats"; Open3D's ``PinholeCameraIn
 import json
 import os
 import re
+import struct
 from collections.abc import Iterable, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -33,6 +34,7 @@ DEPTH_SUFFIXES = (".png",)
 _SECOND = 1_000_000_000
 _FIRST_S = 1
 """Stamp of frame 0 where frames have numbers only [s]; 0 would count as none."""
+_MAX_STAMP_S = 9_000_000_000
 _MAX_TEXT_BYTES = 64 << 20
 _NUMBER = re.compile(r"(\d+)\D*$")
 _FRAME = "camera_color_optical_frame"
@@ -237,7 +239,7 @@ def _calibration(folder: Path, log_ns: int) -> list[_Message]:
         }  # fmt: skip
         unit = encode_cdr("std_msgs/Float32", {"data": 1 / scale})
         head = encode_cdr("sensor_msgs/CameraInfo", info)
-    except (ArithmeticError, KeyError, TypeError, ValueError, OverflowError) as error:
+    except (ArithmeticError, KeyError, TypeError, ValueError, struct.error) as error:
         problem = f"the calibration can't be read ({type(error).__name__}: {error})"
         remedy = "give intrinsic_matrix (nine numbers, column-major), width and height"
         raise InputError(problem, path=str(path), remedy=remedy) from error
@@ -293,13 +295,15 @@ def _table(path: Path, columns: int) -> list[list[str]]:
 def _nanoseconds(text: str, path: Path) -> int:
     """A stamp in seconds, exactly."""
     try:
-        found = int(Decimal(text) * _SECOND)
-    except (InvalidOperation, ValueError, OverflowError) as error:
+        found = Decimal(text)
+        in_range = 0 <= found < _MAX_STAMP_S
+    except InvalidOperation as error:  # no number, or NaN
         problem = f"{text[:40]!a} is no stamp in seconds"
         raise InputError(problem, path=str(path), remedy="correct it") from error
-    if not 0 <= found < 9_000_000_000 * _SECOND:
-        raise InputError(f"stamp {text} is out of range", path=str(path), remedy="correct it")
-    return found
+    if not in_range:
+        problem = f"stamp {text[:40]!a} is out of range"
+        raise InputError(problem, path=str(path), remedy="correct it")
+    return int(found * _SECOND)
 
 
 def _header(stamp_ns: int) -> dict[str, Any]:

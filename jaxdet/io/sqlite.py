@@ -137,7 +137,7 @@ class SqliteFile(MessageFile):
         if not tables >= _NEEDED:
             problem = "not a rosbag2 recording: it has no tables messages and topics"
             raise InputError(problem, path=str(self.path), remedy="leave it out")
-        if first and bytes(first[0] or b"") == _ZSTD:
+        if first and first[0] == _ZSTD:
             problem = "its messages are compressed one by one"
             remedy = f"convert it: rosbags-convert --src {self.path.parent} --dst NEW "
             remedy += "--dst-storage mcap"

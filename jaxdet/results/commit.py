@@ -10,13 +10,14 @@ without a manifest holds no whole results.
 
 import os
 import pickle
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.results.durable import flush, read_checked, write_checked, writing
-from jaxdet.results.manifest import MANIFEST, result_files
+from jaxdet.results.manifest import MANIFEST
 
 JOURNAL = "commit"
 _OLD = "old"
@@ -29,45 +30,80 @@ class Journal(NamedTuple):
     """Files of the results folder that leave it."""
     new: dict[str, str]
     """By its name in the results folder, where in the working folder each file is."""
+    rest: tuple[str, ...]
+    """What of the working folder is of no use when that is done."""
     told: Any
-    """Whatever the run wants to know of itself."""
+    """Whatever the run wants to know of itself; None: the new files are tracks."""
 
 
-def begin_commit(working: Path, files: Mapping[str, Path], told: Any) -> None:
-    """Writes the journal: from here on the results are the folder's.
+def commit(
+    working: Path,
+    files: Mapping[str, Path],
+    old: Iterable[str],
+    rest: Iterable[str],
+    told: Any = None,
+) -> None:
+    """Makes files the results of the folder that the working folder is in.
 
     Args:
-        working: The working folder, in the results folder.
-        files: By their names in the results folder, the manifest among them.
-        told: See :class:`Journal`; is pickled.
+        working: The working folder, which this process has locked.
+        files: The new files by their names in the results folder, the manifest among them.
+        old: Names of the files that leave it; the manifest may be among them.
+        rest: See :class:`Journal`.
+        told: Likewise; is pickled.
 
     Raises:
-        OutputError: The disk is full or broken; the results folder is as it was.
+        OutputError: The disk is full or broken. Where there is a journal (:data:`JOURNAL`) what is
+            left to do is done by :func:`settle`, else the results folder is as it was.
     """
+    _begin(working, files, tuple(old), tuple(rest), told)
+    settle(working)
+
+
+def settle(working: Path) -> Journal | None:
+    """Carries out the journal of a working folder, whoever wrote it, and removes it.
+
+    Args:
+        working: The working folder, which this process has locked.
+
+    Returns:
+        The journal; None: there was none.
+
+    Raises:
+        OutputError: The disk is broken, or the folder can't be written to; to be called again.
+    """
+    for torn in working.glob(f"{JOURNAL}.*"):  # of a process that was killed while it wrote
+        torn.unlink()
+    content = read_checked(working / JOURNAL)
+    if content is None:
+        return None
+    journal: Journal = pickle.loads(content)
+    _carry_out(working, journal)
+    for name in (*journal.rest, _OLD):
+        shutil.rmtree(working / name, ignore_errors=True)
+    with writing(working):
+        (working / JOURNAL).unlink()
+    return journal
+
+
+def _begin(
+    working: Path, files: Mapping[str, Path], old: tuple[str, ...], rest: tuple[str, ...], told: Any
+) -> None:
+    """Writes the journal: from here on the results are the folder's."""
     with writing(working):
         for folder in {working, *(path.parent for path in files.values())}:
             flush(folder)
         for path in files.values():
             flush(path)
     places = {name: str(path.relative_to(working)) for name, path in files.items()}
-    journal = Journal(result_files(working.parent), places, told)
+    journal = Journal(old, places, rest, told)
     write_checked(working / JOURNAL, pickle.dumps(journal, 5))
     with writing(working):
         flush(working)
 
 
-def read_journal(working: Path) -> Journal | None:
-    """The journal of a working folder; None: its results are not whole yet."""
-    content = read_checked(working / JOURNAL)
-    return None if content is None else pickle.loads(content)
-
-
-def carry_out(working: Path, journal: Journal) -> None:
-    """Moves old results out and new ones in; as often as it takes.
-
-    Raises:
-        OutputError: The disk is broken, or the folder can't be written to; to be called again.
-    """
+def _carry_out(working: Path, journal: Journal) -> None:
+    """Moves old results out and new ones in; as often as it takes."""
     output = working.parent
     with writing(output):
         (working / _OLD).mkdir(exist_ok=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.errors import InputError
-from jaxdet.results.durable import sha256, write_whole
+from jaxdet.results.durable import sha256
 from jaxdet.results.summary import to_json
 
 MANIFEST = "manifest.json"
@@ -100,22 +100,24 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return found
 
 
-def replace_in_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Path]) -> None:
-    """Changes which files are in the manifest of a folder.
+def changed_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Path]) -> dict[str, Any]:
+    """The manifest of a folder whose files change.
 
     Args:
         folder: The results folder.
-        gone: Names of files that are not results any more.
-        come: The files that are now, by their names.
+        gone: Names of files that will not be results any more.
+        come: The files that will be, by their names.
+
+    Returns:
+        As of :func:`make_manifest`.
 
     Raises:
         InputError: The manifest is missing, or not as it was written.
-        OutputError: The disk is full or broken.
     """
     manifest = read_manifest(folder)
     kept = {name: about for name, about in manifest["files"].items() if name not in {*gone}}
     manifest["files"] = dict(sorted({**kept, **_checksums(come)}.items()))
-    write_whole(folder / MANIFEST, to_json(_sealed(manifest)).encode())
+    return _sealed(manifest)
 
 
 def _checksums(files: Mapping[str, Path]) -> dict[str, Any]:
@@ -142,8 +144,8 @@ def result_files(folder: Path) -> tuple[str, ...]:
         names = (*names, *known, MANIFEST)
     else:
         names = (*names, *(name for log in logs or () for name in _of_log(log)))
-    tracks = (f"tracks_{log.get('file_name')}.png" for log in logs or ())
-    names = (*names, "tracks.parquet", "track_links.parquet", *tracks)  # of jaxdet track
+    pictures = (f"tracks_{log.get('file_name')}.png" for log in logs or ())
+    names = (*names, "tracks.parquet", "track_links.parquet", *pictures)  # of jaxdet track
     inside = (name for name in dict.fromkeys(names) if not _leaves(name))
     return tuple(name for name in inside if (folder / name).is_file())
 

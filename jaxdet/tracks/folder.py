@@ -7,8 +7,9 @@ tracking again with other settings replaces two small files.
 
 import dataclasses
 import json
-import os
-import tempfile
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,9 +20,12 @@ import pyarrow.parquet as pq
 from jaxdet.errors import InputError
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.arrow import open_file
-from jaxdet.results.durable import flush
-from jaxdet.results.manifest import replace_in_manifest
+from jaxdet.results.commit import JOURNAL, commit, settle
+from jaxdet.results.durable import writing
+from jaxdet.results.lock import Lock
+from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.writer import write_json
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 from jaxdet.tracks.tracker import Track, Tracker, obstacles_seen
@@ -54,7 +58,7 @@ def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTr
     """Links the obstacles of each log of a results folder over time.
 
     Writes ``tracks.parquet`` and ``track_links.parquet`` (:mod:`jaxdet.tracks.schemas`) and, where
-    there are maps, ``tracks_LOG.png``; ``tracks.parquet`` is there only when all of them are.
+    there are maps, ``tracks_LOG.png``: all of them or none, whatever ends the process.
 
     Args:
         folder: What ``jaxdet run`` wrote; tracks that are there are replaced.
@@ -65,9 +69,11 @@ def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTr
 
     Raises:
         InputError: It is no whole results folder, or can't be written to.
+        ConfigError: A run or another tracking works there.
+        OutputError: The disk is full or broken.
     """
     config, found = config or TrackConfig(), []
-    with Results(folder) as results, _staging(folder) as staging:
+    with _staging(folder) as staging, Results(folder) as results:
         metadata = _metadata(results, config)
         with (
             _Writer(staging / TRACKS, TRACKS_SCHEMA, metadata) as table,
@@ -177,32 +183,34 @@ def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
     return results.metadata | {TRACKING_KEY: tracking}
 
 
-class _staging(tempfile.TemporaryDirectory):  # noqa: N801
-    """A hidden folder inside the results."""
+@contextmanager
+def _staging(folder: Path) -> Iterator[Path]:
+    """Locks a results folder; gives one for new files, in the working folder.
 
-    def __init__(self, folder: Path) -> None:
-        try:
-            super().__init__(prefix=".jaxdet-", dir=folder)
-        except OSError as error:
-            problem = f"can't be written to ({error.strerror})"
-            raise InputError(problem, path=str(folder)) from error
-
-    def __enter__(self) -> Path:
-        return Path(super().__enter__())
+    What another process left half moved is in its place then. An unfinished run stays.
+    """
+    if not folder.is_dir():
+        raise InputError("no such folder", path=str(folder))
+    working = folder.absolute() / WORKING
+    staging, lock = working / "tracks", Lock(working / "lock")
+    try:
+        settle(working)
+        shutil.rmtree(staging, ignore_errors=True)
+        with writing(staging):
+            staging.mkdir()
+        yield staging
+    finally:
+        if not (working / JOURNAL).exists():
+            shutil.rmtree(staging, ignore_errors=True)
+        lock.release()
+        with suppress(OSError):
+            working.rmdir()  # where nothing is in it
 
 
 def _commit(staging: Path, folder: Path) -> None:
-    """Moves all to their final names, ``tracks.parquet`` last, after the old ones are gone.
-
-    Meanwhile the manifest knows neither, so that a stop on the way can be seen.
-    """
-    old = [folder / TRACKS, folder / LINKS, *sorted(folder.glob("tracks_*.png"))]
-    replace_in_manifest(folder, [path.name for path in old], {})
-    for path in old:
-        path.unlink(missing_ok=True)
-    new = sorted(staging.iterdir(), key=lambda p: (p.name == TRACKS, p.name))
-    for path in new:
-        flush(path)
-        os.replace(path, folder / path.name)
-    flush(folder)
-    replace_in_manifest(folder, (), {path.name: folder / path.name for path in new})
+    """Makes the new files those of the folder."""
+    names = TRACKS, LINKS, *(path.name for path in folder.glob("tracks_*.png"))
+    old = [name for name in names if (folder / name).is_file()]
+    new = {path.name: path for path in staging.iterdir()}
+    new |= write_json(staging / MANIFEST, changed_manifest(folder, old, new))
+    commit(staging.parent, new, (*old, MANIFEST), [staging.name])

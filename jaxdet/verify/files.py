@@ -23,7 +23,7 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
         The manifest; empty where it can't be trusted.
     """
     if (folder / WORKING / JOURNAL).is_file():
-        problem = "a run was stopped while its results moved here; repeat its command"
+        problem = "a command was stopped while its files moved here; repeat it"
         report.add("files", WORKING, problem)
     elif (folder / WORKING).is_dir():
         report.notes.append("a run that will replace these results goes on here, or was stopped")

@@ -1,6 +1,7 @@
 """What can happen to a log: its bytes, its records, its lengths and what its messages say."""
 
 import bz2
+import re
 import sqlite3
 import struct
 import zlib
@@ -257,13 +258,11 @@ _NUMBER = (b"nan", b"inf", b"-1", b"0", b"1e39", b"1e999999999", b"9" * 5000, b"
 
 def change_word(data: bytes, random: Random) -> bytes:
     """A word of a text is another one; of other files a bit."""
-    words = data.split(b" ")
-    if data.startswith((b"\x89PNG", b"\xff\xd8")) or len(words) < 2:
+    words = re.findall(rb"[\w./+-]+|[^\w./+-]+", data)
+    if data.startswith((b"\x89PNG", b"\xff\xd8")) or not words:
         return flip_bits(data, random)
-    place = random.randrange(1, len(words))
-    last = words[place][-1:]
-    words[place] = random.choice(_NUMBER) + (last if last in (b",", b"]", b"}") else b"")
-    return b" ".join(words)
+    words[random.randrange(len(words))] = random.choice(_NUMBER)
+    return b"".join(words)
 
 
 def drop_file(files: Files, random: Random) -> Files:

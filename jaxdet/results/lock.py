@@ -1,4 +1,4 @@
-"""One run at a time works in a folder."""
+"""One process at a time works in a folder of results."""
 
 import fcntl
 import json
@@ -27,12 +27,21 @@ class Lock:
 
     Raises:
         ConfigError: Another run has it.
-        InputError: The folder can't be written to, or its file system has no locks.
+        InputError: The folder can't be written to or is another user's, or its file system has no
+            locks.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = _locked(path)
+        owner = path.parent.stat().st_uid
+        if owner != os.geteuid():  # what is in the folder is trusted
+            self.release()
+            raise InputError(
+                f"holds an unfinished run of another user (number {owner})",
+                path=str(path.parent.parent),
+                remedy="work in another folder",
+            )
         with os.fdopen(os.dup(self._file), "r+", encoding="utf-8") as file:
             self.before: str | None = _owner(file.read())
             """The owner that ended without a word."""
@@ -72,12 +81,12 @@ def _locked(path: Path) -> int:
             raise ConfigError(
                 f"another run works here ({owner or 'just begun'})",
                 path=str(path.parent.parent),
-                remedy="wait for it, or give another --output",
+                remedy="wait for it, or work in another folder",
             ) from None
         except OSError as error:
             os.close(file)
             problem = f"can't be locked ({error.strerror})"
-            remedy = "give --output a folder on a disk of this machine"
+            remedy = "take a folder on a disk of this machine"
             raise InputError(problem, path=str(path.parent.parent), remedy=remedy) from error
         os.close(file)
 

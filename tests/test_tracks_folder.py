@@ -1,0 +1,120 @@
+"""How tracks get into a results folder: one command at a time, all files or none."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
+from jaxdet.errors import ConfigError, OutputError
+from jaxdet.io import LogOptions, find_logs
+from jaxdet.results.lock import Lock
+from jaxdet.sim import SimConfig
+from jaxdet.tracks import TrackConfig, track_results
+from jaxdet.tracks import folder as tracks_folder
+from jaxdet.verify import verify
+from tests.test_tracks import results
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    sim = SimConfig("moving", 8, 3, 8.0, 160, 120, camera_height_m=0.5)
+    return results(tmp_path_factory.mktemp("tracks"), "log", sim)
+
+
+def test_whatever_system_call_is_the_last(folder: Path, tmp_path: Path):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    new = shutil.copytree(folder, tmp_path / "new")
+    track_results(copy, TrackConfig(min_frames=3))
+    track_results(new, TrackConfig(min_frames=4))
+    command = [sys.executable, "-m", "tests.killed_tracks", str(copy), str(new)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    assert int(re.findall(r"(\d+) calls", done.stdout)[0]) > 15
+
+
+def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypatch):
+    """Neither another ``jaxdet track`` nor a run."""
+    copy, refused = shutil.copytree(folder, tmp_path / "copy"), []
+    again = RunOptions(copy, backend="reference", pictures=0, overwrite=True)
+    logs = find_logs([str(folder.parent / "log.mcap")])
+    others = {
+        "track": lambda: track_results(copy),
+        "run": lambda: engine.run(logs, Config(), LogOptions(), again),
+    }
+    plain = tracks_folder.draw_map
+
+    def draw_map(*given: Any) -> np.ndarray:
+        for name, other in others.items():
+            with pytest.raises(ConfigError, match=r"copy: another run works here \(process \d+"):
+                other()
+            refused.append(name)
+        return plain(*given)
+
+    monkeypatch.setattr(tracks_folder, "draw_map", draw_map)
+    track_results(copy)
+    assert refused == ["track", "run"] and not (copy / ".jaxdet").exists()
+    assert not verify(copy, sample=0).findings
+    lock = Lock(copy / ".jaxdet" / "lock")
+    with pytest.raises(ConfigError, match="another run works here"):
+        track_results(copy)
+    lock.release()
+
+
+def test_two_commands_at_once(folder: Path, tmp_path: Path):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    command = [sys.executable, "-m", "jaxdet", "track", str(copy)]
+    both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate()[1] for process in both]
+    ends = sorted((process.returncode, text) for process, text in zip(both, said, strict=True))
+    assert ends[0] == (0, "")
+    assert ends[1] == (0, "") or (ends[1][0] == 2 and "another run works here" in ends[1][1])
+    assert not verify(copy, sample=0).findings
+
+
+@pytest.mark.parametrize("command", ["track", "run"])
+def test_tracks_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch, command: str):
+    """The next command moves the rest; an unfinished run beside them stays."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    part = copy / ".jaxdet" / "logs" / "00000" / "0" / "00000000.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(b"of a run")
+    replace, moved = os.replace, []
+
+    def broken(one: Path, other: Path) -> None:
+        if Path(other).name == "track_links.parquet":
+            raise OSError(5, "Input/output error")
+        moved.append(Path(other).name)
+        replace(one, other)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", broken)
+        with pytest.raises(OutputError, match="Input/output error"):
+            track_results(copy, TrackConfig(min_frames=1000))
+    assert not (copy / "manifest.json").exists()
+    assert str(verify(copy).findings[0]).endswith("files moved here; repeat it")
+    if command == "track":
+        track_results(copy, TrackConfig(min_frames=999))
+    else:
+        said: list[str] = []
+        logs = find_logs([str(folder.parent / "log.mcap")])
+        again = RunOptions(copy, backend="reference", pictures=0)
+        with pytest.raises(ConfigError, match="holds results already"):
+            engine.run(logs, Config(), LogOptions(), again, say=said.append)
+        whole = "the tracks of the last jaxdet track were whole and are in their place now"
+        assert said[-1:] == [whole]
+    assert pq.read_table(copy / "tracks.parquet").num_rows == 0
+    assert part.read_bytes() == b"of a run" and not (copy / ".jaxdet" / "commit").exists()
+    shutil.rmtree(copy / ".jaxdet")
+    assert not verify(copy, sample=0).findings
