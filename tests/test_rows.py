@@ -16,7 +16,7 @@ from jaxdet.io import Batch
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
 from jaxdet.results.free_floor import FreeFloor
-from jaxdet.results.rows import batch_rows, row_inputs
+from jaxdet.results.rows import batch_rows, joined_inputs, row_inputs, used_slots
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.writer import to_table
 from jaxdet.types import Calibration
@@ -148,12 +148,20 @@ def test_a_batch_is_its_frames(name: str) -> None:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
     together = tables(batch, row_inputs(found), config)
-    singles = []
+    singles, frames, held = [], [], []
     for b in range(3):
         one = Batch(frame_of(batch.frames, b), batch.status[b : b + 1], ("",))
-        singles.append(tables(one, row_inputs(frame_of(found, b)), config))
+        inputs = row_inputs(frame_of(found, b))
+        singles.append(tables(one, inputs, config))
+        frames.append(one.without_images())
+        held.append(used_slots(inputs, 1))
+        assert held[-1].obstacles.num_points.shape[1] == inputs.num_obstacles[0]
     for whole, parts in zip(together, zip(*singles, strict=True), strict=True):
         assert whole.equals(pa.concat_tables(parts).combine_chunks()) and whole.num_rows >= 2
+    joined = Batch.joined(frames)
+    assert not joined.frames.color.size
+    joined = joined._replace(frames=joined.frames._replace(plane=batch.frames.plane))
+    assert tables(joined, joined_inputs(held), config) == together
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])

@@ -15,11 +15,19 @@ from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.station import Piped, SharedDevice, Slots
 from jaxdet.errors import FrameStatus
+from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
 from jaxdet.results.durable import writing
 from jaxdet.results.metric import rectangles
 from jaxdet.results.occupancy import OccupancyMap
-from jaxdet.results.rows import batch_rows, no_inputs
+from jaxdet.results.rows import (
+    RowInputs,
+    batch_rows,
+    joined_inputs,
+    no_inputs,
+    shown_planes,
+    used_slots,
+)
 from jaxdet.results.summary import Counts
 from jaxdet.results.writer import Tables
 from jaxdet.types import Detections, GroundPlane
@@ -128,10 +136,12 @@ class _Piece(NamedTuple):
 
 
 class _NewPart:
-    """The part of a unit, batch by batch."""
+    """The part of a unit, batch by batch; its rows are made at once, as arrays of all frames."""
 
     def __init__(self, plan: LogPlan) -> None:
-        self.plan, self.rows = plan, []
+        self.plan = plan
+        self.held: list[tuple[Batch, GroundPlane, RowInputs]] = []
+        """What rows need of each batch."""
         seen = {name: [] for name in plan.observers}
         none = Tables.joined(())
         self.part = Part(Counts(), none, OccupancyMap(), [], [], seen, [])
@@ -139,26 +149,31 @@ class _NewPart:
     def add(self, piece: _Piece, found: Found) -> None:
         """Uses what was found in a batch."""
         plan, part, batch = self.plan, self.part, piece.batch
-        sources = plan.planes.sources(batch.frames.stamp_ns)
-        rows = batch_rows(
-            plan.log, plan.camera, batch, piece.plane, sources, found.inputs, plan.config
-        )
-        self.rows.append(Tables.of(rows.frames, rows.obstacles))
-        part.counts.count(rows.frames)
-        part.notes.append(batch.notes)
-        part.map.add_path(batch.frames.T_world_camera)
-        part.map.add(rows.obstacles["corners_world"])
-        part.map.add_free(rows.free_world)
+        count = len(batch.status)
+        plane = GroundPlane(*(known[:count] for known in piece.plane))
+        self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
         errors = zip(piece.numbers, batch.errors, strict=True)
         part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
         if found.whole is not None:
-            part.pictures.extend(self._draw(piece, found.whole, rows.plane))
+            unit = batch.frames.calibration.depth_unit
+            shown = shown_planes(found.inputs, piece.plane, unit)
+            part.pictures.extend(self._draw(piece, found.whole, shown))
             for name, observer in plan.observers.items():
                 part.seen[name].append(observer(batch, found.whole))
 
     def whole(self) -> Part:
         """The part, when all batches are in it."""
-        return self.part._replace(rows=Tables.joined(self.rows))
+        plan, part = self.plan, self.part
+        batches, planes, inputs = zip(*self.held, strict=True)
+        batch = batches[0].joined(batches)
+        sources = plan.planes.sources(batch.frames.stamp_ns)
+        given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
+        rows = batch_rows(plan.log, plan.camera, *given)
+        part.counts.count(rows.frames)
+        part.map.add_path(batch.frames.T_world_camera)
+        part.map.add(rows.obstacles["corners_world"])
+        part.map.add_free(rows.free_world)
+        return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
 
     def _draw(self, piece: _Piece, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, piece.batch.frames._replace(plane=plane)

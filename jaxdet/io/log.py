@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
+from itertools import chain
 from operator import index as as_index
 from os import PathLike
 from types import TracebackType
@@ -29,6 +30,8 @@ from jaxdet.io.windows import IndexedFrames
 from jaxdet.types import Frames
 
 _LINE_BYTES = 64
+_PER_FRAME = ("number", "stamp_ns", "depth_stamp_ns", "valid")
+"""Of :class:`jaxdet.types.Frames`, what is known of each frame beside images and pose."""
 _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
 """Of images that are read together."""
@@ -60,6 +63,30 @@ class Batch(NamedTuple):
     def one_by_one(self) -> Iterator[LogFrame]:
         """The frames without the padding."""
         return one_by_one(self.frames, self.status, self.errors)
+
+    def without_images(self) -> "Batch":
+        """The batch without images and padding: what is small, and stays when memory is reused."""
+        count, frames = len(self.status), self.frames
+        poses = frames.T_world_camera
+        known = {name: getattr(frames, name)[:count] for name in _PER_FRAME}
+        small = {"color": frames.color[:0].copy(), "depth": frames.depth[:0].copy()}
+        poses = poses if poses is None else poses[:count]
+        return self._replace(frames=frames._replace(**known, **small, T_world_camera=poses))
+
+    @classmethod
+    def joined(cls, parts: Sequence["Batch"]) -> "Batch":
+        """Batches of a log as one; they are :meth:`without_images`, and at least one."""
+        frames, poses = [part.frames for part in parts], None
+        known = {name: np.concatenate([getattr(a, name) for a in frames]) for name in _PER_FRAME}
+        if frames[0].T_world_camera is not None:
+            poses = np.concatenate([part.T_world_camera for part in frames])
+        return parts[0]._replace(
+            frames=frames[0]._replace(**known, T_world_camera=poses),
+            status=tuple(chain.from_iterable(part.status for part in parts)),
+            errors=tuple(chain.from_iterable(part.errors for part in parts)),
+            notes=total(part.notes for part in parts),
+            decoding_s=sum(part.decoding_s for part in parts),
+        )
 
 
 ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]

@@ -117,6 +117,44 @@ def no_inputs(count: int) -> RowInputs:
     return RowInputs(numbers, numbers, no, no, none, None)
 
 
+def used_slots(inputs: RowInputs, count: int) -> RowInputs:
+    """A copy of those of the first ``count`` frames, with as many slots as the fullest one uses.
+
+    Most of a device's slots are empty: a frame's inputs take 240 KB, what is used of them 20.
+    """
+    found: RowInputs = _first(inputs, count)
+    slots = int(found.num_obstacles.max(initial=0))
+
+    def few(part: np.ndarray) -> np.ndarray:
+        return part[:, :slots].copy()
+
+    scene = found.scene
+    if scene is not None:
+        floor, contour, points, heights, free, end = scene
+        slotted = few(contour), few(points), few(heights)
+        scene = SceneInputs(floor.copy(), *slotted, free.copy(), end.copy())
+    obstacles = Obstacles(*map(few, found.obstacles))
+    return RowInputs(*(part.copy() for part in found[:4]), obstacles, scene)
+
+
+def joined_inputs(parts: Sequence[Any]) -> Any:
+    """Those of frames one after the other, with the slots of whoever has most."""
+    first = parts[0]
+    if first is None:
+        return None
+    if isinstance(first, tuple):
+        return type(first)(*map(joined_inputs, zip(*parts, strict=True)))
+    shapes = {part.shape[1:] for part in parts}
+    if len(shapes) == 1:
+        return np.concatenate(parts)
+    slots, row = max(shape[0] for shape in shapes), 0
+    joined = np.zeros((sum(map(len, parts)), slots, *first.shape[2:]), first.dtype)
+    for part in parts:
+        joined[row : row + len(part), : part.shape[1]] = part
+        row += len(part)
+    return joined
+
+
 def to_host(part: Any) -> Any:
     """Detections, or what rows need of them, as NumPy arrays; waits for the device."""
     if part is None:
@@ -164,7 +202,7 @@ def batch_rows(
     if found.scene is not None:
         fit = floor_fit(found.scene.floor, plane, unit)
         free = free_floor(found.scene.free, found.scene.free_end, unit)
-    plane = plane if fit is None else fit.plane
+        plane = fit.plane
     frame_columns = _frame_columns(frames, plane, found, good)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _pose_columns(batch, count)
@@ -179,6 +217,19 @@ def batch_rows(
         shown = free._replace(seen=free.seen & good[:, None])
         world = shown.in_world(poses[:count])
     return Rows(frame_columns, obstacle_columns, plane, world)
+
+
+def shown_planes(inputs: RowInputs, plane: GroundPlane, depth_unit: float) -> GroundPlane:
+    """The floor of each frame: its own where it shows one, else the one it was given.
+
+    Args:
+        inputs: What was found in ``B`` frames, see :func:`row_inputs`.
+        plane: The floor given to each, ``(B,)``.
+        depth_unit: Metres in one depth unit.
+    """
+    if inputs.scene is None:
+        return plane
+    return floor_fit(np.asarray(inputs.scene.floor), plane, depth_unit).plane
 
 
 def _first(part: Any, count: int) -> Any:
