@@ -23,6 +23,7 @@ from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SCHEMA_LINES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
+from jaxdet.io.raw_transforms import has_standard_motions, read_motions
 from jaxdet.io.ros1 import MissingRosbagsError, ros1_decoder
 
 _HEADERS = {
@@ -56,6 +57,7 @@ class MessageDecoder:
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
         self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
+        self._standard_motions = has_standard_motions(channel)
         self.stamp_leads: bool = _stamp_leads(channel.message_encoding, channel.schema_text)
         small = kind not in IMAGE_KINDS
         json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
@@ -75,8 +77,10 @@ class MessageDecoder:
             problem = f"{self.kind.value} message of {len(payload)} bytes, but at most "
             problem += f"{self._most_bytes} are read"
             raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
+        readable = self._readable(payload)
         try:
-            return parse(self.kind, self._raw(self._readable(payload)), self._name)
+            found = read_motions(self.kind, readable) if self._standard_motions else None
+            return found or parse(self.kind, self._raw(readable), self._name)
         except MemoryError:
             raise
         except Exception as error:  # the decoders raise what they like

@@ -5,6 +5,7 @@ here as an object with attributes.
 """
 
 import base64
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -115,16 +116,38 @@ def _rgbd(message: Any, name: str) -> RgbdMessage:
     )
 
 
-def _motion(stamp: int, parent: str, child: str, t: Any, q: Any) -> TransformMessage:
-    tx, ty, tz = (float(value) for value in (t.x, t.y, t.z))
+def motion(
+    stamp: int, parent: str, child: str, translation: Iterable[Any], rotation: Iterable[Any]
+) -> TransformMessage:
+    """A transform or pose.
+
+    Args:
+        stamp: [ns].
+        parent: Frame that it is in.
+        child: Frame that it is of.
+        translation: x y z [m].
+        rotation: Quaternion x y z w.
+
+    Raises:
+        ValueError: The translation is none of a robot, or the quaternion not of unit length.
+    """
+    tx, ty, tz = map(float, translation)
     if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # NaN neither
         raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is none that a robot has")
-    rotation = np.array([q.x, q.y, q.z, q.w], np.float64)
-    if not (np.abs(rotation) <= 2).all() or abs(float(rotation @ rotation) - 1) > UNIT_TOLERANCE:
-        given = ", ".join(f"{value:g}" for value in rotation)
-        raise ValueError(f"quaternion ({given}) is not of unit length")
-    qx, qy, qz, qw = (float(value) for value in rotation / float(np.linalg.norm(rotation)))
+    given = tuple(map(float, rotation))
+    numbers = np.array(given)
+    bounded = all(abs(value) <= 2 for value in given)
+    square = float(numbers.dot(numbers)) if bounded else math.inf
+    if not abs(square - 1) <= UNIT_TOLERANCE:
+        text = ", ".join(f"{value:g}" for value in given)
+        raise ValueError(f"quaternion ({text}) is not of unit length")
+    length = math.sqrt(square)
+    qx, qy, qz, qw = (value / length for value in given)
     return TransformMessage(stamp, parent, child, (tx, ty, tz), (qx, qy, qz, qw))
+
+
+def _motion(stamp: int, parent: str, child: str, t: Any, q: Any) -> TransformMessage:
+    return motion(stamp, parent, child, (t.x, t.y, t.z), (q.x, q.y, q.z, q.w))
 
 
 def _transforms(message: Any, name: str) -> tuple[TransformMessage, ...]:
@@ -163,9 +186,9 @@ def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
 
 def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
     if name == "geometry_msgs/Transform":
-        motion = _motion(0, "", "", message.translation, message.rotation)
-        T = motion_matrix(np.array(motion.translation), np.array(motion.rotation))
-        return ExtrinsicsMessage(T[:3, :3], motion.translation)
+        found = _motion(0, "", "", message.translation, message.rotation)
+        T = motion_matrix(np.array(found.translation), np.array(found.rotation))
+        return ExtrinsicsMessage(T[:3, :3], found.translation)
     rotation = np.array(message.rotation, np.float64).reshape(3, 3).T
     if not (np.abs(rotation) <= 2).all():
         raise ValueError("rotation is not orthonormal")

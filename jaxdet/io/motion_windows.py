@@ -116,8 +116,11 @@ class MotionWindows:
         low, high = self._delays(moving)
         about = int(stamps_ns.min()) - high, int(stamps_ns.max()) - low
         around = np.searchsorted(log_ns, about)
-        bound = [min(own[0], int(around[0])), max(own[1], int(around[1]))]
-        beside = _BESIDE
+        bound = [
+            max(0, min(own[0], int(around[0])) - _BESIDE),
+            min(len(log_ns), max(own[1], int(around[1])) + _BESIDE),
+        ]
+        beside = 2 * _BESIDE
         while True:
             if bound[1] - bound[0] > _MAX_MESSAGES + own[1] - own[0]:
                 raise self._odd("poses are too far apart")
@@ -143,25 +146,26 @@ class MotionWindows:
     ) -> dict[str, MotionSamples]:
         """The samples of what moves, of some messages in the order of their arrival."""
         samples = {name: MotionSamples() for name in moving}
+        wanted = [topic.is_tree or topic.topic in samples for topic in self._topics]
         numbers = bound[0] + np.argsort(self._arrival[bound[0] : bound[1]])
-        for number in numbers.tolist():
-            topic = self._topics[int(self._messages.decoder[number])]
-            if not topic.is_tree and topic.topic not in samples:
+        topics, log_ns = (
+            column[numbers].tolist() for column in (self._messages.decoder, self._messages.log_ns)
+        )
+        for number, topic, at_ns in zip(numbers.tolist(), topics, log_ns, strict=True):
+            if not wanted[topic]:
                 continue
-            log_ns = int(self._messages.log_ns[number])
-            for name, item in self._decode(number, topic):
+            found = self._decoded.get(number)
+            for name, item in self._decode(number, topic) if found is None else found:
                 if name not in samples:
                     continue
-                if not low <= item.stamp_ns - log_ns <= high:
+                if not low <= item.stamp_ns - at_ns <= high:
                     raise self._odd(f"stamps of {name!r} are far from their log times")
                 samples[name].add(item.stamp_ns, item.translation, item.rotation)
         return samples
 
-    def _decode(self, number: int, topic: MotionTopic) -> list[tuple[str, TransformMessage]]:
+    def _decode(self, number: int, topic_number: int) -> list[tuple[str, TransformMessage]]:
         """What a message says of what moves, with its frame or topic."""
-        known = self._decoded.get(number)
-        if known is not None:
-            return known
+        topic = self._topics[topic_number]
         _, payload = read_message(self._store, self._messages, number)
         found = []
         for item in decode_motions(topic.decoder, payload):

@@ -50,7 +50,7 @@ def is_standard_image(channel: ChannelInfo) -> bool:
     """
     if channel.message_encoding != "cdr" or kind_of(channel.schema_name) is not Kind.IMAGE:
         return False
-    return _fields(channel.schema_text) == _IMAGE
+    return channel.definition == _IMAGE
 
 
 def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
@@ -83,17 +83,3 @@ def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
     good &= 0 <= sec <= _MAX_STAMP_S and step in (0, row) and name > 0
     good &= height * row <= count <= size - place
     return Pixels(place, width, height, encoding) if good else None
-
-
-def _fields(text: str) -> dict[str, tuple[str, ...]]:
-    """The fields of each message type in a definition; its own type's name is empty."""
-    found: dict[str, tuple[str, ...]] = {}
-    name, fields = "", []
-    for line in [*text.splitlines(), "MSG: end"]:
-        words = line.partition("#")[0].split()
-        if words and words[0] == "MSG:":
-            found[name] = tuple(fields)
-            name, fields = words[-1].rpartition("/")[2], []
-        elif words and words[0].strip("="):
-            fields.append(f"{words[0].rpartition('/')[2]} {' '.join(words[1:2])}")
-    return found
