@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, local
+from jaxdet.engine import device, log_run
 from jaxdet.io import LogFiles, LogOptions
 from tests.killed import killed_at
 from tests.test_engine import FakeLog
@@ -36,7 +36,7 @@ def files(output: Path) -> dict[str, bytes]:
 
 def main(folder: Path, every: int) -> None:
     """Ends runs at every so many-th call, and what goes on with them at the same."""
-    local.open_log = lambda files, options: named(files.name)
+    log_run.open_log = lambda files, options, memory: named(files.name)
     device.detect = remembered(device.detect)
     run(folder / "whole")
     want = files(folder / "whole")

@@ -14,12 +14,13 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
-from jaxdet.engine import RunOptions, decide_planes, local
+from jaxdet.engine import RunOptions, decide_planes, log_run
 from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
 from jaxdet.errors import ConfigError, FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
 from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
+from jaxdet.io.limits import ReadMemory
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
 
@@ -93,6 +94,7 @@ class FakeLog:
     name, base_frame, T_base_camera = "fake", "base_link", None
     description = SimpleNamespace(warnings=("odd",))
     num_frames, frames, camera, label = 10, range(10), "cam", "fake"
+    image_shapes, index_bytes = ((48, 64, 3), (48, 64)), 2000
     status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
 
     def __init__(self) -> None:
@@ -143,12 +145,12 @@ class FakeLog:
 
 @pytest.fixture
 def fake_logs(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
-    def fake_open(files: LogFiles, options: LogOptions) -> FakeLog:
+    def fake_open(files: LogFiles, options: LogOptions, memory: ReadMemory) -> FakeLog:
         if files.name == "broken":
             raise InputError("not an MCAP file", path="broken.mcap")
         return FakeLog()
 
-    monkeypatch.setattr(local, "open_log", fake_open)
+    monkeypatch.setattr(log_run, "open_log", fake_open)
     return [LogFiles(name, (Path(f"{name}.mcap"),)) for name in ("fake", "broken", "a/b")]
 
 

@@ -22,7 +22,7 @@ import pytest
 
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, local
+from jaxdet.engine import device, log_run
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import ConfigError, InputError, Interrupted, JaxdetError, OutputError
@@ -43,7 +43,8 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.fixture
 def many(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
     """Fifty logs of ten frames."""
-    monkeypatch.setattr(local, "open_log", lambda files, options: named(files.name))
+    fake = lambda files, options, memory: named(files.name)  # noqa: E731
+    monkeypatch.setattr(log_run, "open_log", fake)
     return [LogFiles(f"{number:02d}", (Path(f"{number}.mcap"),)) for number in range(50)]
 
 
@@ -64,6 +65,11 @@ def stop_at(log: str, how: Callable[[], Any]) -> Callable[[engine.Progress], Non
             how()
 
     return progress
+
+
+def part_of(output: Path, name: str) -> Path:
+    (found,) = output.glob(f".jaxdet/logs-*/{name}.part")
+    return found
 
 
 def interrupt() -> None:
@@ -133,12 +139,12 @@ def test_the_summary_is_the_same_but_for_its_times(many: list, tmp_path: Path) -
 
 
 def test_a_bug_in_the_49th_log_costs_that_log(many: list, tmp_path: Path, monkeypatch) -> None:
-    def open_log(files: LogFiles, options: LogOptions) -> Any:
+    def open_log(files: LogFiles, options: LogOptions, memory: Any) -> Any:
         if files.name == "48":
             raise ZeroDivisionError("by nothing")
         return named(files.name)
 
-    monkeypatch.setattr(local, "open_log", open_log)
+    monkeypatch.setattr(log_run, "open_log", open_log)
     summary = run(many, tmp_path)
     (failed,) = summary.failed
     assert failed.error == (
@@ -190,7 +196,7 @@ def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path)
         with pytest.raises(Interrupted):
             run(many[1:3], tmp_path, overwrite=True, progress=stop_at("02", interrupt))
         assert held() == {"00", "01"}
-        (tmp_path / ".jaxdet" / "logs" / "00001" / "0" / "00000000.part").unlink()
+        part_of(tmp_path, "00001/0/00000000").unlink()
     said: list[str] = []
     run(many[1:3], tmp_path, overwrite=True, say=said.append)
     assert said == ["continuing: 1 of 2 logs are there"]
@@ -212,7 +218,7 @@ def test_results_of_older_versions_are_known(tmp_path: Path) -> None:
 def test_a_damaged_part_is_done_again(many: list, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
         run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))
-    part = tmp_path / "a" / ".jaxdet" / "logs" / "00001" / "0" / "00000000.part"
+    part = part_of(tmp_path / "a", "00001/0/00000000")
     content = bytearray(part.read_bytes())
     content[-100] ^= 1
     part.write_bytes(content)
@@ -225,7 +231,7 @@ def test_a_damaged_part_is_done_again(many: list, tmp_path: Path) -> None:
 def test_a_damaged_part_of_a_whole_log_is_done_again(many: list, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
         run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))
-    part = tmp_path / "a" / ".jaxdet" / "logs" / "00000" / "0" / "00000001.part"
+    part = part_of(tmp_path / "a", "00000/0/00000001")
     part.write_bytes(b"")
     with pytest.raises(OutputError, match="was changed or removed; run the command again"):
         run(many[:2], tmp_path / "a")
@@ -394,10 +400,10 @@ def killed_runs(tmp_path: Path, count: int) -> None:
     left = count
     while left:
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
-        begun = len(list(output.glob(".jaxdet/logs/*/*/*.part")))
+        begun = len(list(output.glob(".jaxdet/logs-*/*/*/*.part")))
         wanted = begun + chosen.randrange(3)
         while process.poll() is None:
-            if len(list(output.glob(".jaxdet/logs/*/*/*.part"))) >= wanted:
+            if len(list(output.glob(".jaxdet/logs-*/*/*/*.part"))) >= wanted:
                 break
             time.sleep(0.01)
         time.sleep(chosen.random() / 4)

@@ -20,7 +20,7 @@ import warp as wp
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import local, pool, station
+from jaxdet.engine import local, log_run, pool, station
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
@@ -169,13 +169,13 @@ def test_a_log_that_is_not_as_its_index_says_is_scanned(
     opened = []
     odd = Odd("rescan")
 
-    def open_log(files: Any, options: LogOptions) -> Any:
+    def open_log(files: Any, options: LogOptions, memory: Any) -> Any:
         opened.append(options.scan)
         odd.way = "" if options.scan else "rescan"
-        return real(files, options)
+        return real(files, options, memory)
 
-    real = local.open_log
-    monkeypatch.setattr(local, "open_log", open_log)
+    real = log_run.open_log
+    monkeypatch.setattr(log_run, "open_log", open_log)
     options = {"workers": workers, "batch_size": 4, "backend": "reference"}
     summary = run(sim_logs[:1], tmp_path / "a", observers={"odd": odd}, **options)
     assert opened == [False, True]
@@ -230,10 +230,12 @@ def same_results(one: Path, other: Path) -> None:
 def test_short_logs_need_no_workers(tmp_path):
     def alone(count: int, devices: Any = (), **options: Any) -> list[bool]:
         how = engine.RunOptions(tmp_path, **options)
-        pool: Any = SimpleNamespace(count=count, devices=devices, started=False)
-        work = SimpleNamespace(taken_over=False)
-        whole: Any = SimpleNamespace(config=Config(), options=how, observers={}, work=work)
-        one = local._LogRun(whole, pool, LogFiles("a", ()), "a")
+        pool = SimpleNamespace(devices=devices, started=False)
+        memory, work = SimpleNamespace(workers=count), SimpleNamespace(taken_over=False)
+        given: Any = SimpleNamespace(
+            config=Config(), options=how, work=work, memory=memory, pool=pool
+        )
+        one = log_run.LogRun(given, LogFiles("a", ()), "a", lambda *_: None)
         return [one._alone(frames) for frames in (1, 499, 500)]
 
     assert alone(4) == [True, True, False]
@@ -242,10 +244,10 @@ def test_short_logs_need_no_workers(tmp_path):
 
 
 def test_units_keep_all_workers_busy():
-    assert local._unit_frames(10**6, 16, 8, "jax") == local.UNIT_FRAMES
-    assert local._unit_frames(600, 16, 8, "jax") == 16
-    assert local._unit_frames(3, 16, 8, "jax") == 16
-    assert local._unit_frames(10**6, 16, 8, "reference") == 16
+    assert log_run._unit_frames(10**6, 16, 8, "jax") == log_run.UNIT_FRAMES
+    assert log_run._unit_frames(600, 16, 8, "jax") == 16
+    assert log_run._unit_frames(3, 16, 8, "jax") == 16
+    assert log_run._unit_frames(10**6, 16, 8, "reference") == 16
 
 
 def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
@@ -416,7 +418,7 @@ def test_control_c_ends_everything(sim_logs, tmp_path, later):
     wanted = 4 if later else 2  # the resource tracker, the fork server, the workers
     while len(children) < wanted and process.poll() is None:
         children = descendants(process.pid)
-    while later and not list(output.glob(".jaxdet/logs/*/*/*.part")) and process.poll() is None:
+    while later and not list(output.glob(".jaxdet/logs-*/*/*/*.part")) and process.poll() is None:
         time.sleep(0.01)  # until the first result is there
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=30)

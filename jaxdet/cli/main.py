@@ -3,7 +3,6 @@
 import difflib
 import os
 import sys
-import traceback
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from io import TextIOWrapper
@@ -12,6 +11,7 @@ from tempfile import NamedTemporaryFile
 import jaxdet
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, printable
+from jaxdet.results.fault import fault_text
 
 COMMANDS = {
     "run": "find the obstacles in every frame of logs, and write tables and pictures",
@@ -107,18 +107,14 @@ def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:
 def _reported(error: Exception) -> str:
     """A line about an error of our own, and a file with the rest."""
     kind = type(error).__name__
-    text = "".join(traceback.format_exception(error))
     try:
-        with NamedTemporaryFile("w", prefix="jaxdet-", suffix=".txt", delete=False) as file:
-            file.write(printable_lines(text))
+        with NamedTemporaryFile(
+            "w", prefix="jaxdet-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(fault_text(error))
     except OSError:
         return f"an error in jaxdet itself ({kind}: {error})"
     return f"an error in jaxdet itself ({kind}); please report it with the file {file.name}"
-
-
-def printable_lines(text: str) -> str:
-    """Each line made printable."""
-    return "\n".join(map(printable, text.splitlines())) + "\n"
 
 
 def _fail(message: str, code: int) -> int:

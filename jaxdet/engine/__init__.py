@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxdet.engine.floors import GroundRecord, Planes, decide_planes
-    from jaxdet.engine.local import Progress, ProgressCallback, run
+    from jaxdet.engine.local import run
     from jaxdet.engine.options import RunOptions
     from jaxdet.engine.plan import LogPlan, Observer, Unit
+    from jaxdet.engine.progress import Progress, ProgressCallback
     from jaxdet.engine.startup import start_up, use_caches
     from jaxdet.engine.unit import run_unit
-    from jaxdet.results.summary import LogSummary, Summary, plain, versions
+    from jaxdet.results.summary import LogSummary, Summary, plain
+    from jaxdet.results.versions import versions
 
 _MODULES = {
     "GroundRecord": "engine.floors",
@@ -21,8 +23,8 @@ _MODULES = {
     "LogSummary": "results.summary",
     "Observer": "engine.plan",
     "Planes": "engine.floors",
-    "Progress": "engine.local",
-    "ProgressCallback": "engine.local",
+    "Progress": "engine.progress",
+    "ProgressCallback": "engine.progress",
     "RunOptions": "engine.options",
     "Summary": "results.summary",
     "Unit": "engine.plan",
@@ -32,7 +34,7 @@ _MODULES = {
     "run_unit": "engine.unit",
     "start_up": "engine.startup",
     "use_caches": "engine.startup",
-    "versions": "results.summary",
+    "versions": "results.versions",
 }
 __all__ = [
     "GroundRecord",

@@ -97,7 +97,11 @@ def _word(record: GroundRecord, estimated: str) -> str:
 
 
 def decide_planes(
-    log: "Log", config: Config, backend: BackendName, frames: np.ndarray | None = None
+    log: "Log",
+    config: Config,
+    backend: BackendName,
+    frames: np.ndarray | None = None,
+    at_once: int | None = None,
 ) -> Planes:
     """What is known of the floor of a log's frames, in the order flags, TF, none.
 
@@ -114,6 +118,7 @@ def decide_planes(
             sample of its own (which takes the stamps of all frames).
         backend: Backend that finds the floors.
         frames: Numbers of the frames whose planes are wanted; None: all that are read.
+        at_once: Most frames of a sample that are in memory together; None: all.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -129,7 +134,7 @@ def decide_planes(
     wanted = np.array(log.frames, int) if frames is None else frames
     for number, all_frames in _windows(log, window_ns, wanted):
         sample = evenly(all_frames, config.ground.sample_frames)
-        record, windows[number] = _look(log, sample, known, plane, config, backend)
+        record, windows[number] = _look(log, sample, known, plane, config, backend, at_once)
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
     unknown = sum(not one.valid[0] for one in windows.values())
@@ -197,15 +202,21 @@ def _look(
     plane: GroundPlane,
     config: Config,
     backend: BackendName,
+    at_once: int | None,
 ) -> tuple[GroundRecord, GroundPlane]:
     """The prior that a sample of frames gives: what they show, else what is known."""
-    frames = log.read(sample.tolist()).frames
-    if not frames.valid.any():
+    shown, own = [], []
+    size = at_once or len(sample)
+    for first in range(0, len(sample), size):
+        frames = log.read(sample[first : first + size].tolist()).frames
+        if frames.valid.any():
+            frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
+            fit = find_floors(frames, config, backend=backend)
+            shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
+            own.append(fit.own[frames.valid])
+    if not shown:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane
-    frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-    fit = find_floors(frames, config, backend=backend)
-    shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
-    found = sampled_floor(shown, fit.own[frames.valid])
+    found = sampled_floor(join_planes(shown), np.concatenate(own))
     message = _said(known, _sample_text(found))
     alone = not plane.valid[0] and not config.cluster.points
     if not (found.agrees if alone else found.plane.valid[0]):

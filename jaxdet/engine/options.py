@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from jaxdet.errors import ConfigError
+from jaxdet.memory import parse_size
 
 MAX_WORKERS = 1024
 """Processes; more than machines have cores."""
@@ -28,6 +29,10 @@ class RunOptions:
     workers: int | None = None
     """Processes to share the frames; changes no result. By default one a core; on the CPU only for
     logs of 500 frames or more, else one."""
+    memory: Annotated[str | None, tyro.conf.arg(metavar="SIZE")] = None
+    """Most memory of all processes together, such as 4GiB; fewer workers, smaller batches and less
+    read ahead where that takes less; changes no result. By default three quarters of the machine's,
+    or of its control group's."""
     pictures: int = 8
     """Frames of each log to draw, evenly spaced."""
     overwrite: Flag = False
@@ -36,6 +41,8 @@ class RunOptions:
     def __post_init__(self) -> None:
         if self.batch_size is not None and self.batch_size < 1:
             raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
+        if self.memory is not None:
+            parse_size(self.memory, "--memory")
         if self.pictures < 0:
             raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
         if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:

@@ -129,11 +129,19 @@ class Pool:
         given = self._workers, self._ended, self._awake
         threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
-    def serve(self, log: "Log", config: Config, batch_size: int | None) -> tuple[Slots, int]:
+    def resize(self, count: int) -> None:
+        """Another number of processes from now on; those that are there end."""
+        if count != self.count:
+            self.close()
+            self.count = count
+
+    def serve(
+        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
+    ) -> tuple[Slots, int]:
         """Starts the processes and begins to compute for them, see :meth:`Station.enter`."""
         self.start()
         assert self._station is not None
-        return self._station.enter(log, config, batch_size)
+        return self._station.enter(log, config, batch_size, piece_frames)
 
     def close(self) -> None:
         """Ends the processes."""

@@ -10,7 +10,8 @@ from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.plan import Observer
 from jaxdet.results.manifest import fingerprint
-from jaxdet.results.summary import plain, versions
+from jaxdet.results.summary import plain
+from jaxdet.results.versions import source_digest, versions
 
 if TYPE_CHECKING:
     from jaxdet.io import LogFiles, LogOptions
@@ -33,7 +34,8 @@ def make_record(
         and inputs, ``config``, most of ``config.json``, and ``drawn`` and ``observed``.
     """
     inputs = {log.name: [fingerprint(path) for path in log.paths] for log in logs}
-    about = {"jaxdet": jaxdet.__version__, "versions": versions(), "inputs": inputs}
+    which = {"jaxdet": jaxdet.__version__, "source": source_digest(), "versions": versions()}
+    about = {**which, "inputs": inputs}
     chosen = {"preset": preset, "backend": options.backend, **plain(config)}
     chosen["log"] = plain(log_options)
     observed = {name: {type(one).__name__: plain(vars(one))} for name, one in observers.items()}
@@ -52,6 +54,7 @@ def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
         return _of_inputs(before["about"]["inputs"], now["about"]["inputs"])
     was, is_now = (_said(values.get(key, _NOT)) for values in (old, new))
     name = ".".join(part for part in key if part not in ("about", "config"))
+    name = "jaxdet's own code" if key == ("about", "source") else name
     return f"{name} was {was} and is {is_now} now"
 
 

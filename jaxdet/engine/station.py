@@ -197,13 +197,16 @@ class Station:
             self._log.close()
         self._log = None
 
-    def enter(self, log: "Log", config: Config, batch_size: int | None) -> tuple[Slots, int]:
+    def enter(
+        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int = PIECE_FRAMES
+    ) -> tuple[Slots, int]:
         """Begins to serve a log.
 
         Args:
             log: Its images' sizes and calibration are asked for.
             config: The method's parameters.
             batch_size: Frames computed together; None: as many as the memory is meant for.
+            piece_frames: Most frames of a slot that there is room for.
 
         Returns:
             The slots for the workers, and the frames computed together.
@@ -213,7 +216,7 @@ class Station:
         """
         color, depth = log.image_shapes
         fits = PIECE_BYTES // (int(np.prod(color)) + 2 * int(np.prod(depth)))
-        frames = max(1, min(PIECE_FRAMES, fits, batch_size or PIECE_FRAMES))
+        frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
         pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
         slots = Slots("", frames, color, depth, len(self._pipes))
         served = _Served(slots, pieces, log.calibration, config)

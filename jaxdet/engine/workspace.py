@@ -4,7 +4,9 @@
 
     lock            who works here
     plan            what decides the results (jaxdet.engine.record)
-    logs/00012/     a log; with a file "whole" it is done
+    logs-3f9a/      a name of each run's own, so that a process which outlives its run finds no
+                    place to write to
+      00012/        a log; with a file "whole" it is done
         0/          its camera: plan, a part for each unit that is done, pictures, and when it is
                     done its summary in "whole"; several cameras are in 1/, 2/, ...
     result/         tables, maps, configuration, summary, manifest
@@ -17,9 +19,11 @@ is whole, as it was renamed there, and agrees with its checksum.
 
 import pickle
 import re
+import secrets
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -112,8 +116,14 @@ class Workspace:
         with writing(self.folder):
             shutil.rmtree(self.result, ignore_errors=True)
             self.result.mkdir()
-            (self.folder / "logs").mkdir(exist_ok=True)
+            self.logs.mkdir(exist_ok=True)
         self.write("plan", self.record)
+
+    @cached_property
+    def logs(self) -> Path:
+        """The folder of all logs."""
+        begun = next(self.folder.glob("logs-*"), None)
+        return begun or self.folder / f"logs-{secrets.token_hex(4)}"
 
     @property
     def result(self) -> Path:
@@ -122,7 +132,7 @@ class Workspace:
 
     def log_folder(self, number: int) -> Path:
         """The folder of a log; made when missing."""
-        folder = self.folder / "logs" / f"{number:05d}"
+        folder = self.logs / f"{number:05d}"
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         return folder
@@ -160,7 +170,7 @@ class Workspace:
         Raises:
             OutputError: The disk is full or broken.
         """
-        rest = "logs", "result", "tracks"
+        rest = self.logs.name, "result", "tracks"
         commit(self.folder, files, result_files(self.output), rest, (self.record, told))
         self.clear()
 
@@ -173,7 +183,7 @@ class Workspace:
                 path.unlink()
 
     def _leave(self) -> None:
-        kept = next(self.folder.glob("logs/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
+        kept = next(self.folder.glob("logs-*/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
         if self.done or not kept:
             with suppress(OSError):
                 self.clear()

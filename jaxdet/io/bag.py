@@ -123,6 +123,7 @@ class BagFile(LogFile):
             DamageError: It can't be read, or a record overruns it.
         """
         head = self.chunk_head(position)
+        self.check_memory(max(head.uncompressed_size, head.data_size))
         if max(head.uncompressed_size, head.data_size) > self.max_bytes:
             raise DamageError("chunk is larger than --log.max-chunk-mib")
         data = _decompress(head, self.read(position + head.data_offset, head.data_size))

@@ -43,7 +43,7 @@ def read_bag_index(file: BagFile) -> FileIndex:
         parts += _chunk_index(file, position, end, counts[position])
     channel, log_ns, place, length, offset = np.concatenate(parts, axis=1)
     total = len(channel)
-    check_messages(total, file.size, str(file.path))
+    check_messages(total, file.size, str(file.path), file.memory)
     if set(np.unique(channel).tolist()) - file.connections.keys():
         raise DamageError("message index of an undeclared connection")
     infos = dict(sorted(file.connections.items()))
@@ -187,7 +187,7 @@ class _Walk:
             self.messages += 1
             self.read[number] += 1
             self.last_ns = max(self.last_ns, log_ns)
-            check_messages(self.messages, self.file.size, str(self.file.path))
+            check_messages(self.messages, self.file.size, str(self.file.path), self.file.memory)
             where = Location(record.position, place + _HEAD, size)
             self.handler(info, log_ns, chunk[place + _HEAD : place + _HEAD + size], where)
 

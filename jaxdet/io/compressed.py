@@ -10,14 +10,14 @@ import struct
 from functools import lru_cache
 
 import numpy as np
-import simplejpeg
 
 from jaxdet.io.images import bad_frame, check_row, check_size, metres_to_units
+from jaxdet.io.jpeg import MAGIC as JPEG
+from jaxdet.io.jpeg import decode_jpeg, jpeg_size
 from jaxdet.io.messages import CompressedImageMessage
 from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_head
 from jaxdet.io.rvl import decode_rvl
 
-_JPEG = b"\xff\xd8"
 _DEPTH_HEAD = struct.Struct("<iff")
 _RVL_HEAD = struct.Struct("<II")
 
@@ -45,12 +45,11 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
         FrameError: It is neither JPEG, PNG nor ``compressedDepth``.
     """
     data = memoryview(image.data)
-    if _begins(data, _JPEG):
+    if _begins(data, JPEG):
         try:
-            height, width = simplejpeg.decode_jpeg_header(data)[:2]
+            return jpeg_size(data)
         except ValueError as error:
             raise bad_frame(f"JPEG head is damaged ({error})") from error
-        return int(width), int(height)
     if not _begins(data, MAGIC):
         data = data[_DEPTH_HEAD.size :]
         if _is_rvl(image.format) and len(data) >= _RVL_HEAD.size:
@@ -79,12 +78,12 @@ def decode_compressed_color(
     _check("colour", image, row, max_pixels)
     data = memoryview(image.data)
     try:
-        if _begins(data, _JPEG):
-            simplejpeg.decode_jpeg(data, colorspace="RGB", buffer=row)
+        if _begins(data, JPEG):
+            decode_jpeg(data, row)
         else:
             decode_png_color(data, row)
     except ValueError as error:
-        kind = "JPEG" if _begins(data, _JPEG) else "PNG"
+        kind = "JPEG" if _begins(data, JPEG) else "PNG"
         raise bad_frame(f"{kind} can't be decoded ({error})") from error
 
 

@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
+from jaxdet.io.limits import ReadMemory, check_memory
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
@@ -62,6 +63,8 @@ class LogFile(ABC):
     """What it begins with."""
     kind: str
     """The format's name, for people."""
+    memory: ReadMemory = ReadMemory()
+    """What takes more is refused."""
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes
@@ -86,7 +89,8 @@ class LogFile(ABC):
 
     def __reduce__(self) -> tuple:
         """In another process the file is opened again."""
-        return type(self), (self.path, self.max_bytes, self.state)
+        arguments = self.path, self.max_bytes, self.state
+        return type(self), arguments, {"memory": self.memory}
 
     def close(self) -> None:
         """Closes the file."""
@@ -107,6 +111,15 @@ class LogFile(ABC):
             problem = "the file was changed while it was read"
             remedy = "read it again when nothing writes to it"
             raise InputError(problem, path=str(self.path), remedy=remedy)
+
+    def check_memory(self, size: int) -> None:
+        """Makes sure that there is memory for a chunk of ``size`` bytes.
+
+        Raises:
+            InputError: There isn't. One above ``max_bytes`` is refused whatever there is.
+        """
+        if size <= self.max_bytes:
+            check_memory(f"a chunk of {size} bytes", size, self.memory.chunk, str(self.path))
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
@@ -204,6 +217,7 @@ class McapFile(LogFile):
             DamageError: It can't be read any more.
         """
         head = self.chunk_head(position)
+        self.check_memory(max(head.uncompressed_size, head.data_size))
         data = self.read(position + head.data_offset, min(head.data_size, self.max_bytes + 1))
         return decompress(head, data, self.max_bytes)
 

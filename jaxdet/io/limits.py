@@ -6,7 +6,10 @@ of them is read in seconds and within a gigabyte. Chunks and messages have their
 ``LogOptions.max_chunk_mib``, images in ``LogOptions.max_pixels``.
 """
 
+from typing import NamedTuple
+
 from jaxdet.errors import InputError
+from jaxdet.memory import size_text
 
 MAX_SCHEMA_BYTES = 1 << 20
 """Of one schema. ROS definitions have up to 30 kB, sets of protobuf descriptors up to 300 kB."""
@@ -29,20 +32,43 @@ MAX_JSON_BYTES = 16 << 20
 MAX_TRANSLATION_M = 1e8
 """Of a transform or pose [m]: coordinates with their origin in the Earth's middle are within."""
 
+_INDEX_BYTES = 64
+"""Of a message that is known."""
 _FREE_MESSAGES, _MESSAGE_BYTES = 250_000, 8
 _FREE_MOTIONS, _MOTION_BYTES = 100_000, 32
 _FREE_IMAGES, _IMAGE_BYTES = 10_000, 64
 
 
-def check_messages(count: int, file_bytes: int, path: str) -> None:
-    """Refuses more messages than a file has room for: 250,000, and one for each 8 bytes.
+class ReadMemory(NamedTuple):
+    """How much memory reading a log may take in a process [bytes]; by default any amount."""
 
-    The index alone takes 16 bytes for each.
+    chunk: int = 1 << 40
+    """For the largest chunk or message, and as much for those that are kept."""
+    index: int = 1 << 40
+    """For what is known of messages while a file is opened."""
+
+
+def check_messages(count: int, file_bytes: int, path: str, memory: "ReadMemory") -> None:
+    """Refuses more messages than a file has room for, or memory: 250,000, and one for each 8 bytes.
 
     Raises:
         InputError: There are more.
     """
     _check("messages", count, _FREE_MESSAGES, _MESSAGE_BYTES, file_bytes, path)
+    check_memory(f"an index of {count} messages", count * _INDEX_BYTES, memory.index, path)
+
+
+def check_memory(what: str, nbytes: int, memory_bytes: int, path: str) -> None:
+    """Refuses what takes more memory than there is for it.
+
+    Raises:
+        InputError: It does.
+    """
+    if nbytes > memory_bytes:
+        problem = f"{what} takes {size_text(nbytes)}, where {size_text(memory_bytes)} are allowed"
+        # A chunk gets a quarter of what there is, and the index half.
+        remedy = f"give --memory {size_text(4 * (nbytes - memory_bytes))} more"
+        raise InputError(problem, path=path, remedy=remedy)
 
 
 def check_motions(count: int, file_bytes: int, path: str, topic: str) -> None:

@@ -18,6 +18,7 @@ from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, ScannedFrames, find_indexed, find_scanned
 from jaxdet.io.index import LogIndex
+from jaxdet.io.limits import ReadMemory
 from jaxdet.io.log_frame import LogFrame, one_by_one
 from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
@@ -32,6 +33,7 @@ from jaxdet.types import Frames
 _LINE_BYTES = 64
 _PER_FRAME = ("number", "stamp_ns", "depth_stamp_ns", "valid")
 """Of :class:`jaxdet.types.Frames`, what is known of each frame beside images and pose."""
+_MESSAGE_BYTES = 96
 _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
 """Of images that are read together."""
@@ -156,7 +158,7 @@ class Log:
         color_shape, depth_shape = self.image_shapes
         frame_bytes = math.prod(color_shape) + 2 * math.prod(depth_shape)
         self._at_once = max(1, min(_MAX_AT_ONCE, _BYTES_AT_ONCE // frame_bytes))
-        store.cache_bytes = max(store.cache_bytes, _FRAMES_KEPT * frame_bytes)
+        store.keep(_FRAMES_KEPT * frame_bytes)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what looking at every message told."""
@@ -242,6 +244,11 @@ class Log:
             if isinstance(error, RescanError):
                 raise
             raise _rescan(error, self._path) from error
+
+    @property
+    def index_bytes(self) -> int:
+        """About how much memory what is known of the log's messages takes in each process."""
+        return _MESSAGE_BYTES * sum(topic.num_messages for topic in self.description.topics)
 
     def described(self, notes: Notes) -> LogDescription:
         """The log's description with what reading all its frames told.
@@ -386,15 +393,21 @@ class Log:
         return poses
 
 
-def open_log(source: str | PathLike[str] | LogFiles, options: LogOptions | None = None) -> Log:
+def open_log(
+    source: str | PathLike[str] | LogFiles,
+    options: LogOptions | None = None,
+    memory: ReadMemory | None = None,
+) -> Log:
     """Opens a camera of a log by its index, or reads all of it where that is missing or wrong.
 
     Args:
         source: A file, a folder or a glob with exactly one log, or one of :func:`find_logs`.
         options: What the user says about the log; default: nothing.
+        memory: What reading may take; changes no frame.
 
     Raises:
-        InputError: No file can be read, there are several logs, or no frame is in the part.
+        InputError: No file can be read, there are several logs, no frame is in the part, or a
+            chunk or the index takes more memory.
         CamerasError: The log has several cameras, and the options choose none.
         TopicError: No or several topics can be colour or depth.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
@@ -406,8 +419,9 @@ def open_log(source: str | PathLike[str] | LogFiles, options: LogOptions | None 
             problem, remedy = f"there are {len(logs)} logs here", "name one of them"
             raise InputError(problem, path=str(source), remedy=remedy)
         source = logs[0]
-    opened = open_files(source, options)
-    store = ChunkStore(opened.files)
+    memory = memory or ReadMemory()
+    opened = open_files(source, options, memory)
+    store = ChunkStore(opened.files, most_bytes=memory.chunk)
     path = str(source.paths[0])
     try:
         if not options.scan:

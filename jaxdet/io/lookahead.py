@@ -45,11 +45,11 @@ def ahead(
         pool: Decompresses.
     """
     waiting: deque[Ahead] = deque()
-    size_ahead = 0
+    size_ahead, most = 0, min(AHEAD_BYTES, file.memory.chunk)
     for record in records:
         is_chunk = record.opcode == Opcode.CHUNK
         size = file.chunk_bytes(record.position) if is_chunk else 0
-        while waiting and (size_ahead + size > AHEAD_BYTES or len(waiting) >= AHEAD_RECORDS):
+        while waiting and (size_ahead + size > most or len(waiting) >= AHEAD_RECORDS):
             size_ahead -= waiting[0].size
             yield waiting.popleft()
         if is_chunk:

@@ -92,6 +92,7 @@ class MessageFile(LogFile):
         head = self.chunk_head(position)
         if head.uncompressed_size > self.max_bytes:
             raise DamageError("chunk is larger than --log.max-chunk-mib")
+        self.check_memory(head.uncompressed_size)
         return self.read(position, head.uncompressed_size)
 
     def read(self, position: int, size: int) -> bytes:

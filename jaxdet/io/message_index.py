@@ -12,6 +12,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
+from jaxdet.io.limits import check_messages
 from jaxdet.io.summary import FileBytes, Summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
@@ -126,6 +127,8 @@ def _check(file: McapFile, summary: Summary) -> None:
         raise DamageError("chunk is larger than --log.max-chunk-mib")
     if (chunks.first_ns > chunks.last_ns).any():
         raise DamageError("chunk ends before it begins")
+    count = int(chunks.index_length.sum()) // _ENTRY_BYTES
+    check_messages(count, file.size, str(file.path), file.memory)
 
 
 def _entries(

@@ -11,6 +11,7 @@ from jaxdet.io.files import LogFiles, missing_splits, siblings
 from jaxdet.io.formats import open_file, scan_file
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
+from jaxdet.io.limits import ReadMemory
 from jaxdet.io.options import LogOptions
 from jaxdet.io.store import ChunkStore
 
@@ -27,8 +28,13 @@ class OpenedFiles(NamedTuple):
             file.close()
 
 
-def open_files(log: LogFiles, options: LogOptions) -> OpenedFiles:
+def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> OpenedFiles:
     """Opens a log's files; a split that can't be read is left out with a warning.
+
+    Args:
+        log: Its files.
+        options: What the user says about it.
+        memory: What reading may take.
 
     Raises:
         InputError: None of its files can be read.
@@ -37,7 +43,9 @@ def open_files(log: LogFiles, options: LogOptions) -> OpenedFiles:
     failures: list[InputError] = []
     for path in log.paths:
         try:
-            files.append(open_file(path, options.max_chunk_mib << 20))
+            file = open_file(path, options.max_chunk_mib << 20)
+            file.memory = memory
+            files.append(file)
         except InputError as error:
             failures.append(error)
     if not files:

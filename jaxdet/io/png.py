@@ -24,6 +24,8 @@ _HEAD = struct.Struct(">IIBBBBB")
 _ANCILLARY = 0x20
 """A bit of a chunk's name: it may be passed over."""
 _LAST_FILTER = 4
+_FREE_BYTES, _FREE_CHUNKS, _CHUNK_BYTES = 1 << 10, 64, 256
+"""A file has so many chunks, and one for each so many bytes; libpng's have 8 KiB."""
 
 
 class PngHead(NamedTuple):
@@ -99,8 +101,13 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
     if row.shape[:2] != (head.height, head.width):
         raise ValueError(f"its size is {head.width}x{head.height}")
     line = 1 + head.width * _SAMPLES[head.color_type] * head.bits // 8
+    compressed = _compressed(memoryview(data))
+    # What encoders can't compress they store. The rest could be blocks that inflate to nothing,
+    # each of which takes as long as a thousand pixels.
+    if len(compressed) > head.height * line * 5 // 4 + _FREE_BYTES:
+        raise ValueError(f"{len(compressed)} bytes are too many for its size")
     try:
-        inflated = deflate.zlib_decompress(_compressed(memoryview(data)), head.height * line)
+        inflated = deflate.zlib_decompress(compressed, head.height * line)
     except deflate.DeflateError as error:
         raise ValueError("its pixels can't be inflated, or are too many") from error
     if len(inflated) != head.height * line:
@@ -114,10 +121,14 @@ def _lines(data: bytes | memoryview, head: PngHead, row: np.ndarray) -> np.ndarr
 def _compressed(data: memoryview) -> bytes | memoryview:
     """The content of all IDAT chunks."""
     parts: list[memoryview] = []
+    left = _FREE_CHUNKS + len(data) // _CHUNK_BYTES
     position, name, known = len(MAGIC), b"", {b"IHDR"}
     while name != b"IEND":
         if position + _CHUNK.size > len(data):
             raise ValueError("it ends early")
+        left -= 1
+        if left < 0:
+            raise ValueError("it has too many chunks")
         size, name = _CHUNK.unpack_from(data, position)
         start = position + _CHUNK.size
         position = start + size + _CRC_BYTES

@@ -191,7 +191,9 @@ class ImageReader:
                     payloads.append(None)
             return payloads
         parts: list[memoryview] = []
-        rest = memoryview(bytearray(size - sum(len(span.row) for span in spans if span)))
+        left = size - sum(len(span.row) for span in spans if span)
+        file.check_memory(left)
+        rest = memoryview(bytearray(left))
         done = used = 0
         moved = []
         for item, span in zip(requests, spans, strict=True):

@@ -6,6 +6,9 @@ The stream is little-endian 32-bit words of eight nibbles, the most significant 
 are variable-length: three bits a nibble, lowest first, the nibble's top bit says that more
 follow. They are, over and over: a count of zero pixels, a count of non-zero pixels, and for
 each of these the difference to the non-zero pixel before it, with the sign in the lowest bit.
+
+A number has at most 11 nibbles and two counts fill at least one pixel, so no stream takes more than
+33 nibbles a pixel, whatever follows.
 """
 
 import numpy as np

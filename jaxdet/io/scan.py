@@ -125,6 +125,7 @@ class _Scan:
         elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
             if length > self.file.max_bytes:
                 raise DamageError("record is larger than --log.max-chunk-mib")
+            self.file.check_memory(length)
             content = memoryview(self.file.read(position, length))
             self._content(opcode, content, _TOP_LEVEL, position)
 
@@ -209,7 +210,7 @@ class _Scan:
         info = self.infos.get(channel_id) or self._info(channel_id)
         self.messages += 1
         self.read[channel_id] += 1
-        check_messages(self.messages, self.file.size, str(self.file.path))
+        check_messages(self.messages, self.file.size, str(self.file.path), self.file.memory)
         log_ns = min(log_ns, _MAX_TIME_NS)
         self.last_ns = max(self.last_ns, log_ns)
         size = len(content) - MESSAGE_HEAD.size

@@ -53,7 +53,7 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
     except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
         raise damage(error) from error
     number, channel, log_ns, size = np.concatenate(parts, axis=1)
-    check_messages(len(number), file.size, str(file.path))
+    check_messages(len(number), file.size, str(file.path), file.memory)
     for value in (channel.min(initial=0), channel.max(initial=0)):
         MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
     if (np.diff(number) <= 0).any():
@@ -105,7 +105,7 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
             continue
         messages += 1
         last_ns = max(last_ns, log_ns)
-        check_messages(messages, file.size, str(file.path))
+        check_messages(messages, file.size, str(file.path), file.memory)
         where = Location(position, HEAD_BYTES, len(data))
         handler(infos[channel], log_ns, memoryview(data), where)
     file.check_unchanged()

@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 from jaxdet.cores import cores
 from jaxdet.io.chunks import ChunkHead, DamageError
 from jaxdet.io.container import LogFile
+from jaxdet.io.limits import ReadMemory
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -34,12 +35,18 @@ class ChunkStore:
         files: The log's open files.
         threads: How many load and decode; 1: only the caller's. None: one a core.
         cache_bytes: Of decompressed chunks that are kept, or one if it is larger.
+        most_bytes: Of these, whatever :meth:`keep` asks for.
     """
 
     def __init__(
-        self, files: Sequence[LogFile], threads: int | None = None, cache_bytes: int = CACHE_BYTES
+        self,
+        files: Sequence[LogFile],
+        threads: int | None = None,
+        cache_bytes: int = CACHE_BYTES,
+        most_bytes: int = ReadMemory().chunk,
     ) -> None:
-        self.files, self.cache_bytes = files, cache_bytes
+        self.files, self._most_bytes = files, most_bytes
+        self.cache_bytes = min(cache_bytes, most_bytes)
         self.checked: set[Place] = set()
         """Chunks that were read as a whole, and are as their CRC says."""
         self.threads = threads or cores()
@@ -53,7 +60,11 @@ class ChunkStore:
 
     def __reduce__(self) -> tuple:
         """In another process one thread loads and decodes, as processes share the cores."""
-        return ChunkStore, (self.files, 1, self.cache_bytes)
+        return ChunkStore, (self.files, 1, self.cache_bytes, self._most_bytes)
+
+    def keep(self, nbytes: int) -> None:
+        """Keeps at least so much, where there is room for it."""
+        self.cache_bytes = min(max(self.cache_bytes, nbytes), self._most_bytes)
 
     def close(self) -> None:
         """Stops the threads and closes the files."""
@@ -167,6 +178,7 @@ class ChunkStore:
         """
         if place.position < 0:
             file = self.files[place.file]
+            file.check_memory(size)
             return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:

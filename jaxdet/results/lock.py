@@ -58,11 +58,13 @@ class Lock:
 
 def _locked(path: Path) -> int:
     """The descriptor of the file, when it is locked and still at its place."""
+    if path.parent.is_symlink():  # what is in it is removed
+        raise InputError("is a link", path=str(path.parent), remedy="remove it")
     tries = 0
     while True:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         except OSError as error:
             tries += 1
             if isinstance(error, FileNotFoundError) and tries < _TRIES:

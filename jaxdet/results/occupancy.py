@@ -101,16 +101,26 @@ class OccupancyMap:
             for place, tile in more.items():
                 mine[place] = mine[place] + tile if place in mine else tile
 
+    @property
+    def cells(self) -> int:
+        """Of the rectangle of tiles around all that is on it."""
+        _, shape = self._place()
+        return int(shape[0]) * int(shape[1])
+
+    def _place(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest tile, and rows and columns of cells."""
+        keys = np.array([*self.tiles, *self.free_tiles])
+        if not len(keys):
+            return np.zeros(2, int), np.zeros(2, int)
+        low = keys.min(axis=0)
+        return low, (keys.max(axis=0) - low + 1) * TILE
+
     def image(self) -> MapImage | None:
         """The map as one array, or None when nothing is on it or it would be too large."""
         path = np.concatenate(self.path) if self.path else np.zeros((0, 2))
-        keys = np.array([*self.tiles, *self.free_tiles])
-        if not len(keys):
+        if not 0 < self.cells <= MAX_CELLS:
             return None
-        low = keys.min(axis=0)
-        shape = (keys.max(axis=0) - low + 1) * TILE
-        if int(shape[0]) * int(shape[1]) > MAX_CELLS:
-            return None
+        low, shape = self._place()
         counts, free = (_joined(tiles, low, shape) for tiles in (self.tiles, self.free_tiles))
         origin = (float(low[1]) * TILE * CELL_M, float(low[0]) * TILE * CELL_M)
         return _cropped(MapImage(counts, free, origin, CELL_M, path))

@@ -125,10 +125,13 @@ class Results:
         self.folder = folder
         if not folder.is_dir():
             raise InputError("no such folder", path=str(folder), remedy=_AGAIN)
-        self._json(MANIFEST)  # the last file to arrive
+        manifest = self._json(MANIFEST)  # the last file to arrive, and the first to leave
         self.summary = self._json("summary.json")
         self.config = self._json("config.json")
         self._frames, self._obstacles = self._table("frames"), self._table("obstacles")
+        if self._json(MANIFEST) != manifest:
+            problem = "the results were replaced while they were opened"
+            raise InputError(problem, path=str(folder), remedy="read them again")
         self.metadata = _metadata(self._obstacles)
         self.frames_metadata = _metadata(self._frames)
         self.version = self.metadata.get(VERSION_KEY, "")

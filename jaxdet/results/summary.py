@@ -3,20 +3,17 @@
 import dataclasses
 import json
 import math
-import platform
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxdet.errors import FrameStatus, printable
-
-PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
+from jaxdet.results.versions import version, versions
 
 STEPS = ("read", "decode", "transfer", "compute", "write")
 ON_DEVICES = ("transfer", "compute")
@@ -206,7 +203,7 @@ class Summary:
         for log in self.whole:
             status.update(log.status)
         return {
-            "jaxdet": _version("jaxdet"),
+            "jaxdet": version("jaxdet"),
             "backend": self.backend,
             "batch_size": self.batch_size,
             "workers": self.workers,
@@ -220,24 +217,6 @@ class Summary:
             "logs": [log.to_dict() for log in self.logs],
             "versions": versions(),
         }
-
-
-@cache
-def versions() -> dict[str, str | None]:
-    """Versions of Python and of the packages that results depend on; None: not installed."""
-    found = {name: _version(name) for name in PACKAGES}
-    return {"python": platform.python_version(), **found}
-
-
-def _version(name: str) -> str | None:
-    from importlib.metadata import PackageNotFoundError, version  # loads much
-
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        import jaxdet
-
-        return jaxdet.__version__ if name == "jaxdet" else None
 
 
 def to_json(value: Mapping[str, Any]) -> str:

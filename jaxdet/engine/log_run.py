@@ -1,0 +1,271 @@
+"""One log of a run: opened, planned, and its units worked through."""
+
+import itertools
+import os
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.engine.device import OwnDevice
+from jaxdet.engine.floors import Planes, decide_planes, evenly
+from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
+from jaxdet.engine.memory import BATCH, Memory, Share
+from jaxdet.engine.options import RunOptions
+from jaxdet.engine.part import Part, part_path
+from jaxdet.engine.plan import LogPlan, Observer
+from jaxdet.engine.pool import Pool
+from jaxdet.engine.progress import Clock, Report
+from jaxdet.engine.startup import start_up
+from jaxdet.engine.station import Slots
+from jaxdet.engine.unit import LogWork, save_work
+from jaxdet.engine.workspace import Workspace
+from jaxdet.errors import CamerasError, JaxdetError, OutputError
+from jaxdet.io import RescanError, open_log
+from jaxdet.io.notes import total
+from jaxdet.pipeline import BackendName
+from jaxdet.results.durable import flush, writing
+from jaxdet.results.fault import fault_text
+from jaxdet.results.names import camera_file_name
+from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.results.writer import ResultWriter
+
+if TYPE_CHECKING:
+    from jaxdet.io import Log, LogFiles, LogOptions
+
+FRAMES_WORTH_WORKERS = 500
+"""Fewer are done sooner by this process than workers have started."""
+UNIT_FRAMES = 256
+"""Most frames of a unit; neighbouring frames share chunks of the log."""
+PLAN = "plan"
+"""In the folder of a log: how it is worked through."""
+
+_numbers = itertools.count()
+"""Of the files that workers are given."""
+
+
+class Shared(NamedTuple):
+    """What the logs of a run have in common."""
+
+    config: Config
+    options: RunOptions
+    observers: Mapping[str, Observer]
+    work: Workspace
+    summary: Summary
+    files: dict[str, Path]
+    """Of the results, by their names there."""
+    memory: Memory
+    pool: Pool
+    writer: ResultWriter
+
+
+class LogRun:
+    """One log of a run, or one camera of it after the other."""
+
+    def __init__(self, run: Shared, files: "LogFiles", file_name: str, report: Report) -> None:
+        self.run, self.files, self.file_name, self.report = run, files, file_name, report
+        self.config, self.options, self.pool = run.config, run.options, run.pool
+        self.workers = 1
+        """Processes that shared the frames."""
+        self.batch = 0
+        """Frames computed together."""
+
+    def take(self, folder: Path, log_options: "LogOptions") -> LogSummary:
+        """The rows, pictures and map are in the results, or there is an error.
+
+        Args:
+            folder: What is done lies here.
+            log_options: How to read.
+
+        Raises:
+            CamerasError: There are several cameras, and the options choose none.
+            OutputError: The disk is full or broken.
+        """
+        self.folder, self.about, summary = folder, self._new(), self.run.summary
+        files = self.run.files
+        try:
+            self._make_whole(log_options)
+            for part in parts_of(self.run.work.read(folder / PLAN)._replace(folder=folder)):
+                self.run.writer.add(part.rows)
+            files.update({name: folder / name for name in self.about.pictures})
+            files.update(map_files(self.about, folder))
+        except (OutputError, CamerasError):
+            raise
+        except Exception as error:
+            self.about.error = str(error)
+            if not isinstance(error, JaxdetError):
+                self.about.error = f"{self.files.name}: {type(error).__name__}: {error}"
+            if not isinstance(error, JaxdetError) or hasattr(error, "__notes__"):
+                report = f"report_{self.about.file_name or self.file_name}.txt"
+                self.about.error += f"; a fault of jaxdet: please send its developers {report}"
+                files[report] = self.run.work.result / report
+                with writing(files[report]):
+                    text = fault_text(error, self.files.paths)
+                    files[report].write_text(text, encoding="utf-8")
+        summary.workers = max(summary.workers, self.workers)
+        summary.batch_size = max(summary.batch_size, self.batch)
+        return self.about
+
+    def _new(self) -> LogSummary:
+        return LogSummary(self.files.name, tuple(map(str, self.files.paths)))
+
+    def _make_whole(self, options: "LogOptions") -> None:
+        """All parts are on the disk, and the summary."""
+        work = self.run.work
+        plan: LogPlan | None = work.read(self.folder / PLAN)
+        if plan is None:
+            work.empty(self.folder)
+        elif found := work.read(self.folder / WHOLE):
+            self.about, self.workers, self.batch = found
+            return
+        elif plan.scan:
+            options = replace(options, scan=True)
+        try:
+            self._open_and_run(plan, options)
+        except RescanError:
+            if options.scan:
+                raise
+            work.empty(self.folder)
+            self._open_and_run(None, replace(options, scan=True))
+        work.write(self.folder / WHOLE, (self.about, self.workers, self.batch))
+
+    def _open_and_run(self, plan: LogPlan | None, options: "LogOptions") -> None:
+        self.about = about = self._new()
+        camera = f", {options.camera}" if options.camera else ""
+        self.report(about, f"{self.files.name}{camera}", 0, "opening")
+        with open_log(self.files, options, self.run.memory.reading) as log:
+            about.camera, about.file_name = log.camera, self._stem(log)
+            self._run(log, plan, scan=options.scan)
+
+    def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
+        about, frames = self.about, len(log.frames)
+        about.description, about.calibration = log.description, log.calibration
+        about.warnings += log.description.warnings
+        alone = self._alone(frames)
+        share = self._share(log, 1 if alone else self.run.memory.workers)
+        alone = alone or (share.workers == 1 and not self.pool.devices)
+        self.pool.resize(share.workers)
+        self.workers = about.workers = share.workers
+        about.devices = len(self.pool.devices)
+        if begun is None:
+            self.report(about, log.label, frames, "looking for the floor")
+        if not alone:
+            self.pool.start()
+        elif self.options.backend == "jax":
+            start_up()
+        if self.pool.devices:
+            slots, self.batch = self._serve(log, share)
+            together = slots.frames
+        else:
+            self.batch = share.batch
+            together = min(self.batch, max(1, frames))
+        if begun is None:
+            here = alone or bool(self.pool.devices)  # else this process has no need of JAX
+            decide = decide_planes if here else partial(self.pool.call, decide_planes)
+            planes = decide(log, self.config, self.options.backend, None, self.batch)
+            begun = self._plan(log, together, planes, scan=scan)
+            self.run.work.write(self.folder / PLAN, begun)
+        plan = begun._replace(batch_size=together, folder=self.folder)
+        about.ground = plan.planes.records
+        about.warnings += plan.planes.warnings
+        self._work_through(log, plan, share, alone=alone)
+        notes = join_parts(plan, about, self.run.memory.room)
+        about.description = log.described(total(notes))
+        about.warnings += about.description.warnings[len(log.description.warnings) :]
+        about.warnings += [about.floor_warning] if about.floor_warning else []
+
+    def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> None:
+        """Leaves the parts that are not there yet."""
+        about, clock = self.about, Clock(self.about, self.workers)
+        units = []
+        for unit in plan.units():
+            part = Part.load(plan.folder, unit)
+            if part is None:
+                units.append(unit)
+            else:
+                about.add(part.counts)
+        clock.before = about.frames
+        self.report(about, log.label, len(log.frames), "starting")
+        if alone:
+            device = OwnDevice(self.config, self.options.backend, ahead=1)
+            work = LogWork(log, plan, device).work_through(units, share.read_ahead)
+        else:
+            work = self.pool.work_through(plan, units, partial(self._save, log, share))
+        with closing(work):
+            for counts in work:
+                about.add(counts)
+                clock.tick()
+                self.report(about, log.label, len(log.frames), "")
+        with writing(self.folder), ThreadPoolExecutor() as disk:  # units did not wait for it
+            deque(disk.map(flush, (part_path(self.folder, unit) for unit in units)), 0)
+        about.seconds = clock.seconds
+
+    def _save(self, log: "Log", share: Share, plan: LogPlan) -> Path:
+        """What workers need, in a file of its own."""
+        slots = None
+        if self.pool.devices:
+            slots, _ = self._serve(log, share)
+        path = self.folder / f"{os.getpid()}-{next(_numbers)}.work"
+        save_work(path, log, plan, slots)
+        return path
+
+    def _share(self, log: "Log", workers: int) -> Share:
+        """How many work on the log, and on how much of it at a time."""
+        color, depth = log.image_shapes
+        batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
+        frame = prod(color) + 2 * prod(depth)
+        return self.run.memory.share(frame, log.index_bytes, batch, workers, str(log.name))
+
+    def _serve(self, log: "Log", share: Share) -> tuple[Slots, int]:
+        return self.pool.serve(log, self.config, self.options.batch_size, share.batch)
+
+    def _stem(self, log: "Log") -> str:
+        one = log.label == log.name
+        return self.file_name if one else camera_file_name(self.file_name, log.camera)
+
+    def _plan(self, log: "Log", batch: int, planes: Planes, *, scan: bool) -> LogPlan:
+        """How a log is worked through; ``batch`` frames at a time."""
+        count, config = self.options.pictures, self.config
+        drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
+        return LogPlan(
+            self.files.name,
+            log.camera,
+            log.label,
+            log.frames,
+            config,
+            self.options.backend,
+            batch,
+            _unit_frames(len(log.frames), batch, self.workers, self.options.backend),
+            planes,
+            frozenset(drawn.tolist()),
+            self.folder,
+            self._stem(log),
+            self.run.observers,
+            scan,
+        )
+
+    def _alone(self, frames: int) -> bool:
+        """Whether this process does a log itself, as it has few frames.
+
+        Not after a run that ended without a word: what ended it may be in the log.
+        """
+        if self.pool.devices or self.run.work.taken_over:
+            return False
+        one = self.run.memory.workers == 1
+        return one or not (
+            self.options.workers or self.pool.started or frames >= FRAMES_WORTH_WORKERS
+        )
+
+
+def _unit_frames(frames: int, batch: int, workers: int, backend: BackendName) -> int:
+    """Frames of a unit: whole batches, and enough units to keep all workers busy to the end."""
+    most = UNIT_FRAMES if backend == "jax" else batch
+    return max(1, min(most, frames // (4 * workers)) // batch) * batch

@@ -1,0 +1,126 @@
+"""One number of bytes, divided among all that holds memory in a run.
+
+The libraries and programs of each process come first, in figures measured with frames of 640x480.
+What is left is shared by the processes: a part for chunks of the log, which bounds what a file may
+ask for, and the rest for images. So it decides how many processes there are, how many frames they
+compute together, and how far they read ahead. None of these changes a byte of the results.
+
+Counted is resident memory, pages that processes share once.
+"""
+
+from typing import NamedTuple
+
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.io.limits import ReadMemory
+from jaxdet.memory import machine_memory, parse_size, size_text
+
+MIB = 1 << 20
+SHARE = 0.75
+"""Of the machine's memory, where the user says nothing."""
+ALONE = 416 * MIB
+"""A process that does all: JAX, Warp, their programs and temporaries; 335 to 430 MiB."""
+PARENT = 192 * MIB
+"""The process that hands out units, with the server that workers are forked from; 160 MiB."""
+WORKER = 256 * MIB
+"""A worker that computes, beside what it shares with the server; 175 to 215 MiB."""
+ON_GPUS = 4096 * MIB
+"""A process that computes on GPUs; not measured."""
+READER = 192 * MIB
+"""A worker that reads for it."""
+TABLES = 256 * MIB
+"""Rows that wait for a row group of 65,536 frames, while it is packed."""
+LEAST_CHUNKS, MOST_CHUNKS = 64 * MIB, 512 * MIB
+"""For chunks in a process, of which the largest may take half, as it is there packed too."""
+LEAST_IMAGES = 32 * MIB
+"""For images in a process; four frames of 1920x1080."""
+BATCH = 16
+"""Frames computed together by a process of the CPU, unless the user says."""
+READ_AHEAD = 2
+"""Batches that wait, read, where one process has all cores."""
+_IN_HAND = 5
+"""Batches in a process beside those: filled, started, finished, and as much for temporaries."""
+
+
+class Share(NamedTuple):
+    """How a log is worked on."""
+
+    workers: int
+    """Processes; 1: this one alone."""
+    batch: int
+    """Frames read together by a process; on the CPU they are computed together."""
+    read_ahead: int
+    """Batches that wait, read, in a process that is alone."""
+
+
+class Memory:
+    """The memory of a run.
+
+    Args:
+        asked: What the user gave; None: a share of the machine.
+        workers: Processes that would be of use.
+        devices: GPUs.
+
+    Attributes:
+        total: Bytes.
+        workers: Processes that there is room for, at most as many.
+        chunks: Bytes for chunks in each process.
+        reading: What reading a log may take.
+        room: Bytes beside what processes take at rest.
+
+    Raises:
+        ConfigError: The user gave too little.
+    """
+
+    def __init__(self, asked: str | None, workers: int, devices: int = 0) -> None:
+        self._devices = devices
+        least = self._fixed(1) + LEAST_CHUNKS + LEAST_IMAGES
+        if asked is None:
+            self.total = max(least, int(SHARE * machine_memory()))
+        else:
+            self.total = parse_size(asked, "--memory")
+        if self.total < least:
+            remedy = f"give --memory {size_text(least)} or more"
+            raise ConfigError(f"--memory {asked} is too little for any log", remedy=remedy)
+        fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
+        self.workers = max([1, *fitting])
+        self.chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, self._left(self.workers) // 2))
+        self.room = self.total - self._fixed(self.workers)
+        index = (self.total - self._fixed(1) - self.chunks) // 2
+        self.reading = ReadMemory(self.chunks // 2, index)
+
+    def share(self, frame: int, index: int, batch: int, workers: int, where: str) -> Share:
+        """How a log is worked on, with the most of everything that there is room for.
+
+        Args:
+            frame: Bytes of a frame's images.
+            index: Bytes of what is known of the log's messages, which each process has.
+            batch: Frames that would be computed together.
+            workers: Processes that would be of use.
+            where: The log, for the error.
+
+        Raises:
+            InputError: There is no room for one frame.
+        """
+        for count in range(min(workers, self.workers), 0, -1):
+            left = self._left(count) - self.chunks - index * (count + 1) // count
+            ahead = READ_AHEAD if count == 1 and not self._devices else 0
+            size = batch
+            while size:
+                for waiting in range(ahead, -1, -1):
+                    if (_IN_HAND + waiting) * size * frame <= left:
+                        return Share(count, size, waiting)
+                size //= 2
+        images = _IN_HAND * frame + 2 * index
+        chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, images))  # which get half of what is left
+        least = size_text(self._fixed(1) + chunks + images)
+        problem = f"its images and index need more memory than --memory {size_text(self.total)}"
+        raise InputError(problem, path=where, remedy=f"give --memory {least} or more")
+
+    def _left(self, workers: int) -> int:
+        """Bytes for the chunks and images of each process."""
+        return (self.total - self._fixed(workers)) // workers
+
+    def _fixed(self, workers: int) -> int:
+        if self._devices:
+            return TABLES + ON_GPUS + workers * READER
+        return TABLES + (ALONE if workers == 1 else PARENT + workers * WORKER)

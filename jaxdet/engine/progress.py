@@ -1,0 +1,78 @@
+"""Where a run stands, for people: what is done of a log, and how fast it goes."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
+
+from jaxdet.results.summary import LogSummary
+
+
+class Progress(NamedTuple):
+    """Where a run stands, given to the progress callback after each unit, and before the first."""
+
+    log: str
+    """The log's name, and the camera's where the log has several."""
+    log_number: int
+    num_logs: int
+    done: int
+    """Frames of this log."""
+    total: int
+    """Frames of this log."""
+    bad: int
+    """Frames of this log that are not ok."""
+    frames_per_s: float | None
+    bottleneck: str = ""
+    """The step that others wait for, see :attr:`jaxdet.results.summary.LogSummary.bottleneck`."""
+    rates: Mapping[str, float] = MappingProxyType({})
+    """Frames a second of each step alone."""
+    doing: str = ""
+    """What goes on before the first unit is through."""
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+Report = Callable[[LogSummary, str, int, str], None]
+"""Gets where a log stands: summary, label, frames, and what goes on."""
+
+
+def reporter(progress: ProgressCallback | None, number: int, count: int) -> Report:
+    """Tells a callback where the log of a number, of so many, stands."""
+
+    def report(part: LogSummary, label: str, total: int, doing: str) -> None:
+        if progress:
+            state = part.frames, total, part.num_bad, part.frames_per_s, part.bottleneck
+            progress(Progress(label, number, count, *state, part.rates, doing))
+
+    return report
+
+
+@dataclass
+class Clock:
+    """Times of a log: the first units, and the rate after them."""
+
+    about: LogSummary
+    workers: int
+    start: float = field(default_factory=time.perf_counter)
+    before: int = 0
+    """Frames that were there at the start."""
+    units: int = 0
+    first: int = 0
+    """Frames of the first unit of each worker."""
+
+    @property
+    def seconds(self) -> float:
+        """Since the start."""
+        return time.perf_counter() - self.start
+
+    def tick(self) -> None:
+        """A unit has been counted."""
+        about, seconds = self.about, self.seconds
+        done = about.frames - self.before
+        rest, self.units = done - self.first, self.units + 1
+        if self.units <= self.workers:
+            self.first, about.first_batch_s = done, seconds
+        elif rest >= 2 * self.first and seconds > about.first_batch_s:
+            about.frames_per_s = round(rest / (seconds - about.first_batch_s), 2)

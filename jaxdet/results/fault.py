@@ -1,0 +1,16 @@
+"""What the people who can mend a fault of jaxdet itself want to know of it."""
+
+import traceback
+from collections.abc import Iterable
+
+import jaxdet
+from jaxdet.errors import printable
+from jaxdet.results.versions import source_digest, versions
+
+
+def fault_text(error: BaseException, inputs: Iterable[object] = ()) -> str:
+    """The inputs, the versions and the traceback, every line fit for a terminal."""
+    lines = [*map(str, inputs), "", f"jaxdet {jaxdet.__version__}, source {source_digest()}"]
+    lines += [f"{name} {version}" for name, version in versions().items()]
+    lines += ["", *"".join(traceback.format_exception(error)).splitlines()]
+    return "\n".join(map(printable, lines)).lstrip("\n") + "\n"

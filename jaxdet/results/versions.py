@@ -1,0 +1,62 @@
+"""Which jaxdet this is: the versions of what its results depend on, and its source."""
+
+import hashlib
+import os
+import platform
+from collections.abc import Iterator
+from functools import cache
+
+PACKAGES = ("jax", "jaxlib", "warp-lang", "numpy", "opencv-python-headless", "pyarrow", "mcap")
+_CODE = (".py", ".h", ".json")
+"""Python, the kernels' C++, and the tables that were learnt."""
+
+
+@cache
+def versions() -> dict[str, str | None]:
+    """Versions of Python and of the packages that results depend on; None: not installed."""
+    found = {name: version(name) for name in PACKAGES}
+    return {"python": platform.python_version(), **found}
+
+
+def version(name: str) -> str | None:
+    """Of a package; None: not installed."""
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed  # loads much
+
+    try:
+        return installed(name)
+    except PackageNotFoundError:
+        import jaxdet
+
+        return jaxdet.__version__ if name == "jaxdet" else None
+
+
+@cache
+def source_digest() -> str:
+    """A checksum of jaxdet's own code, as two builds of a version may differ.
+
+    Returns:
+        16 hexadecimal digits of the SHA-256 of the names and contents of all files that decide
+        results. It takes some 10 ms.
+    """
+    from importlib.util import find_spec
+
+    hashed = hashlib.sha256()
+    for package in ("jaxdet", "jaxdet_kernels"):
+        spec = find_spec(package)
+        for folder in (spec and spec.submodule_search_locations) or ():
+            for path in sorted(_code(folder)):
+                with open(path, "rb") as file:
+                    content = file.read()
+                name = package + path[len(folder) :].replace(os.sep, "/")
+                hashed.update(f"{name} {len(content)}\n".encode())
+                hashed.update(content)
+    return hashed.hexdigest()[:16]
+
+
+def _code(folder: str) -> Iterator[str]:
+    for entry in os.scandir(folder):
+        if entry.is_dir():
+            yield from _code(entry.path)
+        elif entry.name.endswith(_CODE):
+            yield entry.path

@@ -1,0 +1,68 @@
+"""A run over large images; started by ``tests/test_memory.py``, says the most memory it had.
+
+Nothing is looked for in the images, which are made instead of read.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxdet import engine
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import device, log_run
+from jaxdet.io import Batch, LogFiles, LogOptions
+from jaxdet.pipeline import detect
+from tests.test_engine import FakeLog
+
+SHAPES = (2048, 3072, 3), (2048, 3072)
+
+
+class LargeLog(FakeLog):
+    """Frames of 6 megapixels."""
+
+    image_shapes, num_frames, frames = SHAPES, 48, range(48)
+
+    def batches(self, size: int, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
+        for first in range(start, stop or 48, size):
+            numbers = np.arange(first, min(first + size, stop or 48))
+            batch = self._batch(numbers % 10, size)
+            images = (np.ones((size, *shape), np.uint8) for shape in SHAPES)
+            color, depth = next(images), next(images).astype(np.uint16)
+            padded = np.pad(numbers, (0, size - len(numbers)))
+            frames = batch.frames._replace(color=color, depth=depth, number=padded)
+            yield batch._replace(frames=frames)
+
+
+@lru_cache
+def nothing(count: int) -> Any:
+    frames = FakeLog()._batch(np.arange(0), count).frames
+    return detect(frames, Config(GroundConfig(source="none")), backend="reference")
+
+
+def slow(frames: Any, config: Config, backend: str) -> Any:
+    """Takes longer than reading, so that as much waits as may."""
+    time.sleep(0.03 * len(frames.valid))
+    return nothing(len(frames.valid))
+
+
+def main(output: Path, memory: str | None) -> None:
+    log_run.open_log = lambda files, options, memory: LargeLog()
+    device.detect = slow
+    how = engine.RunOptions(output, "reference", memory=memory, pictures=0, workers=1)
+    logs = [LogFiles("a", (Path("a.mcap"),))]
+    summary = engine.run(logs, Config(GroundConfig(source="none")), LogOptions(), how)
+    assert not summary.failed, summary.failed[0].error
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    peak = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) << 10
+    rows = (output / "frames.parquet").read_bytes()
+    print(json.dumps({"peak": peak, "batch": summary.batch_size, "rows": rows.hex()}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2] or None)

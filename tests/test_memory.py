@@ -1,0 +1,180 @@
+"""One number of bytes for a whole run: how it is said, how it is divided, and that it holds."""
+
+import json
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxdet.memory
+from jaxdet.cli.main import main
+from jaxdet.engine import RunOptions
+from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Memory, Share
+from jaxdet.errors import ConfigError, InputError
+from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io.limits import ReadMemory
+from jaxdet.memory import machine_memory, parse_size, size_text
+from tests.io_helpers import make_scene, write_log
+
+ROOT = Path(__file__).resolve().parents[1]
+GIB = 1 << 30
+FRAME = 640 * 480 * 5
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("800MiB", 800 << 20),
+        ("1.5G", 3 << 29),
+        ("2 gb", 2 * 10**9),
+        ("4096", 4096),
+        ("10k", 10 << 10),
+        ("1TiB", 1 << 40),
+        ("5B", 5),
+    ],
+)
+def test_sizes(text, size):
+    assert parse_size(text, "--memory") == size
+    assert parse_size(size_text(size), "--memory") in range(size, size + MIB)
+
+
+@pytest.mark.parametrize("text", ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec"])
+def test_what_is_no_size(tmp_path, text):
+    with pytest.raises(ConfigError, match=r"--memory .* is no size; give --memory .* 4GiB"):
+        RunOptions(tmp_path, memory=text)
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "expected"),
+    [
+        ("0::/a/b", {"a/b/memory.max": "max", "a/memory.max": str(GIB)}, GIB),
+        ("0::/", {"memory.max": str(2 * GIB)}, 2 * GIB),
+        ("9:cpu:/x\n4:memory:/a", {"memory/a/memory.limit_in_bytes": str(GIB)}, GIB),
+        ("0::/a", {"a/memory.max": str(1 << 60)}, None),
+        ("0::/../..", {}, None),
+    ],
+)
+def test_control_groups_count(tmp_path, monkeypatch, groups, files, expected):
+    (tmp_path / "own").write_text(groups, encoding="utf-8")
+    for name, text in files.items():
+        (tmp_path / "groups" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "groups" / name).write_text(text, encoding="ascii")
+    without = Path("/proc/meminfo").read_text(encoding="ascii").split()[1]
+    monkeypatch.setattr(jaxdet.memory, "_OWN", tmp_path / "own")
+    monkeypatch.setattr(jaxdet.memory, "_GROUPS", tmp_path / "groups")
+    assert machine_memory() == min(expected or 1 << 60, int(without) << 10)
+
+
+def used(memory: Memory, share: Share, frame: int, index: int) -> int:
+    """By the figures that the module gives, but in its own words."""
+    processes = ALONE if share.workers == 1 else PARENT + share.workers * WORKER
+    images = (5 + share.read_ahead) * share.batch * frame
+    all_images = share.workers * (images + memory.chunks)
+    return TABLES + processes + all_images + index * (1 + share.workers)
+
+
+@given(
+    total=st.integers(768, 40_000),
+    frame=st.integers(1, 200 * MIB),
+    index=st.integers(0, 2 * GIB),
+    batch=st.integers(1, 300),
+    workers=st.integers(1, 40),
+)
+def test_what_is_given_out_is_never_more_than_there_is(total, frame, index, batch, workers):
+    memory = Memory(f"{total}MiB", workers)
+    assert 1 <= memory.workers <= workers
+    try:
+        share = memory.share(frame, index, batch, workers, "a")
+    except InputError as error:
+        least = re.search(r"give --memory (\d+MiB) or more", str(error))
+        assert least
+        more = Memory(least[1], workers)
+        assert more.total > memory.total
+        assert more.share(frame, index, batch, workers, "a").batch
+        return
+    assert 1 <= share.workers <= memory.workers and 1 <= share.batch <= batch
+    assert used(memory, share, frame, index) <= memory.total
+
+
+def test_enough_memory_changes_nothing():
+    memory = Memory("64GiB", 16)
+    assert memory.share(FRAME, 10 * MIB, BATCH, 16, "a") == (16, BATCH, 0)
+    assert memory.share(FRAME, 10 * MIB, BATCH, 1, "a") == (1, BATCH, 2)
+    assert memory.reading.chunk == 256 * MIB
+
+
+def test_less_memory_is_fewer_processes_then_smaller_batches():
+    shares = []
+    for size in ("8GiB", "4GiB", "2GiB", "1GiB", "800MiB"):
+        memory = Memory(size, 8)
+        share = memory.share(FRAME, 0, BATCH, memory.workers, "a")
+        shares.append((share.workers, share.batch))
+    assert shares == sorted(shares, reverse=True) and len(set(shares)) > 3
+    assert shares[0][0] == 8 and shares[-1][0] == 1
+
+
+def test_a_default_is_never_too_little(monkeypatch):
+    monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 512 * MIB)
+    assert Memory(None, 4).workers == 1
+    with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 768MiB"):
+        Memory("100M", 4)
+    assert Memory("768MiB", 4).total == 768 * MIB
+
+
+def test_too_little_is_said(tmp_path, capsys):
+    log = write_log(tmp_path / "a.mcap", make_scene(2))
+    given = ["run", str(log), "--output", str(tmp_path / "out"), "--memory", "100MiB", "--quiet"]
+    assert main(given) == 2
+    said = capsys.readouterr().err
+    assert said.splitlines()[-1].endswith("too little for any log; give --memory 768MiB or more")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_a_chunk_that_takes_more_memory_is_refused(tmp_path, scan):
+    log = write_log(tmp_path / "a.mcap", make_scene(4))
+    options = LogOptions(scan=scan)
+
+    def read(memory: ReadMemory) -> list[str]:
+        with open_log(log, options, memory) as opened:
+            again = pickle.loads(pickle.dumps(opened))
+            with again:
+                return [str(status) for batch in again.batches(2) for status in batch.status]
+
+    assert read(ReadMemory()) == ["ok"] * 4
+    with pytest.raises(InputError, match=r"a chunk of .* takes .*; give --memory .* more"):
+        read(ReadMemory(chunk=1000))
+    with pytest.raises(InputError, match=r"an index of .* takes .*; give --memory .* more"):
+        read(ReadMemory(index=100))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
+def test_a_run_stays_below_what_it_was_given(tmp_path):
+    def run(memory: str) -> dict[str, Any]:
+        command = [sys.executable, "-m", "tests.memory_run", str(tmp_path / f"o{memory}"), memory]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+        assert not done.returncode, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+    small, large = run("1GiB"), run("4GiB")
+    assert small["peak"] < GIB < large["peak"]
+    assert small["batch"] < large["batch"]
+    assert small["rows"] == large["rows"]
+
+
+def test_memory_is_no_part_of_the_configuration(tmp_path):
+    from jaxdet.config import Config
+    from jaxdet.engine.record import make_record
+
+    log = find_logs([str(write_log(tmp_path / "a.mcap", make_scene(2)))])
+    records = [
+        make_record(log, Config(), LogOptions(), RunOptions(tmp_path, memory=memory), {}, None)
+        for memory in (None, "2GiB")
+    ]
+    assert records[0] == records[1]
