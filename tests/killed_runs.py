@@ -12,13 +12,14 @@ from typing import Any
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device, log_run
+from jaxdet.errors import CamerasError
 from jaxdet.io import LogFiles, LogOptions
 from tests.killed import killed_at
 from tests.test_engine import FakeLog
 
 
 def run(output: Path) -> engine.Summary:
-    """Two logs of ten frames in units of four; nothing is compiled."""
+    """Two logs of ten frames in units of four, one of two cameras; nothing is compiled."""
     logs = [LogFiles(name, (Path(f"{name}.mcap"),)) for name in "ab"]
     config = Config(GroundConfig(source="none"))
     options = engine.RunOptions(output, "reference", batch_size=4, pictures=1, workers=1)
@@ -36,7 +37,7 @@ def files(output: Path) -> dict[str, bytes]:
 
 def main(folder: Path, every: int) -> None:
     """Ends runs at every so many-th call, and what goes on with them at the same."""
-    log_run.open_log = lambda files, options, memory: named(files.name)
+    log_run.open_log = opened
     device.detect = remembered(device.detect)
     run(folder / "whole")
     want = files(folder / "whole")
@@ -50,6 +51,16 @@ def main(folder: Path, every: int) -> None:
         assert files(output) == want, call
         ended, call = tries > 0, call + every
     print(f"ends at {call - every} calls")
+
+
+def opened(files: LogFiles, options: LogOptions, memory: Any) -> Any:
+    """The second log has two cameras."""
+    if files.name == "b" and not options.camera:
+        raise CamerasError(("front", "rear"))
+    log = named(files.name)
+    if options.camera:
+        log.camera, log.label = options.camera, f"{log.name}, {options.camera}"
+    return log
 
 
 def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:

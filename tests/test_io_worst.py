@@ -4,6 +4,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -81,6 +82,7 @@ def worst_jpeg(height: int, scans: int = MOST_SCANS) -> bytes:
     return data[:last] + data[last:-2] * (scans - data.count(b"\xff\xda") + 1) + data[-2:]
 
 
+@cache
 def plain(height: int, kind: str) -> bytes:
     if kind == "rvl":
         return encode_rvl(np.full((height, W), 1500, np.uint16) + np.arange(W, dtype=np.uint16))

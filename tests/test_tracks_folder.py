@@ -87,7 +87,7 @@ def test_two_commands_at_once(folder: Path, tmp_path: Path):
 def test_tracks_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch, command: str):
     """The next command moves the rest; an unfinished run beside them stays."""
     copy = shutil.copytree(folder, tmp_path / "copy")
-    part = copy / ".jaxdet" / "logs" / "00000" / "0" / "00000000.part"
+    part = copy / ".jaxdet" / "logs-1" / "00000" / "0" / "00000000.part"
     part.parent.mkdir(parents=True)
     part.write_bytes(b"of a run")
     replace, moved = os.replace, []

@@ -151,7 +151,7 @@ class LogRun:
         about.warnings += log.description.warnings
         alone = self._alone(frames)
         share = self._share(log, 1 if alone else self.run.memory.workers)
-        alone = alone or (share.workers == 1 and not self.pool.devices)
+        alone = alone or (share.workers == 1 and not self._kept_apart)
         self.pool.resize(share.workers)
         self.workers = about.workers = share.workers
         about.devices = len(self.pool.devices)
@@ -252,12 +252,17 @@ class LogRun:
             scan,
         )
 
-    def _alone(self, frames: int) -> bool:
-        """Whether this process does a log itself, as it has few frames.
+    @property
+    def _kept_apart(self) -> bool:
+        """Whether this process leaves logs to others, whatever their size.
 
-        Not after a run that ended without a word: what ended it may be in the log.
+        So after a run that ended without a word: what ended it may be in the log.
         """
-        if self.pool.devices or self.run.work.taken_over:
+        return bool(self.pool.devices) or self.run.work.taken_over
+
+    def _alone(self, frames: int) -> bool:
+        """Whether this process does a log itself, as it has few frames."""
+        if self._kept_apart:
             return False
         one = self.run.memory.workers == 1
         return one or not (

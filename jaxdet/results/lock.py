@@ -67,8 +67,8 @@ def _locked(path: Path) -> int:
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         except OSError as error:
             tries += 1
-            if isinstance(error, FileNotFoundError) and tries < _TRIES:
-                continue  # its last owner has just removed the folder
+            if isinstance(error, FileNotFoundError | FileExistsError) and tries < _TRIES:
+                continue  # its last owner removes the folder, or has just done so
             problem = f"can't be written to ({error.strerror})"
             raise InputError(problem, path=str(path.parent.parent)) from error
         try:
