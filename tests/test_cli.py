@@ -71,11 +71,11 @@ def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
 def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
     def pitch(*words: str) -> float:
         height = ["--ground.camera-height-m", "0.3"]
-        return parse(["a", "--output", "x", *height, *words]).ground.camera_pitch_rad
+        return parse(["a", "--output", "x", *height, *words]).method.ground.camera_pitch_rad
 
     assert pitch(flag, "-10deg") == -math.radians(10)
     assert pitch(f"{flag}=0.17rad") == 0.17
-    assert parse(["a", "--output", "x"]).surface.cell_rad == 0.0078
+    assert parse(["a", "--output", "x"]).method.surface.cell_rad == 0.0078
     file = tmp_path / "a.toml"
     file.write_text('[ground]\ncamera_height_m = 0.3\ncamera_pitch = "10deg"\n')
     assert pitch("--config", str(file)) == math.radians(10)
@@ -170,6 +170,22 @@ def test_version(capsys: Captured) -> None:
         (["run", "a", "--output", "x", "--config", "none.toml"], 2, "none.toml"),
         (["run", "a", "--output", "x", "--start", "today"], 2, "--start 'today' is no time"),
         (["run", "a", "--output", "x", "--every", "0"], 2, "give --every 1 or more"),
+        (["run", "a"], 2, "missing: --output DIR; see jaxdet run --help"),
+        (["run", "a", "--output"], 2, "--output lacks its value, DIR"),
+        (["run", "a", "--output", "--quiet"], 2, "--output lacks its value, DIR"),
+        (["run", "a", "--output", "x", "--quiet=yes"], 2, "--quiet takes no value"),
+        (["run", "a", "-o", "x"], 2, "no flag -o; did you mean --output or --overwrite?"),
+        (["run", "a", "--output", "x", "--batchsize", "4"], 2, "did you mean --batch-size?"),
+        (["run", "a", "--camera-height", "1"], 2, "did you mean --ground.camera-height-m?"),
+        (["run", "a", "--ground.max-depth", "1"], 2, "did you mean --ground.max-depth-m?"),
+        (["run", "a", "--batch-size", "four"], 2, "--batch-size 'four' is not a whole number"),
+        (["run", "a", "--ground.max-depth-m=4m"], 2, "'4m' is not a number"),
+        (["run", "a", "--backend", "Jax"], 2, "--backend 'Jax' is unknown; did you mean jax? it"),
+        (["run", "a", "--log.color-intrinsics", "1", "2"], 2, "takes 4 NUMBERS, not '1 2'"),
+        (["export", "r", "--to", "pdf"], 2, "--to 'pdf' is unknown; it takes foxglove, ros2"),
+        (["export"], 2, "missing: RESULTS, --to {foxglove,ros2,nav2,html,rerun,coco}, --output"),
+        (["verify", "a", "b"], 2, "'b' is one argument too many"),
+        (["doctor", "--jsn"], 2, "no flag --jsn; did you mean --json? see jaxdet doctor --help"),
     ],
 )
 def test_errors_are_one_line(
@@ -195,6 +211,23 @@ def test_a_wrong_flag_names_the_nearest(capsys: Captured) -> None:
     assert "--cluster.depth-gap-m" in capsys.readouterr().err
 
 
+def test_values_that_look_like_flags(tmp_path: Path) -> None:
+    T = ["-0.1", "0", "-1e-3", "0", "0", "0", "1"]
+    words = ["--output=x", "--log.color_from_depth", *T, *PITCH, "-10deg", "--pictures", "3"]
+    command = parse(["a", *words, "--log.no-tf", "--pictures", "2", "b", "--", "--c.mcap"])
+    assert command.logs == ("a", "b", "--c.mcap")
+    assert command.log.color_from_depth == (-0.1, 0.0, -1e-3, 0.0, 0.0, 0.0, 1.0)
+    assert command.method.ground.camera_pitch_rad == -math.radians(10)
+    assert (command.run.pictures, command.log.tf) == (2, False)
+    assert (command.log.depth_aligned, command.run.output) == (None, Path("x"))
+    again = ["a", "--output", "x", "--log.depth-aligned", "--log.no-depth-aligned"]
+    assert parse(again).log.depth_aligned is False
+    file = tmp_path / "a.toml"
+    file.write_text("[ground]\ncamera_height_m = 0.3\n")
+    unset = ["--config", str(file), "--ground.camera-height-m", "None"]
+    assert parse(["a", "--output", "x", *unset]).method.ground.camera_height_m is None
+
+
 def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
@@ -206,13 +239,13 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
     command = parse(args)
     assert isinstance(command, RunCommand)
     assert command.logs == ("a.mcap",)
-    assert (command.cluster.depth_gap_m, command.cluster.min_points) == (1.0, 7)
-    assert isinstance(command.cluster.depth_gap_m, float)
-    assert command.ground == PRESETS["d455"].ground
-    assert not command.features.use_mask
+    assert (command.method.cluster.depth_gap_m, command.method.cluster.min_points) == (1.0, 7)
+    assert isinstance(command.method.cluster.depth_gap_m, float)
+    assert command.method.ground == PRESETS["d455"].ground
+    assert not command.method.features.use_mask
     assert command.log.color_intrinsics == (600.0, 600.0, 320.0, 240.5)
-    assert parse([*args, "--preset=zed"]).ground == PRESETS["zed"].ground
-    assert parse([*args, "--features.use-mask"]).features.use_mask
+    assert parse([*args, "--preset=zed"]).method.ground == PRESETS["zed"].ground
+    assert parse([*args, "--features.use-mask"]).method.features.use_mask
 
 
 @pytest.mark.parametrize(

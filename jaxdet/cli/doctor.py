@@ -4,12 +4,12 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
 import jaxdet
+from jaxdet.cli.flags import parse_flags
 
 DESCRIPTION = """\
 Checks this installation: versions, the devices that JAX and Warp find, and whether the compiled
@@ -21,13 +21,13 @@ program gives the same arrays as the NumPy reference on a small built-in case.
 class DoctorCommand:
     """What ``jaxdet doctor`` takes."""
 
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    json: bool = False
     """Print JSON."""
 
 
 def main(args: list[str]) -> int:
     """Runs the command; returns 0 when all checks pass, else 1."""
-    command = tyro.cli(DoctorCommand, args=args, prog="jaxdet doctor", description=DESCRIPTION)
+    command = parse_flags(DoctorCommand, args, "jaxdet doctor", DESCRIPTION)
     from jaxdet.engine import start_up, versions
     from jaxdet.results.summary import to_json
 

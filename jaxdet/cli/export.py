@@ -1,11 +1,9 @@
 """``jaxdet export``: results in the formats of other programs."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Literal
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.export import FORMATS
@@ -27,23 +25,21 @@ Examples:
 class ExportCommand:
     """What ``jaxdet export`` takes."""
 
-    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
+    results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
     """Folder that jaxdet run wrote."""
     to: Literal["foxglove", "ros2", "nav2", "html", "rerun", "coco"]
     """The format, see above."""
-    output: Annotated[Path, tyro.conf.arg(metavar="PATH")]
+    output: Path = field(metadata={"takes": "PATH"})
     """What to write; must not be there yet."""
-    log: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG...")] = ()
+    log: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
     """The logs of the results, where the format shows images or points of them."""
 
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    missing: Any = tyro.MISSING
     formats = "\n".join(f"  {name:<10}{form.writes}" for name, form in FORMATS.items())
     description = DESCRIPTION.format(formats=formats)
-    start = ExportCommand(missing, missing, missing)
-    command = parse_flags(start, args, "jaxdet export", description)
+    command = parse_flags(ExportCommand, args, "jaxdet export", description)
     from jaxdet.export import export
     from jaxdet.export.recordings import find
     from jaxdet.results.reading import Results

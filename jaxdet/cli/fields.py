@@ -1,15 +1,114 @@
-"""What the fields of a configuration say of themselves."""
+"""The flags of a command: every field of its dataclass, and of the dataclasses in it.
+
+``max_depth_m`` in ``ground`` is ``--ground.max-depth-m``. Metadata of a field changes that:
+``positional``, it has no flag; ``short``, the flag (of a dataclass: its flags) lacks the names of
+what it is in; ``takes``, what help calls its value. Fields without a default must be given.
+"""
 
 import ast
 import dataclasses
 import inspect
 import textwrap
+import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING
+from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 
+class Option(NamedTuple):
+    """A field that the command line can set."""
+
+    path: tuple[str, ...]
+    """Names of the fields that lead to it."""
+    section: str
+    """The part of the command that help counts it to; empty: to the command itself."""
+    flag: str
+    """``--ground.max-depth-m``; empty where it is positional. Of angles without ``-rad``."""
+    kind: Any
+    """Its type without None."""
+    optional: bool
+    """Whether None is a value."""
+    default: Any
+    """``dataclasses.MISSING``: it must be given."""
+    owner: type
+    """The dataclass that it is a field of."""
+    takes: str
+    """What help calls its value; empty: by its name and type."""
+
+    @property
+    def name(self) -> str:
+        """Of the field."""
+        return self.path[-1]
+
+    @property
+    def text(self) -> str:
+        """What its docstring says."""
+        return field_texts(self.owner).get(self.name, "")
+
+    @property
+    def angle(self) -> bool:
+        """Whether it is in radians: its flag takes a number with a unit."""
+        return self.name.endswith("_rad") and self.kind is float
+
+    @property
+    def switches(self) -> dict[str, bool]:
+        """The flags of a truth value, and what each sets."""
+        if self.kind is not bool:
+            return {}
+        before, dot, name = self.flag.rpartition(".")
+        off = f"{before}.no-{name}" if dot else f"--no-{self.flag.removeprefix('--')}"
+        return {self.flag: True, off: False}
+
+
+def options_of(
+    kind: type,
+    defaults: Mapping[str, Any],
+    path: tuple[str, ...] = (),
+    section: str = "",
+    before: str = "--",
+) -> Iterator[Option]:
+    """The options of a dataclass, in the order of its fields.
+
+    Args:
+        kind: The dataclass.
+        defaults: Values of fields, in place of their own defaults.
+        path: The fields that lead to it.
+        section: The part of the command that it is in.
+        before: What its flags begin with.
+    """
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        hint, here = hints[field.name], (*path, field.name)
+        default, short = default_of(field, defaults), field.metadata.get("short", False)
+        flag = ("--" if short else before) + field.name.replace("_", "-")
+        if dataclasses.is_dataclass(hint):
+            inner = dict(vars(default)) if default is not MISSING else {}
+            start = before if short else f"{flag}."
+            part = typing.cast(type, hint)
+            yield from options_of(part, inner, here, field.name, start)
+            continue
+        parts = typing.get_args(hint) if _is_union(hint) else (hint,)
+        (bare,) = (part for part in parts if part is not types.NoneType)
+        takes = field.metadata.get("takes", "")
+        of = "" if short else section
+        optional = types.NoneType in parts
+        option = Option(here, of, flag, bare, optional, default, kind, takes)
+        if option.angle:
+            option = option._replace(flag=flag.removesuffix("-rad"))
+        yield option._replace(flag="") if field.metadata.get("positional") else option
+
+
+def default_of(field: dataclasses.Field, defaults: Mapping[str, Any]) -> Any:
+    """What a field is where it isn't given; ``dataclasses.MISSING``: it must be."""
+    if field.name in defaults:
+        return defaults[field.name]
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+@cache
 def field_texts(kind: type) -> dict[str, str]:
     """The string after each annotated name in the class body, without its line breaks."""
     try:
@@ -28,21 +127,5 @@ def field_texts(kind: type) -> dict[str, str]:
     return texts
 
 
-def is_angle(name: str, hint: Any) -> bool:
-    """Whether a field is an angle in radians: its flag has no ``-rad`` and takes a unit."""
-    return name.endswith("_rad") and (hint is float or float in typing.get_args(hint))
-
-
-def angle_flags(kind: type, prefix: str = "") -> Iterator[str]:
-    """The flags of the angles of a dataclass and its parts, by their field's name."""
-    hints = typing.get_type_hints(kind, include_extras=True)
-    for field in dataclasses.fields(kind):
-        hint, notes = hints[field.name], ()
-        if typing.get_origin(hint) is typing.Annotated:
-            hint, *notes = typing.get_args(hint)
-        if dataclasses.is_dataclass(hint):
-            unnamed = any(getattr(note, "name", None) == "" for note in notes)
-            inner = prefix if unnamed else f"{prefix}{field.name}."
-            yield from angle_flags(typing.cast(type, hint), inner)
-        elif is_angle(field.name, hint):
-            yield f"--{prefix}{field.name}".replace("_", "-")
+def _is_union(hint: Any) -> bool:
+    return typing.get_origin(hint) in (typing.Union, types.UnionType)

@@ -3,9 +3,7 @@
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
@@ -19,8 +17,6 @@ if TYPE_CHECKING:
     from jaxdet.engine import Planes
     from jaxdet.io import LogFiles
     from jaxdet.io.description import LogDescription, PairingDescription, TopicDescription
-
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 _UNCOUNTED = "not counted; see --check"
 
@@ -49,15 +45,15 @@ COMMON = (
 class InfoCommand:
     """What ``jaxdet info`` takes."""
 
-    logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
+    logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
     """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
     preset: str = DEFAULT_PRESET
     """Configuration to start from, as for jaxdet run."""
-    config: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
+    config: str | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file or config.json, as for jaxdet run."""
-    json: Flag = False
+    json: bool = False
     """Print JSON."""
-    check: Flag = False
+    check: bool = False
     """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
     ground: GroundConfig = field(default_factory=GroundConfig)
     log: LogOptions = field(default_factory=LogOptions)
@@ -66,9 +62,8 @@ class InfoCommand:
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     config, log_options, name = defaults(args)
-    missing: Any = tyro.MISSING
-    start = InfoCommand(missing, preset=name, ground=config.ground, log=log_options)
-    command = parse_flags(start, args, "jaxdet info", DESCRIPTION, COMMON)
+    start = {"preset": name, "ground": config.ground, "log": log_options}
+    command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 

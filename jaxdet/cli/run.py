@@ -3,25 +3,13 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
-
-import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
-from jaxdet.config import (
-    ClusterConfig,
-    Config,
-    FeaturesConfig,
-    FloorConfig,
-    FootprintConfig,
-    GroundConfig,
-    ObstacleConfig,
-    SurfaceConfig,
-)
-from jaxdet.engine.options import Flag, RunOptions
+from jaxdet.config import Config
+from jaxdet.engine.options import RunOptions
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -58,52 +46,33 @@ COMMON = (
 class RunCommand:
     """What ``jaxdet run`` takes."""
 
-    logs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG...")]
+    logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
     """MCAP, .bag or .db3 files, folders of them or of images, or globs; the split files of one
     recording are one log."""
-    run: Annotated[RunOptions, tyro.conf.arg(name="")]
+    run: RunOptions = field(metadata={"short": True})
     preset: str = DEFAULT_PRESET
     """Configuration to start from: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
     orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
     of corners; the others are wheeled with the depth range of a camera."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of earlier results."""
-    truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
+    truth: Path | None = field(default=None, metadata={"takes": "LOG"})
     """A simulated log whose truth the results are compared with."""
-    tracks: Flag = False
+    tracks: bool = False
     """Link the obstacles over time when all logs are done, as jaxdet track does."""
-    quiet: Flag = False
+    quiet: bool = False
     """Say nothing but errors."""
-    json: Flag = False
+    json: bool = False
     """Print the summary as JSON on standard output, and nothing else there."""
-    ground: GroundConfig = field(default_factory=GroundConfig)
-    features: FeaturesConfig = field(default_factory=FeaturesConfig)
-    cluster: ClusterConfig = field(default_factory=ClusterConfig)
-    footprint: FootprintConfig = field(default_factory=FootprintConfig)
-    floor: FloorConfig = field(default_factory=FloorConfig)
-    surface: SurfaceConfig = field(default_factory=SurfaceConfig)
-    obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)
+    method: Config = field(default_factory=Config, metadata={"short": True})
     log: LogOptions = field(default_factory=LogOptions)
 
 
 def parse(args: list[str]) -> RunCommand:
     """The command with preset, TOML file and flags resolved, in that order."""
     config, log, name = defaults(args)
-    missing: Any = tyro.MISSING
-    start = RunCommand(
-        logs=missing,
-        run=RunOptions(missing),
-        preset=name,
-        ground=config.ground,
-        features=config.features,
-        cluster=config.cluster,
-        footprint=config.footprint,
-        floor=config.floor,
-        surface=config.surface,
-        obstacle=config.obstacle,
-        log=log,
-    )
-    return parse_flags(start, args, "jaxdet run", DESCRIPTION, COMMON)
+    start = {"preset": name, "method": config, "log": log}
+    return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start)
 
 
 def main(args: list[str]) -> int:
@@ -118,24 +87,15 @@ def main(args: list[str]) -> int:
     from jaxdet.results.summary import to_json
 
     logs = find_logs(given(command.logs))
-    config = Config(
-        ground=command.ground,
-        features=command.features,
-        cluster=command.cluster,
-        footprint=command.footprint,
-        floor=command.floor,
-        surface=command.surface,
-        obstacle=command.obstacle,
-    )
     observers = {}
     if command.truth:
         from jaxdet.cli.truth import TruthScore  # which loads the simulator
 
-        observers["score"] = TruthScore(command.truth, config)
+        observers["score"] = TruthScore(command.truth, command.method)
     silent = command.quiet or command.json
     with reporting(silent) as progress:
-        how = config, command.log, command.run, progress, observers, command.preset
-        summary = run(logs, *how, say=(lambda text: None) if silent else _say)
+        how = command.log, command.run, progress, observers, command.preset
+        summary = run(logs, command.method, *how, say=(lambda text: None) if silent else _say)
     if command.json:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:

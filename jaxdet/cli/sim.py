@@ -3,9 +3,6 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
-
-import tyro
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.errors import ConfigError, InputError
@@ -34,19 +31,18 @@ COMMON = tuple(
 class SimCommand:
     """What ``jaxdet sim`` takes."""
 
-    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
+    path: Path = field(metadata={"positional": True, "takes": "PATH"})
     """The log to write, for instance sim.mcap."""
-    sim: Annotated[SimConfig, tyro.conf.arg(name="")] = field(default_factory=SimConfig)
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    sim: SimConfig = field(default_factory=SimConfig, metadata={"short": True})
+    overwrite: bool = False
     """Replace the log when it is there."""
-    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    quiet: bool = False
     """Say nothing but errors."""
 
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    missing: Any = tyro.MISSING
-    command = parse_flags(SimCommand(missing), args, "jaxdet sim", DESCRIPTION, COMMON)
+    command = parse_flags(SimCommand, args, "jaxdet sim", DESCRIPTION, COMMON)
     if command.path.exists() and not command.overwrite:
         remedy = "give --overwrite to replace it"
         raise ConfigError("there is a file already", path=str(command.path), remedy=remedy)

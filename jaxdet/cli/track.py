@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.tracks.config import TrackConfig
@@ -28,17 +26,16 @@ Example:
 class TrackCommand:
     """What ``jaxdet track`` takes."""
 
-    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
+    results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
     """Folder that jaxdet run wrote."""
-    track: Annotated[TrackConfig, tyro.conf.arg(name="")] = field(default_factory=TrackConfig)
-    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    track: TrackConfig = field(default_factory=TrackConfig, metadata={"short": True})
+    quiet: bool = False
     """Say nothing but errors."""
 
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    missing: Any = tyro.MISSING
-    command = parse_flags(TrackCommand(missing), args, "jaxdet track", DESCRIPTION)
+    command = parse_flags(TrackCommand, args, "jaxdet track", DESCRIPTION)
     from jaxdet.tracks import track_results
 
     found = track_results(command.results, command.track)

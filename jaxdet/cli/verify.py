@@ -1,11 +1,9 @@
 """``jaxdet verify``: whether results are whole, unchanged, of their logs and right."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
+from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.errors import ConfigError, printable
@@ -30,20 +28,19 @@ Examples:
 class VerifyCommand:
     """What ``jaxdet verify`` takes."""
 
-    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS")]
+    results: Path = field(metadata={"positional": True, "takes": "RESULTS"})
     """Folder that jaxdet run wrote."""
-    against: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG...")] = ()
+    against: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
     """Where the logs are now: MCAP files, folders or globs."""
     sample: int = 8
     """Frames of each log that are computed again, spread evenly; 0: none."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    json: bool = False
     """Print what was found as JSON, and nothing else."""
 
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    missing: Any = tyro.MISSING
-    command = parse_flags(VerifyCommand(missing), args, "jaxdet verify", DESCRIPTION)
+    command = parse_flags(VerifyCommand, args, "jaxdet verify", DESCRIPTION)
     if command.sample < 0:
         raise ConfigError("--sample is a number of frames, at least 0")
     from jaxdet.verify import verify

@@ -1,10 +1,8 @@
 """How a run is made; every field is a flag of ``jaxdet run``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from jaxdet.errors import ConfigError
 from jaxdet.memory import parse_size
@@ -12,14 +10,12 @@ from jaxdet.memory import parse_size
 MAX_WORKERS = 1024
 """Processes; more than machines have cores."""
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-
 
 @dataclass(frozen=True)
 class RunOptions:
     """How to run; nothing here changes a byte of the two tables."""
 
-    output: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    output: Path = field(metadata={"takes": "DIR"})
     """Folder for the results."""
     backend: Literal["jax", "reference"] = "jax"
     """jax: compiled, on the GPU when there is one; reference: plain NumPy. Equal results."""
@@ -35,7 +31,7 @@ class RunOptions:
     or of its control group's."""
     pictures: int = 8
     """Frames of each log to draw, evenly spaced."""
-    overwrite: Flag = False
+    overwrite: bool = False
     """Replace the results in the output folder."""
 
     def __post_init__(self) -> None:

@@ -113,7 +113,7 @@ def _aligned(
     options: LogOptions,
 ) -> tuple[bool, str]:
     if options.depth_aligned is not None:
-        flag = f"--log.depth-aligned {options.depth_aligned}"
+        flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
         return options.depth_aligned, f"given by {flag}"
     if options.color_from_depth is not None or options.depth_intrinsics is not None:
         return False, "depth's own calibration is given"
@@ -135,7 +135,7 @@ def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[
     if depth.size is not None and depth.size != (color.width, color.height):
         problem = f"aligned depth is {depth.size.width}x{depth.size.height} but colour is "
         problem += f"{color.width}x{color.height}"
-        remedy = "say --log.depth-aligned False or choose another --log.depth"
+        remedy = "say --log.no-depth-aligned or choose another --log.depth"
         raise CalibrationError(problem, path=depth.path, topic=topic, remedy=remedy)
     if depth.info is None or len(depth.info.K) != 9:
         return []

@@ -1,0 +1,105 @@
+"""The help of a command: its options in a line or two, or all of them in full."""
+
+import re
+import textwrap
+import typing
+from collections.abc import Sequence
+from dataclasses import MISSING
+
+from jaxdet.cli.fields import Option
+
+WIDTH, INDENT = 100, 31
+_UNITS = {"_m": "M", "_s": "S", "_hz": "HZ", "_mib": "MIB"}
+
+
+def usage(
+    options: Sequence[Option],
+    prog: str,
+    description: str,
+    common: Sequence[str] | None = None,
+    *,
+    whole: bool = False,
+) -> str:
+    """The help of a command.
+
+    Args:
+        options: All its options.
+        prog: Its name.
+        description: What it does, and examples.
+        common: The options of its sections that are shown, ``ground.max_depth_m``, or sections all
+            of whose options are, ``run``; None: all. The command's own come first.
+        whole: Show all, with all that is said of them.
+
+    Returns:
+        Lines of at most ``WIDTH`` columns.
+    """
+    shown = [option.section for option in options] if common is None else common
+    own = [o for o in options if o.flag and (not o.section or o.section in shown)]
+    rest = [o for o in options if o.flag and o not in own]
+    words = [*(o for o in options if not o.flag), *(o for o in own if o.default is MISSING)]
+    needed = [f"{o.flag} {takes(o)}".strip() for o in words]
+    lines = [f"usage: {' '.join([prog, *needed, '[OPTIONS]'])}", "", description.rstrip(), ""]
+    positional = [o for o in words if not o.flag]
+    if whole or common is None:
+        if positional:
+            lines += ["arguments:", *(_row(takes(o), o.text) for o in positional), ""]
+        lines += ["options:", *(_row(_flags(o), _said(o, whole=True)) for o in own)]
+        lines.append(_row("-h, --help", "This text"))
+        for name in dict.fromkeys(o.section for o in rest):
+            members = [o for o in rest if o.section == name]
+            about = " ".join((members[0].owner.__doc__ or "").split("\n\n")[0].split())
+            lines += ["", f"{name}: {about}"]
+            lines += [_row(_flags(o), _said(o, whole=True)) for o in members]
+        return "\n".join(lines) + "\n"
+    chosen = [o for name in common for o in rest if f"{o.section}.{o.name}" == name]
+    lines += ["options:", *(_row(_flags(o), _said(o), 2) for o in [*own, *chosen])]
+    hidden = ", ".join(sorted({o.section for o in rest}))
+    if len(rest) > len(chosen):
+        text = f"Its other {len(rest) - len(chosen)} settings, of {hidden}"
+        lines.append(_row("--help-all", text))
+    return "\n".join(lines) + "\n"
+
+
+def takes(option: Option) -> str:
+    """What help calls the value of an option; empty for a switch."""
+    kind, name = option.kind, option.name
+    if option.takes or kind is bool:
+        return option.takes
+    if option.angle:
+        return "ANGLE"
+    if typing.get_origin(kind) is typing.Literal:
+        return "{" + ",".join(map(str, typing.get_args(kind))) + "}"
+    if typing.get_origin(kind) is tuple:
+        return f"{len(typing.get_args(kind))} NUMBERS"
+    if option.text.startswith("Topic"):
+        return "TOPIC"
+    unit = next((text for end, text in _UNITS.items() if name.endswith(end)), None)
+    return unit or {int: "N", float: "X"}.get(kind, name.rpartition("_")[2].upper())
+
+
+def _flags(option: Option) -> str:
+    """The flag, or where it is on by default the one that turns it off as well."""
+    names = list(option.switches) if option.default is not False else []
+    return ", ".join(names) or f"{option.flag} {takes(option)}".strip()
+
+
+def _said(option: Option, *, whole: bool = False) -> str:
+    """What the docstring says, or its first sentence, and the default."""
+    text = re.sub(r" \(:\w+:`[^`]*`\)| \[rad\]|`", "", option.text)
+    if not whole:
+        text = re.split(r"(?<=[a-z0-9\])])[.;]\s|\.$", text, maxsplit=1)[0]
+    default = option.default
+    if default is MISSING or default is None or isinstance(default, (bool, tuple)):
+        return text
+    if option.angle:
+        return f"{text}  [{default:g}rad]" if default else text
+    return f"{text}  [{f'{default:g}' if isinstance(default, float) else default}]"
+
+
+def _row(flag: str, text: str, most: int | None = None) -> str:
+    """A flag, and beside it what is said of it in at most so many lines."""
+    flag, start = f"  {flag}", " " * INDENT
+    lines = textwrap.wrap(text, WIDTH - INDENT, max_lines=most, placeholder=" ...") or [""]
+    if len(flag) > INDENT - 2:
+        return "\n".join([flag, *(start + line for line in lines)])
+    return f"{flag:<{INDENT}}" + f"\n{start}".join(lines)
