@@ -78,6 +78,7 @@ def _rows(number: int, places: list, free_m: float) -> tuple[dict, dict]:
         "frame": np.array([number]),
         "stamp_ns": np.array([START_NS + number * 10**8]),
         "depth_stamp_ns": np.array([START_NS + number * 10**8]),
+        "log_time_ns": np.array([START_NS + number * 10**8]),
         "status": np.array(["ok"], object),
         "num_features": np.array([100]),
         "num_obstacles": np.array([count]),

@@ -15,6 +15,7 @@ _ARRAYS = ("color", "depth", "number", "stamp_ns", "depth_stamp_ns", "valid", "T
 def assert_same_batch(found: Batch, expected: Batch) -> None:
     """All but the notes."""
     assert (found.status, found.errors) == (expected.status, expected.errors)
+    np.testing.assert_array_equal(found.log_time_ns, expected.log_time_ns)
     for name in _ARRAYS:
         one, other = getattr(found.frames, name), getattr(expected.frames, name)
         assert (one is None) == (other is None), name

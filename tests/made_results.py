@@ -20,6 +20,7 @@ from jaxdet.types import Calibration, Intrinsics
 LOST = ("unpaired", "decode_error")
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 33_000_000
+DELAY_NS = 5_000_000
 
 
 def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = None) -> Path:
@@ -67,6 +68,7 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
         "camera": np.full(n.size, "front", object),
         "frame": n,
         "stamp_ns": START_NS + n * STEP_NS,
+        "log_time_ns": START_NS + n * STEP_NS + DELAY_NS,
         "status": np.where(good, "ok", np.array(LOST, object)[n % 2]),
         "num_features": count * 10,
         "num_obstacles": count,

@@ -26,6 +26,7 @@ def frame_rows(start: int, stop: int) -> dict:
         "frame": n,
         "stamp_ns": n * 10,
         "depth_stamp_ns": np.ma.masked_equal(np.where(n % 2, n * 10, -1), -1),
+        "log_time_ns": np.ma.masked_equal(n * 10 + 3, 13),
         "status": np.where(n % 2, "ok", "unpaired").astype(object),
         "num_features": count,
         "num_obstacles": count,

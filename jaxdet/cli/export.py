@@ -1,6 +1,7 @@
 """``jaxdet export``: results in the formats of other programs."""
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -32,13 +33,19 @@ class ExportCommand:
     output: Path = field(metadata={"takes": "PATH"})
     """What to write; must not be there yet."""
     log: tuple[str, ...] = field(default=(), metadata={"takes": "LOG..."})
-    """The logs of the results, where the format shows images or points of them."""
+    """The logs of the results, for formats that look at them, see above."""
+
+
+def _format_lines() -> Iterator[str]:
+    for name, form in FORMATS.items():
+        yield f"  {name:<10}{form.writes}"
+        if form.of_logs:
+            yield f"  {'':<10}  with --log {form.of_logs}"
 
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    formats = "\n".join(f"  {name:<10}{form.writes}" for name, form in FORMATS.items())
-    description = DESCRIPTION.format(formats=formats)
+    description = DESCRIPTION.format(formats="\n".join(_format_lines()))
     command = parse_flags(ExportCommand, args, "jaxdet export", description)
     from jaxdet.export import export
     from jaxdet.export.recordings import find

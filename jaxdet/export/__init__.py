@@ -24,17 +24,26 @@ class Format(NamedTuple):
 
     writes: str
     """What the output is."""
+    of_logs: str = ""
+    """What ``--log`` adds; empty: the logs aren't looked at."""
     extra: str = ""
     """The extra of jaxdet that its packages come with; empty: they are always there."""
 
 
 FORMATS = {
     "foxglove": Format("a folder: an MCAP file to open beside each log, and a layout"),
-    "ros2": Format("a folder: an MCAP file of ROS 2 messages for each log"),
+    "ros2": Format("a folder: an MCAP file of ROS 2 messages for each log", "the obstacles' own points"),
     "nav2": Format("a folder: a map of each log as nav2's map_server loads it (PGM and YAML)"),
-    "html": Format("a file: a page with figures, timelines, maps and pictures, for any browser"),
-    "rerun": Format("a folder: a recording (.rrd) of each log for the Rerun viewer", "rerun"),
-    "coco": Format("a folder: images, and their boxes and masks as COCO has them"),
+    "html": Format("a file: a page with figures, timelines, maps, pictures", "pictures of the gallery's frames"),
+    "rerun": Format(
+        "a folder: a recording (.rrd) of each log for the Rerun viewer",
+        "images, depth and points too",
+        "rerun",
+    ),
+    "coco": Format(
+        "a folder: images, and their boxes and masks as COCO has them",
+        "the logs; without it they are read from where the run found them",
+    ),
 }
 
 
@@ -48,9 +57,13 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
         recordings: Logs of the results by name, see :func:`jaxdet.export.recordings.find`.
 
     Raises:
-        ConfigError: The output is there already, or a package is missing.
+        ConfigError: The output is there already, a package is missing, or the format shows nothing
+            of the logs that are given.
         InputError: The output can't be written, or what the format shows is not in the results.
     """
+    if recordings and not FORMATS[to].of_logs:
+        problem = f"--to {to} shows nothing of the logs themselves"
+        raise ConfigError(problem, remedy="leave --log out")
     if output.is_file() or (output.is_dir() and any(output.iterdir())):
         remedy = "give another --output, or remove it"
         raise ConfigError("is there already", path=str(output), remedy=remedy)

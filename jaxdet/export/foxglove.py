@@ -1,6 +1,6 @@
 """Scenes for Foxglove: an MCAP file to open beside each log, and a layout.
 
-Everything carries the log's stamps and frames. Obstacles are in the frame of the colour camera,
+Obstacles are in the frame of the colour camera,
 the map is in the world's, and a transform adds the camera's floor frame, which is x right,
 y forward, z up. Each message replaces what the one before it showed, so that any moment of a log
 can be jumped to.
@@ -37,12 +37,11 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer
 
-from jaxdet.export.grid import FREE, OCCUPIED, Grid, last_grid
+from jaxdet.export.grid import FREE, OCCUPIED, Grid
 from jaxdet.export.shapes import (
     FRAME_COLUMNS,
     Row,
     T_camera_floor,
-    T_world_camera,
     box,
     camera_name,
     contour,
@@ -53,7 +52,9 @@ from jaxdet.export.shapes import (
     quaternion,
     topic,
 )
+from jaxdet.export.sidecar import moments, sidecars
 from jaxdet.io import LogFiles
+from jaxdet.io.writer import Transform
 from jaxdet.render.canvas import color_of
 from jaxdet.results.reading import Frame, ResultLog, Results
 
@@ -77,9 +78,7 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         output: The folder.
         recordings: Not used.
     """
-    output.mkdir()
-    for log in results.logs:
-        path = output / f"{log.file_name}.jaxdet.mcap"
+    for log, path in sidecars(results, output):
         with path.open("wb") as stream, Writer(stream) as writer:
             _write_log(writer, results, log)
     text = json.dumps(layout(results), indent=2, ensure_ascii=False)
@@ -87,42 +86,34 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
 
 def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
-    own_poses = not log.poses_from_tf
-    for sequence, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
-        stamp_ns = frame.row["stamp_ns"]
-        if not sequence and (grid := last_grid(results, log)) is not None:
-            message = grid_message(grid, stamp_ns, frame.row["world_frame"] or "")
-            writer.write_message(topic(log, MAP), message, stamp_ns, stamp_ns)
+    for sequence, moment in enumerate(moments(results, log)):
+        frame, at = moment.frame, moment.log_time_ns
         messages = {
-            TF: transforms(frame, own_poses=own_poses),
+            TF: tf_message(frame.row["stamp_ns"], moment.transforms),
             SCENE: scene(frame),
             BOXES: annotations(frame),
         }
+        if moment.grid is not None:
+            messages[MAP] = grid_message(moment.grid, frame.row)
         for name, message in messages.items():
-            writer.write_message(topic(log, name), message, stamp_ns, stamp_ns, sequence)
+            writer.write_message(topic(log, name), message, at, at, sequence)
 
 
-def transforms(frame: Frame, *, own_poses: bool) -> FrameTransforms:
-    """The floor frame, and where the log's own transforms lack it the camera in the world.
-
-    Args:
-        frame: The frame.
-        own_poses: The log's transforms don't join the camera to the world.
-    """
-    row = frame.row
-    edges = [(camera_name(row), floor_name(row), T_camera_floor(row))]
-    T = T_world_camera(row)
-    if own_poses and T is not None and row["world_frame"]:
-        edges.append((row["world_frame"], camera_name(row), T))
-    found = []
-    for parent, child, motion in edges:
-        pose = _pose(motion)
-        ends = {"parent_frame_id": parent, "child_frame_id": child}
-        place = Vector3(x=pose.position.x, y=pose.position.y, z=pose.position.z)
-        stamp = _stamp(row["stamp_ns"])
-        turn = pose.orientation
-        found.append(FrameTransform(timestamp=stamp, translation=place, rotation=turn, **ends))
-    return FrameTransforms(transforms=found)
+def tf_message(stamp_ns: int, transforms: Sequence[Transform]) -> FrameTransforms:
+    """The transforms of a frame."""
+    stamp = _stamp(stamp_ns)
+    return FrameTransforms(
+        transforms=[
+            FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=parent,
+                child_frame_id=child,
+                translation=_point(T[:3, 3]),
+                rotation=_pose(T).orientation,
+            )
+            for parent, child, T in transforms
+        ]
+    )
 
 
 def scene(frame: Frame) -> SceneUpdate:
@@ -219,8 +210,8 @@ def annotations(frame: Frame) -> ImageAnnotations:
     return ImageAnnotations(points=boxes, texts=texts)
 
 
-def grid_message(grid: Grid, stamp_ns: int, frame_id: str) -> GridMessage:
-    """The map, coloured, in the world."""
+def grid_message(grid: Grid, row: Row) -> GridMessage:
+    """The map, coloured, in the world; stamped as the frame of a row."""
     cells = np.zeros((*grid.states.shape, len(_CELL_FIELDS)), np.uint8)
     for state, color in _CELL_COLORS.items():
         cells[grid.states == state] = color
@@ -228,8 +219,8 @@ def grid_message(grid: Grid, stamp_ns: int, frame_id: str) -> GridMessage:
     columns = grid.states.shape[1]
     stride = len(_CELL_FIELDS)
     return GridMessage(
-        timestamp=_stamp(stamp_ns),
-        frame_id=frame_id,
+        timestamp=_stamp(row["stamp_ns"]),
+        frame_id=row["world_frame"] or "",
         pose=Pose(position=Vector3(x=x, y=y), orientation=Quaternion(w=1.0)),
         column_count=columns,
         cell_size=Vector2(x=grid.cell_m, y=grid.cell_m),

@@ -1,6 +1,6 @@
 """ROS 2 messages: detections, points, the map and the floor frame in an MCAP file for each log.
 
-Stamps and frames are the log's, so that it can be played beside the recording.
+It can be played beside the recording, see :mod:`jaxdet.export.sidecar`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -9,23 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.export.grid import Grid, last_grid
+from jaxdet.export.grid import Grid
 from jaxdet.export.recordings import look_again
 from jaxdet.export.shapes import (
     FRAME_COLUMNS,
     Row,
     T_camera_floor,
-    T_world_camera,
     box,
     camera_name,
     contour,
     corners,
-    floor_name,
     heights,
     topic,
 )
+from jaxdet.export.sidecar import moments, sidecars
 from jaxdet.io import LogFiles
-from jaxdet.io.writer import Ros2LogWriter, Transform, header, pose_of, xyz
+from jaxdet.io.writer import Ros2LogWriter, header, pose_of, xyz
 from jaxdet.results.reading import Frame, ResultLog, Results
 
 DETECTIONS, POINTS, MAP = "detections", "points", "map"
@@ -46,9 +45,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         recordings: Of these logs the points are the obstacles' own, else the corners of their
             contours at the bottom and the top.
     """
-    output.mkdir()
-    for log in results.logs:
-        with Ros2LogWriter(output / f"{log.file_name}.jaxdet.mcap") as writer:
+    for log, path in sidecars(results, output):
+        with Ros2LogWriter(path) as writer:
             files = recordings.get(log.name)
             clouds = _own_points(results, log, files) if files else _contours(results, log)
             _write_log(writer, results, log, clouds)
@@ -57,26 +55,15 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 def _write_log(
     writer: Ros2LogWriter, results: Results, log: ResultLog, clouds: Iterator[np.ndarray]
 ) -> None:
-    frames = results.frames(log, FRAME_COLUMNS)
-    for number, (frame, cloud) in enumerate(zip(frames, clouds, strict=True)):
-        row, stamp = frame.row, frame.row["stamp_ns"]
-        if not number and (grid := last_grid(results, log)) is not None:
-            message = grid_message(grid, stamp, row["world_frame"] or "")
-            map_topic = topic(log, MAP)
-            writer.write(map_topic, stamp, "nav_msgs/OccupancyGrid", message, latched=True)
-        writer.write_transforms(stamp, list(_transforms(row, own_poses=not log.poses_from_tf)))
-        found = detections(frame)
-        writer.write(topic(log, DETECTIONS), stamp, "vision_msgs/Detection3DArray", found)
-        points = cloud_message(row, cloud)
-        writer.write(topic(log, POINTS), stamp, "sensor_msgs/PointCloud2", points)
-
-
-def _transforms(row: Row, *, own_poses: bool) -> Iterator[Transform]:
-    """The floor frame, and where the log's own transforms lack it the camera in the world."""
-    yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
-    T = T_world_camera(row)
-    if own_poses and T is not None and row["world_frame"]:
-        yield Transform(row["world_frame"], camera_name(row), T)
+    for moment, cloud in zip(moments(results, log), clouds, strict=True):
+        row, at = moment.frame.row, moment.log_time_ns
+        if moment.grid is not None:
+            message, map_topic = grid_message(moment.grid, row), topic(log, MAP)
+            writer.write(map_topic, at, "nav_msgs/OccupancyGrid", message, latched=True)
+        writer.write_transforms(row["stamp_ns"], moment.transforms, log_ns=at)
+        found, points = detections(moment.frame), cloud_message(row, cloud)
+        writer.write(topic(log, DETECTIONS), at, "vision_msgs/Detection3DArray", found)
+        writer.write(topic(log, POINTS), at, "sensor_msgs/PointCloud2", points)
 
 
 def detections(frame: Frame) -> dict[str, Any]:
@@ -148,9 +135,9 @@ def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
     }
 
 
-def grid_message(grid: Grid, stamp_ns: int, frame_id: str) -> dict[str, Any]:
-    """A ``nav_msgs/OccupancyGrid``: 100 occupied, 0 free, -1 unknown."""
-    head = header(stamp_ns, frame_id)
+def grid_message(grid: Grid, row: Row) -> dict[str, Any]:
+    """A ``nav_msgs/OccupancyGrid``, stamped as a frame: 100 occupied, 0 free, -1 unknown."""
+    head = header(row["stamp_ns"], row["world_frame"] or "")
     rows, columns = grid.states.shape
     origin = np.eye(4)
     origin[:2, 3] = grid.origin

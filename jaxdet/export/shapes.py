@@ -17,7 +17,7 @@ from jaxdet.results.reading import ResultLog
 Row = Mapping[str, Any]
 
 FRAME_COLUMNS = (
-    *("stamp_ns", "camera_frame", "world_frame", "camera_position_world"),
+    *("stamp_ns", "log_time_ns", "camera_frame", "world_frame", "camera_position_world"),
     *("camera_orientation_world", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
 )
 """What the functions here use of frames."""

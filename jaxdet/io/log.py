@@ -61,6 +61,8 @@ class Batch(NamedTuple):
     """Name of the colour camera's optical frame; empty where the log has none."""
     world_frame: str = ""
     """Name of the frame that poses are in; empty where there are none."""
+    log_time_ns: np.ndarray | None = None
+    """When the log received the colour image of each of them, int64 [ns]; None: of no log."""
 
     def one_by_one(self) -> Iterator[LogFrame]:
         """The frames without the padding."""
@@ -330,7 +332,7 @@ class Log:
             T_world_camera=self._poses(windows, count),
         )
         notes = total(window.notes for window in windows)
-        rest = notes, 0.0, self.camera_frame, self.world_frame
+        rest = notes, 0.0, self.camera_frame, self.world_frame, _log_times(windows)
         return Batch(frames, (status,) * count, (error,) * count, *rest)
 
     def _batch(
@@ -378,7 +380,8 @@ class Log:
             T_world_camera=self._poses(windows, size),
         )
         notes = total(window.notes for window in windows)
-        rest = notes, self._reader.decoding_s(), self.camera_frame, self.world_frame
+        names = self.camera_frame, self.world_frame
+        rest = notes, self._reader.decoding_s(), *names, _log_times(windows)
         return Batch(frames, tuple(status), tuple(errors), *rest)
 
     def _poses(self, windows: Sequence[Window], size: int) -> np.ndarray | None:
@@ -456,6 +459,10 @@ def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
             count += 1
         yield row, indices[row], indices[row] + count
         row += count
+
+
+def _log_times(windows: Sequence[Window]) -> np.ndarray:
+    return np.concatenate([_NONE, *(window.color.log_ns for window in windows)])
 
 
 def _rescan(error: DamageError, path: str) -> RescanError:

@@ -23,12 +23,14 @@ class FrameTable(NamedTuple):
     """``(N,)`` int64, number of the stream's decoder."""
     place: np.ndarray
     """``(N, 3)`` int64, as :class:`jaxdet.io.container.Location`."""
+    log_ns: np.ndarray
+    """``(N,)`` int64, log times."""
 
     def rows(self, numbers: np.ndarray) -> "FrameTable":
         """The messages of some numbers; of -1 one with a stamp of -1."""
         if not len(self.stamps_ns):
             none = np.full(len(numbers), -1, np.int64)
-            return FrameTable(none, none, none, np.stack([none] * 3, axis=1))
+            return FrameTable(none, none, none, np.stack([none] * 3, axis=1), none)
         rows = FrameTable(*(column[numbers] for column in self))
         return rows._replace(stamps_ns=np.where(numbers < 0, -1, rows.stamps_ns))
 
@@ -133,5 +135,6 @@ def _table(stream: ImageStream, ordered_by: str, stamps: str) -> tuple[FrameTabl
         stream.column("file")[order],
         stream.column("decoder")[order],
         np.stack([stream.column(name)[order] for name in place], axis=1),
+        stream.column("log_time")[order],
     )
     return table, notes

@@ -111,7 +111,8 @@ class StreamWindows:
         columns = messages.position, messages.offset + head, self.size
         place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
-        return FrameTable(stamps, messages.file[numbers], messages.decoder[numbers], place)
+        of = messages.file[numbers], messages.decoder[numbers]
+        return FrameTable(stamps, *of, place, messages.log_ns[numbers])
 
     def _load(self, start: int, stop: int) -> None:
         """Reads the stamps of messages that aren't known yet."""

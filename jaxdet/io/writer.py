@@ -171,9 +171,21 @@ class Ros2LogWriter:
         self.write(topic, stamp_ns, "sensor_msgs/CameraInfo", message)
 
     def write_transforms(
-        self, stamp_ns: int, transforms: Sequence[Transform], *, static: bool = False
+        self,
+        stamp_ns: int,
+        transforms: Sequence[Transform],
+        *,
+        static: bool = False,
+        log_ns: int | None = None,
     ) -> None:
-        """Write a ``tf2_msgs/TFMessage`` on ``/tf_static`` or ``/tf``."""
+        """Write a ``tf2_msgs/TFMessage`` on ``/tf_static`` or ``/tf``.
+
+        Args:
+            stamp_ns: Header stamp [ns].
+            transforms: What it says.
+            static: It holds always.
+            log_ns: Log and publish time [ns]; None: the stamp.
+        """
         stamped = [
             {
                 "header": header(stamp_ns, parent), "child_frame_id": child,
@@ -182,7 +194,8 @@ class Ros2LogWriter:
             for parent, child, T in transforms
         ]  # fmt: skip
         topic = "/tf_static" if static else "/tf"
-        self.write(topic, stamp_ns, "tf2_msgs/TFMessage", {"transforms": stamped})
+        at = stamp_ns if log_ns is None else log_ns
+        self.write(topic, at, "tf2_msgs/TFMessage", {"transforms": stamped})
 
     def write_odometry(
         self, topic: str, stamp_ns: int, pose: Transform, velocity: tuple[float, float]

@@ -204,6 +204,7 @@ def batch_rows(
         free = free_floor(found.scene.free, found.scene.free_end, unit)
         plane = fit.plane
     frame_columns = _frame_columns(frames, plane, found, good)
+    frame_columns["log_time_ns"] = _log_times(batch, count)
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _pose_columns(batch, count)
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
@@ -263,6 +264,12 @@ def _frame_columns(
         "camera_pitch_rad": known(plane.pitch),
         "camera_roll_rad": known(plane.roll),
     }
+
+
+def _log_times(batch: "Batch", count: int) -> np.ndarray:
+    unknown = batch.log_time_ns is None
+    times = np.zeros(count, np.int64) if unknown else batch.log_time_ns
+    return np.ma.array(times, mask=np.full(count, unknown))
 
 
 def _pose_columns(batch: "Batch", count: int) -> dict[str, Any]:

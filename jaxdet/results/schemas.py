@@ -39,6 +39,7 @@ FRAMES_SCHEMA = _schema(
     _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
     _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
     _Column("depth_stamp_ns", _I64, "ns", "header stamp of the paired depth image", True),
+    _Column("log_time_ns", _I64, "ns", "when the log received the colour image", True),
     _Column("status", _STRING, "", "ok, or why the frame has no result"),
     _Column(
         "num_features", _I32, "", "corners and sampled cells with depth in range, above the floor"

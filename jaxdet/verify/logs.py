@@ -25,6 +25,7 @@ _OF_LOG = [
     "frame",
     "stamp_ns",
     "depth_stamp_ns",
+    "log_time_ns",
     "camera_frame",
     "world_frame",
     "camera_position_world",

@@ -1,0 +1,55 @@
+"""What a file that is opened or played beside a log shows of each of its frames.
+
+Messages have the header stamps of the log's colour images, and as log times the times at which
+the log received them, so that both files have one timeline whatever clock stamped the images.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxdet.export.grid import Grid, last_grid
+from jaxdet.export.shapes import (
+    FRAME_COLUMNS,
+    Row,
+    T_camera_floor,
+    T_world_camera,
+    camera_name,
+    floor_name,
+)
+from jaxdet.io.writer import Transform
+from jaxdet.results.reading import Frame, ResultLog, Results
+
+
+class Moment(NamedTuple):
+    """A frame in a sidecar."""
+
+    frame: Frame
+    log_time_ns: int
+    """Log time of its messages [ns]."""
+    transforms: tuple[Transform, ...]
+    """The floor frame, and where the log's own transforms lack it the camera in the world."""
+    grid: Grid | None
+    """The map in the world's frame, with the first frame of a log that has one."""
+
+
+def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]:
+    """Makes the folder, and names the file of each log in it: ``LOG.jaxdet.mcap``."""
+    folder.mkdir()
+    for log in results.logs:
+        yield log, folder / f"{log.file_name}.jaxdet.mcap"
+
+
+def moments(results: Results, log: ResultLog) -> Iterator[Moment]:
+    """The frames of a log, one by one."""
+    for number, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
+        grid = None if number else last_grid(results, log)
+        transforms = tuple(_transforms(frame.row, own_poses=not log.poses_from_tf))
+        yield Moment(frame, frame.row["log_time_ns"], transforms, grid)
+
+
+def _transforms(row: Row, *, own_poses: bool) -> Iterator[Transform]:
+    yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
+    T = T_world_camera(row)
+    if own_poses and T is not None and row["world_frame"]:
+        yield Transform(row["world_frame"], camera_name(row), T)
