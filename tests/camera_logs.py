@@ -10,8 +10,11 @@ NAMESPACE = "/camera/camera/"
 """Of the topics of a simulated log."""
 
 
-def join_cameras(logs: Mapping[str, Path], path: Path) -> Path:
-    """Writes a log with the cameras of several, each under its name; transforms are the first's."""
+def join_cameras(logs: Mapping[str, Path], path: Path, late_ns: int = 0) -> Path:
+    """Writes a log with the cameras of several, each under its name; transforms are the first's.
+
+    Its log times are by so much later than theirs.
+    """
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start("ros2", "tests")
@@ -31,7 +34,7 @@ def join_cameras(logs: Mapping[str, Path], path: Path) -> Path:
                             schemas[schema.id] = writer.register_schema(*given)
                         given = topic, channel.message_encoding, schemas[schema.id]
                         channels[channel.id] = writer.register_channel(*given)
-                    at = message.log_time, message.data, message.publish_time
+                    at = message.log_time + late_ns, message.data, message.publish_time
                     writer.add_message(channels[channel.id], *at)
         writer.finish()
     return path

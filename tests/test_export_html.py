@@ -212,7 +212,7 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
 
 
 def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None:
-    page_of(drive / "out", tmp_path / "page.html", (str(drive / "drive.mcap"),))
+    data = page_of(drive / "out", tmp_path / "page.html", (str(drive / "drive.mcap"),))
     opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
     page, dialog = opened.page, opened.page.locator("dialog")
     line = page.locator(".timeline svg")
@@ -225,11 +225,17 @@ def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None
     assert page.locator("#frame-title").inner_text() != first
     page.keyboard.press("Escape")
     assert not dialog.is_visible()
-    page.mouse.move(1, 1)  # where the pointer rests, the line would follow it
-    line.focus()
+    assert line.evaluate("node => node === document.activeElement")
+    page.wait_for_timeout(100)  # the pointer rests on the line, which does not follow it
+    assert not page.locator("#tip").is_visible()
     page.keyboard.press("End")
     page.keyboard.press("Enter")
     assert page.locator("#frame-title").inner_text() == "drive · frame 4"
+    shown = f"{data['frames'][-1]['rows'][0][1]:.2f} m"
+    assert dialog.locator("tbody tr").first.inner_text().split("\t")[:2] == ["0", shown]
+    color = "node => getComputedStyle(node).backgroundColor"
+    assert dialog.locator("tbody .key").first.evaluate(color) == "rgb(255, 92, 92)"
+    assert "floor from\nits own depth" in dialog.inner_text()
     rows = dialog.locator("tbody tr").count()
     assert f"obstacles\n{rows}" in dialog.inner_text()
     page.get_by_role("button", name="Close").click()

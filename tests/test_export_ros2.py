@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
@@ -15,10 +14,9 @@ from jaxdet.errors import InputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.grid import last_grid
 from jaxdet.export.recordings import find, images, look_again
-from jaxdet.io import LogFiles, LogOptions
+from jaxdet.io import LogFiles
 from jaxdet.results.reading import Frame, Results
-from tests.camera_logs import join_cameras
-from tests.export_results import run, sim_log
+from tests.export_results import sim_log
 
 DETECTIONS, POINTS, MAP = (f"/jaxdet/{name}" for name in ("detections", "points", "map"))
 POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")]
@@ -168,30 +166,6 @@ def test_the_log_is_seen_again_as_the_run_saw_it(driven_log: Path, driven_result
     ]
     columns = (seen.chunk.obstacles[name].to_pylist() for name in ("u_min", "v_min"))
     assert boxes == [list(pair) for pair in zip(*columns, strict=True)]
-
-
-def test_cameras_and_parts_of_a_log(tmp_path: Path) -> None:
-    front = sim_log(tmp_path / "front.mcap", frames=5)
-    rear = sim_log(tmp_path / "rear.mcap", frames=5, seed=3)
-    (tmp_path / "logs").mkdir()
-    both = join_cameras({"front": front, "rear": rear}, tmp_path / "logs" / "both.mcap")
-    folder = run(both, tmp_path / "results", options=LogOptions(every=2))
-    with Results(folder) as results:
-        logs = results.logs
-        cameras = [log.camera for log in logs]
-        assert len(cameras) == 2 and [log.num_frames for log in logs] == [3, 3]
-        found = find(results, [str(both)])
-        export(results, "ros2", tmp_path / "ros2", found)
-        export(results, "foxglove", tmp_path / "foxglove", {})
-        for log in logs:
-            (seen,) = look_again(results, log, found["both"])
-            assert seen.chunk.frames["frame"].to_pylist() == [0, 2, 4]
-            for to, name in (("ros2", "detections"), ("foxglove", "obstacles")):
-                path = tmp_path / to / f"both@{log.camera.replace('/', '-')}.jaxdet.mcap"
-                with path.open("rb") as stream:
-                    summary = make_reader(stream).get_summary()
-                    topics = {channel.topic for channel in summary.channels.values()}
-                assert f"/jaxdet/{log.camera}/{name}" in topics
 
 
 def test_another_log_is_refused(driven_log: Path, driven_results: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ floor is unknown it is a level one at the height of the camera.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -39,9 +40,14 @@ def floor_name(row: Row) -> str:
 
 
 def T_camera_floor(row: Row) -> np.ndarray:
-    """``(4, 4)`` float64, floor frame to colour optical frame, of a row of frames [m]."""
-    known = row["camera_height_m"] is not None
-    height, pitch, roll = (row[f"camera_{k}"] or 0.0 for k in ("height_m", "pitch_rad", "roll_rad"))
+    """``(4, 4)`` float64, floor frame to colour optical frame, of a row of frames [m]; constant."""
+    return _floor(*(row[f"camera_{name}"] for name in ("height_m", "pitch_rad", "roll_rad")))
+
+
+@lru_cache(maxsize=4)  # the obstacles of a frame ask one after the other
+def _floor(height: float | None, pitch: float | None, roll: float | None) -> np.ndarray:
+    known = height is not None
+    height, pitch, roll = (value or 0.0 for value in (height, pitch, roll))
     down = np.array([[0.0, 1.0, 0.0]])
     if known:
         down = down_vector(np.array([pitch]), np.array([roll]))
@@ -49,6 +55,7 @@ def T_camera_floor(row: Row) -> np.ndarray:
     T = np.eye(4)
     T[:3, 0], T[:3, 1] = np.cross(down, forward)[0], forward[0]
     T[:3, 2], T[:3, 3] = -down[0], height * down[0]
+    T.flags.writeable = False
     return T
 
 

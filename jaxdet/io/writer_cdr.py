@@ -127,6 +127,11 @@ def _append_field(out: bytearray, field: _Field, value: Any) -> None:
     if isinstance(value, bytes | memoryview):
         out += value
         return
+    if field.type in _FORMATS and value:
+        form = _FORMATS[field.type]
+        out += bytes(-(len(out) - 4) % struct.calcsize(form))
+        out += struct.pack(f"<{len(value)}{form}", *value)
+        return
     for item in value:
         _append(out, field.type, item)
 

@@ -14,6 +14,7 @@ from jaxdet.export.html.maps import map_figure
 from jaxdet.export.html.page import (
     FIRST_DATE_S,
     REASONS,
+    SOURCES,
     about,
     changed_settings,
     given_options,
@@ -21,6 +22,7 @@ from jaxdet.export.html.page import (
     run_lines,
 )
 from jaxdet.io.options import LogOptions
+from jaxdet.render.canvas import PALETTE
 
 if TYPE_CHECKING:
     from jaxdet.io import LogFiles
@@ -38,6 +40,8 @@ OBSTACLE_COLUMNS = (
     *("obstacle", "distance_m", "bottom_m", "top_m", "corners_ground", "num_points"),
 )
 CHUNK_FRAMES = 1 << 14
+DIGITS = 6
+"""Of metres: what float32 holds, so that rounding for the eye gives what pictures say."""
 
 
 def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"]) -> None:
@@ -81,6 +85,8 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         "range": results.method.ground.max_depth_m,
         "width": figures[0].width_m if figures else 1.0,
         "reasons": REASONS,
+        "sources": SOURCES,
+        "palette": ["#" + bytes(color).hex() for color in PALETTE],
         "no_picture": "with --log the export draws those without a picture",
         "preset": results.config.get("preset") or "wheeled",
         "settings": settings + given_options(results.log_options, LogOptions()),
@@ -122,7 +128,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
     """What the page needs of a log, but its map."""
     line, start, stop = figures.timeline, figures.start_ns, figures.stop_ns
     bins, summary = slice(0, line.bins), log.summary
-    nearest = _numbers(line.nearest_m[bins], 3)
+    nearest = _numbers(line.nearest_m[bins], DIGITS)
     least = int(np.argmin(line.nearest_m[bins])) if line.bins else 0
     known = bool(line.bins) and nearest[least] is not None
     begin_s = start / 1e9 if start is not None else 0.0
@@ -146,7 +152,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         },
         "per_frame": figures.per_frame.tolist(),
         "per_obstacle": figures.per_obstacle.tolist(),
-        "floor": ", ".join(f"{n} {name}" for name, n in summary["floor_sources"].items() if n),
+        "floor": ", ".join(f"{name} {n:,}" for name, n in summary["floor_sources"].items() if n),
         "warnings": summary["warnings"],
         "errors": summary["frame_errors"],
         "map": None,
@@ -193,7 +199,7 @@ def _shown(
 
 
 def _nearest(distances: Any) -> float | None:
-    return round(float(np.min(distances.to_numpy())), 3) if len(distances) else None
+    return round(float(np.min(distances.to_numpy())), DIGITS) if len(distances) else None
 
 
 def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> dict[str, Any]:
@@ -226,7 +232,7 @@ def _obstacle(part: Mapping[str, Any]) -> list[Any]:
     corners = np.reshape(part["corners_ground"], (4, 2))
     wide, deep = (float(np.hypot(*(corners[i + 1] - corners[i]))) for i in (0, 1))
     metres = (part["distance_m"], part["bottom_m"], part["top_m"], wide, deep)
-    rounded = [None if value is None else round(value, 3) for value in metres]
+    rounded = [None if value is None else round(value, DIGITS) for value in metres]
     return [part["obstacle"], *rounded, part["num_points"]]
 
 

@@ -39,8 +39,16 @@
     const body = add(node, "tbody");
     for (const row of rows) {
       const line = add(body, "tr");
-      row.forEach((cell, i) => add(line, "td", { class: numeric[i] ? "n" : null }, String(cell)));
+      row.forEach((cell, i) => add(line, "td", { class: numeric[i] ? "n" : null }).append(cell));
     }
+    return node;
+  }
+
+  // The number of an obstacle with its colour in the pictures.
+  function obstacle(number) {
+    const node = document.createElement("span");
+    add(node, "span", { class: "key" }).style.background = data.palette[number % data.palette.length];
+    node.append(String(number));
     return node;
   }
 
@@ -89,7 +97,7 @@
     const lines = picked().flatMap((l) => l.errors.map((e) => (data.logs.length > 1 ? `${l.log}: ${e}` : e)));
     if (lines.length) {
       const more = add(node, "details");
-      add(more, "summary", {}, `The first ${many(lines.length, "reason")}`);
+      add(more, "summary", {}, `In detail, ${many(lines.length, "frame")}`);
       const list = add(more, "ul");
       for (const line of lines.slice(0, 200)) add(list, "li", {}, line);
     }
@@ -105,6 +113,13 @@
     tip.style.top = `${Math.max(4, y - box.height - 12)}px`;
   }
   const hideTip = () => { tip.hidden = true; };
+  // A pointer that rests is said to move when what is under it changes, as when the dialog closes.
+  let pointer = "", rests = false;
+  document.addEventListener("pointermove", (e) => {
+    const here = `${e.clientX} ${e.clientY}`;
+    rests = here === pointer;
+    pointer = here;
+  }, true);
 
   const byFrame = new Map(data.frames.map((f, i) => [`${f.log} ${f.frame}`, i]));
   const STEP = 10; // timelines drawn at first, and with each press of the button
@@ -213,6 +228,7 @@
     const leave = () => { cursor.setAttribute("visibility", "hidden"); spot.setAttribute("visibility", "hidden"); hideTip(); };
     const open = () => { const f = target(at); if (f >= 0) { leave(); openFrame(f); } };
     svg.addEventListener("pointermove", (e) => {
+      if (rests) return;
       const area = svg.getBoundingClientRect();
       const px = ((e.clientX - area.left) / area.width) * W;
       let best = 0;
@@ -367,15 +383,15 @@
     item("nearest", f.nearest === null ? null : metres(f.nearest));
     item("drop", f.drop === null ? null : metres(f.drop));
     item("camera", f.height === null ? null : `${f.height.toFixed(2)} m up, ${f.pitch.toFixed(1)}° down, roll ${f.roll.toFixed(1)}°`);
-    item("floor from", f.source);
+    item("floor from", data.sources[f.source] || f.source);
     item("overflow", f.kinds.includes("overflow") || f.overflow ? "yes" : null);
     item("stamp", f.stamp + " ns");
     if (f.reason || f.status !== "ok") add(body, "p", { class: "bad" }, f.reason || data.reasons[f.status] || f.status);
     else if (f.refused) add(body, "p", { class: "faint" }, `The frame's own depth did not decide its floor: ${f.refused.replace("_", " ")}.`);
     if (f.rows.length) {
       const wide = add(body, "div", { class: "wide" });
-      table(wide, ["#obstacle", "#distance", "#bottom", "#top", "#width", "#depth", "#cells"],
-        f.rows.map((r) => [r[0], ...r.slice(1, 6).map(metres), r[6]]));
+      table(wide, ["obstacle", "#distance", "#bottom", "#top", "#width", "#depth", "#cells"],
+        f.rows.map((r) => [obstacle(r[0]), ...r.slice(1, 6).map(metres), r[6]]));
       if (f.count > f.rows.length) add(body, "p", { class: "faint" }, `The nearest ${f.rows.length} of ${f.count}.`);
     }
     if (!dialog.open) dialog.showModal();
@@ -394,13 +410,14 @@
     if (e.key === "ArrowRight") step(1);
   });
   dialog.addEventListener("close", () => {
+    if (document.activeElement.closest(".timeline")) return; // which it was opened from
     const origin = document.querySelector(`.card[data-frame="${current}"]`);
     if (origin) { origin.focus({ preventScroll: true }); origin.scrollIntoView({ block: "nearest", behavior: calm ? "auto" : "smooth" }); }
   });
 
   // ---- logs, configuration
   function drawLogs() {
-    table($("logs"), ["Log", "Recorded", "#Length", "#Frames", "#Lost", "#Obstacles", "#Nearest", "#Overflow", "Floor"],
+    table($("logs"), ["Log", "Recorded", "#Length", "#Frames", "#Lost", "#Obstacles", "#Nearest", "#Overflow", "Floor from"],
       picked().map((l) => [l.log, date(l), l.duration === null ? "–" : seconds(l.duration), l.frames.toLocaleString("en"),
         l.error ? "failed" : (l.frames - (l.status.ok || 0)).toLocaleString("en"), l.obstacles.toLocaleString("en"),
         l.nearest ? metres(l.nearest[0]) : "–", l.overflow.toLocaleString("en"), l.floor]));

@@ -22,6 +22,15 @@ REASONS = {
     "timeout": "The processes that worked on it made no progress.",
 }
 """What each :class:`jaxdet.errors.FrameStatus` means but ``ok``."""
+SOURCES = {
+    "frame": "its own depth",
+    "window": "frames of its time window",
+    "log": "frames of the log",
+    "tf": "the log's TF",
+    "flags": "the settings",
+    "none": "nowhere",
+}
+"""What ``floor_source`` means."""
 FIRST_DATE_S = 946684800
 """Stamps before the year 2000 count from somewhere else, and have no date."""
 

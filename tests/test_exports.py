@@ -1,0 +1,150 @@
+"""What holds for every format: cameras, parts of a log, the log's own times, bounded memory."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from jaxdet.errors import ConfigError
+from jaxdet.export import FORMATS, export
+from jaxdet.export.recordings import find, look_again
+from jaxdet.io import LogOptions
+from jaxdet.results.reading import Results
+from tests.camera_logs import join_cameras
+from tests.export_results import run, sim_log
+
+LATE_NS = 3_600_123_456_789
+"""The recorder's clock is so much ahead of the camera's."""
+CAMERAS = ("front", "rear")
+FRAMES = [2, 4, 6]
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``both.mcap`` of two cameras, and the results of a part of it."""
+    folder = tmp_path_factory.mktemp("parts")
+    logs = {"front": 0, "rear": 3}
+    logs = {n: sim_log(folder / f"{n}.mcap", frames=7, seed=seed) for n, seed in logs.items()}
+    both = join_cameras(logs, folder / "both.mcap", LATE_NS)
+    run(both, folder / "results", options=LogOptions(start="0.6", every=2))
+    return folder
+
+
+def exported(parts: Path, to: str, output: Path) -> Path:
+    with Results(parts / "results") as results:
+        given = [str(parts / "both.mcap")] if FORMATS[to].of_logs else []
+        export(results, to, output, find(results, given))
+        assert [log.camera for log in results.logs] == list(CAMERAS)
+        for log in results.logs:
+            assert [f.row["frame"] for f in results.frames(log)] == FRAMES
+    return output
+
+
+@pytest.mark.parametrize(("to", "topic"), [("foxglove", "obstacles"), ("ros2", "detections")])
+def test_sidecars_have_the_log_times_of_the_recording(
+    to: str, topic: str, parts: Path, tmp_path: Path
+) -> None:
+    folder = exported(parts, to, tmp_path / "out")
+    for camera in CAMERAS:
+        with (parts / "both.mcap").open("rb") as stream:
+            color = f"/{camera}/camera/color/image_raw"
+            times = [m.log_time for *_, m in make_reader(stream).iter_messages([color])]
+        with (folder / f"both@{camera}.jaxdet.mcap").open("rb") as stream:
+            shown = [m for *_, m in make_reader(stream).iter_messages(f"/jaxdet/{camera}/{topic}")]
+        assert [message.log_time for message in shown] == [times[i] for i in FRAMES]
+    with Results(parts / "results") as results:
+        for row, _ in results.frames():
+            assert row["log_time_ns"] == row["stamp_ns"] + LATE_NS
+
+
+def test_ros2_points_are_of_the_part(parts: Path) -> None:
+    with Results(parts / "results") as results:
+        found = find(results, [str(parts / "both.mcap")])
+        for log in results.logs:
+            (seen,) = look_again(results, log, found["both"])
+            assert seen.chunk.frames["frame"].to_pylist() == FRAMES
+
+
+def test_nav2_has_a_map_of_each_camera(parts: Path, tmp_path: Path) -> None:
+    folder = exported(parts, "nav2", tmp_path / "out")
+    for camera in CAMERAS:
+        name = f"both@{camera}"
+        text = (folder / f"{name}.yaml").read_text()
+        assert f"image: {name}.pgm" in text and f"both, {camera}" in text
+        cells = np.frombuffer((folder / f"{name}.pgm").read_bytes().split(b"255\n", 1)[1], np.uint8)
+        assert {0, 254} <= {*cells.tolist()}
+
+
+def test_the_page_tells_cameras_and_frames_apart(parts: Path, tmp_path: Path) -> None:
+    text = exported(parts, "html", tmp_path / "page.html").read_text("utf-8")
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert match
+    data = json.loads(match[1])
+    assert [log["log"] for log in data["logs"]] == [f"both, {camera}" for camera in CAMERAS]
+    for number, log in enumerate(data["logs"]):
+        shown = [frame for frame in data["frames"] if frame["log"] == number]
+        assert log["frames"] == len(FRAMES) and all(frame["picture"] for frame in shown)
+        assert sorted(frame["frame"] for frame in shown) == FRAMES
+
+
+def test_recordings_of_each_camera(parts: Path, tmp_path: Path) -> None:
+    chunk = pytest.importorskip("rerun.chunk")
+    folder = exported(parts, "rerun", tmp_path / "out")
+    paths = sorted(folder.iterdir())
+    assert [path.stem for path in paths] == [f"both@{c}" for c in CAMERAS]
+    for path in paths:
+        seen = set()
+        for part in chunk.RrdReader(path).stream():
+            if not part.is_static and part.entity_path.endswith("camera/color"):
+                seen |= set(part.to_record_batch().column("frame").to_pylist())
+        assert sorted(seen) == FRAMES
+
+
+def test_training_sets_have_the_images_of_both(parts: Path, tmp_path: Path) -> None:
+    folder = exported(parts, "coco", tmp_path / "out")
+    images = json.loads((folder / "annotations.json").read_text())["images"]
+    assert [(one["camera"], one["frame"]) for one in images] == [
+        (camera, frame) for camera in CAMERAS for frame in FRAMES
+    ]
+    assert all((folder / one["file_name"]).is_file() for one in images)
+
+
+@pytest.mark.parametrize("to", [name for name, form in FORMATS.items() if not form.of_logs])
+def test_a_log_that_is_not_looked_at_is_refused(to: str, parts: Path, tmp_path: Path) -> None:
+    with (
+        Results(parts / "results") as results,
+        pytest.raises(ConfigError, match=f"--to {to} shows nothing of the logs.*leave --log out"),
+    ):
+        export(results, to, tmp_path / "out", find(results, [str(parts / "both.mcap")]))
+    assert not (tmp_path / "out").exists()
+
+
+_PEAK = """
+import resource, sys
+from pathlib import Path
+from jaxdet.export import export
+from jaxdet.results.reading import Results
+from tests.made_results import make_results
+folder, to, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+make_results(folder / "results", {"a": count})
+with Results(folder / "results") as results:
+    export(results, to, folder / "out", {})
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("to", ["foxglove", "ros2", "rerun", "html"])
+def test_memory_has_a_bound(to: str, tmp_path: Path) -> None:
+    """100,000 frames take no more than 33,000 do, which fill the tables' row groups."""
+    peaks = []
+    for count in (33_000, 100_000):
+        command = [sys.executable, "-c", _PEAK, str(tmp_path / str(count)), to, str(count)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        peaks.append(int(done.stdout) / 1024)
+    assert peaks[1] < peaks[0] + 30, peaks
