@@ -193,6 +193,21 @@ def test_folder_without_anything_to_read(tmp_path):
         find_logs([str(tmp_path)])
 
 
+def test_a_lerobot_dataset_says_what_can_be_done(mcap, tmp_path):
+    folder = tmp_path / "pick"
+    (folder / "meta").mkdir(parents=True)
+    (folder / "videos").mkdir()
+    (folder / "videos" / "file-000.mp4").write_bytes(b"x")
+    (folder / "meta" / "info.json").write_text('{"codebase_version": "v3.0", "fps": 30}')
+    said = r"pick: is a LeRobot dataset, which holds no camera's calibration; write its frames as PNG"
+    for given in (folder, tmp_path):
+        with pytest.raises(InputError, match=said):
+            find_logs([str(given)])
+    copy(mcap, tmp_path)
+    [log] = find_logs([str(tmp_path)])
+    assert log.note == "pick is left out: a LeRobot dataset"
+
+
 def test_bag_without_rosbags_names_the_extra(bag, monkeypatch):
     find_spec = importlib.util.find_spec
     hidden = lambda name, *rest: None if name == "rosbags" else find_spec(name, *rest)  # noqa: E731

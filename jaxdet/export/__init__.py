@@ -32,9 +32,15 @@ class Format(NamedTuple):
 
 FORMATS = {
     "foxglove": Format("a folder: an MCAP file to open beside each log, and a layout"),
-    "ros2": Format("a folder: an MCAP file of ROS 2 messages for each log", "the obstacles' own points"),
+    "ros2": Format(
+        "a folder: an MCAP file of ROS 2 messages for each log",
+        "the obstacles' own points",
+    ),
     "nav2": Format("a folder: a map of each log as nav2's map_server loads it (PGM and YAML)"),
-    "html": Format("a file: a page with figures, timelines, maps, pictures", "pictures of the gallery's frames"),
+    "html": Format(
+        "a file: a page with figures, timelines, maps, pictures",
+        "pictures of the gallery's frames",
+    ),
     "rerun": Format(
         "a folder: a recording (.rrd) of each log for the Rerun viewer",
         "images, depth and points too",

@@ -25,6 +25,9 @@ _OTHERS = {
     ".oni": "play it to ROS 2 topics and record them as MCAP",
 }
 """Suffixes of recordings that are not read, and what can be done."""
+_DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
+"""What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
+version, and nowhere has it the camera's calibration."""
 _MAX_LISTED = 4
 
 
@@ -155,6 +158,7 @@ def _files(text: str) -> tuple[list[Path], str]:
     else:
         raise InputError("no such file or folder", path=text, remedy="check the path")
     others = [file for file in seen if file.suffix in _OTHERS]
+    datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     found = [file for file in seen if file.suffix in SUFFIXES]
     if path.is_file():
         if others:
@@ -164,6 +168,9 @@ def _files(text: str) -> tuple[list[Path], str]:
     folders = image_folders(seen)
     if not found and folders:
         return folders, "; ".join(note for item in folders if (note := stamp_note(item)))
+    if not found and datasets:
+        problem = "is a LeRobot dataset, which holds no camera's calibration"
+        raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)
     if not found:
         where, remedy = text, "name an MCAP file or a folder"
         problem = "no .mcap, .bag or .db3 file and no folder of images found"
@@ -173,7 +180,18 @@ def _files(text: str) -> tuple[list[Path], str]:
         raise InputError(problem, path=where, remedy=remedy)
     taken, note = _preferred(found, others)
     left = [f"{printable(item.name)} is left out: images beside recordings" for item in folders]
+    left += [f"{printable(item.name)} is left out: a LeRobot dataset" for item in datasets]
     return taken, "; ".join(filter(None, [note, *left[:_MAX_LISTED]]))
+
+
+def _is_dataset(file: Path) -> bool:
+    """Whether a file is what a LeRobot dataset says of itself."""
+    if file.name != "info.json" or file.parent.name != "meta":
+        return False
+    try:
+        return b'"codebase_version"' in file.read_bytes()[:4096]
+    except OSError:
+        return False
 
 
 def _preferred(found: Sequence[Path], others: Sequence[Path]) -> tuple[list[Path], str]:
