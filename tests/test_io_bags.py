@@ -199,7 +199,7 @@ def test_a_lerobot_dataset_says_what_can_be_done(mcap, tmp_path):
     (folder / "videos").mkdir()
     (folder / "videos" / "file-000.mp4").write_bytes(b"x")
     (folder / "meta" / "info.json").write_text('{"codebase_version": "v3.0", "fps": 30}')
-    said = r"pick: is a LeRobot dataset, which holds no camera's calibration; write its frames as PNG"
+    said = r"pick: is a LeRobot dataset, which holds no camera's calibration; write its frames"
     for given in (folder, tmp_path):
         with pytest.raises(InputError, match=said):
             find_logs([str(given)])
