@@ -47,10 +47,10 @@ class GroundConfig:
     camera_height_m: float | None = None
     """Optical centre above the floor [m], as far as known; unset: from the log's TF, else from a
     sample of its frames. Each frame's own depth corrects it."""
-    camera_pitch_rad: float = 0.0
-    """Downward tilt [rad], used with camera_height_m."""
+    camera_pitch_rad: float | None = None
+    """Downward tilt [rad]; given with camera_height_m, 0 where the camera looks level."""
     camera_roll_rad: float = 0.0
-    """Clockwise roll seen from behind the camera [rad], used with camera_height_m."""
+    """Clockwise roll seen from behind the camera [rad], with camera_height_m."""
     source: str = "auto"
     """What the floor of each frame is looked for around: auto (flags, then tf), flags, tf, or
     estimate (neither). The median floor of a sample of the log's frames takes its place where
@@ -80,7 +80,7 @@ class GroundConfig:
         _require(self.sample_frames >= 1, "ground.sample-frames", "at least 1")
         _require_within(self.window_s, 0, 1e9, "ground.window-s")
         for angle, most in (("pitch", math.pi / 2), ("roll", math.pi)):
-            value = getattr(self, f"camera_{angle}_rad")
+            value = getattr(self, f"camera_{angle}_rad") or 0.0
             rule = f"within {math.degrees(most):.0f}°, not {math.degrees(value):.0f}°"
             _require(abs(value) <= most + 1e-9, f"ground.camera-{angle}", rule)
             _require(
@@ -88,6 +88,12 @@ class GroundConfig:
                 "ground.camera-height-m",
                 f"given with camera-{angle}: one without the other says nothing of the floor",
             )
+        _require(
+            self.camera_height_m is None or self.camera_pitch_rad is not None,
+            "ground.camera-pitch",
+            "given with camera-height-m, 0deg where it looks level; without both the floor is "
+            "found in each frame",
+        )
 
 
 @dataclass(frozen=True)

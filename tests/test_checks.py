@@ -303,7 +303,7 @@ def test_planes_of_any_height(height):
 @BACKENDS
 def test_no_floor_is_no_floor(backend):
     """Whatever is given or configured."""
-    config = Config(GroundConfig(source="none", camera_height_m=0.5))
+    config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
     given = made()._replace(plane=level(2))
     found = detect(given, config, backend=backend)
     fit = metric.floors(found.scene, 0.001)

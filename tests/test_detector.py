@@ -296,7 +296,7 @@ def test_mounts():
     assert Mount.from_transform(T) == Mount(0.7, 0.0, 0.0)
     one, two = detector(mount=Mount(0.4)), detector(mount=None)
     assert rows_of(one(COLOR[0], DEPTH[0])) == rows_of(two(COLOR[0], DEPTH[0], mount=Mount(0.4)))
-    ground = GroundConfig(camera_height_m=0.4)
+    ground = GroundConfig(camera_height_m=0.4, camera_pitch_rad=0.0)
     told_by_config = detector(mount=None, config=replace(Config(), ground=ground))
     assert rows_of(told_by_config(COLOR[0], DEPTH[0])) == rows_of(one(COLOR[0], DEPTH[0]))
     unasked = detector(config=replace(Config(), ground=GroundConfig(source="none")))

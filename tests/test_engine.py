@@ -233,8 +233,8 @@ def test_sources_of_the_ground() -> None:
 
     assert source().source == "tf"
     assert source().height_m == pytest.approx(0.4)
-    assert source(camera_height_m=0.7, camera_roll_rad=0.1).height_m == 0.7
-    assert source(camera_height_m=0.7, source="tf").source == "tf"
+    assert source(camera_height_m=0.7, camera_pitch_rad=0.0, camera_roll_rad=0.1).height_m == 0.7
+    assert source(camera_height_m=0.7, camera_pitch_rad=0.0, source="tf").source == "tf"
     assert source(source="none").source == "none"
     assert source(source="estimate").source == "none"  # the scene has no floor
     log.T_base_camera[2, 3] = 0.0

@@ -85,7 +85,7 @@ def test_any_batch_equals_the_reference_twice(device, batch, name):
 
 
 def test_the_plane_comes_from_the_configuration_when_the_frames_have_none():
-    ground = GroundConfig(camera_height_m=0.4)
+    ground = GroundConfig(camera_height_m=0.4, camera_pitch_rad=0.0)
     given = made_frames(2)._replace(plane=None)
     assert_equal(detect(given, replace(Config(), ground=ground)), detect_numpy(made_frames(2)))
     unknown = detect(given, replace(Config(), ground=GroundConfig(source="none")))

@@ -71,7 +71,7 @@ def test_the_log_replaces_what_tf_says(decide: Any) -> None:
     assert planes.of(np.zeros(2, np.int64)).height.tolist() == [0.31, 0.31]
     assert "3 of 4 sampled frames" in planes.records[0].message
     assert "tf: 0.400 m up" in planes.records[0].message
-    flags = decide([0.3] * 4, camera_height_m=0.5)
+    flags = decide([0.3] * 4, camera_height_m=0.5, camera_pitch_rad=0.0)
     assert words(flags) == ["log"] * 4 and flags.records[0].height_m == 0.3
 
 
@@ -80,7 +80,7 @@ def test_few_frames_do_not(decide: Any) -> None:
     assert words(planes) == ["tf"] * 4
     assert planes.of(np.zeros(1, np.int64)).height[0] == pytest.approx(0.4)
     assert words(decide([0.3, 0.3], tf=True)) == ["log"] * 4  # all of a shorter log
-    assert words(decide([0.3, 0.3], [True, False], camera_height_m=0.5)) == ["flags"] * 4
+    assert words(decide([0.3, 0.3], [True, False], camera_height_m=0.5, camera_pitch_rad=0.0)) == ["flags"] * 4
     assert words(decide([], tf=True)) == ["tf"] * 4
 
 

@@ -51,7 +51,7 @@ def many(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
 def run(logs: list[LogFiles], output: Path, **more: Any) -> engine.Summary:
     """Nothing is compiled, and no floor looked for."""
     height = more.pop("height", None)
-    config = Config(GroundConfig(source="none", camera_height_m=height))
+    config = Config(GroundConfig(source="none", camera_height_m=height, camera_pitch_rad=0.0))
     own = {name: more.pop(name) for name in ("progress", "say") if name in more}
     how = {"backend": "reference", "batch_size": 5, "pictures": 0, "workers": 1, **more}
     return engine.run(logs, config, LogOptions(), engine.RunOptions(output, **how), **own)

@@ -1,10 +1,11 @@
 """From the words of the command line to a dataclass, with one line for each way to be wrong."""
 
+import argparse
 import dataclasses
 import difflib
+import re
 import typing
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +17,6 @@ from jaxdet.config_file import meant
 from jaxdet.errors import ConfigError
 
 Command = TypeVar("Command")
-Given = dict[tuple[str, ...], Any]
 _KINDS = {int: "a whole number", float: "a number"}
 
 
@@ -57,98 +57,61 @@ def parse_flags(
         print(usage(options, prog, description, common, whole="--help-all" in asked), end="")
         raise SystemExit(0)
     see = f"see {prog} --help"
-    given = _Words(options, see).read(args)
+    given = _Parser(options, see).read(args)
     missing = [option for option in options if option.default is MISSING]
-    missing = [option for option in missing if option.path not in given]
+    missing = [option for option in missing if given.get(".".join(option.path)) is None]
     if missing:
         lacks = ", ".join(f"{option.flag} {takes(option)}".strip() for option in missing)
         raise ConfigError(f"missing: {lacks}", remedy=see)
     return _made(kind, defaults, given)
 
 
-class _Words:
-    """Which words are flags and which are their values."""
+class _Parser(argparse.ArgumentParser):
+    """Reads the words; what is wrong with them is one line.
+
+    Args:
+        options: What they may say.
+        see: What the errors end with.
+    """
 
     def __init__(self, options: Sequence[Option], see: str) -> None:
-        self.positional = [option for option in options if not option.flag]
-        self.flags = {name: option for option in options for name in _names(option)}
-        self.known = [flag for flag, option in self.flags.items() if flag != f"{option.flag}-rad"]
+        quiet = {"add_help": False, "allow_abbrev": False}
+        super().__init__(argument_default=argparse.SUPPRESS, usage="", **quiet)
         self.see = see
+        for option in options:
+            how: dict[str, Any] = {"dest": ".".join(option.path)}
+            if not option.flag:
+                count = "*" if _many(option) else "?"
+                default = [] if _many(option) else None
+                self.add_argument(nargs=count, default=default, type=_reader(option), **how)
+            for flag, value in option.switches.items():
+                self.add_argument(flag, action="store_const", const=value, **how)
+            if option.flag and not option.switches:
+                parts = typing.get_args(option.kind) if _is_tuple(option) else ()
+                how["nargs"] = "+" if _many(option) else len(parts) or None
+                self.add_argument(option.flag, type=_reader(option), **how)
+            if option.angle:
+                self.add_argument(f"{option.flag}-rad", type=_reader(option, plain=True), **how)
+        self.flags = [flag for option in options for flag in option.switches or [option.flag]]
 
-    def read(self, args: Sequence[str]) -> Given:
+    def read(self, args: Sequence[str]) -> dict[str, Any]:
         """What is given, by the path of its option."""
-        given: Given = {}
-        words, loose = deque(args), []
-        while words:
-            word = words.popleft()
-            if word == "--":
-                loose += words
-                break
-            if not word.startswith("-") or word == "-":
-                loose.append(word)
-                continue
-            name, equals, value = word.partition("=")
-            name = name.replace("_", "-")
-            option = self.flags.get(name)
-            if option is None:
+        found, unknown = self.parse_known_intermixed_args([_for_argparse(word) for word in args])
+        if unknown:
+            name = unknown[0].partition("=")[0]
+            if name.startswith("-"):
                 raise ConfigError(f"no flag {name}", remedy=f"{self._meant(name)}{self.see}")
-            if option.kind is bool:
-                if equals:
-                    raise ConfigError(f"{name} takes no value", remedy=self.see)
-                given[option.path] = option.switches[name]
-                continue
-            taken = [value] if equals else _values(option, words)
-            given[option.path] = self._value(option, name, taken)
-        for option in self.positional:
-            count = len(loose) if _many(option) else 1
-            taken, loose = loose[:count], loose[count:]
-            if taken or _many(option):
-                given[option.path] = self._value(option, takes(option), taken)
-        if loose:
-            raise ConfigError(f"{loose[0]!r} is one argument too many", remedy=self.see)
-        return given
+            raise ConfigError(f"{name!r} is one argument too many", remedy=self.see)
+        return vars(found)
 
-    def _value(self, option: Option, name: str, words: list[str]) -> Any:
-        kind, text = option.kind, " ".join(words)
-        if option.optional and words == ["None"]:
-            return None
-        if not words and option.flag:
-            raise ConfigError(f"{name} lacks its value, {takes(option)}", remedy=self.see)
-        if typing.get_origin(kind) is tuple:
-            kind, *others = typing.get_args(kind)
-            if ... not in others and len(words) != len(others) + 1:
-                raise ConfigError(f"{name} takes {takes(option)}, not {text!r}", remedy=self.see)
-            return tuple(self._one(option, name, kind, word) for word in words)
-        return self._one(option, name, kind, words[0])
-
-    def _one(self, option: Option, name: str, kind: Any, word: str) -> Any:
-        if typing.get_origin(kind) is typing.Literal:
-            choices = typing.get_args(kind)
-            if word not in choices:
-                remedy = f"{meant(word, choices)}it takes {', '.join(choices)}"
-                raise ConfigError(f"{name} {word!r} is unknown", remedy=remedy)
-            return word
-        if option.angle:
-            try:
-                return float(word) if name.endswith("-rad") else parse_angle(word)
-            except ValueError:
-                pass
-            try:
-                return parse_angle(word)
-            except ValueError as error:
-                raise ConfigError(f"{name} {word!r}: {error}") from None
-        if kind in _KINDS:
-            try:
-                return kind(word)
-            except ValueError:
-                problem = f"{name} {word!r} is not {_KINDS[kind]}"
-                raise ConfigError(problem, remedy=self.see) from None
-        return Path(word) if kind is Path else word
+    def error(self, message: str) -> typing.NoReturn:
+        """Says what argparse found."""
+        raise ConfigError(message.removeprefix("argument "), remedy=self.see)
 
     def _meant(self, name: str) -> str:
         """``did you mean X or Y? `` where known flags are near."""
         section, _, word = name.lstrip("-").rpartition(".")
-        tails = {flag: flag.lstrip("-").rpartition(".") for flag in self.known}
+        tails = {flag: flag.lstrip("-").rpartition(".") for flag in filter(None, self.flags)}
         near = [flag for flag, (_, _, tail) in tails.items() if tail.startswith(word)]
         if not near:
             close = difflib.get_close_matches(word, [tail for _, _, tail in tails.values()])
@@ -157,31 +120,63 @@ class _Words:
         return f"did you mean {' or '.join((own or near)[:3])}? " if near else ""
 
 
-def _names(option: Option) -> list[str]:
-    """The flags of an option."""
-    if option.kind is bool:
-        return list(option.switches)
-    return [option.flag] * bool(option.flag) + [f"{option.flag}-rad"] * option.angle
+def _for_argparse(word: str) -> str:
+    """Flags with ``-`` for ``_``; with a space before it ``-10deg`` or ``-1e-3`` is no flag."""
+    flag, equals, value = word.partition("=")
+    if word.startswith("--"):
+        return flag.replace("_", "-") + equals + value
+    return f" {word}" if re.match(r"-[.\d]", word) else word
+
+
+def _is_tuple(option: Option) -> bool:
+    return typing.get_origin(option.kind) is tuple
 
 
 def _many(option: Option) -> bool:
     return ... in typing.get_args(option.kind)
 
 
-def _values(option: Option, words: deque[str]) -> list[str]:
-    """The words that are a flag's values, taken from those that follow it."""
-    parts = typing.get_args(option.kind) if typing.get_origin(option.kind) is tuple else (str,)
-    most = len(words) if _many(option) else len(parts)
-    taken: list[str] = []
-    while words and len(taken) < most and not words[0].startswith("--"):
-        taken.append(words.popleft())
-        if option.optional and taken == ["None"]:
-            break
-    return taken
+def _reader(option: Option, *, plain: bool = False) -> Callable[[str], Any]:
+    """What reads a word that is a value of an option, or a part of it.
+
+    Args:
+        option: The option.
+        plain: An angle may be a number without a unit, in radians.
+    """
+    kind = typing.get_args(option.kind)[0] if _is_tuple(option) else option.kind
+    choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
+
+    def read(word: str) -> Any:
+        word = word.strip()
+        if option.optional and word == "None":
+            return None
+        if choices and word not in choices:
+            known = f"{meant(word, choices)}it takes {', '.join(choices)}"
+            raise argparse.ArgumentTypeError(f"{word!r} is unknown; {known}")
+        try:
+            if option.angle and not (plain and _is_number(word)):
+                return parse_angle(word)
+            return kind(word) if kind in (*_KINDS, Path) else word
+        except ValueError as error:
+            why = f": {error}" if option.angle else f" is not {_KINDS[kind]}"
+            raise argparse.ArgumentTypeError(f"{word!r}{why}") from None
+
+    return read
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _made(
-    kind: type[Command], defaults: Mapping[str, Any], given: Given, path: tuple[str, ...] = ()
+    kind: type[Command],
+    defaults: Mapping[str, Any],
+    given: Mapping[str, Any],
+    path: tuple[str, ...] = (),
 ) -> Command:
     """The dataclass with what is given, else its defaults."""
     values, hints = {}, typing.get_type_hints(kind)
@@ -191,5 +186,6 @@ def _made(
             inner = dict(vars(default)) if default is not MISSING else {}
             values[field.name] = _made(hints[field.name], inner, given, here)
         else:
-            values[field.name] = given.get(here, default)
+            value = given.get(".".join(here), default)
+            values[field.name] = tuple(value) if isinstance(value, list) else value
     return kind(**values)

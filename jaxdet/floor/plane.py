@@ -72,9 +72,10 @@ def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
 
 def flagged_plane(config: GroundConfig) -> GroundPlane:
     """The plane that the configuration states, ``B = 1``; its camera height must be set."""
-    assert config.camera_height_m is not None
-    angles = config.camera_pitch_rad, config.camera_roll_rad
-    return flat_plane(*(np.array([a], np.float64) for a in (config.camera_height_m, *angles)))
+    height, pitch = config.camera_height_m, config.camera_pitch_rad
+    assert height is not None and pitch is not None
+    given = height, pitch, config.camera_roll_rad
+    return flat_plane(*(np.array([value], np.float64) for value in given))
 
 
 def unknown_plane(batch: int) -> GroundPlane:

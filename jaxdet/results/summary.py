@@ -120,9 +120,12 @@ class LogSummary(Counts):
         others = [f"{n} have that of {name}" for name, n in self.floor_sources.items() if n]
         others = [text for text in others if not text.endswith((" frame", " none"))]
         others += [f"in {nothing} nothing is dropped as floor"] if nothing else []
+        remedy = "give the camera's true --ground.camera-height-m and --ground.camera-pitch"
+        if self.floor_sources["flags"]:
+            remedy += ", or leave both out"
         return (
             f"{refused} of {good} frames don't show their floor themselves ({reasons}), "
-            f"{', '.join(others)}: give the camera's true --ground.camera-height-m and tilt"
+            f"{', '.join(others)}: {remedy}"
         )
 
     @property
