@@ -205,7 +205,9 @@ def test_prepare_is_the_pipeline():
     for place, pixel, centre in ((x, u, 79.5), (y, v, 59.5)):
         assert np.abs(place - (pixel - centre) / 120 * z).max() <= 1
 
-    flags = replace(CONFIG, ground=replace(CONFIG.ground, camera_height_m=1.0, camera_pitch_rad=0.0))
+    flags = replace(
+        CONFIG, ground=replace(CONFIG.ground, camera_height_m=1.0, camera_pitch_rad=0.0)
+    )
     again = prepare(frames._replace(plane=None), flags)
     np.testing.assert_array_equal(again[0].keep, prepared[0].keep)
     none = replace(CONFIG, ground=replace(CONFIG.ground, source="none"))

@@ -80,7 +80,10 @@ def test_few_frames_do_not(decide: Any) -> None:
     assert words(planes) == ["tf"] * 4
     assert planes.of(np.zeros(1, np.int64)).height[0] == pytest.approx(0.4)
     assert words(decide([0.3, 0.3], tf=True)) == ["log"] * 4  # all of a shorter log
-    assert words(decide([0.3, 0.3], [True, False], camera_height_m=0.5, camera_pitch_rad=0.0)) == ["flags"] * 4
+    assert (
+        words(decide([0.3, 0.3], [True, False], camera_height_m=0.5, camera_pitch_rad=0.0))
+        == ["flags"] * 4
+    )
     assert words(decide([], tf=True)) == ["tf"] * 4
 
 
