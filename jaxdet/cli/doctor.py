@@ -10,6 +10,7 @@ import numpy as np
 
 import jaxdet
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.spinner import SPINNER
 
 DESCRIPTION = """\
 Checks this installation: versions, the devices that JAX and Warp find, and whether the compiled
@@ -28,12 +29,13 @@ class DoctorCommand:
 def main(args: list[str]) -> int:
     """Runs the command; returns 0 when all checks pass, else 1."""
     command = parse_flags(DoctorCommand, args, "jaxdet doctor", DESCRIPTION)
-    from jaxdet.engine import start_up, versions
-    from jaxdet.results.summary import to_json
+    with SPINNER.shown("comparing; the first time it is compiled"):
+        from jaxdet.engine import start_up, versions
+        from jaxdet.results.summary import to_json
 
-    start_up()
-    about = {"jaxdet": jaxdet.__version__, **versions()}
-    checks = {name: _checked(check) for name, check in CHECKS.items()}
+        start_up()
+        about = {"jaxdet": jaxdet.__version__, **versions()}
+        checks = {name: _checked(check) for name, check in CHECKS.items()}
     failed = [name for name, (passed, _) in checks.items() if not passed]
     if command.json:
         report = {name: {"ok": ok, "found": text} for name, (ok, text) in checks.items()}

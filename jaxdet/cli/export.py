@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.export import FORMATS
 
 DESCRIPTION = """\
@@ -47,12 +48,13 @@ def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     description = DESCRIPTION.format(formats="\n".join(_format_lines()))
     command = parse_flags(ExportCommand, args, "jaxdet export", description)
-    from jaxdet.export import export
-    from jaxdet.export.recordings import find
-    from jaxdet.results.reading import Results
+    with SPINNER.shown("writing"):
+        from jaxdet.export import export
+        from jaxdet.export.recordings import find
+        from jaxdet.results.reading import Results
 
-    with Results(command.results) as results:
-        recordings = find(results, command.log)
-        export(results, command.to, command.output, recordings)
+        with Results(command.results) as results:
+            recordings = find(results, command.log)
+            export(results, command.to, command.output, recordings)
     print(f"written: {command.output}", file=sys.stderr)
     return 0

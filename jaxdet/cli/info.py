@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text
 from jaxdet.cli.settings import defaults, given
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import CamerasError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
@@ -74,7 +75,8 @@ def main(args: list[str]) -> int:
     while todo:
         files, options = todo.pop()
         try:
-            about, lines = describe(files, method, options)
+            with SPINNER.shown(f"reading {files.name}"):
+                about, lines = describe(files, method, options)
         except CamerasError as error:
             cameras = reversed(error.cameras)
             todo += [(files, replace(options, camera=camera)) for camera in cameras]

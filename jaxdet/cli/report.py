@@ -24,8 +24,10 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
         f"{summary.frames} frames, {summary.obstacles} obstacles in {summary.seconds:.1f} s"
     )
     text[-1] += f" ({rate})" if rate else ""
-    failed = len(summary.failed) == len(summary.logs)
-    return [*text, "nothing was written" if failed else f"results: {output}"]
+    if failed := len(summary.failed):
+        text[-1] += f"; {failed} of {len(summary.logs)} logs failed"
+    nothing = failed == len(summary.logs)
+    return [*text, "nothing was written" if nothing else f"results: {output}"]
 
 
 def _label(log: "LogSummary") -> str:
@@ -46,7 +48,8 @@ def _log_lines(log: "LogSummary") -> list[str]:
         text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
         frames = f"{log.overflow_frames} frames"
-        text.append(f"overflow   {frames} had more corners, surfaces or obstacles than slots")
+        what = "had more corners, surfaces or obstacles than slots, see jaxdet help tuning"
+        text.append(f"overflow   {frames} {what}")
     if score := log.observed.get("score"):
         text += _score_lines(score)
     text += [f"lost       {lost}" for lost in log.lost]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig
 
@@ -46,13 +47,14 @@ def main(args: list[str]) -> int:
     if command.path.exists() and not command.overwrite:
         remedy = "give --overwrite to replace it"
         raise ConfigError("there is a file already", path=str(command.path), remedy=remedy)
-    from jaxdet.engine import start_up
-    from jaxdet.sim import truth_path, write_log
-
-    start_up()
     try:
-        command.path.parent.mkdir(parents=True, exist_ok=True)
-        truth = write_log(command.path, command.sim)
+        with SPINNER.shown("simulating; the first time it is compiled"):
+            from jaxdet.engine import start_up
+            from jaxdet.sim import truth_path, write_log
+
+            start_up()
+            command.path.parent.mkdir(parents=True, exist_ok=True)
+            truth = write_log(command.path, command.sim)
     except OSError as error:
         reason = f"can't be written ({error.strerror})"
         raise InputError(reason, path=str(command.path)) from error

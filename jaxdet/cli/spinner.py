@@ -2,6 +2,8 @@
 
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 _EVERY_S = 0.1
@@ -22,6 +24,15 @@ class Spinner:
             self._stopped.clear()
             self._thread = threading.Thread(target=self._turn, args=(text,), daemon=True)
             self._thread.start()
+
+    @contextmanager
+    def shown(self, text: str) -> Iterator[None]:
+        """Shows the text while something is done that says nothing."""
+        self.start(text)
+        try:
+            yield
+        finally:
+            self.stop()
 
     def stop(self) -> None:
         """Takes the line away."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.tracks.config import TrackConfig
 
 if TYPE_CHECKING:
@@ -36,9 +37,10 @@ class TrackCommand:
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
     command = parse_flags(TrackCommand, args, "jaxdet track", DESCRIPTION)
-    from jaxdet.tracks import track_results
+    with SPINNER.shown("linking"):
+        from jaxdet.tracks import track_results
 
-    found = track_results(command.results, command.track)
+        found = track_results(command.results, command.track)
     if not command.quiet:
         print("\n".join(track_lines(found)))
     return 0

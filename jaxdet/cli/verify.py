@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.spinner import SPINNER
 from jaxdet.errors import ConfigError, printable
 
 if TYPE_CHECKING:
@@ -43,9 +44,10 @@ def main(args: list[str]) -> int:
     command = parse_flags(VerifyCommand, args, "jaxdet verify", DESCRIPTION)
     if command.sample < 0:
         raise ConfigError("--sample is a number of frames, at least 0")
-    from jaxdet.verify import verify
+    with SPINNER.shown("checking"):
+        from jaxdet.verify import verify
 
-    report = verify(command.results, command.against, command.sample)
+        report = verify(command.results, command.against, command.sample)
     if command.json:
         found = asdict(report) | {"findings": [f._asdict() for f in report.findings]}
         print(json.dumps(found, indent=2))

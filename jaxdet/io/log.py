@@ -84,12 +84,14 @@ class Batch(NamedTuple):
         known = {name: np.concatenate([getattr(a, name) for a in frames]) for name in _PER_FRAME}
         if frames[0].T_world_camera is not None:
             poses = np.concatenate([part.T_world_camera for part in frames])
+        times = [part.log_time_ns for part in parts if part.log_time_ns is not None]
         return parts[0]._replace(
             frames=frames[0]._replace(**known, T_world_camera=poses),
             status=tuple(chain.from_iterable(part.status for part in parts)),
             errors=tuple(chain.from_iterable(part.errors for part in parts)),
             notes=total(part.notes for part in parts),
             decoding_s=sum(part.decoding_s for part in parts),
+            log_time_ns=np.concatenate(times) if times else None,
         )
 
 
