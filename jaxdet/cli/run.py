@@ -55,11 +55,11 @@ class RunCommand:
     orbbec. wheeled is for robots on wheels, tabletop for a camera over a table; paper has clusters
     of corners; the others are wheeled with the depth range of a camera."""
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
-    """TOML file with sections as below, or the config.json of earlier results."""
+    """TOML file with sections as below, or the config.json of results."""
     truth: Path | None = field(default=None, metadata={"takes": "LOG"})
     """A simulated log whose truth the results are compared with."""
     tracks: bool = False
-    """Link the obstacles over time when all logs are done, as jaxdet track does."""
+    """Link the obstacles over time, as jaxdet track does."""
     quiet: bool = False
     """Say nothing but errors."""
     json: bool = False

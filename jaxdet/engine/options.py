@@ -25,10 +25,10 @@ class RunOptions:
     workers: int | None = None
     """Processes to share the frames; changes no result. By default one a core; on the CPU only for
     logs of 500 frames or more, else one."""
-    memory: Annotated[str | None, tyro.conf.arg(metavar="SIZE")] = None
-    """Most memory of all processes together, such as 4GiB; fewer workers, smaller batches and less
-    read ahead where that takes less; changes no result. By default three quarters of the machine's,
-    or of its control group's."""
+    memory: str | None = field(default=None, metadata={"takes": "SIZE"})
+    """Most memory of all processes together, such as 4GiB. Fewer workers, smaller batches and less
+    read ahead take less; changes no result. By default three quarters of the machine's, or of its
+    control group's."""
     pictures: int = 8
     """Frames of each log to draw, evenly spaced."""
     overwrite: bool = False
