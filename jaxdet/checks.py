@@ -7,20 +7,33 @@ import math
 import sys
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, TypeVar
 
 import numpy as np
 
+from jaxdet.arguments import of_type
 from jaxdet.camera import NUM_COEFFICIENTS, cell_side
 from jaxdet.config import MAX_POINTS, SurfaceConfig
 from jaxdet.errors import CalibrationError, ConfigError, InputError
-from jaxdet.types import MAX_CONTOUR, Calibration, Distortion, Frames, Intrinsics
+from jaxdet.types import (
+    MAX_CONTOUR,
+    Calibration,
+    Distortion,
+    Extrinsics,
+    Frames,
+    GroundPlane,
+    Intrinsics,
+)
+
+Kind = TypeVar("Kind")
 
 MAX_CELL_SIDE = 128
 """Most pixels of a cell's side: sums of depths have 31 bits."""
 MAX_DEPTH_COLUMNS = 4096
 """Most columns of a depth image in cells."""
-
+MAX_FRAMES = 1 << 16
+"""Most frames of a batch."""
 
 FOCAL_LENGTHS = 1.0, 1e6
 """Shortest and longest focal length [pixel]."""
@@ -34,7 +47,6 @@ MAX_SKEW = 1e-3
 """How far the product of a rotation and its transpose may be from the unit matrix."""
 
 
-@lru_cache(maxsize=64)
 def check_calibration(calibration: Calibration) -> None:
     """Refuses a calibration that no cameras have.
 
@@ -43,6 +55,44 @@ def check_calibration(calibration: Calibration) -> None:
             coefficient, the rotation, the translation or the depth unit is no number or out of the
             range that cameras have; a lens model is unknown.
     """
+    _check_types(calibration)
+    _check_ranges(calibration)
+
+
+def _check_types(calibration: Calibration) -> None:
+    """Refuses what is no calibration of plain numbers, which can be hashed."""
+    _of(calibration, Calibration, "the calibration")
+    _of(calibration.depth_unit, Real, "the depth unit")
+    for name, camera in (("colour", calibration.color), ("depth", calibration.depth)):
+        if camera is None and name == "depth":
+            continue
+        _of(camera, Intrinsics, f"the {name} camera")
+        for field, value in zip(camera._fields, camera, strict=True):
+            whole = Integral if field in ("width", "height") else Real
+            kind = {"distortion": str, "coefficients": tuple}.get(field, whole)
+            _of(value, kind, f"{field} of the {name} camera")
+        for value in camera.coefficients:
+            _of(value, Real, f"one of the coefficients of the {name} camera")
+    motion = calibration.color_from_depth
+    if motion is not None:
+        _of(motion, Extrinsics, "color_from_depth")
+        for field, values in zip(motion._fields, motion, strict=True):
+            for value in _of(values, tuple, f"the {field} of color_from_depth"):
+                _of(value, Real, f"a number of the {field} of color_from_depth")
+
+
+def _of(value: Any, kind: type[Kind], what: str) -> Kind:
+    if not isinstance(value, kind):
+        names = {Real: "number", Integral: "whole number", str: "lens model"}
+        raise CalibrationError(
+            f"{what} is a {type(value).__name__}",
+            remedy=f"give a {names.get(kind, kind.__name__)}",
+        )
+    return value
+
+
+@lru_cache(maxsize=64)
+def _check_ranges(calibration: Calibration) -> None:
     for name, camera in (("color", calibration.color), ("depth", calibration.depth)):
         if camera is not None:
             _check_camera(name, camera)
@@ -113,8 +163,9 @@ def check_frames(frames: Frames) -> None:
         CalibrationError: See :func:`check_calibration`; or a camera of the calibration has another
             size than its images.
         InputError: Images are no arrays of uint8 and uint16; there are not as many colour images,
-            depth images and planes; or a plane is no number.
+            depth images and planes, or more than :data:`MAX_FRAMES`; or a plane is no number.
     """
+    of_type("frames", frames, Frames)
     _check_images("colour", frames.color, "uint8", 4)
     _check_images("depth", frames.depth, "uint16", 3)
     check_calibration(frames.calibration)
@@ -122,27 +173,59 @@ def check_frames(frames: Frames) -> None:
     check_depth(frames.depth.shape, frames.calibration)
     rows = {"colour images": len(frames.color), "depth images": len(frames.depth)}
     if frames.plane is not None:
-        rows["planes"] = len(frames.plane.height)
-        if not np.isfinite(np.stack(frames.plane[:3])[:, np.asarray(frames.plane.valid)]).all():
-            raise InputError(
-                "a plane with a height, pitch or roll that is no number",
-                remedy="set its valid to False where the floor is not known",
-            )
+        rows["planes"] = _check_planes(frames.plane)
+    rows["entries of valid"] = len(_column("valid", frames.valid, "b"))
+    if len(frames.color) > MAX_FRAMES:
+        problem = f"a batch of {len(frames.color)} frames, but at most {MAX_FRAMES} are taken"
+        raise InputError(problem, remedy="give them in parts")
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {name}" for name, count in rows.items())
         raise InputError(f"a batch with {counts}", remedy="give one of each for every frame")
 
 
+def _check_planes(planes: GroundPlane) -> int:
+    """How many planes there are."""
+    of_type("plane", planes, GroundPlane)
+    kinds = ["b" if name == "valid" else "fiu" for name in planes._fields]
+    columns = [
+        _column(f"plane.{n}", *of) for n, *of in zip(planes._fields, planes, kinds, strict=True)
+    ]
+    if len({len(column) for column in columns}) > 1:
+        raise InputError("a plane whose parts are of several lengths", remedy=_PLANES)
+    *known, valid, start, slope = columns
+    if not np.isfinite(np.stack([*known, slope])[:, valid]).all() or np.isnan(start[valid]).any():
+        raise InputError(
+            "a plane with a height, pitch, roll or ramp that is no number",
+            remedy="set its valid to False where the floor is not known",
+        )
+    return len(valid)
+
+
+_PLANES = "give (B,) numbers each, for instance by jaxdet.flat_plane"
+
+
+def _column(name: str, values: Any, kinds: str) -> np.ndarray:
+    """An array with one axis, of some kinds of NumPy's types."""
+    found = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
+    if found.dtype.kind not in kinds or found.ndim != 1:
+        said = str(getattr(values, "dtype", type(values).__name__))
+        problem = f"{said} of shape {np.shape(found)}"
+        remedy = "give a (B,) array of bool" if kinds == "b" else _PLANES
+        raise InputError(problem, topic=name, remedy=remedy)
+    return found
+
+
 def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
     """Arrays of NumPy or JAX: no lists, and not what JAX's transformations trace."""
-    given = str(getattr(images, "dtype", type(images).__name__))
+    jax = sys.modules.get("jax")
+    is_array = isinstance(images, np.ndarray) or (jax is not None and isinstance(images, jax.Array))
+    given = str(images.dtype) if is_array else type(images).__name__
     shape: Any = getattr(images, "shape", ())
     if given != kind or len(shape) != axes or (axes == 4 and shape[-1] != 3):
         wanted = "(B, H, W, 3)" if axes == 4 else "(B, H, W)"
         raise InputError(
             f"{what} images are {given} of shape {shape}", remedy=f"give {wanted} {kind}"
         )
-    jax = sys.modules.get("jax")
     if jax is not None and isinstance(images, jax.core.Tracer):
         raise InputError(
             f"{what} images are no arrays but traced",

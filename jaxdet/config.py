@@ -9,6 +9,7 @@ so JAX can take them as static arguments.
 import math
 from dataclasses import dataclass, field
 
+from jaxdet.arguments import check_fields
 from jaxdet.errors import ConfigError
 
 MAX_POINTS = 8192
@@ -61,6 +62,7 @@ class GroundConfig:
     """Length of the fixed time windows with a sample each [s]. 0: one sample for the log."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
         _require_within(self.step_height_m, 0, FARTHEST_M, "ground.step-height-m")
@@ -114,6 +116,7 @@ class FeaturesConfig:
     """Take corners only on what is in range and above the floor; off: drop them afterwards."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
         for name in ("canny_low", "canny_high"):
             field = f"features.{name.replace('_', '-')}"
@@ -163,6 +166,7 @@ class FloorConfig:
     """Free floor ends where so much of it shows no measurement [m]."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _require(self.max_cells >= 100, "floor.max-cells", "at least 100")
         _require_within(self.max_depth_m, 0, 65.535, "floor.max-depth-m")
         _require_within(self.noise_per_m, 0, 1, "floor.noise-per-m")
@@ -205,6 +209,7 @@ class SurfaceConfig:
     does not cut a thing into pieces; what begins beyond the range is no obstacle."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _require_within(self.cell_rad, 1e-4, 0.1, "surface.cell-rad")
         _require_within(self.step_m, 0, FARTHEST_M, "surface.step-m")
         _require_within(self.step_per_m, 0, FARTHEST_M, "surface.step-per-m")
@@ -250,6 +255,7 @@ class ObstacleConfig:
     """And show so many cells in the colour image."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in self.__dataclass_fields__:
             if name.endswith("_m"):
                 value = getattr(self, name)
@@ -273,6 +279,7 @@ class ClusterConfig:
     """N: sets of this many points or fewer are dropped."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _require_within(self.depth_gap_m, 0, FARTHEST_M, "cluster.depth-gap-m")
         _require_within(self.lateral_gap_m, 0, FARTHEST_M, "cluster.lateral-gap-m")
         _require_within(self.min_points, 0, MAX_POINTS, "cluster.min-points")
@@ -308,6 +315,7 @@ class FootprintConfig:
     walls are smeared over the floor before them [m]."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _require_within(self.vertex_threshold_m, 0, FARTHEST_M, "footprint.vertex-threshold-m")
         _require_within(self.trim, 0, MAX_POINTS, "footprint.trim")
         _require_within(self.side_band_per_m, 0, FARTHEST_M, "footprint.side-band-per-m")
@@ -329,3 +337,6 @@ class Config:
     floor: FloorConfig = field(default_factory=FloorConfig)
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)
+
+    def __post_init__(self) -> None:
+        check_fields(self)

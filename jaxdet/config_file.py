@@ -45,6 +45,10 @@ def find_config(source: str | PathLike[str]) -> Config:
     Raises:
         ConfigError: There is neither, or the file is wrong.
     """
+    if not isinstance(source, str | PathLike):
+        problem = f"{type(source).__name__} is no configuration"
+        remedy = "give a Config, the name of a preset or a file"
+        raise ConfigError(problem, topic="config", remedy=remedy)
     name = os.fspath(source)
     if name in PRESETS:
         return preset(name)

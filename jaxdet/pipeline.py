@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, cast
 
 import numpy as np
 
+from jaxdet.arguments import of_type
 from jaxdet.checks import check_cells, check_frames
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
@@ -33,7 +34,6 @@ class Backend(Protocol):
     def find_floors(self, frames: Frames, prior: GroundPlane, config: Config) -> "FloorFit": ...
 
 
-@cache
 def load_backend(name: BackendName) -> Backend:
     """The module that implements a backend.
 
@@ -41,11 +41,17 @@ def load_backend(name: BackendName) -> Backend:
         ConfigError: There is no such backend.
     """
     modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
-    if name not in modules:
-        raise ConfigError(f"no backend {name!r}", remedy=f"use one of {', '.join(modules)}")
-    if name == "jax":
+    if not isinstance(name, str) or name not in modules:
+        said = repr(name[:40]) if isinstance(name, str) else f"of type {type(name).__name__}"
+        raise ConfigError(f"no backend {said}", remedy=f"use one of {', '.join(modules)}")
+    return _loaded(modules[name])
+
+
+@cache
+def _loaded(module: str) -> Backend:
+    if module == "jaxdet.stages":
         quiet_warp()  # standard output is the caller's
-    return cast(Backend, import_module(modules[name]))
+    return cast(Backend, import_module(module))
 
 
 def detect(
@@ -82,11 +88,8 @@ def detect(
         ConfigError: The backend is unknown, colour images are smaller or larger than the kernels
             take, or depth images hold no cell or too many (:func:`jaxdet.checks.check_cells`).
     """
-    config = config or Config()
-    if not isinstance(config, Config):
-        raise ConfigError(
-            f"config is {config!r}", remedy="give a Config, for instance jaxdet.preset('wheeled')"
-        )
+    config = _given(config)
+    of_type("with_cells", with_cells, bool)
     check_frames(frames)
     if not config.cluster.points:
         check_cells(frames.calibration, config.surface)
@@ -110,12 +113,23 @@ def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax")
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
         InputError: There are not as many images and planes.
     """
+    _given(config)
     check_frames(frames)
     check_cells(frames.calibration, config.surface)
     prior = known_plane(frames, config)
     if prior is None:
         prior = unknown_plane(len(frames.depth))
     return load_backend(backend).find_floors(frames, prior, _searching(config))
+
+
+def _given(config: Config | None) -> Config:
+    """The configuration, or the default."""
+    if config is not None and not isinstance(config, Config):
+        said = repr(config[:40]) if isinstance(config, str) else f"of type {type(config).__name__}"
+        raise ConfigError(
+            f"config is {said}", remedy="give a Config, for instance jaxdet.preset('wheeled')"
+        )
+    return config or Config()
 
 
 def _searching(config: Config) -> Config:
@@ -163,7 +177,8 @@ def estimate_plane(
         The median of the floors that the frames show, see
         :class:`jaxdet.floor.sampled.SampledFloor`; not valid where too few do.
     """
+    check_frames(of_type("frames", frames, Frames)._replace(plane=None))
     nothing = unknown_plane(len(frames.depth))
-    fit = find_floors(frames._replace(plane=nothing), config or Config(), backend=backend)
+    fit = find_floors(frames._replace(plane=nothing), _given(config), backend=backend)
     shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
     return sampled_floor(shown, fit.own[frames.valid])

@@ -76,6 +76,9 @@ def preset(name: str) -> Config:
     Raises:
         ConfigError: There is no such preset.
     """
+    if not isinstance(name, str):
+        problem = f"{type(name).__name__} is no name of a preset"
+        raise ConfigError(problem, topic="name", remedy=f"use one of {', '.join(PRESETS)}")
     if name not in PRESETS:
         near = difflib.get_close_matches(name, PRESETS, 1)
         meant = f"did you mean {near[0]}? " if near else ""

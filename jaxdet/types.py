@@ -21,7 +21,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.errors import CalibrationError
+from jaxdet.arguments import numbers, whole_number
+from jaxdet.errors import CalibrationError, InputError
 
 Array = Any
 """A NumPy or a JAX array: what both have (``shape``, ``dtype``, indices, sums) can be used, and
@@ -68,13 +69,12 @@ def focal_and_center(K: ArrayLike) -> tuple[float, float, float, float]:
         CalibrationError: It is none: of another shape, with skew, transposed or scaled.
     """
     try:
-        matrix = np.asarray(K, np.float64)
-    except (TypeError, ValueError):
+        matrix = numbers("K", K, np.float64)
+    except InputError:
         matrix = np.zeros(0)
     if matrix.shape != (3, 3):
-        shape = getattr(K, "shape", np.shape(matrix))
         raise CalibrationError(
-            f"a camera matrix of shape {tuple(shape)}", remedy="give a (3, 3) array of numbers"
+            f"a camera matrix of shape {matrix.shape}", remedy="give a (3, 3) array of numbers"
         )
     fx, skew, cx, low, fy, cy, *last = matrix.ravel().tolist()
     if skew or low or last != [0.0, 0.0, 1.0]:
@@ -128,16 +128,19 @@ class Intrinsics(NamedTuple):
             >>> Intrinsics.from_matrix([[600, 0, 320], [0, 610, 240], [0, 0, 1]], 640, 480).fy
             610.0
         """
-        values = tuple(float(value) for value in np.ravel(np.asarray(distortion, np.float64)))
+        given = numbers("distortion", distortion, np.float64)
+        values = tuple(float(value) for value in given.ravel())
         if model is None:
             defaults = {0: "none", 4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
             model = defaults.get(len(values))
-        if model not in tuple(Distortion):
+        if not isinstance(model, str | None) or model not in tuple(Distortion):
+            named = model if isinstance(model, str | None) else type(model).__name__
             raise CalibrationError(
-                f"{len(values)} distortion coefficients of the lens model {model}",
+                f"{len(values)} distortion coefficients of the lens model {named}",
                 remedy=f"model can be {', '.join(Distortion)}",
             )
-        return cls(width, height, *focal_and_center(K), Distortion(model), values)
+        size = whole_number("width", width), whole_number("height", height)
+        return cls(*size, *focal_and_center(K), Distortion(model), values)
 
 
 class Extrinsics(NamedTuple):
@@ -168,12 +171,12 @@ class Extrinsics(NamedTuple):
             (0.0, 0.0, 0.0)
         """
         try:
-            matrix = np.asarray(T, np.float64)
-        except (TypeError, ValueError):
+            matrix = numbers("T", T, np.float64)
+        except InputError:
             matrix = np.zeros(0)
         if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
             raise CalibrationError(
-                f"a transform of shape {tuple(getattr(T, 'shape', matrix.shape))}",
+                f"a transform of shape {matrix.shape}",
                 remedy="give a (4, 4) array whose last row is 0 0 0 1",
             )
         x, y, z = matrix[:3, 3].tolist()

@@ -1,6 +1,9 @@
 """A few hundred logs damaged at random; ``scripts/fuzz logs`` goes on with other seeds."""
 
+import subprocess
+import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +14,7 @@ from tests.fuzz.logs import Logs
 from tests.fuzz.mutations import MUTATIONS
 
 SEEDS = 200
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -41,3 +45,16 @@ def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(FileIntegrity, "recovered", False)
         assert "silently lost" in {fuzzer.one(seed).verdict.kind for seed in range(60)}
+
+
+@pytest.mark.parametrize(("subject", "count"), [("calibrations", 120), ("calls", 500)])
+def test_hostile_calibrations_and_calls(tmp_path, subject, count):
+    """In processes of their own, where one that dies is seen; compiled programs are kept."""
+    command = ["tests.fuzz.run", subject, "--count", f"{count}", "--corpus", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == "" and done.stdout.startswith(f"{count} {subject} in ")
+    ways = {"calibrations": ("clean", "error", "frames"), "calls": ("clean", "error")}
+    assert all(f"'{way}': " in done.stdout for way in ways[subject])

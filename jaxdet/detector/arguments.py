@@ -3,6 +3,7 @@
 Everything is checked here, and errors name the argument.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal, get_args
@@ -10,7 +11,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.checks import check_calibration, is_rotation
+from jaxdet.arguments import numbers
+from jaxdet.checks import MAX_FRAMES, check_calibration, is_rotation
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.types import Calibration, Extrinsics, Intrinsics, focal_and_center
 
@@ -18,6 +20,8 @@ ColorOrder = Literal["rgb", "bgr"]
 Pinhole = tuple[float, float, float, float]
 """``fx fy cx cy`` of a camera whose image size is not known yet."""
 MAX_UNITS = 65535
+MAX_PIXELS = 1 << 25
+"""Of an image, as of one in a log."""
 
 
 @contextmanager
@@ -50,7 +54,10 @@ class Cameras:
         T_color_depth: ArrayLike | Extrinsics | None,
         depth_unit_m: float,
     ) -> None:
-        self.depth_unit_m = float(numbers("depth_unit_m", depth_unit_m, float))
+        unit = numbers("depth_unit_m", depth_unit_m, float)
+        if unit.ndim:
+            raise InputError(f"shape {unit.shape}", topic="depth_unit_m", remedy="give one number")
+        self.depth_unit_m = float(unit)
         self._color, self._depth = _camera("K", K), None
         self._motion = None
         self._known: Calibration | None = None
@@ -147,13 +154,13 @@ def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
         return value
     with named(name):
         try:
-            numbers = np.asarray(value, np.float64)
-        except (TypeError, ValueError):
-            numbers = np.zeros(0)
-        if numbers.shape == (4,):
-            fx, fy, cx, cy = numbers.tolist()
+            found = numbers(name, value, np.float64)
+        except InputError:
+            found = np.zeros(0)
+        if found.shape == (4,):
+            fx, fy, cx, cy = found.tolist()
             return fx, fy, cx, cy
-        return focal_and_center(value)
+        return focal_and_center(value if found.size else found)
 
 
 def _sized(camera: Intrinsics | Pinhole | None, size: tuple[int, ...]) -> Intrinsics | None:
@@ -261,7 +268,7 @@ def one_frame(name: str, image: Any) -> np.ndarray:
 
 def _stacked(name: str, images: Any) -> np.ndarray:
     """An array with the frames' axis first."""
-    if isinstance(images, Sequence):
+    if isinstance(images, Sequence) and not isinstance(images, str | bytes | memoryview):
         frames = [_array(name, frame) for frame in images]
         if len({(frame.shape, frame.dtype) for frame in frames}) > 1:
             raise InputError(
@@ -271,6 +278,12 @@ def _stacked(name: str, images: Any) -> np.ndarray:
     array = _array(name, images)
     if not array.size or not array.ndim:
         raise InputError("there are no frames", topic=name, remedy="give at least one")
+    if len(array) > MAX_FRAMES:
+        problem = f"{len(array)} frames, but at most {MAX_FRAMES} are taken"
+        raise InputError(problem, topic=name, remedy="give them in parts")
+    if math.prod(array.shape[1:3]) > MAX_PIXELS:
+        problem = f"an image of shape {array.shape[1:]}, but at most {MAX_PIXELS} pixels are taken"
+        raise InputError(problem, topic=name, remedy="scale it")
     return array
 
 
@@ -284,19 +297,6 @@ def _array(name: str, images: Any) -> np.ndarray:
             remedy="give NumPy arrays; a Detector can't be called under jax.jit, jax.vmap or "
             "jax.grad",
         ) from error
-
-
-def numbers(name: str, values: Any, kind: type) -> np.ndarray:
-    """Values as an array of one type.
-
-    Raises:
-        InputError: They are no numbers.
-    """
-    try:
-        return np.asarray(values, kind)
-    except (TypeError, ValueError, OverflowError) as error:
-        problem = f"{type(values).__name__} is no array of numbers"
-        raise InputError(problem, topic=name, remedy="give NumPy arrays") from error
 
 
 def world_poses(values: Any, count: int) -> np.ndarray:
@@ -324,5 +324,6 @@ def one_of(name: str, value: Any, literal: Any) -> None:
         ConfigError: It is none.
     """
     known = get_args(literal)
-    if value not in known:
-        raise ConfigError(f"{value!r}", topic=name, remedy=f"use one of {', '.join(known)}")
+    if not isinstance(value, str) or value not in known:
+        said = repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
+        raise ConfigError(said, topic=name, remedy=f"use one of {', '.join(known)}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxdet.arguments import numbers, of_type, whole_number
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
 from jaxdet.detector.arguments import (
@@ -14,7 +15,6 @@ from jaxdet.detector.arguments import (
     ColorOrder,
     color_images,
     depth_images,
-    numbers,
     one_frame,
     one_of,
     world_poses,
@@ -120,7 +120,9 @@ class Detector:
             InputError: ``ground.source`` is tf and the log has no usable transform.
         """
         from jaxdet.engine import decide_planes
+        from jaxdet.io import Log
 
+        of_type("log", log, Log)
         detector = cls(log.calibration.color, config=config, backend=backend)
         detector._cameras = Cameras.of(log.calibration)
         detector._log = log.label, log.calibration
@@ -192,6 +194,11 @@ class Detector:
         count = len(images[0])
         stamps = numbers("stamps_ns", [0] * count if stamps_ns is None else stamps_ns, np.int64)
         poses = None if T_world_camera is None else world_poses(T_world_camera, count)
+        if stamps.ndim != 1:
+            raise InputError(f"shape {stamps.shape}", topic="stamps_ns", remedy="give (B,)")
+        if mounts is not None and not isinstance(mounts, Sequence):
+            problem = f"{type(mounts).__name__} is no sequence of them"
+            raise InputError(problem, topic="mounts", remedy="give a list of jaxdet.Mount")
         for name, of_each in (("depth", images[1]), ("stamps_ns", stamps), ("mounts", mounts)):
             if of_each is not None and len(of_each) != count:
                 raise InputError(
@@ -223,8 +230,12 @@ class Detector:
             RescanError: The log isn't as its index lets expect.
         """
         remedy = "make it with Detector.from_log"
+        from jaxdet.io import Log
+
         if self._log is None:
             raise InputError("the detector was not made from a log", topic="log", remedy=remedy)
+        of_type("log", log, Log)
+        whole_number("batch_size", batch_size)
         if self._log != (log.label, log.calibration):
             problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
@@ -262,8 +273,9 @@ class Detector:
 
 def _checked(mount: Mount | None) -> Any:
     if mount is not None and not isinstance(mount, Mount):
+        said = f"{mount!r}" if isinstance(mount, int | float) else type(mount).__name__
         raise ConfigError(
-            f"{mount!r} is none", topic="mount", remedy="give jaxdet.Mount(height_m, pitch_rad)"
+            f"{said} is none", topic="mount", remedy="give jaxdet.Mount(height_m, pitch_rad)"
         )
     return mount
 

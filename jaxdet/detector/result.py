@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
+from jaxdet.checks import check_size
 from jaxdet.config import Config
-from jaxdet.detector.arguments import ColorOrder, color_images
+from jaxdet.detector.arguments import ColorOrder, color_images, named, one_frame
 from jaxdet.errors import ConfigError, FrameStatus
 from jaxdet.floor.mount import Mount
 from jaxdet.results.masks import label_image
@@ -233,7 +234,10 @@ class FrameResult(Sequence[Obstacle]):
         from jaxdet.render import draw_frame
 
         batch, row = self._batch, self._row
-        image = color_images(np.asarray(color)[None], batch.color_order)
+        image = color_images(one_frame("color", color), batch.color_order)
+        camera = batch.frames.calibration.color
+        with named("color"):
+            check_size("colour", image.shape, camera)
         frames = batch.frames._replace(color=np.broadcast_to(image, (len(batch), *image.shape[1:])))
         unit = frames.calibration.depth_unit
         corners = rectangles(batch.found.obstacles, unit, batch.config.footprint)

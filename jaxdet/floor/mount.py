@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.errors import ConfigError
+from jaxdet.arguments import number, numbers
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.floor.plane import flat_plane, plane_from_down, plane_from_transform
 from jaxdet.types import GroundPlane
 
@@ -33,9 +35,11 @@ class Mount:
 
     def __post_init__(self) -> None:
         for name in ("height_m", "pitch_rad", "roll_rad"):
-            if not isinstance(getattr(self, name), int | float | np.number):
-                problem = f"{getattr(self, name)!r} is no number"
-                raise ConfigError(problem, topic=name, remedy="give one, in metres or radians")
+            value = getattr(self, name)
+            if not isinstance(value, Real):
+                said = repr(value[:40]) if isinstance(value, str) else type(value).__name__
+                problem, remedy = f"{said} is no number", "give one, in metres or radians"
+                raise ConfigError(problem, topic=name, remedy=remedy)
         if not 0 < self.height_m < HIGHEST_M:
             raise ConfigError(
                 f"a camera {self.height_m:g} m above the floor",
@@ -68,13 +72,13 @@ class Mount:
             >>> Mount.from_gravity(0.5, [0.0, 9.81, 0.0])
             Mount(height_m=0.5, pitch_rad=0.0, roll_rad=0.0)
         """
-        down = np.asarray(gravity, np.float64)
-        length = float(np.linalg.norm(down))
-        if down.shape != (3,) or not 0 < length < math.inf:
-            raise ConfigError(
-                f"{gravity!r} is no direction", topic="gravity", remedy="give three numbers, x y z"
-            )
-        return cls._of(plane_from_down(down[None] / length, np.array([height_m], np.float64)))
+        down = numbers("gravity", gravity, np.float64)
+        length = float(np.linalg.norm(down)) if down.shape == (3,) else math.nan
+        if not 0 < length < math.inf:
+            problem = f"an array of shape {down.shape} and length {length:g} is no direction"
+            raise ConfigError(problem, topic="gravity", remedy="give three numbers, x y z")
+        height = np.array([number("height_m", height_m)])
+        return cls._of(plane_from_down(down[None] / length, height))
 
     @classmethod
     def from_transform(cls, T_base_camera: ArrayLike) -> Self:
@@ -82,8 +86,14 @@ class Mount:
 
         Args:
             T_base_camera: ``(4, 4)``, takes points of the colour optical frame to the base [m].
+
+        Raises:
+            InputError: It is no such matrix.
         """
-        return cls._of(plane_from_transform(np.asarray(T_base_camera, np.float64)))
+        T = numbers("T_base_camera", T_base_camera, np.float64)
+        if T.shape != (4, 4):
+            raise InputError(f"shape {T.shape}", topic="T_base_camera", remedy="give (4, 4)")
+        return cls._of(plane_from_transform(T))
 
     @classmethod
     def _of(cls, plane: GroundPlane, row: int = 0) -> Self:

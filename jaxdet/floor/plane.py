@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxdet.arguments import numbers
 from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
 from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
@@ -32,8 +33,12 @@ def flat_plane(
         pitch: ``(B,)`` float64 [rad], positive looks down.
         roll: ``(B,)`` float64 [rad], positive clockwise seen from behind.
         valid: ``(B,)`` bool; None: all of them.
+
+    Raises:
+        InputError: One of them is no array of numbers.
     """
-    height, pitch, roll = (np.atleast_1d(a).astype(np.float64) for a in (height, pitch, roll))
+    given = {"height": height, "pitch": pitch, "roll": roll}
+    height, pitch, roll = (np.atleast_1d(numbers(n, a, np.float64)) for n, a in given.items())
     valid = np.ones(height.shape, bool) if valid is None else np.asarray(valid, bool)
     return GroundPlane(height, pitch, roll, valid, np.full(height.shape, np.inf), 0 * height)
 

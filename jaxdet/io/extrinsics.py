@@ -109,7 +109,7 @@ def _matrix(message: ExtrinsicsMessage) -> np.ndarray:
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:
-    if tf is None:
+    if tf is None or not np.isfinite(T).all():  # which is an error of its own
         return ()
     metres, radians = difference(T, tf)
     if metres <= _AGREE_M and radians <= _AGREE_RAD:

@@ -57,6 +57,13 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         InputError: An input doesn't exist or holds nothing that is read.
     """
     named = [inputs] if isinstance(inputs, str | PathLike) else inputs
+    if not isinstance(named, Iterable):
+        named = [named]
+    named = list(named)
+    for item in named:
+        if not isinstance(item, str | PathLike):
+            problem = f"{type(item).__name__} is no path"
+            raise InputError(problem, topic="inputs", remedy="give texts or paths")
     chosen: list[Path] = []
     said: dict[Path, str] = {}
     for item in named:
@@ -146,6 +153,13 @@ def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
 def _files(text: str) -> tuple[list[Path], str]:
     """The files that an input names, at least one, and what is to be said of their choice."""
     path = Path(text)
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):  # perhaps a glob
+        pass
+    except (OSError, ValueError) as error:
+        problem = f"can't be read ({getattr(error, 'strerror', None) or error})"
+        raise InputError(problem, path=text[:200], remedy="check the path") from error
     if not text:  # a shell's variable that is not set is not this folder
         raise InputError("a log without a name", remedy="check the arguments")
     if path.is_dir():

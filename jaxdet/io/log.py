@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
+from jaxdet.arguments import of_type, whole_number
+from jaxdet.checks import MAX_FRAMES
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.description import LogDescription, complete, describe
@@ -286,12 +288,14 @@ class Log:
             images: Where to decode to; by default new arrays.
 
         Raises:
-            ValueError: ``batch_size`` is below 1, or the range leaves the log.
+            ValueError: ``batch_size`` is below 1 or very large, or the range leaves the log.
             RescanError: The log isn't as its index lets expect.
         """
-        stop = self.num_frames if stop is None else stop
-        if batch_size < 1 or not 0 <= start <= stop <= self.num_frames:
-            raise ValueError(f"batches of {batch_size}, frames {start} to {stop}")
+        start, size = whole_number("start", start), whole_number("batch_size", batch_size)
+        stop = self.num_frames if stop is None else whole_number("stop", stop)
+        if not 1 <= size <= MAX_FRAMES or not 0 <= start <= stop <= self.num_frames:
+            problem = f"batches of {size}, frames {start} to {stop} of {self.num_frames}"
+            raise ValueError(f"batch_size, start, stop: {problem}")
         numbers = self.frames
         ends = [max(0, -(-(end - numbers.start) // numbers.step)) for end in (start, stop)]
         numbers = numbers[ends[0] : ends[1]]
@@ -306,6 +310,10 @@ class Log:
             IndexError: A number is not of the log.
             RescanError: The log isn't as its index lets expect.
         """
+        if not isinstance(indices, Sequence | np.ndarray):
+            problem = f"{type(indices).__name__} is no sequence of numbers"
+            raise InputError(problem, topic="indices", remedy="give a list")
+        indices = [whole_number("indices", index) for index in indices]
         if not all(0 <= index < self.num_frames for index in indices):
             raise IndexError(f"frames {list(indices)[:20]} of {self.num_frames}")
         return self._batch(indices, len(indices))
@@ -417,8 +425,11 @@ def open_log(
         TopicError: No or several topics can be colour or depth.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
-    options = options or LogOptions()
+    options = of_type("options", LogOptions() if options is None else options, LogOptions)
     if not isinstance(source, LogFiles):
+        if not isinstance(source, str | PathLike):
+            problem, remedy = f"{type(source).__name__} is no path", "give a file or a folder"
+            raise InputError(problem, topic="source", remedy=remedy)
         logs = find_logs([source])
         if len(logs) > 1:
             problem, remedy = f"there are {len(logs)} logs here", "name one of them"

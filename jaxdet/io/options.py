@@ -5,6 +5,7 @@ The flags are ``--log.*``, but those of what is worked on: ``--camera --start --
 
 from dataclasses import dataclass, field
 
+from jaxdet.arguments import check_fields
 from jaxdet.errors import ConfigError
 from jaxdet.io.moments import parse_moment
 
@@ -78,6 +79,7 @@ class LogOptions:
     """Read the whole log at opening, instead of trusting its index."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("start", "stop"):
             if getattr(self, name) is not None:
                 parse_moment(getattr(self, name), f"--{name}")

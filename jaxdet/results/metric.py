@@ -6,11 +6,15 @@ the device. This is also the one place where Eq. 8-9 and the ROS yaw meet, see
 :func:`world_angle`.
 """
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.arguments import number, numeric, of_type
 from jaxdet.config import FootprintConfig
+from jaxdet.errors import InputError
 from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.types import Array, Detections, Obstacles, Scene
 
@@ -35,7 +39,11 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
 
     Returns:
         The same in metres, computed in float64 and rounded once.
+
+    Raises:
+        InputError: The arrays are not those of obstacles, or the unit is no number.
     """
+    _check(obstacles, depth_unit, ("num_points", "xyz_min", "xyz_max", "xyz_sum"))
     points = np.maximum(np.asarray(obstacles.num_points), 1).astype(np.float64)
     centroid = np.asarray(obstacles.xyz_sum) @ np.array([65536.0, 1.0]) / points[..., None]
     return Extents(
@@ -44,6 +52,31 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
             for a in (obstacles.xyz_min, obstacles.xyz_max, centroid)
         )
     )
+
+
+def _check(obstacles: Obstacles, depth_unit: float, parts: Sequence[str]) -> None:
+    """Refuses what are no arrays of obstacles; the first part has their number of axes."""
+    of_type("obstacles", obstacles, Obstacles)
+    if not 0 < number("depth_unit", depth_unit) < math.inf:
+        problem, remedy = f"{depth_unit:g} m", "give the metres of a depth unit"
+        raise InputError(problem, topic="depth_unit", remedy=remedy)
+    slots = numeric(f"obstacles.{parts[0]}", getattr(obstacles, parts[0])).shape
+    for name in parts:
+        shape = numeric(f"obstacles.{name}", getattr(obstacles, name)).shape
+        wanted = (*slots, *_PARTS.get(name, ()))
+        if shape != wanted:
+            raise InputError(
+                f"shape {shape}", topic=f"obstacles.{name}", remedy=f"give shape {wanted}"
+            )
+
+
+_PARTS = dict.fromkeys(("a", "b", "c", "direction"), (2,)) | {
+    "xyz_min": (3,),
+    "xyz_max": (3,),
+    "xyz_sum": (3, 2),
+    "span": (4,),
+}
+"""Axes of an obstacle's part behind those of the slots."""
 
 
 def floors(scene: Scene, depth_unit: float) -> FloorFit:
@@ -151,7 +184,14 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     Returns:
         ``(..., 4, 2)`` float64, ground frame, right and forward [m], in the order A, B, the
         corner beyond B, the corner beyond A.
+
+    Raises:
+        InputError: The arrays are not those of obstacles, or the unit is no number.
     """
+    of_type("config", config, FootprintConfig)
+    _check(obstacles, depth_unit, ("has_vertex", "a", "b", "c"))
+    if obstacles.direction is not None:  # which obstacles of other methods have not
+        _check(obstacles, depth_unit, ("has_vertex", "direction", "span", "xyz_min"))
     if np.any(obstacles.direction):
         return _fitted_rectangles(obstacles, depth_unit, config)
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
@@ -251,8 +291,16 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
 
     Returns:
         ``(B, M, 4, 2)`` float64, world X and Y [m]; NaN where the pose is unknown.
+
+    Raises:
+        InputError: They are no such arrays.
     """
-    sin, cos = (a[:, None, None] for a in world_angle(T_world_camera))
+    poses = numeric("T_world_camera", T_world_camera)
+    corners = numeric("corners", corners)
+    if poses.shape[1:] != (4, 4) or corners.shape != (len(poses), *corners.shape[1:2], 4, 2):
+        problem = f"shape {corners.shape}, with poses of shape {poses.shape}"
+        raise InputError(problem, topic="corners", remedy="give (B, M, 4, 2) and (B, 4, 4)")
+    sin, cos = (a[:, None, None] for a in world_angle(poses))
     x, y = corners[..., 0], corners[..., 1]
-    X0, Y0 = (T_world_camera[:, i, 3][:, None, None] for i in (0, 1))
+    X0, Y0 = (poses[:, i, 3][:, None, None] for i in (0, 1))
     return np.stack([y * sin + x * cos + X0, y * cos - x * sin + Y0], axis=-1)

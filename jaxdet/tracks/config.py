@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from jaxdet.arguments import check_fields
 from jaxdet.errors import ConfigError
 
 
@@ -38,6 +39,7 @@ class TrackConfig:
     """Positions and speeds are fitted over so much time before and after a frame [s]."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         rules = {
             "max-speed-mps": self.max_speed_mps > 0,
             "gate-m": self.gate_m > 0,

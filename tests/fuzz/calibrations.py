@@ -115,7 +115,7 @@ def _number(value: float, random: Random) -> float:
 
 def _numbers(values: tuple[float, ...], random: Random) -> tuple[float, ...]:
     """One or more of them are others, or they are too many or too few."""
-    if random.random() < 0.1:
+    if not values or random.random() < 0.1:
         return values[: random.randrange(len(values) + 1)]
     found = list(values)
     for _ in range(random.choice((1, 1, 2, len(found)))):

@@ -2,6 +2,7 @@
 
 import time
 import traceback
+import warnings
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -48,7 +49,9 @@ def ended(
     """What comes of a function: its own verdict, a clean error, or a failure."""
     start = time.process_time()
     try:
-        verdict = function()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)  # a user would see it
+            verdict = function()
     except allowed as error:
         verdict = Verdict("error" if str(error).isprintable() else "bad message", str(error))
     except Exception as error:
