@@ -150,8 +150,8 @@ def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
     return not difference(*pair, abs(steps))
 
 
-def _files(text: str) -> tuple[list[Path], str]:
-    """The files that an input names, at least one, and what is to be said of their choice."""
+def _seen(text: str) -> list[Path]:
+    """The files that an input names, of whatever kind, in order."""
     path = Path(text)
     try:
         path.stat()
@@ -162,15 +162,17 @@ def _files(text: str) -> tuple[list[Path], str]:
         raise InputError(problem, path=text[:200], remedy="check the path") from error
     if not text:  # a shell's variable that is not set is not this folder
         raise InputError("a log without a name", remedy="check the arguments")
-    if path.is_dir():
-        seen = sorted(file for file in path.rglob("*") if file.is_file())
-    elif path.exists():
-        seen = [path]
-    elif glob.has_magic(text):
-        matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
-        seen = [file for match in matches for file in _within(match)]
-    else:
+    if path.exists():
+        return sorted(_within(path))
+    if not glob.has_magic(text):
         raise InputError("no such file or folder", path=text, remedy="check the path")
+    matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+    return [file for match in matches for file in _within(match)]
+
+
+def _files(text: str) -> tuple[list[Path], str]:
+    """The files of an input that are read, at least one, and what is to be said of the choice."""
+    path, seen = Path(text), _seen(text)
     others = [file for file in seen if file.suffix in _OTHERS]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     found = [file for file in seen if file.suffix in SUFFIXES]
