@@ -151,7 +151,7 @@ def test_a_chunk_that_takes_more_memory_is_refused(tmp_path, scan):
     with pytest.raises(InputError, match=r"a chunk of .* takes .*; give --memory .* more"):
         read(ReadMemory(chunk=1000))
     with pytest.raises(InputError, match=r"an index of .* takes .*; give --memory .* more"):
-        read(ReadMemory(index=100))
+        read(ReadMemory(messages=100))
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")

@@ -44,7 +44,7 @@ class ReadMemory(NamedTuple):
 
     chunk: int = 1 << 40
     """For the largest chunk or message, and as much for those that are kept."""
-    index: int = 1 << 40
+    messages: int = 1 << 40
     """For what is known of messages while a file is opened."""
 
 
@@ -55,7 +55,7 @@ def check_messages(count: int, file_bytes: int, path: str, memory: "ReadMemory")
         InputError: There are more.
     """
     _check("messages", count, _FREE_MESSAGES, _MESSAGE_BYTES, file_bytes, path)
-    check_memory(f"an index of {count} messages", count * _INDEX_BYTES, memory.index, path)
+    check_memory(f"an index of {count} messages", count * _INDEX_BYTES, memory.messages, path)
 
 
 def check_memory(what: str, nbytes: int, memory_bytes: int, path: str) -> None:
