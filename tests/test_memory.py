@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import jaxdet.memory
 from jaxdet.cli.main import main
 from jaxdet.engine import RunOptions
-from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Memory, Share
+from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Memory, Needs, Share
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
@@ -71,41 +71,43 @@ def test_control_groups_count(tmp_path, monkeypatch, groups, files, expected):
     assert machine_memory() == min(expected or 1 << 60, int(without) << 10)
 
 
-def used(memory: Memory, share: Share, frame: int, index: int) -> int:
+def used(memory: Memory, share: Share, needs: Needs) -> int:
     """By the figures that the module gives, but in its own words."""
     processes = ALONE if share.workers == 1 else PARENT + share.workers * WORKER
-    images = (5 + share.read_ahead) * share.batch * frame
+    images = (5 + share.read_ahead) * share.batch * needs.frame
     all_images = share.workers * (images + memory.chunks)
-    return TABLES + processes + all_images + index * (1 + share.workers)
+    return processes + all_images + needs.index * (1 + share.workers) + needs.rows
 
 
 @given(
-    total=st.integers(768, 40_000),
-    frame=st.integers(1, 200 * MIB),
-    index=st.integers(0, 2 * GIB),
+    total=st.integers(512, 40_000),
+    needs=st.builds(
+        Needs, st.integers(1, 200 * MIB), st.integers(0, 2 * GIB), st.integers(0, 2 * GIB)
+    ),
     batch=st.integers(1, 300),
     workers=st.integers(1, 40),
 )
-def test_what_is_given_out_is_never_more_than_there_is(total, frame, index, batch, workers):
+def test_what_is_given_out_is_never_more_than_there_is(total, needs, batch, workers):
     memory = Memory(f"{total}MiB", workers)
     assert 1 <= memory.workers <= workers
     try:
-        share = memory.share(frame, index, batch, workers, "a")
+        share = memory.share(needs, batch, workers, "a")
     except InputError as error:
         least = re.search(r"give --memory (\d+MiB) or more", str(error))
         assert least
         more = Memory(least[1], workers)
         assert more.total > memory.total
-        assert more.share(frame, index, batch, workers, "a").batch
+        assert more.share(needs, batch, workers, "a").batch
         return
     assert 1 <= share.workers <= memory.workers and 1 <= share.batch <= batch
-    assert used(memory, share, frame, index) <= memory.total
+    assert used(memory, share, needs) <= memory.total
 
 
 def test_enough_memory_changes_nothing():
     memory = Memory("64GiB", 16)
-    assert memory.share(FRAME, 10 * MIB, BATCH, 16, "a") == (16, BATCH, 0)
-    assert memory.share(FRAME, 10 * MIB, BATCH, 1, "a") == (1, BATCH, 2)
+    needs = Needs(FRAME, 10 * MIB, TABLES)
+    assert memory.share(needs, BATCH, 16, "a") == (16, BATCH, 0)
+    assert memory.share(needs, BATCH, 1, "a") == (1, BATCH, 2)
     assert memory.reading.chunk == 256 * MIB
 
 
@@ -113,18 +115,18 @@ def test_less_memory_is_fewer_processes_then_smaller_batches():
     shares = []
     for size in ("8GiB", "4GiB", "2GiB", "1GiB", "800MiB"):
         memory = Memory(size, 8)
-        share = memory.share(FRAME, 0, BATCH, memory.workers, "a")
+        share = memory.share(Needs(FRAME, 0, 0), BATCH, memory.workers, "a")
         shares.append((share.workers, share.batch))
     assert shares == sorted(shares, reverse=True) and len(set(shares)) > 3
     assert shares[0][0] == 8 and shares[-1][0] == 1
 
 
 def test_a_default_is_never_too_little(monkeypatch):
-    monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 512 * MIB)
+    monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 400 * MIB)
     assert Memory(None, 4).workers == 1
-    with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 768MiB"):
+    with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 512MiB"):
         Memory("100M", 4)
-    assert Memory("768MiB", 4).total == 768 * MIB
+    assert Memory("512MiB", 4).total == 512 * MIB
 
 
 def test_too_little_is_said(tmp_path, capsys):
@@ -132,7 +134,7 @@ def test_too_little_is_said(tmp_path, capsys):
     given = ["run", str(log), "--output", str(tmp_path / "out"), "--memory", "100MiB", "--quiet"]
     assert main(given) == 2
     said = capsys.readouterr().err
-    assert said.splitlines()[-1].endswith("too little for any log; give --memory 768MiB or more")
+    assert said.splitlines()[-1].endswith("too little for any log; give --memory 512MiB or more")
     assert not (tmp_path / "out").exists()
 
 

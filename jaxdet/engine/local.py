@@ -68,6 +68,7 @@ def run(
         OutputError: The disk is full or broken; what is done is kept.
         Interrupted: A signal ended it; what is done is kept.
     """
+    Memory(options.memory, 1)  # too little is said before anything is touched
     ordered = sorted(logs, key=lambda log: log.name)
     seen = observers or {}
     record = make_record(ordered, config, log_options, options, seen, preset)

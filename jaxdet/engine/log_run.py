@@ -18,7 +18,7 @@ from jaxdet.config import Config
 from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
-from jaxdet.engine.memory import BATCH, Memory, Share
+from jaxdet.engine.memory import BATCH, Memory, Needs, Share
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import Part, part_path
 from jaxdet.engine.plan import LogPlan, Observer
@@ -36,7 +36,7 @@ from jaxdet.results.durable import flush, writing
 from jaxdet.results.fault import fault_text
 from jaxdet.results.names import camera_file_name
 from jaxdet.results.summary import LogSummary, Summary
-from jaxdet.results.writer import ResultWriter
+from jaxdet.results.writer import ROWS_PER_GROUP, ResultWriter
 
 if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
@@ -45,6 +45,9 @@ FRAMES_WORTH_WORKERS = 500
 """Fewer are done sooner by this process than workers have started."""
 UNIT_FRAMES = 256
 """Most frames of a unit; neighbouring frames share chunks of the log."""
+_ROW_BYTES, _COLUMN_BYTES = 4096, 9
+"""Of a frame's rows, with the free floor of each pixel column, while they are packed: some are in
+memory twice."""
 PLAN = "plan"
 """In the folder of a log: how it is worked through."""
 
@@ -221,8 +224,10 @@ class LogRun:
         """How many work on the log, and on how much of it at a time."""
         color, depth = log.image_shapes
         batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
-        frame = prod(color) + 2 * prod(depth)
-        return self.run.memory.share(frame, log.index_bytes, batch, workers, str(log.name))
+        waiting = min(ROWS_PER_GROUP, self.run.summary.frames + len(log.frames))
+        row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
+        needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
+        return self.run.memory.share(needs, batch, workers, log.name)
 
     def _serve(self, log: "Log", share: Share) -> tuple[Slots, int]:
         return self.pool.serve(log, self.config, self.options.batch_size, share.batch)

@@ -27,8 +27,8 @@ ON_GPUS = 4096 * MIB
 """A process that computes on GPUs; not measured."""
 READER = 192 * MIB
 """A worker that reads for it."""
-TABLES = 256 * MIB
-"""Rows that wait for a row group of 65,536 frames, while it is packed."""
+TABLES = 640 * MIB
+"""The rows of 65,536 frames of 640x480, which wait for each other and are packed together."""
 LEAST_CHUNKS, MOST_CHUNKS = 64 * MIB, 512 * MIB
 """For chunks in a process, of which the largest may take half, as it is there packed too."""
 LEAST_IMAGES = 32 * MIB
@@ -39,6 +39,17 @@ READ_AHEAD = 2
 """Batches that wait, read, where one process has all cores."""
 _IN_HAND = 5
 """Batches in a process beside those: filled, started, finished, and as much for temporaries."""
+
+
+class Needs(NamedTuple):
+    """What a log takes [bytes]."""
+
+    frame: int
+    """A frame's images."""
+    index: int
+    """What is known of its messages, which each process has."""
+    rows: int
+    """Rows of the tables that wait in this process."""
 
 
 class Share(NamedTuple):
@@ -83,17 +94,17 @@ class Memory:
             raise ConfigError(f"--memory {asked} is too little for any log", remedy=remedy)
         fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
         self.workers = max([1, *fitting])
-        self.chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, self._left(self.workers) // 2))
+        left = self._left(self.workers) - TABLES // self.workers
+        self.chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, left // 2))
         self.room = self.total - self._fixed(self.workers)
         index = (self.total - self._fixed(1) - self.chunks) // 2
         self.reading = ReadMemory(self.chunks // 2, index)
 
-    def share(self, frame: int, index: int, batch: int, workers: int, where: str) -> Share:
+    def share(self, needs: Needs, batch: int, workers: int, where: str) -> Share:
         """How a log is worked on, with the most of everything that there is room for.
 
         Args:
-            frame: Bytes of a frame's images.
-            index: Bytes of what is known of the log's messages, which each process has.
+            needs: What it takes.
             batch: Frames that would be computed together.
             workers: Processes that would be of use.
             where: The log, for the error.
@@ -102,18 +113,19 @@ class Memory:
             InputError: There is no room for one frame.
         """
         for count in range(min(workers, self.workers), 0, -1):
-            left = self._left(count) - self.chunks - index * (count + 1) // count
+            left = self._left(count) - self.chunks
+            left -= (needs.index * (count + 1) + needs.rows) // count
             ahead = READ_AHEAD if count == 1 and not self._devices else 0
             size = batch
             while size:
                 for waiting in range(ahead, -1, -1):
-                    if (_IN_HAND + waiting) * size * frame <= left:
+                    if (_IN_HAND + waiting) * size * needs.frame <= left:
                         return Share(count, size, waiting)
                 size //= 2
-        images = _IN_HAND * frame + 2 * index
-        chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, images))  # which get half of what is left
-        least = size_text(self._fixed(1) + chunks + images)
-        problem = f"its images and index need more memory than --memory {size_text(self.total)}"
+        rest = _IN_HAND * needs.frame + 2 * needs.index + needs.rows
+        chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, rest))  # which get half of what is left
+        least = size_text(self._fixed(1) + chunks + rest)
+        problem = f"its images, index and rows need more memory than {size_text(self.total)}"
         raise InputError(problem, path=where, remedy=f"give --memory {least} or more")
 
     def _left(self, workers: int) -> int:
@@ -122,5 +134,5 @@ class Memory:
 
     def _fixed(self, workers: int) -> int:
         if self._devices:
-            return TABLES + ON_GPUS + workers * READER
-        return TABLES + (ALONE if workers == 1 else PARENT + workers * WORKER)
+            return ON_GPUS + workers * READER
+        return ALONE if workers == 1 else PARENT + workers * WORKER
