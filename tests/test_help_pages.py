@@ -13,7 +13,7 @@ import pytest
 
 from jaxdet.cli import main
 from jaxdet.cli.help import FIRST, pages, title_of
-from jaxdet.engine import local
+from jaxdet.engine import log_run
 from jaxdet.errors import FrameStatus
 from jaxdet.sim import SimConfig, write_log
 
@@ -48,7 +48,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", sorted(DOCUMENTS.keys() - {"queries"}))
 def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(local, "CPU_BATCH", 8)  # one compiled program for all pages
+    monkeypatch.setattr(log_run, "BATCH", 8)  # one compiled program for all pages
     text = DOCUMENTS[name].read_text(encoding="utf-8")
     if "jaxdet sim drive.mcap" not in text:
         (tmp_path / "drive.mcap").hardlink_to(drive)

@@ -17,6 +17,7 @@ from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.decode_messages import MessageDecoder, bare_definition
+from jaxdet.io.limits import ReadMemory
 from jaxdet.io.messages import TransformMessage
 from jaxdet.io.opening import open_files, scan_files
 from jaxdet.io.rvl import decode_rvl
@@ -142,7 +143,7 @@ def test_a_file_that_changes_before_another_process_opens_it(tmp_path):
 def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     [source] = find_logs([str(path)])
-    opened = open_files(source, LogOptions())
+    opened = open_files(source, LogOptions(), ReadMemory())
     os.truncate(path, 5000)
     with pytest.raises(InputError, match="changed while it was read"):
         scan_files(opened, source, LogOptions())
