@@ -17,15 +17,17 @@ from jaxdet.memory import machine_memory, parse_size, size_text
 MIB = 1 << 20
 SHARE = 0.75
 """Of the machine's memory, where the user says nothing."""
-ALONE = 416 * MIB
-"""A process that does all: JAX, Warp, their programs and temporaries; 335 to 430 MiB."""
-PARENT = 192 * MIB
-"""The process that hands out units, with the server that workers are forked from; 160 MiB."""
-WORKER = 256 * MIB
-"""A worker that computes, beside what it shares with the server; 175 to 215 MiB."""
+ALONE = 544 * MIB
+"""A process that does all: JAX, Warp, their programs and temporaries; 520 MiB, of which 280 are
+pages of libraries."""
+PARENT = 448 * MIB
+"""The process that hands out units, the server that workers are forked from, and what all share;
+440 MiB."""
+WORKER = 192 * MIB
+"""A worker that computes, beside that; 145 to 180 MiB."""
 ON_GPUS = 4096 * MIB
 """A process that computes on GPUs; not measured."""
-READER = 192 * MIB
+READER = 160 * MIB
 """A worker that reads for it."""
 TABLES = 640 * MIB
 """The rows of 65,536 frames of 640x480, which wait for each other and are packed together."""
