@@ -24,7 +24,8 @@ from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import Track, TrackConfig, Tracker, track_results
 from jaxdet.tracks.outlines import Outlines, displacement, gap, overlap
 from jaxdet.tracks.pairs import chain_starts, choose, components, pairs_in_frames
-from jaxdet.tracks.tracker import obstacles_seen
+from jaxdet.tracks.seen import obstacles_seen
+from jaxdet.tracks.tracker import PIECE_FRAMES
 
 RATE_HZ = 15.0
 PERSON = (0.5, 0.4)
@@ -45,7 +46,7 @@ def follow(
     config: TrackConfig | None = None,
 ) -> tuple[list[Track], list[list[int]]]:
     """Tracks of outlines by frame, and the track of each of them."""
-    tracker = Tracker(config or TrackConfig())
+    tracker, tracks, of = Tracker(config or TrackConfig()), [], [np.zeros(0, np.int32)]
     stamps = (np.arange(len(frames)) / RATE_HZ * 1e9).astype(np.int64) + 10**9
     for start in range(0, max(len(frames), 1), window):
         part = frames[start : start + window]
@@ -65,10 +66,17 @@ def follow(
         }
         seen = obstacles_seen(frame, stamps[frame], columns, 640)
         size = Outlines.of_corners(boxes).area
-        tracker.add(stamps[start : start + window], seen, size)
-    tracks, of = tracker.finish()
+        stop = min(start + window, len(frames))
+        tracker.add(np.arange(start, stop), stamps[start:stop], seen, size)
+        for found, decided in zip((tracks, of), tracker.take(), strict=True):
+            found += decided
+    tracker.finish()
+    for found, decided in zip((tracks, of), tracker.take(), strict=True):
+        found += decided
+    tracks.sort()
+    assert [track.number for track in tracks] == [*range(len(tracks))]
     ends = np.cumsum([len(boxes) for boxes in frames])[:-1]
-    return tracks, [part.tolist() for part in np.split(of, ends)]
+    return tracks, [part.tolist() for part in np.split(np.concatenate(of), ends)]
 
 
 def test_a_thing_that_stands_and_one_that_walks():
@@ -144,6 +152,63 @@ def test_a_thing_that_comes_into_sight_does_not_move():
     frames = [[corners_of(2, 0.25 + f / 40, (0.5, 0.5 + f / 20))] for f in range(30)]
     (shelf,), _ = follow(frames)
     assert not shelf.moving
+
+
+def test_a_track_longer_than_its_pieces():
+    """Something stands in sight for five pieces, then walks on; another walks all the time. Their
+    ways are those of the same in one window."""
+    count = 5 * PIECE_FRAMES + 100
+    swing = np.sin(np.arange(count) / 40)
+    frames = []
+    for f in range(count):
+        y = 1 + max(0, f - 5000) / RATE_HZ * 0.8
+        stands = [corners_of(2, y)] * (f % 7 != 3)
+        frames.append([*stands, corners_of(4, float(swing[f])), corners_of(6, 0)])
+    tracks, of = follow(frames, window=256)
+    assert of == [[0, 1, 2] if f % 7 != 3 else [1, 2] for f in range(count)]
+    assert [track.moving for track in tracks] == [True, True, False]
+    for track in tracks:
+        assert (track.frames, track.last_frame) == (sum(track.number in t for t in of), count - 1)
+        assert track.path.shape == (count if track.moving else 1, 2)
+        np.testing.assert_allclose((track.length_m, track.width_m), (0.5, 0.4), rtol=1e-6)
+    np.testing.assert_allclose(tracks[0].path[:4096], [[2, 1]] * 4096, atol=1e-6)
+    np.testing.assert_allclose(tracks[0].speed[5050:], 0.8, atol=0.02)
+    np.testing.assert_allclose(tracks[1].path[:, 1], swing, atol=0.03)
+    np.testing.assert_allclose(tracks[2].path, [[6, 0]], atol=1e-6)
+
+
+def test_a_standing_camera_keeps_little_in_memory():
+    """What is kept of things that stand in sight, and of those that come and go, has a bound."""
+    config, tracker = TrackConfig(), Tracker(TrackConfig())
+    window, boxes = 512, np.array([corners_of(k, 0) for k in range(6)], np.float32)
+    kept, rows = [], 0
+    for start in range(0, 40 * window, window):
+        frame = start + np.arange(window)
+        stamps = (frame / RATE_HZ * 1e9).astype(np.int64)
+        # One of six is there every second time for a second.
+        there = np.ones((window, 6), bool)
+        there[:, 5] = frame // 60 % 2 > 0
+        at, which = np.nonzero(there)
+        found = np.full(len(at), 1, np.float32)
+        columns = dict.fromkeys(("bottom_m", "top_m", "distance_m", "u_min", "u_max"), found)
+        columns |= dict.fromkeys(("corners_ground", "corners_world"), boxes[which])
+        seen = obstacles_seen(frame[at], stamps[at], columns, None)
+        tracker.add(frame, stamps, seen, np.ones(len(at), np.int64))
+        assert tracker.things is not None
+        tracks, decided = tracker.take()
+        rows += sum(map(len, decided))
+        pieces = [piece for part in tracker.pieces.values() for piece in part]
+        numbers = tracker.numbers
+        state = (tracker.things.frame, tracker.stamps, numbers.of, numbers._seen, numbers._rows)
+        kept.append([*map(len, state), sum(len(piece.path) for piece in pieces)])
+        assert all(track.path.shape == (1, 2) for track in tracks)
+    limit = 6 * (2 * PIECE_FRAMES + window + RATE_HZ * (config.smooth_s + config.max_gap_s))
+    assert np.max(kept, axis=0)[0] <= limit
+    assert (np.max(kept[20:], axis=0)[:-1] <= np.max(kept[10:20], axis=0)[:-1]).all()
+    assert kept[-1][-1] <= 6 * 40  # a point for each piece of what stands
+    tracker.finish()
+    tracks, decided = tracker.take()
+    assert len(tracks) == 6 and rows + sum(map(len, decided)) > 40 * window * 5
 
 
 def test_a_glimpse_is_no_track():

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jaxdet.tracks.config import TrackConfig
     from jaxdet.tracks.folder import LogTracks, track_results
-    from jaxdet.tracks.tracker import Track, Tracker
+    from jaxdet.tracks.track import Track
+    from jaxdet.tracks.tracker import Tracker
 
 _HOMES = {
     "LogTracks": "folder",
-    "Track": "tracker",
+    "Track": "track",
     "TrackConfig": "config",
     "Tracker": "tracker",
     "track_results": "folder",

@@ -8,6 +8,7 @@ tracking again with other settings replaces two small files.
 import dataclasses
 import json
 import shutil
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,8 +28,10 @@ from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.writer import write_json
 from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.rows import TrackRows
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
-from jaxdet.tracks.tracker import Track, Tracker, obstacles_seen
+from jaxdet.tracks.seen import obstacles_seen
+from jaxdet.tracks.tracker import Tracker
 
 WINDOW_FRAMES = 1024
 """Frames that are linked together; part of the method, as it may decide a link. Memory grows with
@@ -47,11 +50,11 @@ class LogTracks(NamedTuple):
     """Its name, and the camera's where it has several."""
     tracks: int
     moving: int
+    in_world: int
+    """Tracks in the world; the others are in the camera's ground frame."""
     obstacles: int
     linked: int
     """Obstacles that are in a track."""
-    in_world: int
-    """Tracks in the world; the others are in the camera's ground frame."""
 
 
 def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTracks]:
@@ -80,42 +83,58 @@ def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTr
             _Writer(staging / LINKS, LINKS_SCHEMA, metadata) as links,
         ):
             for log in results.logs:
-                tracks, numbers, rows = _log_tracks(results, log, config)
-                table.write(_track_table(log, tracks, numbers))
-                links.write(rows)
-                found.append(_summary(log.label, tracks, rows))
-                image = results.map(log)
+                image, paths = results.map(log), []
+                with TrackRows(staging / "rows.arrow", log) as rows:
+                    found.append(_track_log(results, log, config, rows, links))
+                    for part in rows.ordered():
+                        table.write(part)
+                        paths += _paths(part) if image is not None else ()
                 if image is not None:
-                    paths = [(t.path, t.moving) for t in tracks if t.in_world]
                     picture = draw_map(image, log.label, paths)
                     write_png(staging / f"tracks_{log.file_name}.png", picture)
         _commit(staging, folder)
     return found
 
 
-def _log_tracks(
-    results: Results, log: ResultLog, config: TrackConfig
-) -> tuple[list[Track], np.ndarray, pa.Table]:
-    """The tracks of a log, the numbers of its frames, and its rows of ``track_links.parquet``."""
+def _track_log(
+    results: Results, log: ResultLog, config: TrackConfig, rows: TrackRows, links: "_Writer"
+) -> LogTracks:
+    """Finds the tracks of a log, and writes its rows of ``track_links.parquet``."""
     color = (log.summary["calibration"] or {}).get("color") or {}
-    tracker, start = Tracker(config), 0
-    numbers: list[np.ndarray] = [np.zeros(0, np.int64)]
-    keys = pa.schema(list(LINKS_SCHEMA)[:-1])
-    rows = [keys.empty_table()]
+    keys = list(LINKS_SCHEMA.names[:-1])
+    tracker, start, linked = Tracker(config), 0, 0
+    waiting: deque[pa.Table] = deque()
+
+    def take() -> int:
+        tracks, tracks_of = tracker.take()
+        rows.add(tracks)
+        for of in tracks_of:
+            labels = pa.array(of, pa.int32(), mask=of < 0)
+            links.write(waiting.popleft().append_column(LINKS_SCHEMA.field("track"), labels))
+        return sum(int((of >= 0).sum()) for of in tracks_of)
+
     for chunk in results.chunks(log, ("frame", "stamp_ns"), _READ, WINDOW_FRAMES):
-        numbers.append(chunk.frames["frame"].to_numpy())
         stamps, first = chunk.frames["stamp_ns"].to_numpy(), chunk.first
         frame = np.repeat(np.arange(len(stamps)), np.diff(first))
         columns = {name: chunk.obstacles[name].to_numpy() for name in _COLUMNS}
         columns |= {name: _corners(chunk, name) for name in ("corners_ground", "corners_world")}
         seen = obstacles_seen(start + frame, stamps[frame], columns, color.get("width"))
-        tracker.add(stamps, seen, chunk.obstacles["num_points"].to_numpy())
-        rows.append(chunk.obstacles.select(keys.names).cast(keys))
+        waiting.append(chunk.obstacles.select(keys).cast(pa.schema(list(LINKS_SCHEMA)[:-1])))
+        size = chunk.obstacles["num_points"].to_numpy()
+        tracker.add(chunk.frames["frame"].to_numpy(), stamps, seen, size)
         start += len(stamps)
-    tracks, track_of = tracker.finish()
-    labels = pa.array(track_of, pa.int32(), mask=track_of < 0)
-    links = pa.concat_tables(rows).append_column(LINKS_SCHEMA.field("track"), labels)
-    return tracks, np.concatenate(numbers), links
+        linked += take()
+    tracker.finish()
+    linked += take()
+    return LogTracks(log.label, len(rows), rows.moving, rows.in_world, log.num_obstacles, linked)
+
+
+def _paths(tracks: pa.Table) -> list[tuple[np.ndarray, bool]]:
+    """Paths in the world ``(P, 2)`` [m], and whether the things move."""
+    columns = (tracks[name].to_pylist() for name in ("in_world", "moving"))
+    paths = [np.reshape(path.values.to_numpy(), (-1, 2)) for path in tracks["path"]]
+    kept = zip(*columns, paths, strict=True)
+    return [(path, moving) for in_world, moving, path in kept if in_world]
 
 
 def _corners(chunk: Chunk, name: str) -> np.ndarray:
@@ -126,29 +145,6 @@ def _corners(chunk: Chunk, name: str) -> np.ndarray:
     values = values[column.offset : column.offset + len(column)]
     known = column.is_valid().to_numpy(zero_copy_only=False)
     return np.where(known[:, None], values, np.float32(np.nan))
-
-
-def _track_table(log: ResultLog, tracks: list[Track], numbers: np.ndarray) -> pa.Table:
-    first = numbers[[t.first_frame for t in tracks]] if tracks else []
-    last = numbers[[t.last_frame for t in tracks]] if tracks else []
-    columns = [
-        [log.name] * len(tracks), [log.camera] * len(tracks), range(len(tracks)),
-        [t.in_world for t in tracks], first, last,
-        [t.first_stamp_ns for t in tracks], [t.last_stamp_ns for t in tracks],
-        [t.frames for t in tracks], [t.obstacles for t in tracks], [t.moving for t in tracks],
-        [t.mean_speed_mps for t in tracks], [t.max_speed_mps for t in tracks],
-        [t.length_m for t in tracks], [t.width_m for t in tracks],
-        [None if np.isnan(t.top_m) else t.top_m for t in tracks],
-        [t.path.ravel() for t in tracks], [t.speed for t in tracks],
-    ]  # fmt: skip
-    arrays = [pa.array(c, f.type) for c, f in zip(columns, TRACKS_SCHEMA, strict=True)]
-    return pa.Table.from_arrays(arrays, schema=TRACKS_SCHEMA)
-
-
-def _summary(log: str, tracks: list[Track], rows: pa.Table) -> LogTracks:
-    linked = rows.num_rows - rows["track"].null_count
-    moving, world = (sum(getattr(t, name) for t in tracks) for name in ("moving", "in_world"))
-    return LogTracks(log, len(tracks), moving, rows.num_rows, linked, world)
 
 
 class _Writer:

@@ -30,7 +30,9 @@ class Motion(NamedTuple):
     """``(K,)`` bool."""
 
 
-def motion_of(things: Things, first: np.ndarray, stamps: np.ndarray, config: TrackConfig) -> Motion:
+def motion_of(
+    things: Things, first: np.ndarray, stamps: np.ndarray, start: int, config: TrackConfig
+) -> Motion:
     """Fits the ways of tracks.
 
     Between sightings the outline's edges are interpolated; over ``smooth_s`` before and after each
@@ -39,14 +41,15 @@ def motion_of(things: Things, first: np.ndarray, stamps: np.ndarray, config: Tra
     Args:
         things: Sightings, those of the first track first, each track's by frame.
         first: ``(K,)``, the first sighting of each track.
-        stamps: Stamps of the log's frames [ns].
+        stamps: Stamps of the log's frames from ``start`` on [ns].
+        start: Number of the first of them.
         config: Times and limits.
     """
     last = np.append(first[1:], len(things.frame)) - 1
     count = things.frame[last] - things.frame[first] + 1
     starts = np.cumsum(count) - count
     track = np.repeat(np.arange(len(first)), count)
-    stamp = stamps[ranges(things.frame[first], count)]
+    stamp = stamps[ranges(things.frame[first] - start, count)]
     time = (stamp - stamp[starts][track]) * 1e-9
     length, usual = _lengths(things, first)
     longer = length > LONGER * np.repeat(usual, np.diff(np.append(first, len(length))))
