@@ -22,11 +22,13 @@ import pyarrow.parquet as pq
 from jaxdet.engine import RunOptions, run
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.presets import preset
+from jaxdet.results.manifest import MANIFEST, make_manifest
+from jaxdet.results.summary import to_json
 from jaxdet.sim import SimConfig, Truth, load_scene, load_truth, write_log
 from jaxdet.sim.robot import pose_at, velocity_at
 from jaxdet.sim.scene import Model
 from jaxdet.tracks import track_results
-from jaxdet.tracks.folder import TRACKS
+from jaxdet.tracks.folder import LINKS, TRACKS
 
 MATCH_M = 0.5
 """A track is a thing's within this distance of its middle [m]."""
@@ -65,6 +67,9 @@ class Score(NamedTuple):
     """Of things that move, in each frame that shows them [m/s]."""
     standing_errors: list[float]
     """Of things that stand [m/s]."""
+    off: list[tuple[float, float, float]]
+    """Of each frame and thing that is one outline: from the outline's middle to that of what is in
+    sight, from there to that of the whole thing, and from the outline's to the whole's [m]."""
     missed: Counter
     """Frames in which a thing has no track, by cause."""
 
@@ -85,6 +90,11 @@ def main(options: Options) -> int:
     print(
         f"\nspeed error, moving: mean {speed.mean():.3f} m/s, median {np.median(speed):.3f}, "
         f"90 % {np.quantile(speed, 0.9):.3f}; standing: mean {standing.mean():.4f}"
+    )
+    parts = np.mean([part for s in scores.values() for part in s.off], axis=0)
+    print(
+        f"outlines' middles from those of what is in sight {parts[0]:.3f} m, these from the whole "
+        f"things' {parts[1]:.3f}, outlines' from the whole things' {parts[2]:.3f}; tracks': motp"
     )
     print("missed frames: " + ", ".join(f"{n} {why}" for why, n in missed.most_common()))
     print(f"{_rate(options, results):,.0f} frames/s of a long log, tables read, linked and written")
@@ -126,6 +136,8 @@ def _rate(options: Options, results: Path) -> float:
     summary = json.loads((results / "summary.json").read_text())
     one = {**summary["logs"][0], **count, "map": None, "pictures": []}
     (folder / "summary.json").write_text(json.dumps({**summary, **count, "logs": [one]}))
+    files = {path.name: path for path in folder.iterdir()}
+    (folder / MANIFEST).write_text(to_json(make_manifest({}, files)))
     times = []
     for _ in range(5):
         start = time.perf_counter()
@@ -176,10 +188,15 @@ class _Log:
         self.tracks = pq.read_table(results / TRACKS, filters=here).to_pylist()
         columns = ["frame", "corners_world"]
         rows = pq.read_table(results / "obstacles.parquet", columns=columns, filters=here)
+        links = pq.read_table(results / LINKS, columns=["track"], filters=here)
         self.outlines: dict[int, list[np.ndarray]] = {}
-        for frame, corners in zip(*(rows[c].to_pylist() for c in columns), strict=True):
-            outline = np.array(corners, np.float32).reshape(4, 2)
+        self.outlines_of: dict[tuple[int, int | None], list[np.ndarray]] = {}
+        """Those of a frame and a track."""
+        frames, corners = (rows[c].to_pylist() for c in columns)
+        for frame, ring, track in zip(frames, corners, links["track"].to_pylist(), strict=True):
+            outline = np.array(ring, np.float32).reshape(4, 2)
             self.outlines.setdefault(frame, []).append(outline)
+            self.outlines_of.setdefault((frame, track), []).append(outline)
 
     @cached_property
     def motion(self) -> tuple[np.ndarray, np.ndarray]:
@@ -215,6 +232,27 @@ class _Log:
                 speeds.append(track["speed_mps"][i])
         return found, np.array(places).reshape(-1, 2), np.array(speeds)
 
+    @cached_property
+    def in_sight(self) -> np.ndarray:
+        """Middles ``(F, J, 2)`` of what is in sight of all things [m]."""
+        camera = self.truth.T_world_camera
+        forward = camera[:, :2, 2] / np.linalg.norm(camera[:, :2, 2], axis=1, keepdims=True)
+        right = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
+        middle = (self.truth.ground_min + self.truth.ground_max)[..., None] / 2.0
+        shift = middle[:, :, 0] * right[:, None] + middle[:, :, 1] * forward[:, None]
+        return camera[:, None, :2, 3] + shift
+
+    def off(self, frame: int, j: int, track: int) -> tuple[float, float, float] | None:
+        """See :class:`Score`."""
+        outlines = self.outlines_of.get((frame, track), [])
+        if len(outlines) != 1:
+            return None
+        outline = outlines[0].mean(axis=0)
+        shown, whole = self.in_sight[frame, j], self.motion[0][frame, j]
+        found = (outline - shown, shown - whole, outline - whole)
+        first, second, both = (float(np.hypot(*way)) for way in found)
+        return first, second, both
+
     def ignored(self, frame: int, place: np.ndarray) -> bool:
         """Whether a track is at something that need not be found."""
         return any(
@@ -242,7 +280,7 @@ def _distance(outline: np.ndarray, place: np.ndarray) -> float:
 
 def _score(log: _Log) -> Score:
     accumulator = motmetrics.MOTAccumulator()
-    score = Score(accumulator, [], [], Counter())
+    score = Score(accumulator, [], [], [], Counter())
     place, speed = log.motion
     fast: dict[tuple[int, int], float] = {}
     for frame in range(len(log.truth.stamp_ns)):
@@ -262,6 +300,8 @@ def _score(log: _Log) -> Score:
             error = abs(fast[event.FrameId, int(event.HId)] - speed[event.FrameId, j])
             thing = log.scene.objects[j]
             moves = isinstance(thing, Model) and thing.path is not None
+            if (off := log.off(event.FrameId, j, int(event.HId))) is not None:
+                score.off.append(off)
             (score.speed_errors if moves else score.standing_errors).append(error)
         elif event.Type == "MISS":
             score.missed[log.cause(event.FrameId, int(event.OId))] += 1

@@ -37,6 +37,19 @@ def corners_of(x: float, y: float, size: tuple[float, float] = PERSON, yaw: floa
     return (half @ np.array([[c, s], [-s, c]]) + (x, y)).ravel().tolist()
 
 
+def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns in a picture of 640 of outlines ``(N, 8)`` in the frame of its camera, and x."""
+    right, forward = boxes[:, ::2], boxes[:, 1::2]
+    u = np.clip(320 + 400 * right / np.maximum(forward, 0.1), 0, 639)
+    low, high = right.min(axis=1, initial=99), right.max(axis=1, initial=-99)
+    return {
+        "u_min": u.min(1, initial=999),
+        "u_max": u.max(1, initial=0),
+        "x_min": low,
+        "x_max": high,
+    }
+
+
 def follow(
     frames: list[list[list[float]]],
     *,
@@ -60,9 +73,8 @@ def follow(
             "corners_world": boxes if poses else np.full_like(boxes, np.nan),
             "bottom_m": np.array(low, np.float32),
             "top_m": np.full(count, 1.7, np.float32),
-            "distance_m": np.full(count, 2.0, np.float32),
-            "u_min": np.full(count, 100),
-            "u_max": np.full(count, 200),
+            "distance_m": np.hypot(boxes[:, ::2], boxes[:, 1::2]).min(axis=1, initial=99),
+            **in_picture(boxes),
         }
         seen = obstacles_seen(frame, stamps[frame], columns, 640)
         size = Outlines.of_corners(boxes).area
@@ -124,6 +136,49 @@ def test_behind_a_pillar():
     assert person.path.shape == (60, 2)
     np.testing.assert_allclose(person.path[:, 1], np.arange(60) / RATE_HZ - 2, atol=0.02)
     assert [of[0][1], of[59][1]] == [1] * 2
+
+
+def part_of(x: float, low: float = -np.inf, high: float = np.inf) -> list:
+    """What is seen of somebody 0.5 m wide at (x, 2) between two places."""
+    left, right = max(x - 0.25, low), min(x + 0.25, high)
+    return [corners_of((left + right) / 2, 2, (right - left, 0.4))] if right - left > 0.05 else []
+
+
+def test_who_enters_the_picture_is_as_wide_as_later():
+    """The left border hides a part at first, the right one at last; the way is that of the whole
+    body all the time."""
+    edge = 319 / 400 * 1.8  # where the nearer side of the outline meets the border
+    x = -1.8 + np.arange(54) / RATE_HZ
+    (walks,), _ = follow([part_of(at, -edge, edge) for at in x])
+    first = walks.first_frame
+    assert first > 0 and walks.last_frame < 53 and walks.moving
+    off = walks.path[:, 0] - x[first : first + len(walks.path)]
+    assert np.abs(off).max() < 0.16 and np.abs(off[6:-6]).max() < 0.04
+    assert np.abs(walks.speed - 1).max() < 0.12
+
+
+def test_half_behind_a_pillar():
+    """What something nearer hides is where it would be: neither does the way bend nor the speed
+    change."""
+    x = -1.2 + np.arange(36) / RATE_HZ
+    half = 0.2 * 2 / 1.5
+    frames = []
+    for at in x:
+        sides = part_of(at, high=-half) + part_of(at, low=half)
+        frames.append([corners_of(0, 1.5, (0.4, 0.1)), *sides])
+    (pillar, walks), of = follow(frames)
+    assert not pillar.moving and of[0] == [0, 1] and of[-1] == [0, 1]
+    assert np.abs(walks.path[:, 0] - x[: len(walks.path)]).max() < 0.06
+    assert np.abs(walks.speed - 1).max() < 0.15
+
+
+def test_one_outline_that_holds_more():
+    """An outline that another thing is merged into hardly moves the way."""
+    frames = [[corners_of(2, f / RATE_HZ)] for f in range(30)]
+    frames[15] = [corners_of(2.35, 1.2, (1.1, 0.9))]
+    (walks,), _ = follow(frames)
+    np.testing.assert_allclose(walks.path[:, 0], 2, atol=0.01)
+    np.testing.assert_allclose(walks.speed, 1, atol=0.05)
 
 
 def test_hidden_for_too_long():
@@ -190,7 +245,8 @@ def test_a_standing_camera_keeps_little_in_memory():
         there[:, 5] = frame // 60 % 2 > 0
         at, which = np.nonzero(there)
         found = np.full(len(at), 1, np.float32)
-        columns = dict.fromkeys(("bottom_m", "top_m", "distance_m", "u_min", "u_max"), found)
+        columns = dict.fromkeys(("bottom_m", "top_m", "distance_m"), found)
+        columns |= in_picture(boxes[which])
         columns |= dict.fromkeys(("corners_ground", "corners_world"), boxes[which])
         seen = obstacles_seen(frame[at], stamps[at], columns, None)
         tracker.add(frame, stamps, seen, np.ones(len(at), np.int64))

@@ -39,7 +39,7 @@ it and with the square of the obstacles in a frame: 0.2 GB with 30 of them, 1.6 
 TRACKING_KEY = "jaxdet.tracking"
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 
-_COLUMNS = ("bottom_m", "top_m", "distance_m", "u_min", "u_max")
+_COLUMNS = ("bottom_m", "top_m", "distance_m", "u_min", "u_max", "x_min", "x_max")
 _READ = ("obstacle", "num_points", "corners_ground", "corners_world", *_COLUMNS)
 
 

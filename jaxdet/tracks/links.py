@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.hidden import unseen
 from jaxdet.tracks.outlines import Outlines, displacement
 from jaxdet.tracks.pairs import chain_starts, choose, pairs_of_frames, ranges
 from jaxdet.tracks.things import Things
@@ -78,6 +79,8 @@ class Tracklets(NamedTuple):
     """``(K,)`` int64, things."""
     velocity: np.ndarray
     """``(K, 2, 2)`` float64, at the start and at the end [m/s]."""
+    place: np.ndarray
+    """``(K, 2, 2)`` float64, likewise the middle, hidden sides put where they would be seen [m]."""
 
 
 def tracklets_of(things: Things, before: np.ndarray) -> Tracklets:
@@ -87,13 +90,15 @@ def tracklets_of(things: Things, before: np.ndarray) -> Tracklets:
     end = np.zeros(count, np.int64)
     np.maximum.at(end, chain, row)
     length = np.bincount(chain, minlength=count)
+    center = things.outline.center + unseen(things, chain, count)
     fits = []
     for at in (start, end):
         t = (things.stamp_ns - things.stamp_ns[at][chain]) * 1e-9
         chosen = np.abs(t) <= FIT_S
-        shift = things.outline.center - things.outline.center[at][chain]
+        shift = center - center[at][chain]
         fits.append(_slopes(chain[chosen], t[chosen], shift[chosen], count))
-    return Tracklets(start, end, length, np.stack(fits, axis=1))
+    places = np.stack([center[start], center[end]], axis=1)
+    return Tracklets(start, end, length, np.stack(fits, axis=1), places)
 
 
 def _slopes(group: np.ndarray, t: np.ndarray, xy: np.ndarray, count: int) -> np.ndarray:
@@ -148,6 +153,8 @@ def _gap_cost(
     end, start = track.end[a], track.start[b]
     gap = ((things.stamp_ns[start] - things.stamp_ns[end]) * 1e-9)[:, None]
     one, other = things.outline.take(end), things.outline.take(start)
+    one = one._replace(center=track.place[a, 1])
+    other = other._replace(center=track.place[b, 0])
     forth = one._replace(center=one.center + track.velocity[a, 1] * gap)
     back = other._replace(center=other.center - track.velocity[b, 0] * gap)
     missed = (displacement(forth, other) + displacement(back, one)) / 2

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.hidden import unseen
 from jaxdet.tracks.pairs import ranges
 from jaxdet.tracks.things import Things
 
@@ -12,6 +13,10 @@ GUESSED = 0.05
 """Weight of a frame between sightings."""
 LONGER, MERGED = 1.6, 0.1
 """An outline so much longer than usual holds something else; its weight."""
+HIDDEN = 0.5
+"""Weight of an outline with a hidden side, its square with two."""
+OFF_M = 0.1
+"""Outlines whose middle is so far from the line through their neighbours weigh half [m]."""
 STEADY_S = 0.02
 """Fits over less time than this are drawn to standing still [s]."""
 
@@ -35,8 +40,9 @@ def motion_of(
 ) -> Motion:
     """Fits the ways of tracks.
 
-    Between sightings the outline's edges are interpolated; over ``smooth_s`` before and after each
-    frame they are lines.
+    A hidden side is put where it would be seen. Between sightings the outline's edges are
+    interpolated; over ``smooth_s`` before and after each frame they are lines, fitted twice: what
+    is far from the first line weighs less for the second.
 
     Args:
         things: Sightings, those of the first track first, each track's by frame.
@@ -53,12 +59,42 @@ def motion_of(
     time = (stamp - stamp[starts][track]) * 1e-9
     length, usual = _lengths(things, first)
     longer = length > LONGER * np.repeat(usual, np.diff(np.append(first, len(length))))
-    things = things._replace(weight=np.where(longer, MERGED, 1) * things.weight)
-    edges, weight = _filled(things, _edges(things) + _unseen(things, first), starts, first, stamp)
+    less = np.where(longer, MERGED, 1) * HIDDEN ** things.hidden.sum(axis=1)
+    things = things._replace(weight=less * things.weight)
+    shift = unseen(things, np.searchsorted(first, np.arange(len(length)), "right") - 1, len(first))
+    edges = _edges(things) + np.hstack([shift, shift])
+    edges, weight = _filled(things, edges, starts, first, stamp)
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
+    off = np.hypot(*_middle(edges - line).T)
+    line, slope = _fitted(track, time, edges, weight / (1 + (off / OFF_M) ** 2), config.smooth_s)
+    rest = _resting(things, first)
     moving = _moves(line, edges, weight, starts, track, usual, config)
-    velocity = (slope[:, :2] + slope[:, 2:]) / 2 * moving[track, None]
-    return Motion(starts, (line[:, :2] + line[:, 2:]) / 2, velocity, moving)
+    velocity = _middle(slope) * moving[track, None]
+    place = np.where(moving[track, None], _middle(line), rest[track])
+    return Motion(starts, place, velocity, moving)
+
+
+def _middle(edges: np.ndarray) -> np.ndarray:
+    """``(N, 2)``, of edges ``(N, 4)``."""
+    return (edges[:, :2] + edges[:, 2:]) / 2
+
+
+def _resting(things: Things, first: np.ndarray) -> np.ndarray:
+    """``(K, 2)``, the middle of each track's outlines by median [m].
+
+    Of those that show both sides, where there are any.
+    """
+    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
+    whole = ~things.hidden.any(axis=1)
+    count = np.bincount(track[whole], minlength=len(first))
+    seen = np.diff(np.append(first, len(track)))
+    count = np.where(count > 0, count, seen)
+    found = np.empty((len(first), 2))
+    for side, place in enumerate(things.outline.center.T):
+        order = np.lexsort((place, ~whole, track))
+        low, high = (place[order][first + at] for at in ((count - 1) // 2, count // 2))
+        found[:, side] = (low + high) / 2
+    return found
 
 
 def _edges(things: Things) -> np.ndarray:
@@ -67,21 +103,6 @@ def _edges(things: Things) -> np.ndarray:
     ways = (np.broadcast_to(way, outline.axis.shape) for way in np.eye(2))
     reach = np.stack([outline.reach(way) for way in ways], axis=1)
     return np.hstack([outline.center - reach, outline.center + reach])
-
-
-def _unseen(things: Things, first: np.ndarray) -> np.ndarray:
-    """``(N, 4)``, how far the edges of what the border cuts off would be shifted, were it whole.
-
-    It is as wide along the image as it usually is where nothing cuts it off [m].
-    """
-    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
-    cut = (things.cut != 0).any(axis=1)
-    shown = np.where(cut, 2 * things.outline.reach(things.cut), things.outline.half.sum(axis=1))
-    order = np.lexsort((shown, cut, track))  # whole ones first
-    whole = np.bincount(track[~cut], minlength=len(first))
-    usual = np.where(whole > 2, shown[order][first + whole // 2], 0.0)[track]
-    shift = np.where(cut, np.maximum(usual - shown, 0.0) / 2, 0.0)[:, None] * things.cut
-    return np.hstack([shift, shift])
 
 
 def _lengths(things: Things, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,7 +159,15 @@ def _filled(
 def _fitted(
     track: np.ndarray, time: np.ndarray, values: np.ndarray, weight: np.ndarray, reach_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lines through the values within ``reach_s`` of each point: value and slope, ``(P, V)``."""
+    """Lines through the values within ``reach_s`` of each point: value and slope, ``(P, V)``.
+
+    At both ends of a track they go through more, so that it is never less than three quarters of
+    the time.
+    """
+    ends = np.flatnonzero(np.diff(track, append=-1))
+    first, last = time[np.append(0, ends[:-1] + 1)][track], time[ends][track]
+    inner = np.minimum(reach_s / 2, (last - first) / 2)
+    middle = np.clip(time, first + inner, last - inner)
     n = weight.copy()
     st, stt = np.zeros(len(track)), np.zeros(len(track))
     sv, stv = np.zeros_like(values), np.zeros_like(values)
@@ -147,7 +176,7 @@ def _fitted(
             here = np.s_[step:] if sign < 0 else np.s_[:-step]
             there = np.s_[:-step] if sign < 0 else np.s_[step:]
             t = time[there] - time[here]
-            near = (track[there] == track[here]) & (np.abs(t) <= reach_s)
+            near = (track[there] == track[here]) & (np.abs(time[there] - middle[here]) <= reach_s)
             if not near.any():
                 break
             w = np.where(near, weight[there], 0.0)

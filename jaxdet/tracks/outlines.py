@@ -37,7 +37,7 @@ class Outlines(NamedTuple):
 
     def reach(self, direction: np.ndarray) -> np.ndarray:
         """``(N,)``, half of their extent along unit vectors ``(N, 2)`` [m]."""
-        along = np.abs((self.axis * direction).sum(1))
+        along = np.abs(_dot(self.axis, direction))
         across = np.abs(self.axis[:, 0] * direction[:, 1] - self.axis[:, 1] * direction[:, 0])
         return self.half[:, 0] * along + self.half[:, 1] * across
 
@@ -58,7 +58,7 @@ def overlap(a: Outlines, b: Outlines) -> np.ndarray:
     shift, least = b.center - a.center, np.full(len(a.center), 1.0)
     for axis in (a.axis, turned(a.axis), b.axis, turned(b.axis)):
         one, other = a.reach(axis), b.reach(axis)
-        shared = one + other - np.abs((shift * axis).sum(1))
+        shared = one + other - np.abs(_dot(shift, axis))
         least = np.minimum(least, shared / np.maximum(2 * np.minimum(one, other), 1e-9))
     return least
 
@@ -71,7 +71,7 @@ def gap(a: Outlines, b: Outlines) -> np.ndarray:
     """
     shift, most = b.center - a.center, np.full(len(a.center), -np.inf)
     for axis in (a.axis, turned(a.axis), b.axis, turned(b.axis)):
-        apart = np.abs((shift * axis).sum(1)) - a.reach(axis) - b.reach(axis)
+        apart = np.abs(_dot(shift, axis)) - a.reach(axis) - b.reach(axis)
         most = np.maximum(most, apart)
     return most
 
@@ -87,7 +87,7 @@ def displacement(a: Outlines, b: Outlines) -> np.ndarray:
     """
     shift, most = b.center - a.center, np.zeros(len(a.center))
     for axis in (a.axis, turned(a.axis)):
-        middle, grown = (shift * axis).sum(1), b.reach(axis) - a.reach(axis)
+        middle, grown = _dot(shift, axis), b.reach(axis) - a.reach(axis)
         # Its ends moved by middle + grown and middle - grown.
         end = np.abs(np.abs(middle) - np.abs(grown))
         most = np.maximum(most, np.minimum(end, np.abs(middle)))
@@ -97,3 +97,8 @@ def displacement(a: Outlines, b: Outlines) -> np.ndarray:
 def turned(axis: np.ndarray) -> np.ndarray:
     """Unit vectors ``(N, 2)`` turned to the left by a right angle."""
     return np.stack([-axis[:, 1], axis[:, 0]], axis=1)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """``(N,)``, of vectors ``(N, 2)``; several times as fast as a sum over their last axis."""
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]

@@ -7,8 +7,6 @@ import numpy as np
 from jaxdet.tracks.outlines import Outlines
 from jaxdet.tracks.things import Things
 
-CUT = 0.5
-"""Weight of an outline that the image's left or right border cuts off."""
 BORDER_PX = 1
 """So near to it [pixel]."""
 NOISE_M = 3.0
@@ -27,20 +25,29 @@ def obstacles_seen(
         frame: ``(N,)``.
         stamp_ns: ``(N,)``.
         columns: Of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN without a
-            pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``.
+            pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``,
+            ``x_min``, ``x_max``.
         width: Of the colour image, None where that is not known [pixel].
     """
     world = columns["corners_world"]
     known = np.asarray(np.isfinite(world).all(axis=1))
     outline = Outlines.of_corners(np.where(known[:, None], world, columns["corners_ground"]))
-    right = np.inf if width is None else width - 1 - BORDER_PX
-    side = (columns["u_max"] >= right) - (columns["u_min"] <= BORDER_PX).astype(np.float64)
-    cut = side[:, None] * _rightwards(columns["corners_ground"], world, known)
-    noise = 1 + (columns["distance_m"].astype(np.float64) / NOISE_M) ** 4
-    weight = np.where(side != 0, CUT, 1.0) / noise
+    wide = width or 1
+    columns_of = np.stack([columns["u_min"], columns["u_max"]], axis=1) / wide
+    hidden = np.zeros((len(frame), 2), bool)
+    if width is not None:
+        hidden[:, 0] = columns["u_min"] <= BORDER_PX
+        hidden[:, 1] = columns["u_max"] >= width - 1 - BORDER_PX
+    across = np.stack([columns["x_min"], columns["x_max"]], axis=1).astype(np.float64)
+    rightwards = _rightwards(columns["corners_ground"], world, known)
+    distance = columns["distance_m"].astype(np.float64)
+    weight = 1 / (1 + (distance / NOISE_M) ** 4)
     bottom, top = (columns[name].astype(np.float64) for name in ("bottom_m", "top_m"))
     one = np.ones(len(frame), np.int64)
-    return Things(frame, stamp_ns, outline, bottom, top, weight, cut, known, one)
+    return Things(
+        *(frame, stamp_ns, outline, bottom, top, weight),
+        *(columns_of, across, distance, rightwards, hidden, known, one),
+    )
 
 
 def _rightwards(ground: np.ndarray, world: np.ndarray, known: np.ndarray) -> np.ndarray:

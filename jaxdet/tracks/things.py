@@ -24,9 +24,17 @@ class Things(NamedTuple):
     """``(N,)`` float64, highest point, likewise [m]."""
     weight: np.ndarray
     """``(N,)`` float64, how much its outline says about where it is, 1 for a near and whole one."""
-    cut: np.ndarray
-    """``(N, 2)`` float64, unit vector on the floor towards where the image's border cuts it off, 0
-    where it doesn't."""
+    columns: np.ndarray
+    """``(N, 2)`` float64, its least and greatest column, in widths of the image."""
+    across_m: np.ndarray
+    """``(N, 2)`` float64, its least and greatest x in the camera [m]."""
+    distance_m: np.ndarray
+    """``(N,)`` float64, of its nearest point from the camera's foot [m]."""
+    rightwards: np.ndarray
+    """``(N, 2)`` float64, the camera's right on the floor, unit vector in the outline's frame."""
+    hidden: np.ndarray
+    """``(N, 2)`` bool, whether its left and its right side are out of sight: beyond the image's
+    border, or behind something nearer."""
     in_world: np.ndarray
     """``(N,)`` bool, whether the outline is in the world, else in the camera's ground frame."""
     obstacles: np.ndarray
@@ -90,7 +98,7 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
     shift = seen.outline.center - middle[thing]
     center, half = middle.copy(), np.empty((count, 2))
     for side, way in enumerate((axis, turned(axis))):
-        along, reach = (shift * way[thing]).sum(1), seen.outline.reach(way[thing])
+        along, reach = (shift * way[thing]).sum(axis=1), seen.outline.reach(way[thing])
         low, high = np.full(count, np.inf), np.full(count, -np.inf)
         np.minimum.at(low, thing, along - reach)
         np.maximum.at(high, thing, along + reach)
@@ -99,8 +107,15 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
     bottom, top = np.full((2, count), np.nan)
     np.fmin.at(bottom, thing, seen.bottom_m)
     np.fmax.at(top, thing, seen.top_m)
-    weight = np.ones(count)
+    weight, distance = np.ones(count), np.full(count, np.inf)
     np.minimum.at(weight, thing, seen.weight)
+    np.minimum.at(distance, thing, seen.distance_m)
+    columns, across = np.tile((np.inf, -np.inf), (2, count, 1))
+    for joined, own in ((columns, seen.columns), (across, seen.across_m)):
+        np.minimum.at(joined[:, 0], thing, own[:, 0])
+        np.maximum.at(joined[:, 1], thing, own[:, 1])
+    hidden = np.zeros((count, 2), bool)
+    np.logical_or.at(hidden, thing, seen.hidden)
     obstacles = np.bincount(thing, seen.obstacles, count).astype(np.int64)
     kept = seen.take(lead)
     return kept._replace(
@@ -108,13 +123,9 @@ def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
         bottom_m=bottom,
         top_m=top,
         weight=weight,
-        cut=_cut_off(seen, thing, count),
+        columns=columns,
+        across_m=across,
+        distance_m=distance,
+        hidden=hidden,
         obstacles=obstacles,
     )
-
-
-def _cut_off(seen: Things, thing: np.ndarray, count: int) -> np.ndarray:
-    """Towards where each thing is cut off, as most of its obstacles are."""
-    way = np.stack([np.bincount(thing, part, count) for part in seen.cut.T], axis=1)
-    length = np.hypot(*way.T)
-    return np.where(length[:, None] > 0.5, way / np.maximum(length, 1e-9)[:, None], 0.0)

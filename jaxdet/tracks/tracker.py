@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxdet.tracks.config import TrackConfig
+from jaxdet.tracks.hidden import hide_sides
 from jaxdet.tracks.links import link_frames, link_tracklets
 from jaxdet.tracks.motion import motion_of
 from jaxdet.tracks.numbers import Numbers
@@ -63,6 +64,7 @@ class Tracker:
         self.frames = np.concatenate([self.frames, frames])
         self.stamps = np.concatenate([self.stamps, stamps])
         things, thing = whole_things(seen, size, self.config)
+        things = hide_sides(things)
         first, new = len(self.before), len(things.frame)
         self.things = things if self.things is None else join_things(self.things, things)
         before = np.concatenate([self.before, np.full(new, -1)])
@@ -115,8 +117,10 @@ class Tracker:
         self._forget(ended[chain])
 
     def _fold(self) -> None:
-        """Fits the older part of long chains, and forgets those of its sightings that are not
-        needed to fit what follows."""
+        """Fits the older part of long chains.
+
+        Its sightings are forgotten but for the last, which the fit of what follows needs.
+        """
         things, end = self.things, self.start + len(self.frames)
         if things is None or not len(self.before):
             return
