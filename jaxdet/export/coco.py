@@ -25,7 +25,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
     Frames without a result are left out, as it isn't known what they show; ``info`` in
     ``annotations.json`` counts them. Masks are found again in the logs; frames whose obstacles are
-    not those of the results are an error.
+    not those of the results are an error. Annotations have a ``track_id``, null for none, where
+    ``jaxdet track`` linked the obstacles.
 
     Args:
         results: The results.
@@ -146,6 +147,7 @@ def _annotation(obstacle: Mapping[str, Any], labels: np.ndarray) -> dict[str, An
         "segmentation": {"size": list(labels.shape), "counts": run_lengths(mask)},
         "iscrowd": 0,
         **{name: obstacle[name] for name in ("obstacle", "distance_m", "bottom_m", "top_m")},
+        **({"track_id": obstacle["track"]} if "track" in obstacle else {}),
     }
 
 

@@ -7,11 +7,13 @@ can be jumped to.
 """
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -49,6 +51,7 @@ from jaxdet.export.shapes import (
     floor_name,
     heights,
     label,
+    number_of,
     quaternion,
     topic,
 )
@@ -57,6 +60,7 @@ from jaxdet.io import LogFiles
 from jaxdet.io.writer import Transform
 from jaxdet.render.canvas import color_of
 from jaxdet.results.reading import Frame, ResultLog, Results
+from jaxdet.results.tracked import Mover
 
 SCENE, BOXES, MAP, TF = "obstacles", "boxes", "map", "tf"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""
@@ -65,8 +69,12 @@ _TEXT = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 _DARK = Color(r=0.0, g=0.0, b=0.0, a=0.6)
 _CELL_COLORS = {OCCUPIED: (200, 40, 40, 200), FREE: (160, 190, 170, 110)}
 """Red, green, blue, alpha; unknown cells are transparent."""
-_ABOUT = ("obstacle", "distance_m", "bottom_m", "top_m", "num_points")
+_ABOUT = ("obstacle", "track", "distance_m", "bottom_m", "top_m", "num_points")
 """Columns that are shown when an obstacle is selected."""
+HEAD_M = 0.15
+"""Length of an arrow's head [m]."""
+PATH_POINTS = 300
+"""Of a track's way so many frames are shown."""
 _CELL_FIELDS = ("red", "green", "blue", "alpha")
 
 
@@ -123,13 +131,61 @@ def scene(frame: Frame) -> SceneUpdate:
     T = T_camera_floor(frame.row)
     pose = _pose(T)
     entities = [_entity(frame.row, obstacle, T, pose) for obstacle in frame.obstacles]
-    return SceneUpdate(deletions=[gone], entities=entities)
+    entities += [_way(frame.row, track) for track in frame.tracks if track.moving]
+    return SceneUpdate(deletions=[gone], entities=_named_apart(entities))
+
+
+def _named_apart(entities: list[SceneEntity]) -> list[SceneEntity]:
+    """The entities, of which the pieces of a track have names of their own but for the first."""
+    counts = Counter[str]()
+    for entity in entities:
+        counts[entity.id] += 1
+        if counts[entity.id] > 1:
+            entity.id += f", piece {counts[entity.id]}"
+    return entities
+
+
+def _way(row: Row, track: Mover) -> SceneEntity:
+    """Where something that moves was, and as an arrow how far it gets in a second."""
+    T = T_world_camera(row)
+    if track.in_world and T is not None:
+        name, z = row["world_frame"] or "", T[2, 3] - (row["camera_height_m"] or 0.0)
+    else:
+        name, z = floor_name(row), 0.0
+    angle = float(np.arctan2(track.velocity[1], track.velocity[0])) / 2
+    turn = Quaternion(z=np.sin(angle), w=np.cos(angle))
+    speed = float(np.hypot(*track.velocity))
+    place, color = Vector3(x=track.path[-1, 0], y=track.path[-1, 1], z=z), _color(track.track, 1.0)
+    arrow = ArrowPrimitive(
+        pose=Pose(position=place, orientation=turn),
+        shaft_length=max(speed - HEAD_M, 0.0),
+        shaft_diameter=0.05,
+        head_length=min(speed, HEAD_M),
+        head_diameter=0.12,
+        color=color,
+    )
+    line = LinePrimitive(
+        pose=Pose(orientation=Quaternion(w=1.0)),
+        type=LinePrimitive.LINE_STRIP,
+        thickness=2.0,
+        scale_invariant=True,
+        points=_points(track.path[-PATH_POINTS:], z),
+        color=color,
+    )
+    return SceneEntity(
+        timestamp=_stamp(row["stamp_ns"]),
+        frame_id=name,
+        id=f"way of track {track.track}",
+        metadata=[KeyValuePair(key="speed_mps", value=f"{speed:.6g}")],
+        arrows=[arrow],
+        lines=[line],
+    )
 
 
 def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
     """An obstacle: its contour as a wall from bottom to top, or a box, and its label."""
     bottom, top = heights(row, obstacle)
-    edge, number = contour(obstacle), obstacle["obstacle"]
+    edge, number = contour(obstacle), number_of(obstacle)
     shape: dict[str, Any] = {}
     if len(edge) > 1:
         low, high = _points(edge, bottom), _points(edge, top)
@@ -153,12 +209,12 @@ def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
         color=_TEXT,
         text=label(obstacle),
     )
-    known = {key: obstacle[key] for key in _ABOUT if obstacle[key] is not None}
+    known = {key: obstacle[key] for key in _ABOUT if obstacle.get(key) is not None}
     about = [KeyValuePair(key=key, value=f"{value:.6g}") for key, value in known.items()]
     return SceneEntity(
         timestamp=_stamp(row["stamp_ns"]),
         frame_id=camera_name(row),
-        id=f"obstacle {number}",
+        id=f"obstacle {number}" if obstacle.get("track") is None else f"track {number}",
         metadata=about,
         texts=[text],
         **shape,
@@ -175,7 +231,7 @@ def _wall(count: int) -> list[int]:
 
 def _cube(obstacle: Row, T: np.ndarray, bottom: float, top: float) -> CubePrimitive:
     T_floor_box, size = box(obstacle, bottom, top)
-    color = _color(obstacle["obstacle"], 0.6)
+    color = _color(number_of(obstacle), 0.6)
     return CubePrimitive(pose=_pose(T @ T_floor_box), size=_point(size), color=color)
 
 
@@ -187,7 +243,7 @@ def annotations(frame: Frame) -> ImageAnnotations:
         left, right = obstacle["u_min"], obstacle["u_max"] + 1
         upper, lower = obstacle["v_min"], obstacle["v_max"] + 1
         ring = [(left, upper), (right, upper), (right, lower), (left, lower)]
-        color = _color(obstacle["obstacle"], 1.0)
+        color = _color(number_of(obstacle), 1.0)
         boxes.append(
             PointsAnnotation(
                 timestamp=stamp,

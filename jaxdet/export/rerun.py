@@ -6,6 +6,8 @@ Entities of a recording::
       map, path                  static, where the log has poses
       floor                      the camera's foot: x to the right, y forward, z up
         boxes, contours, free    obstacles, and the free floor
+        tracks/N                 paths of things that move, while they are there; in the world
+                                 where there are poses (world/tracks/N)
         camera                   the colour optical frame
           color                  image and boxes in it
           depth                  image
@@ -33,6 +35,7 @@ from jaxdet.export.shapes import (
     contour,
     heights,
     label,
+    number_of,
 )
 from jaxdet.io import LogFiles
 from jaxdet.io.motion import quaternions
@@ -117,6 +120,7 @@ class _Recording:
                     self._at(row)
                     self._images(seen, b, row)
                 self.stream.flush()  # else what waits to be written has no bound
+        self._tracks()
         image = self.results.map(self.log)
         if image is not None:
             _map(self.stream, image, self.floor_z)
@@ -156,6 +160,22 @@ class _Recording:
         if row["status"] != FrameStatus.OK:
             text = f"frame {row['frame']}: {row['status']}"
             log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
+
+    def _tracks(self) -> None:
+        """The ways of things that move, each an entity from its first frame to its last."""
+        for track in self.results.tracks(self.log):
+            if track["moving"]:
+                place = f"{'world' if track['in_world'] else FLOOR}/tracks/{track['track']}"
+                z = self.floor_z if track["in_world"] else 0.0
+                path = np.reshape(track["path"], (-1, 2))
+                strip = np.column_stack([path, np.full(len(path), z + 0.02)])
+                text = f"track {track['track']}   {track['mean_speed_mps']:.2f} m/s"
+                color = _colors([track["track"]])
+                self._at({"frame": track["first_frame"], "stamp_ns": track["first_stamp_ns"]})
+                line = rr.LineStrips3D([strip], colors=color, labels=[text], radii=0.015)
+                self.stream.log(place, line)
+                self._at({"frame": track["last_frame"] + 1, "stamp_ns": track["last_stamp_ns"] + 1})
+                self.stream.log(place, rr.Clear(recursive=False))
 
     def _images(self, seen: Seen, b: int, row: Mapping[str, Any]) -> None:
         """What the log says of a frame."""
@@ -235,7 +255,7 @@ def _boxes(row: Mapping[str, Any], obstacles: list[dict[str, Any]]) -> rr.Boxes3
         centers=placed[:, :3, 3],
         half_sizes=np.reshape([size for _, size in boxes], (-1, 3)) / 2,
         quaternions=quaternions(placed[:, :3, :3]),
-        colors=_colors([one["obstacle"] for one in obstacles]),
+        colors=_colors([number_of(one) for one in obstacles]),
         labels=[label(one) for one in obstacles],
     )
 
@@ -245,7 +265,7 @@ def _contours(obstacles: list[dict[str, Any]]) -> rr.LineStrips3D:
     some = [one for one in obstacles if one["contour"]]
     lines = [contour(one) for one in some]
     strips = [np.column_stack([line, np.full(len(line), 0.01)]) for line in lines]
-    return rr.LineStrips3D(strips, colors=_colors([one["obstacle"] for one in some]), radii=0.008)
+    return rr.LineStrips3D(strips, colors=_colors([number_of(one) for one in some]), radii=0.008)
 
 
 def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
@@ -255,7 +275,7 @@ def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
     return rr.Boxes2D(
         mins=box[:, :2],
         sizes=box[:, 2:] + 1 - box[:, :2],
-        colors=_colors([one["obstacle"] for one in obstacles]),
+        colors=_colors([number_of(one) for one in obstacles]),
         labels=[label(one) for one in obstacles],
     )
 

@@ -67,7 +67,10 @@ def _write_log(
 
 
 def detections(frame: Frame) -> dict[str, Any]:
-    """A ``vision_msgs/Detection3DArray``: the outlines from bottom to top, in the camera."""
+    """A ``vision_msgs/Detection3DArray``: the outlines from bottom to top, in the camera.
+
+    ``id`` is the obstacle's track, empty where it has none; without tracks its number.
+    """
     row = frame.row
     head, T = header(row["stamp_ns"], camera_name(row)), T_camera_floor(row)
     found = []
@@ -79,8 +82,9 @@ def detections(frame: Frame) -> dict[str, Any]:
             "pose": {"pose": center, "covariance": (0.0,) * 36},
         }
         bounds = {"center": center, "size": xyz(size)}
-        number = str(obstacle["obstacle"])
-        found.append({"header": head, "results": [result], "bbox": bounds, "id": number})
+        name = obstacle["track"] if "track" in obstacle else obstacle["obstacle"]
+        name = "" if name is None else str(name)
+        found.append({"header": head, "results": [result], "bbox": bounds, "id": name})
     return {"header": head, "detections": found}
 
 

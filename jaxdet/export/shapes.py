@@ -111,6 +111,14 @@ def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarra
     return T, np.array([length, np.hypot(*across), top - bottom])
 
 
+def number_of(obstacle: Row) -> int:
+    """What tells it from others: its track's number, else its own."""
+    track = obstacle.get("track")
+    return obstacle["obstacle"] if track is None else track
+
+
 def label(obstacle: Row) -> str:
-    """Its number and distance, as in the pictures."""
-    return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m"
+    """Its number and distance, as in the pictures, and its track."""
+    track = obstacle.get("track")
+    followed = "" if track is None else f"   track {track}"
+    return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m{followed}"

@@ -5,6 +5,7 @@ import json
 import typing
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -21,9 +22,13 @@ from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
 from jaxdet.results.occupancy import MapImage, load_map
+from jaxdet.results.tracked import Mover, TracksInFrames
 
 CHUNK_FRAMES = 1024
 """Frames of a chunk, unless it is asked for otherwise."""
+
+TRACKS, LINKS = "tracks", "track_links"
+"""Tables that ``jaxdet track`` adds."""
 
 _AGAIN = "run jaxdet run again, or name another folder"
 
@@ -101,6 +106,11 @@ class Frame(NamedTuple):
     row: dict[str, Any]
     obstacles: list[dict[str, Any]]
 
+    @property
+    def tracks(self) -> Sequence[Mover]:
+        """The tracks that it has, of :meth:`Results.frames` where ``jaxdet track`` found some."""
+        return self.row.get("tracks", ())
+
 
 class Results:
     """What a run wrote; opening it reads no rows.
@@ -152,6 +162,27 @@ class Results:
         """Closes the tables."""
         self._frames.close(force=True)
         self._obstacles.close(force=True)
+        if "_links" in vars(self):
+            self._links.close(force=True)
+
+    @cached_property
+    def tracked(self) -> bool:
+        """Whether ``jaxdet track`` linked the obstacles, which then have a column ``track``."""
+        return self._path(TRACKS).is_file() and self._path(LINKS).is_file()
+
+    def tracks(self, log: ResultLog) -> Iterator[dict[str, Any]]:
+        """The rows of ``tracks.parquet`` of a log; none where there are no tracks.
+
+        Raises:
+            InputError: They can't be read, or are those of other results.
+        """
+        if not self.tracked:
+            return
+        with self._reading(), closing(self._table_of_tracks(TRACKS)) as table:
+            for batch in table.iter_batches(batch_size=CHUNK_FRAMES):
+                for row in batch.to_pylist():
+                    if (row["log"], row["camera"]) == (log.name, log.camera):
+                        yield row
 
     @cached_property
     def method(self) -> Config:
@@ -194,8 +225,8 @@ class Results:
             log: Of this log; None: of all, one after the other.
             frames: Columns of the frames; None: all. ``log``, ``camera``, ``frame`` and
                 ``num_obstacles`` come always.
-            obstacles: Columns of the obstacles; None: all. ``log``, ``camera`` and ``frame``
-                come always.
+            obstacles: Columns of the obstacles; None: all, with ``track`` where they are
+                :attr:`tracked`. ``log``, ``camera`` and ``frame`` come always.
             size: Most frames of a chunk.
 
         Raises:
@@ -206,9 +237,12 @@ class Results:
             rows = _Rows(
                 self._frames, start[0], frames, ("log", "camera", "frame", "num_obstacles")
             )
-            parts = _Rows(self._obstacles, start[1], obstacles, ("log", "camera", "frame"))
+            own = obstacles and [name for name in obstacles if name != "track"]
+            parts = _Rows(self._obstacles, start[1], own, ("log", "camera", "frame"))
+            linked = self.tracked and (obstacles is None or "track" in obstacles)
+            links = _Rows(self._links, start[1], ("track",), ("frame",)) if linked else None
             left = one.num_frames
-            try:
+            with self._reading():
                 while left:
                     taken = rows.take(min(size, left))
                     if not taken.num_rows:
@@ -218,10 +252,7 @@ class Results:
                     count = taken["num_obstacles"].to_numpy()
                     chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
                     self._check(one, chunk, count)
-                    yield chunk
-            except (pa.ArrowException, OSError) as error:
-                problem = f"the tables can't be read ({' '.join(str(error).split())})"
-                raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
+                    yield chunk if links is None else self._linked(chunk, links)
 
     def frames(
         self,
@@ -230,8 +261,13 @@ class Results:
         obstacles: Sequence[str] | None = None,
     ) -> Iterator[Frame]:
         """The frames one by one, each with its obstacles; see :meth:`chunks`."""
-        for chunk in self.chunks(log, frames, obstacles):
-            yield from chunk.each()
+        for one in self.logs if log is None else (log,):
+            tracks = TracksInFrames(self.tracks(one))
+            for chunk in self.chunks(one, frames, obstacles):
+                for frame in chunk.each():
+                    if self.tracked:
+                        frame.row["tracks"] = tracks.at(frame.row["frame"])
+                    yield frame
 
     def world_frame(self, log: ResultLog) -> str:
         """The frame that poses, outlines in the world and the map are in; empty without poses."""
@@ -288,6 +324,36 @@ class Results:
                 label = f"{name}, {camera}" if cameras[name] > 1 else name
                 yield ResultLog(name, camera, label, entry["file_name"], entry, frame, obstacle)
                 frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
+
+    def _table_of_tracks(self, name: str) -> pq.ParquetFile:
+        """A table that ``jaxdet track`` wrote of these results."""
+        table = self._table(name)
+        about = _metadata(table)
+        if {key: about.get(key) for key in self.metadata} != self.metadata:
+            problem = "is not of the results that it lies beside"
+            raise InputError(problem, path=str(self._path(name)), remedy="run jaxdet track again")
+        return table
+
+    @cached_property
+    def _links(self) -> pq.ParquetFile:
+        return self._table_of_tracks(LINKS)
+
+    def _linked(self, chunk: Chunk, links: "_Rows") -> Chunk:
+        """A chunk whose obstacles have their tracks."""
+        taken = links.take(chunk.obstacles.num_rows)
+        if not taken["frame"].equals(chunk.obstacles["frame"]):
+            problem = f"{LINKS}.parquet and obstacles.parquet don't belong together"
+            raise InputError(problem, path=str(self.folder), remedy="run jaxdet track again")
+        return chunk._replace(obstacles=chunk.obstacles.append_column("track", taken["track"]))
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Tables that are damaged are errors of the input."""
+        try:
+            yield
+        except (pa.ArrowException, OSError) as error:
+            problem = f"the tables can't be read ({' '.join(str(error).split())})"
+            raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
 
     def _check(self, log: ResultLog, chunk: Chunk, count: np.ndarray) -> None:
         """The chunk is of this log, and its obstacles are of its frames."""

@@ -1,0 +1,113 @@
+"""Tracks in the exports: who is who in each format, and where what moves goes."""
+
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.errors import InputError
+from jaxdet.results.reading import Results
+from jaxdet.tracks import TrackConfig, track_results
+from tests.export_results import run, sim_log
+from tests.test_export_coco import coco_of
+from tests.test_export_foxglove import exported
+from tests.test_export_rerun import recording_of
+from tests.test_export_ros2 import exported as ros2_of
+
+SEED = 3126
+
+
+@pytest.fixture(scope="module")
+def walkers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with somebody who walks, its results and its tracks."""
+    folder = tmp_path_factory.mktemp("walkers")
+    about = {"scene": "moving", "frames": 10, "seed": SEED, "rate_hz": 8.0, "camera_height_m": 0.5}
+    log = sim_log(folder / "walkers.mcap", **about)
+    run(log, folder / "out")
+    track_results(folder / "out", TrackConfig())
+    return folder
+
+
+def linked(folder: Path) -> dict[int, list[int | None]]:
+    """The tracks of the obstacles of each frame."""
+    found = defaultdict(list)
+    for row in pq.read_table(folder / "track_links.parquet").to_pylist():
+        found[row["frame"]].append(row["track"])
+    return found
+
+
+def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) -> None:
+    folder = walkers / "out"
+    tracks, of = pq.read_table(folder / "tracks.parquet").to_pylist(), linked(folder)
+    topics, frames = exported(folder, tmp_path / "to")
+    assert any(track["moving"] for track in tracks)
+    for frame, (_, scene) in zip(frames, topics["/jaxdet/obstacles"], strict=True):
+        number, row = frame.row["frame"], frame.row
+        ids = [entity.id for entity in scene.entities]
+        assert len(set(ids)) == len(ids)
+        own = [f"track {t}" for t in of[number] if t is not None]
+        assert {i for i in ids if i.startswith("track")} >= {*own}
+        assert len([i for i in ids if not i.startswith("way")]) == len(of[number])
+        there = [t for t in tracks if t["first_frame"] <= number <= t["last_frame"]]
+        ways = {e.id: e for e in scene.entities if e.id.startswith("way")}
+        assert {*ways} == {f"way of track {t['track']}" for t in there if t["moving"]}
+        for track in there:
+            if track["moving"]:
+                way, at = ways[f"way of track {track['track']}"], number - track["first_frame"]
+                (arrow,), (line,) = way.arrows, way.lines
+                assert way.frame_id == row["world_frame"]
+                speed = arrow.shaft_length + arrow.head_length
+                np.testing.assert_allclose(speed, track["speed_mps"][at], atol=1e-6)
+                place = arrow.pose.position.x, arrow.pose.position.y
+                np.testing.assert_allclose(place, track["path"][2 * at : 2 * at + 2], atol=1e-6)
+                assert len(line.points) == at + 1
+
+
+def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
+    folder, log = walkers / "out", walkers / "walkers.mcap"
+    of = linked(folder)
+    topics, frames = ros2_of(folder, tmp_path / "ros2")
+    for frame, (_, message) in zip(frames, topics["/jaxdet/detections"], strict=True):
+        ids = [one.id for one in message.detections]
+        assert ids == ["" if t is None else str(t) for t in of[frame.row["frame"]]]
+    coco = coco_of(folder, tmp_path / "coco", str(log))
+    found = [one["track_id"] for one in coco.loadAnns(coco.getAnnIds())]
+    assert found == [t for number in sorted(of) for t in of[number]]
+
+
+def test_rerun_has_an_entity_for_each_thing_that_moves(walkers: Path, tmp_path: Path) -> None:
+    folder = walkers / "out"
+    found = recording_of(folder, tmp_path / "rerun")
+    tracks = pq.read_table(folder / "tracks.parquet").to_pylist()
+    moving = {f"/world/tracks/{t['track']}": t for t in tracks if t["moving"]}
+    assert {name for name in found if name.startswith("/world/tracks")} == {*moving}
+    for name, track in moving.items():
+        strip = np.array(found[name]["strips"][track["first_frame"]][0])
+        np.testing.assert_allclose(strip[:, :2].ravel(), track["path"], atol=1e-6)
+        assert track["last_frame"] + 1 in found[name]["strips"] or found[name]["is_recursive"]
+
+
+def test_results_without_tracks_and_with_those_of_others(
+    walkers: Path, driven_results: Path, tmp_path: Path
+) -> None:
+    with Results(driven_results) as results:
+        assert not results.tracked and not [*results.tracks(results.logs[0])]
+        frame = next(results.frames())
+        assert not frame.tracks and "track" not in frame.obstacles[0]
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for path in (walkers / "out").glob("*.*"):
+        if path.is_file():
+            (copy / path.name).write_bytes(path.read_bytes())
+    links = pq.read_table(copy / "track_links.parquet")
+    pq.write_table(
+        pa.concat_tables([links.slice(1), links.slice(0, 1)]), copy / "track_links.parquet"
+    )
+    with Results(copy) as results, pytest.raises(InputError, match="don't belong together"):
+        list(results.frames())
+    pq.write_table(links.replace_schema_metadata(None), copy / "track_links.parquet")
+    with Results(copy) as results, pytest.raises(InputError, match="format none"):
+        list(results.frames())
