@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,10 +15,12 @@ from jaxdet.tracks import TrackConfig, track_results
 from tests.export_results import run, sim_log
 from tests.test_export_coco import coco_of
 from tests.test_export_foxglove import exported
+from tests.test_export_html import Opened, browser, page_of
 from tests.test_export_rerun import recording_of
 from tests.test_export_ros2 import exported as ros2_of
 
 SEED = 3126
+__all__ = ["browser"]  # a fixture
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +91,32 @@ def test_rerun_has_an_entity_for_each_thing_that_moves(walkers: Path, tmp_path: 
         strip = np.array(found[name]["strips"][track["first_frame"]][0])
         np.testing.assert_allclose(strip[:, :2].ravel(), track["path"], atol=1e-6)
         assert track["last_frame"] + 1 in found[name]["strips"] or found[name]["is_recursive"]
+
+
+def test_report_lists_tracks_and_draws_their_ways(
+    walkers: Path, tmp_path: Path, browser: Any
+) -> None:
+    folder = walkers / "out"
+    tracks = pq.read_table(folder / "tracks.parquet").to_pylist()
+    data = page_of(folder, tmp_path / "page.html")
+    moving = [t for t in tracks if t["moving"]]
+    rows = data["logs"][0]["tracks"]["rows"]
+    assert [row[:2] for row in rows] == [[t["track"], t["moving"]] for t in tracks]
+    np.testing.assert_allclose(rows[0][8][:2], tracks[0]["path"][:2], atol=0.01)
+    opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
+    page = opened.page
+
+    def shown() -> list[str]:
+        return [line.split("\t")[0] for line in page.locator("#tracks tbody tr").all_inner_texts()]
+
+    assert shown() == [str(t["track"]) for t in moving]
+    assert page.locator("#map .way.end").count() == len(moving)
+    page.get_by_role("radio", name="All tracks").click()
+    assert shown() == [str(t["track"]) for t in tracks]
+    assert page.locator("#map .way.end").count() == len(tracks)
+    page.get_by_role("radio", name="Standing").click()
+    assert shown() == [str(t["track"]) for t in tracks if not t["moving"]]
+    opened.check()
 
 
 def test_results_without_tracks_and_with_those_of_others(

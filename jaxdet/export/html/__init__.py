@@ -21,6 +21,7 @@ from jaxdet.export.html.page import (
     page,
     run_lines,
 )
+from jaxdet.export.html.ways import track_rows
 from jaxdet.io.options import LogOptions
 from jaxdet.render.canvas import PALETTE
 
@@ -156,12 +157,13 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         "warnings": summary["warnings"],
         "errors": summary["frame_errors"],
         "map": None,
+        "tracks": track_rows(results, log, start or 0),
     }
 
 
 def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
     """A log that is not in the tables."""
-    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map"))
+    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "tracks"))
     nothing |= dict.fromkeys(("per_frame", "per_obstacle"))
     counts = {"frames": 0, "obstacles": 0, "overflow": 0, "stride": 1, "status": {}}
     lines = {"floor": "", "warnings": entry["warnings"], "errors": []}

@@ -315,16 +315,38 @@
         add(svg, "polyline", { class: "path", "stroke-width": 0.6 * unit, points: xs.map((v, i) => `${X(v).toFixed(3)},${Y(ys[i]).toFixed(3)}`).join(" ") });
         add(svg, "circle", { cx: X(xs[0]), cy: Y(ys[0]), r: 1.1 * unit, class: "path", "stroke-width": 0.6 * unit });
       }
+      const ways = shownTracks(log).filter((t) => t[8]);
+      for (const t of ways) {
+        const at = t[8].filter((_, i) => i % 2 === 0).map((v, i) => [X(v).toFixed(3), Y(t[8][2 * i + 1]).toFixed(3)]);
+        const line = at.length > 1 ? add(svg, "polyline", { class: "way", "stroke-width": 0.5 * unit, points: at.map((p) => p.join(",")).join(" ") }) : null;
+        const [x, y] = at[at.length - 1];
+        const end = add(svg, "circle", { class: "way end", cx: x, cy: y, r: 0.8 * unit });
+        for (const mark of line ? [line, end] : [end]) add(mark, "title", {}, `track ${t[0]}`);
+      }
       const scale = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((s) => s > W / 8) || 1000;
       const bar = add(svg, "line", { class: "scale", x1: 3 * unit, x2: 3 * unit + scale, y1: H - 3 * unit, y2: H - 3 * unit, "stroke-width": 0.5 * unit });
       add(bar, "title", {}, `${scale} m`);
       const caption = add(figure, "figcaption", {}, `${data.logs.length > 1 ? log.log + ": " : ""}the bar is ${scale} m, cells are ${m.cell} m.`);
-      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "path of the camera, from the ring on"]]) {
+      for (const [kind, text] of [["covered", "covered by outlines"], ["free", "seen free"], ["path", "path of the camera, from the ring on"], ...(ways.length ? [["way", "ways of tracks, to the dot"]] : [])]) {
         add(caption, "span", { class: `key ${kind}` });
         caption.append(text);
       }
     }
     if (only < 0 && some.length > 4) add(node, "p", { class: "faint" }, `${some.length - 4} further maps: choose a log above.`);
+  }
+
+  // ---- tracks
+  let followed = "moving";
+  const shownTracks = (log) => (log.tracks ? log.tracks.rows.filter((t) => followed === "all" || t[1] === (followed === "moving")) : []);
+  function drawTracks() {
+    $("track-section").hidden = !data.logs.some((l) => l.tracks);
+    const rows = picked().flatMap((l) => shownTracks(l).map((t) => [
+      ...(data.logs.length > 1 ? [l.log] : []), String(t[0]), t[1] ? "moves" : "stands", seconds(t[2]), seconds(t[3]),
+      t[1] ? `${t[4].toFixed(2)} m/s` : "–", t[1] ? `${t[5].toFixed(2)} m/s` : "–", `${t[6].toFixed(2)} × ${t[7].toFixed(2)} m`,
+    ]));
+    table($("tracks"), [...(data.logs.length > 1 ? ["Log"] : []), "#Track", "It", "#From", "#Seen for", "#Mean speed", "#Greatest", "#Size"], rows);
+    const every = sum((l) => (l.tracks ? (followed === "standing" ? 0 : l.tracks.moving) + (followed === "moving" ? 0 : l.tracks.standing) : 0));
+    $("tracks-left").textContent = rows.length < every ? `${many(every - rows.length, "further track")} in tracks.parquet.` : rows.length ? "" : "None.";
   }
 
   // ---- gallery
@@ -438,7 +460,7 @@
 
   function drawAll() {
     drawn = STEP;
-    for (const draw of [drawFigures, drawLost, drawTimelines, drawHistogram, drawMaps, drawGallery, drawLogs]) draw();
+    for (const draw of [drawFigures, drawLost, drawTimelines, drawHistogram, drawMaps, drawTracks, drawGallery, drawLogs]) draw();
   }
   const select = $("only");
   add(select, "option", { value: "-1" }, `all ${data.logs.length}`);
@@ -447,6 +469,7 @@
   $("only-label").hidden = data.logs.length < 2;
   $("order").addEventListener("change", (e) => { order = e.target.value; drawGallery(); });
   chips($("hist-of"), [["per_frame", "Nearest of each frame"], ["per_obstacle", "All obstacles"]], () => counted, (v) => { counted = v; drawHistogram(); });
+  chips($("track-kinds"), [["moving", "Moving"], ["standing", "Standing"], ["all", "All tracks"]], () => followed, (v) => { followed = v; drawTracks(); drawMaps(); });
   chips($("kinds"), KINDS.filter(([k]) => k === "all" || data.frames.some((f) => f.kinds.includes(k))), () => kind, (v) => { kind = v; drawGallery(); });
   $("about").textContent = data.about;
   drawSettings();
