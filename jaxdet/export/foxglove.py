@@ -44,6 +44,7 @@ from jaxdet.export.shapes import (
     FRAME_COLUMNS,
     Row,
     T_camera_floor,
+    T_world_camera,
     box,
     camera_name,
     contour,
