@@ -9,7 +9,7 @@ import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.checks import check_depth
-from jaxdet.stages._threads import FrameKernel, shares_of
+from jaxdet.stages._chain import FrameKernel, by_device
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
 
@@ -21,7 +21,7 @@ _MODELS = {
     Distortion.EQUIDISTANT: kernels.EQUIDISTANT,
 }
 
-_lines = FrameKernel(kernels.align_lines, num_outputs=3, num_kept=1)
+_lines = FrameKernel(kernels.align_lines, num_outputs=3)
 _tiles = wp.jax_kernel(
     kernels.align_tiles, in_out_argnames=["keys_out"], block_dim=kernels.TILE_BLOCK
 )
@@ -70,7 +70,7 @@ def align_arrays(
         def by_lines() -> tuple[jax.Array, jax.Array]:
             frames = depth.shape[0]
             images = dict.fromkeys(("depth_out", "z_out"), (frames, *size))
-            scratch = shares_of(frames), kernels.lines_words(*size)
+            scratch = 1, kernels.lines_words(*size)
             arguments = depth, x, y, parameters, model, fills
             dims = {**images, "scratch_out": scratch}
             found, z = _lines(*arguments, frames=frames, output_dims=dims)
@@ -85,7 +85,7 @@ def align_arrays(
             keys = jnp.where(keys == _NOTHING, jnp.uint32(0), keys)
             return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
 
-        return jax.lax.platform_dependent(cpu=by_lines, cuda=by_tiles)
+        return by_device(by_lines, by_tiles)
 
 
 @lru_cache(maxsize=8)

@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 
 from jaxdet.config import FeaturesConfig
+from jaxdet.stages._chain import FrameKernel, by_device
 from jaxdet.stages._teams import TeamKernel
-from jaxdet.stages._threads import FrameKernel, shares_of
 from jaxdet_kernels import cover as mask_kernels
 from jaxdet_kernels import features as kernels
 
 _mask_bits = TeamKernel(mask_kernels.mask_bits, num_outputs=1)
-_frames = FrameKernel(kernels.features_frames, num_outputs=4, num_kept=1)
+_frames = FrameKernel(kernels.features_frames, num_outputs=4)
 _suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kernels.SUPPRESS_THREADS)
 _hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_THREADS)
 _maxima = wp.jax_kernel(
@@ -72,7 +72,7 @@ def strongest_corners(
     found = {"u_out": (batch, slots), "v_out": (batch, slots), "found_out": (batch,)}
 
     def by_frames() -> tuple[jax.Array, jax.Array, jax.Array]:
-        scratch = shares_of(batch), -(-kernels.features_scratch(height, width) // 16) * 16
+        scratch = 1, kernels.features_scratch(height, width)
         u, v, count = _frames(
             color, mask, settings, frames=batch, output_dims={**found, "scratch_out": scratch}
         )
@@ -108,7 +108,7 @@ def strongest_corners(
         )
         return u, v, count
 
-    return jax.lax.platform_dependent(cpu=by_frames, cuda=by_steps)
+    return by_device(by_frames, by_steps)
 
 
 def _edges(color: jax.Array, settings: jax.Array) -> jax.Array:

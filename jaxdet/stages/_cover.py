@@ -7,7 +7,7 @@ import jax
 from jaxdet.stages._corners import strongest_corners
 from jaxdet.stages._features import Rays
 from jaxdet.stages._teams import TeamKernel
-from jaxdet.types import MAX_OBSTACLES, SAMPLED_CELLS, Cells, Features
+from jaxdet.types import MAX_OBSTACLES, SAMPLED_CELLS, Cells
 from jaxdet_kernels import cover as kernels
 from jaxdet_kernels.features import row_words
 
@@ -18,8 +18,11 @@ _features = TeamKernel(kernels.cover_features, num_outputs=8)
 class CellFeatures(NamedTuple):
     """The features of a batch, and what they take from their cells."""
 
-    features: Features
-    """``N`` slots of corners a frame, then the sample; ``overflow`` is of the corners alone."""
+    slots: tuple[jax.Array, ...]
+    """:class:`~jaxdet.types.Features` but for ``overflow``: ``N`` slots of corners a frame, then
+    the sample."""
+    count: jax.Array
+    """``(B,)`` int32, how many corners qualify, where they are more than N perhaps too few."""
     label: jax.Array
     """``(B, N + S)`` int32, the cells' labels below ``MAX_OBSTACLES``, or -1."""
     has_depth: jax.Array
@@ -75,5 +78,4 @@ def features_on_cells(
             shapes=dict.fromkeys(names, (batch, slots + sampled[0] * sampled[1])),
             scratch=kernels.cover_scratch(height, width, slots),
         )  # fmt: skip
-        found = Features._make((*places, valid, kept, count > slots))
-        return CellFeatures(found, of_cells, has_depth)
+        return CellFeatures((*places, valid, kept), count, of_cells, has_depth)

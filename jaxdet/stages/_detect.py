@@ -9,12 +9,13 @@ import numpy as np
 
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, FloorConfig
-from jaxdet.floor.frame import axes, floor_frames, ramp_slopes
+from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import band_table, depth_range
-from jaxdet.floor.units import SINES, FloorFit, Scale, floor_fit, prior_units
+from jaxdet.floor.units import FloorFit, Scale, floor_fit, prior_units
 from jaxdet.stages import _cells, _features, _floor, _free, _obstacles, _outlines, _spread
 from jaxdet.stages import _surfaces as surface_stage
-from jaxdet.stages._cover import features_on_cells
+from jaxdet.stages._chain import by_device, frame_by_frame
+from jaxdet.stages._cover import CellFeatures, features_on_cells
 from jaxdet.stages._points import clusters
 from jaxdet.types import (
     MAX_OBSTACLES,
@@ -22,11 +23,12 @@ from jaxdet.types import (
     Array,
     Calibration,
     CellLabels,
+    Cells,
     Detections,
+    Features,
     Frames,
     GroundPlane,
     Labels,
-    Refusal,
     Scene,
 )
 
@@ -158,48 +160,66 @@ def _find_floors(depth: jax.Array, tables: _Tables, prior: jax.Array, static: _S
     return _floor.find_floor(grid.x, grid.y, grid.z, prior, tables.floor, static.floor, static.unit)
 
 
+class _Steps(NamedTuple):
+    """What the kernels find."""
+
+    floor: jax.Array
+    num_surfaces: jax.Array
+    count: jax.Array
+    """``(B,)`` int32, how many obstacles there are."""
+    features: CellFeatures
+    outlined: _outlines.Outlined
+    free: tuple[jax.Array, jax.Array]
+    cells: tuple[jax.Array, Cells] | None
+    """The obstacle of each cell ``(B, R, C)`` int32, -1 = none, and the cells, where they are asked
+    for."""
+
+
 @partial(jax.jit, static_argnames="static")
 def _detect(
     color: jax.Array, depth: jax.Array, tables: tuple[_Tables, _Given], static: _Static
 ) -> Detections:
-    shared, given = tables
+    steps = partial(_steps, color, depth, *tables, static)
+    found = by_device(partial(frame_by_frame, steps), steps)
+    too_many = (found.count > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)
+    overflow = too_many | (found.features.count > static.slots)
+    points = Features(*found.features.slots, overflow)
+    labels = Labels(found.features.label, jnp.minimum(found.count, MAX_OBSTACLES))
+    lost = cast(GroundPlane, None)  # it stays on the host
+    scene = Scene(found.floor, lost, *found.outlined[1:], *found.free)
+    cells = None
+    if found.cells is not None:
+        label, grid = found.cells
+        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), grid)
+    return Detections(
+        points, labels, found.outlined.obstacles, found.features.has_depth, scene, cells
+    )
+
+
+def _steps(
+    color: jax.Array, depth: jax.Array, shared: _Tables, given: _Given, static: _Static
+) -> _Steps:
+    """The method: kernels and nothing else."""
     grid = _cells.cells(depth, shared.cells, static.cells)
     floor = _floor.find_floor(
         grid.x, grid.y, grid.z, given.prior, shared.floor, static.floor, static.unit
     )
+    frame = _floor.found_frames(floor, given.frame)
     surfaces = surface_stage.surfaces(
-        grid.x, grid.y, grid.z, _frame(floor, given.frame), shared.surfaces, shared.surface
+        grid.x, grid.y, grid.z, frame, shared.surfaces, shared.surface
     )
     on_floor = surfaces.right, surfaces.forward, surfaces.height
     view = _obstacles.View(grid.x, grid.y, grid.z, *on_floor, grid.in_view)
     label, count = _obstacles.obstacles(
         surfaces.label, surfaces.free, view, shared.trees, shared.obstacle
     )
-    points, of_points, has_depth = features_on_cells(
+    features = features_on_cells(
         color, grid, surfaces.keep, label, shared.rays, shared.corners, shared.depth_range,
         static.slots,
     )  # fmt: skip
-    too_many = (count > MAX_OBSTACLES) | (surfaces.num_surfaces > MAX_SURFACES)
-    points = points._replace(overflow=points.overflow | too_many)
-    labels = Labels(of_points, jnp.minimum(count, MAX_OBSTACLES))
     outlined = _outlines.outlines(label, count, grid, on_floor, shared.bands, shared.outline)
-    line, end = _free.free_floor(
+    free = _free.free_floor(
         label, surfaces.low, grid.z, on_floor, shared.free, shared.free_settings
     )
-    lost = cast(GroundPlane, None)  # it stays on the host
-    scene = Scene(floor, lost, *outlined[1:], line, end)
-    cells = None
-    if static.with_cells:
-        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), grid)
-    return Detections(points, labels, outlined.obstacles, has_depth, scene, cells)
-
-
-def _frame(found: jax.Array, given: Array) -> jax.Array:
-    """The floor frames of frames: their own floor, or where that was refused the one given."""
-    table = jnp.asarray(SINES, jnp.int32)
-    pitch, roll, height, start, turn, _, _, refused = found.T
-    ramp = turn != 0
-    start, slope = (jnp.where(ramp, a, 0) for a in (start, ramp_slopes(turn, table)))
-    own = [*axes(pitch, roll, table), height, jnp.ones_like(height), start, slope]
-    own = jnp.stack([jnp.broadcast_to(a, height.shape) for a in own], axis=1)
-    return jnp.where(refused[:, None] == int(Refusal.NONE), own, given)
+    cells = (label, grid) if static.with_cells else None
+    return _Steps(floor, surfaces.num_surfaces, count, features, outlined, free, cells)

@@ -7,7 +7,6 @@ Twin of ``jaxdet/reference/_floor.py``. What is known and found has other units 
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.config import FloorConfig
@@ -41,6 +40,8 @@ from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import floor as kernels
 
 _floor = TeamKernel(kernels.floor, 1)
+_frames = TeamKernel(kernels.found_frame, 1)
+_SINES = SINES.astype(np.int32)
 
 
 class FloorSettings(NamedTuple):
@@ -184,9 +185,21 @@ def find_floor(
         z,
         prior,
         settings,
-        jnp.asarray(SINES, jnp.int32),
+        _SINES,
         batch=batch,
         shapes={"found_out": (batch, 8)},
         scratch=words,
     )
     return found
+
+
+def found_frames(found: jax.Array, given: jax.Array) -> jax.Array:
+    """The floor frames of frames: of their own floor, or where that was refused the one given.
+
+    Args:
+        found: From :func:`find_floor`.
+        given: ``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`.
+    """
+    shapes = {"frame_out": given.shape}
+    (frame,) = _frames(found, given, _SINES, batch=given.shape[0], shapes=shapes, scratch=1)
+    return frame

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import warp as wp
 
-from jaxdet.stages._threads import FrameKernel, shares_of
+from jaxdet.stages._chain import FrameKernel, by_device
 
 MULTIPROCESSORS = 132
 """Of the largest CUDA device there is; a launch has as many blocks as fit on so many at once."""
@@ -46,7 +46,7 @@ class TeamKernel:
         count = num_outputs + 1
         self._width, blocks = kernel.options["launch_bounds"]
         self._most_teams = blocks * MULTIPROCESSORS
-        self._by_cores = FrameKernel(kernel, num_outputs=count, num_kept=1)
+        self._by_cores = FrameKernel(kernel, num_outputs=count)
         self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=self._width)
 
     def __call__(
@@ -65,8 +65,7 @@ class TeamKernel:
             return {**shapes, "scratch_out": (teams, 4 * max(-(-scratch // 4), 1))}
 
         def by_cores() -> Sequence[jax.Array]:
-            teams = shares_of(batch)
-            return tuple(self._by_cores(*arguments, frames=teams, output_dims=dims(teams)))
+            return tuple(self._by_cores(*arguments, frames=batch, output_dims=dims(1)))
 
         def by_blocks() -> Sequence[jax.Array]:
             fitting = max(_scratch_bytes() // (4 * max(scratch, 1)), 1)
@@ -75,7 +74,7 @@ class TeamKernel:
             found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims(teams))
             return tuple(found)[:-1]
 
-        return jax.lax.platform_dependent(cpu=by_cores, cuda=by_blocks)
+        return by_device(by_cores, by_blocks)
 
 
 def _scratch_bytes() -> int:

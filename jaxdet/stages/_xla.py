@@ -126,7 +126,6 @@ def called(
     number: int,
     arguments: Sequence[Any],
     results: Sequence[jax.ShapeDtypeStruct],
-    aliases: dict[int, int],
 ) -> Sequence[jax.Array]:
     """The results of a custom call, under ``jax.jit``.
 
@@ -135,7 +134,5 @@ def called(
         number: For the function there, 64 bits.
         arguments: Arrays.
         results: Their shapes and types.
-        aliases: By argument, the result that takes its memory.
     """
-    call = jax.ffi.ffi_call(name, results, input_output_aliases=aliases)
-    return call(*arguments, number=np.int64(number))
+    return jax.ffi.ffi_call(name, results)(*arguments, number=np.int64(number))

@@ -98,3 +98,44 @@ def floor(
             (turn 0 = none), cells on it, all cells, refusal.
         scratch_out: ``(teams, words)``, see :func:`floor_scratch_words`.
     """
+
+
+@native_kernel(
+    "crew.h",
+    "floor_frame.h",
+    "floor_planes.h",
+    "found_frame.h",
+    body="""
+    const Team team(tid, share);
+    for (int b = team.index; b < found.shape[0]; b += shares) {
+        const int at = b * FloorFrame::VALUES;
+        if (team.rank == 0)
+            FoundFrame{{sines.data}}.run(found.data + b * FoundFrame::RESULTS, given.data + at,
+                                         frame_out.data + at);
+    }
+""",
+    launch_bounds=(_WARP, 16),
+)
+def found_frame(
+    tid: int,
+    share: int,
+    shares: int,
+    found: wp.array2d[wp.int32],
+    given: wp.array2d[wp.int32],
+    sines: wp.array[wp.int32],
+    frame_out: wp.array2d[wp.int32],
+    scratch_out: wp.array2d[wp.int32],
+):
+    """A team of threads takes frames ``share, share + shares, ...``.
+
+    Args:
+        tid: Of the launch.
+        share: The first of them, of the launch.
+        shares: How many teams there are in all.
+        found: ``(B, 8)``, from :func:`floor`.
+        given: ``(B, 13)``, the frames of floors for where none was found, see
+            :data:`jaxdet.floor.frame.FLOOR_VALUES`.
+        sines: As in :func:`floor`.
+        frame_out: ``(B, 13)``, likewise: of the own floors.
+        scratch_out: Not used.
+    """

@@ -1,0 +1,341 @@
+"""CPU kernels frame by frame: a thread runs all kernels of a program on a frame, then on another.
+
+Warp runs a CPU kernel's threads one after the other, but a launch does not hold Python's lock. So
+each core takes the batch's next frame when it is done with one. What a kernel hands to the next is
+memory of one frame, which the core's cache holds and the process keeps; only what the program
+returns is there for the whole batch.
+"""
+
+import ctypes
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import partial
+from hashlib import blake2b
+from inspect import get_annotations
+from threading import Lock
+from typing import Any
+
+import jax
+import numpy as np
+import warp as wp
+
+from jaxdet.stages import _threads, _xla
+
+_LINE = 64
+"""Bytes of a cache line, at which all memory begins."""
+
+
+class FrameKernel:
+    """A kernel under ``jax.jit`` that works on one frame of a batch a launch, on the CPU.
+
+    The kernel's first arguments are ``share`` and ``shares``, both int: it works on the frames
+    ``share, share + shares, ...``, which here is one. Its last output is scratch memory, of which
+    it uses row ``share``.
+    """
+
+    def __init__(self, kernel: Any, num_outputs: int) -> None:
+        """Reads the kernel's signature.
+
+        Args:
+            kernel: Its inputs come first, then its outputs, each with a row for every frame.
+            num_outputs: With the scratch memory.
+        """
+        self.kernel = kernel
+        self.types: dict[str, Any] = get_annotations(kernel.func, eval_str=True)
+        del self.types["share"], self.types["shares"]
+        names = list(self.types)
+        self.inputs = names[: len(names) - num_outputs]
+        *self.outputs, self.scratch = names[len(names) - num_outputs :]
+        self.name = f"{kernel.func.__module__}.{kernel.func.__qualname__}"
+
+    def __call__(
+        self, *arguments: Any, frames: int, output_dims: Mapping[str, tuple[int, ...]]
+    ) -> Any:
+        """The kernel's outputs but for the scratch memory.
+
+        Args:
+            arguments: The kernel's inputs after ``share`` and ``shares``.
+            frames: ``B``.
+            output_dims: The shape of each output.
+
+        Raises:
+            TypeError: An array has not the type or the number of axes that the kernel takes.
+        """
+        chain = _open.get()
+        if chain is not None:
+            return chain.add(self, arguments, frames, output_dims)
+        alone = partial(self, *arguments, frames=frames, output_dims=output_dims)
+        return frame_by_frame(alone)
+
+    def row(self, name: str, shape: tuple[int, ...]) -> int:
+        """Bytes of a frame of an output."""
+        return math.prod(shape[1:]) * wp.types.type_size_in_bytes(self.types[name].dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class _Value:
+    """An output of a kernel, while a chain is put together: what is known before it runs."""
+
+    step: int
+    name: str
+    shape: tuple[int, ...]
+    dtype: Any
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A kernel of a chain."""
+
+    kernel: FrameKernel
+    scalars: dict[str, Any]
+    sources: dict[str, int | tuple[int, str]]
+    """Of each array that it takes: the number of an operand, or a step and its output."""
+    shapes: dict[str, tuple[int, ...]]
+
+
+class _Chain:
+    """Kernels that are put together while JAX traces a program."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.steps: list[_Step] = []
+        self.operands: list[Any] = []
+
+    def add(
+        self,
+        kernel: FrameKernel,
+        arguments: Sequence[Any],
+        frames: int,
+        output_dims: Mapping[str, tuple[int, ...]],
+    ) -> list[_Value]:
+        given = dict(zip(kernel.inputs, arguments, strict=True))
+        arrays = {name: value for name, value in given.items() if np.ndim(value)}
+        for name, value in arrays.items():
+            _check(name, value, kernel.types[name])
+        shapes = {**{name: np.shape(value) for name, value in arrays.items()}, **output_dims}
+        scalars = {name: value for name, value in given.items() if name not in arrays}
+        sources = {name: self._source(value) for name, value in arrays.items()}
+        step, self.frames = len(self.steps), frames
+        self.steps.append(_Step(kernel, scalars, sources, shapes))
+        return [
+            _Value(step, name, shapes[name], wp.dtype_to_jax(kernel.types[name].dtype))
+            for name in kernel.outputs
+        ]
+
+    def _source(self, value: Any) -> int | tuple[int, str]:
+        if isinstance(value, _Value):
+            return value.step, value.name
+        for number, operand in enumerate(self.operands):
+            if operand is value:
+                return number
+        self.operands.append(value)
+        return len(self.operands) - 1
+
+    def call(self, found: Any) -> Any:
+        """The arrays of a tree of values, all of them outputs of one custom call."""
+        values, tree = jax.tree.flatten(found)
+        results = {(value.step, value.name): value for value in values}
+        program = _Program(self.frames, self.steps, len(self.operands), list(results))
+        number = program.number
+        _programs.setdefault(number, program)
+        shapes = [jax.ShapeDtypeStruct(value.shape, value.dtype) for value in results.values()]
+        arrays = _xla.called(_NAME, number, self.operands, shapes)
+        of_value = dict(zip(results, arrays, strict=True))
+        return tree.unflatten([of_value[value.step, value.name] for value in values])
+
+
+_open: ContextVar[_Chain | None] = ContextVar("chain", default=None)
+"""What is being put together."""
+
+
+def frame_by_frame(method: Callable[[], Any]) -> Any:
+    """Runs the kernels that a method calls one after the other on each frame; under ``jax.jit``.
+
+    Args:
+        method: Calls kernels and nothing else: what they return has a shape, but no values yet.
+            It returns a tree of such.
+
+    Returns:
+        The tree, of arrays.
+    """
+    chain = _Chain()
+    token = _open.set(chain)
+    try:
+        found = method()
+    finally:
+        _open.reset(token)
+    return chain.call(found)
+
+
+def by_device(cpu: Callable[[], Any], cuda: Callable[[], Any]) -> Any:
+    """What one of them returns: ``cpu``, where kernels are put together frame by frame."""
+    if _open.get() is not None:
+        return cpu()
+    return jax.lax.platform_dependent(cpu=cpu, cuda=cuda)
+
+
+@dataclass(frozen=True)
+class _Program:
+    """A chain that XLA calls, with the addresses of its operands and of its results."""
+
+    frames: int
+    steps: list[_Step]
+    operands: int
+    results: list[tuple[int, str]]
+    lanes: list["_Lane"] = field(default_factory=list)
+    """One for each thread, once they are prepared."""
+
+    @property
+    def number(self) -> int:
+        """Of equal chains alike in all processes: programs are kept on disk with it."""
+        steps = [(s.kernel.name, s.scalars, s.sources, s.shapes) for s in self.steps]
+        what = repr((self.frames, steps, self.operands, self.results))
+        return int.from_bytes(blake2b(what.encode(), digest_size=7).digest(), "big")
+
+    def place(self, source: int | tuple[int, str]) -> int:
+        """Which of XLA's addresses an operand or a result has."""
+        if isinstance(source, int):
+            return source
+        return self.operands + self.results.index(source)
+
+    def run(self, addresses: Sequence[int]) -> None:
+        """Works on the frames of a call."""
+        count = min(_threads.threads(), self.frames)
+        if len(self.lanes) < count:
+            recorded = self._recorded()
+            self.lanes.extend(_Lane(self, recorded, i) for i in range(len(self.lanes), count))
+        left = iter(range(self.frames))
+        for lane in self.lanes[:count]:
+            lane.place(addresses)
+        _threads.on_all_cores([partial(lane.run, left) for lane in self.lanes[:count]])
+
+    def _recorded(self) -> list[Any]:
+        """The launches of all steps, by Warp."""
+        launches = []
+        for step in self.steps:
+            values = {
+                name: step.scalars[name]
+                if name in step.scalars
+                else wp.array(ptr=_LINE, dtype=of.dtype, shape=step.shapes[name], device="cpu")
+                for name, of in step.kernel.types.items()
+            }
+            given = [0, self.frames, *values.values()]
+            launches.append(wp.launch(step.kernel.kernel, 1, given, device="cpu", record_cmd=True))
+        return launches
+
+
+class _Lane:
+    """A thread's launches, with arguments that stay in place.
+
+    The arguments of all launches are words of 64 bits that follow each other, so that a frame's are
+    written at once: a kernel's first word is the number of the frame and of all frames, others are
+    addresses. To these a kernel adds the rows of the frames before, so the address of memory that
+    has room for one frame is given as by so much less.
+    """
+
+    def __init__(self, program: _Program, recorded: Sequence[Any], thread: int) -> None:
+        self._recorded, self._thread = recorded, thread  # which the compiled code belongs to
+        layouts = [_layout(launch.params[1:]) for launch in recorded]
+        self._words = np.frombuffer(b"".join(map(bytes, layouts)), np.int64).copy()
+        lengths = [ctypes.sizeof(layout) // 8 for layout in layouts]
+        starts = np.cumsum([0, *lengths[:-1]])
+        begin = self._words.ctypes.data
+        self._launches = [
+            (launch.hooks.forward, ctypes.byref(launch.params[0]), ctypes.c_void_p(begin + 8 * at))
+            for launch, at in zip(recorded, starts.tolist(), strict=True)
+        ]
+        self._shares = starts  # each kernel's first two arguments
+        self._room = _Room(program)
+        given, kept = [], []
+        for number, (step, layout) in enumerate(zip(program.steps, layouts, strict=True)):
+            for i, name in enumerate(step.kernel.types):
+                if name in step.scalars:
+                    continue
+                word = starts[number] + getattr(type(layout), f"argument_{i + 2}").offset // 8
+                source = step.sources.get(name, (number, name))
+                if source in self._room.places:
+                    kept.append((word, *self._room.places[source]))
+                else:
+                    given.append((word, program.place(source)))
+        self._given, self._number = np.array(given).T
+        self._kept, self._offset, self._row = np.array(kept).T
+
+    def place(self, addresses: Sequence[int]) -> None:
+        """Takes the addresses of a call's arrays."""
+        self._words[self._given] = np.array(addresses, np.int64)[self._number]
+        self._begin = _memory(self._thread, self._room.size) + self._offset
+
+    def run(self, frames: Iterator[int]) -> None:
+        """Takes frames until there are no more."""
+        shares = self._words[self._shares] & ~0xFFFFFFFF
+        for frame in frames:
+            self._words[self._shares] = shares + frame
+            self._words[self._kept] = self._begin - frame * self._row
+            for forward, bounds, arguments in self._launches:
+                forward(bounds, arguments)
+
+
+class _Room:
+    """What a thread keeps of a frame: outputs that are not results, and scratch memory."""
+
+    def __init__(self, program: _Program) -> None:
+        self.places: dict[tuple[int, str], tuple[int, int]] = {}
+        """By output, where it begins, and the bytes of its row."""
+        end, scratch = 0, 0
+        for number, step in enumerate(program.steps):
+            for name in step.kernel.outputs:
+                if (number, name) not in program.results:
+                    row = step.kernel.row(name, step.shapes[name])
+                    self.places[number, name] = end, row
+                    end += -(-row // _LINE) * _LINE
+            scratch = max(scratch, step.kernel.row(step.kernel.scratch, step.shapes[step.kernel.scratch]))
+        for number, step in enumerate(program.steps):
+            # The same for all, as one kernel is at work.
+            name = step.kernel.scratch
+            self.places[number, name] = end, step.kernel.row(name, step.shapes[name])
+        self.size = end + scratch
+
+
+def _layout(values: Sequence[Any]) -> Any:
+    """Arguments as the compiled kernel takes them: whole words, as some are addresses."""
+    fields = [(f"argument_{i}", type(value)) for i, value in enumerate(values)]
+    return type("_Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
+
+
+_kept: dict[int, np.ndarray] = {}
+"""Of each thread, its memory."""
+
+
+def _memory(thread: int, size: int) -> int:
+    """The address of a thread's memory, as much as was ever asked for."""
+    if thread not in _kept or len(_kept[thread]) < size + _LINE:
+        _kept[thread] = np.empty(size + _LINE, np.uint8)
+    start = _kept[thread].ctypes.data
+    return start + -start % _LINE
+
+
+def _check(name: str, value: Any, of: Any) -> None:
+    wanted = jax.numpy.dtype(wp.dtype_to_jax(of.dtype)), of.ndim
+    if (jax.numpy.dtype(value.dtype), value.ndim) != wanted:
+        raise TypeError(f"{name} is {value.dtype} of {value.ndim} axes, not {wanted}")
+
+
+_NAME = "jaxdet.frames"
+_programs: dict[int, _Program] = {}
+"""By number."""
+_lock = Lock()
+"""One program runs at a time, on all cores."""
+
+
+def _run(number: int, addresses: Sequence[int]) -> None:
+    with _lock:
+        _programs[number].run(addresses)
+
+
+_xla.register(_NAME, _run)
