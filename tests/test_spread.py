@@ -58,13 +58,26 @@ def test_batches_of_all_sizes_are_compiled_for_few(name):
 def test_a_batch_in_parts_equals_the_whole(name, devices, monkeypatch):
     given, config = scene(7), PRESETS[name]
     frame = given.color[0].nbytes + given.depth[0].nbytes
-    monkeypatch.setattr(_spread, "PART_BYTES", 3 * frame)  # two frames a device
+    for part in "PART_BYTES", "STAGED_PART_BYTES":
+        monkeypatch.setattr(_spread, part, 3 * frame)  # two frames a device
     chosen = jax.devices("cpu")[0] if devices == 1 else None
     with jax.default_device(chosen):
         found = detect(given, config)
         fit = find_floors(given, config)
     assert_equal(found, detect(given, config, backend="reference"))
     assert_equal(fit, find_floors(given, config, backend="reference"))
+
+
+@pytest.mark.parametrize("name", ["wheeled", "paper"])
+def test_a_batch_that_is_no_power_of_two_is_not_padded(name, monkeypatch):
+    """Two devices: of 23 frames 16 stay where they are, and 7 get one more."""
+    given, sizes = scene(23), []
+    bucket = _spread._bucket
+    monkeypatch.setattr(
+        _spread, "_bucket", lambda *a: sizes.append((a[0], bucket(*a))) or bucket(*a)
+    )
+    assert_equal(detect(given, PRESETS[name]), detect(given, PRESETS[name], backend="reference"))
+    assert sizes == [(16, 16), (7, 8)]
 
 
 def first(given: Frames, count: int) -> Frames:

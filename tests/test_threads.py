@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
 from jaxdet.engine.signals import stops_held_back
-from jaxdet.stages import _threads
+from jaxdet.stages import _chain, _threads
 from tests.scenes import (
     D435,
     assert_equal,
@@ -45,6 +46,19 @@ def test_alignment_does_not_depend_on_the_threads(threads, batch):
 
 
 @BATCHES
+def test_a_thread_does_not_see_the_frames_of_others_or_of_earlier_batches(threads, batch):
+    """Memory that is kept between frames holds what must not matter."""
+    calibration = small(64, 48)
+    for start in 0, batch:
+        depth = np.roll(noise_depth(2 * batch, calibration.depth), start, axis=0)[:batch]
+        images = blocks(2 * batch, 48, 64)[start : start + batch]
+        given = frames(calibration, images, depth, plane=level(batch, 0.3))
+        for memory in _chain._kept.values():
+            memory[:] = 0xA5
+        assert_equal(detect(given), detect(given, backend="reference"))
+
+
+@BATCHES
 def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
     calibration = small(96, 61)
     depth = noise_depth(batch, calibration.depth)
@@ -52,17 +66,17 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
     assert_equal(detect(given), detect(given, backend="reference"))
 
 
-def test_each_share_has_a_thread_of_its_own(threads, monkeypatch):
+def test_each_core_has_a_thread_of_its_own(threads, monkeypatch):
     """They are under way at the same time: each waits for all the others."""
     together, names = threading.Barrier(threads, timeout=30.0), set()
-    launch = _threads._Launch.run
+    run = _chain._Lane.run
 
-    def waits(self: Any) -> None:
+    def waits(self: Any, frames: Iterator[int]) -> None:
         names.add(threading.get_ident())
         together.wait()
-        launch(self)
+        run(self, frames)
 
-    monkeypatch.setattr(_threads._Launch, "run", waits)
+    monkeypatch.setattr(_chain._Lane, "run", waits)
     depth = noise_depth(5, small().depth)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
     assert len(names) == threads
@@ -73,15 +87,15 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
     _threads._crew.cache_clear()
     jax.clear_caches()
     depth = noise_depth(4, small().depth)
-    launch = _threads._Launch.run
+    run = _chain._Lane.run
 
-    def fails(self: Any) -> None:
+    def fails(self: Any, frames: Iterator[int]) -> None:
         if threading.current_thread().name.startswith("jaxdet-kernel"):
             raise ArithmeticError("in a thread")
-        launch(self)
+        run(self, frames)
 
     with monkeypatch.context() as patch:
-        patch.setattr(_threads._Launch, "run", fails)
+        patch.setattr(_chain._Lane, "run", fails)
         with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
             jax.block_until_ready(stages.align(depth, small()))
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
@@ -92,7 +106,6 @@ def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
     assert _threads.threads() == cores()
     monkeypatch.setenv("PJRT_NPROC", "3")
     assert _threads.threads() == 3
-    assert [_threads.shares_of(frames) for frames in (1, 2, 3, 8)] == [1, 2, 3, 3]
 
 
 def test_a_ctrl_c_in_a_kernel_is_not_taken_for_its_results(monkeypatch):
@@ -105,7 +118,7 @@ def test_a_ctrl_c_in_a_kernel_is_not_taken_for_its_results(monkeypatch):
     def interrupted(work: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_threads, "_on_all_cores", interrupted)
+    monkeypatch.setattr(_threads, "on_all_cores", interrupted)
     with pytest.raises(jax.errors.JaxRuntimeError, match="KeyboardInterrupt"):
         jax.block_until_ready(detect(images))
 

@@ -70,7 +70,7 @@ class FrameKernel:
         return frame_by_frame(alone)
 
     def row(self, name: str, shape: tuple[int, ...]) -> int:
-        """Bytes of a frame of an output."""
+        """Bytes of a frame of an array."""
         return math.prod(shape[1:]) * wp.types.type_size_in_bytes(self.types[name].dtype)
 
 
@@ -287,19 +287,18 @@ class _Room:
     def __init__(self, program: _Program) -> None:
         self.places: dict[tuple[int, str], tuple[int, int]] = {}
         """By output, where it begins, and the bytes of its row."""
-        end, scratch = 0, 0
+        end, scratch = 0, []
         for number, step in enumerate(program.steps):
+            rows = {name: step.kernel.row(name, shape) for name, shape in step.shapes.items()}
             for name in step.kernel.outputs:
                 if (number, name) not in program.results:
-                    row = step.kernel.row(name, step.shapes[name])
-                    self.places[number, name] = end, row
-                    end += -(-row // _LINE) * _LINE
-            scratch = max(scratch, step.kernel.row(step.kernel.scratch, step.shapes[step.kernel.scratch]))
-        for number, step in enumerate(program.steps):
-            # The same for all, as one kernel is at work.
-            name = step.kernel.scratch
-            self.places[number, name] = end, step.kernel.row(name, step.shapes[name])
-        self.size = end + scratch
+                    self.places[number, name] = end, rows[name]
+                    end += -(-rows[name] // _LINE) * _LINE
+            scratch.append(rows[step.kernel.scratch])
+        # Scratch memory is the same for all, as one kernel is at work.
+        for number, (step, row) in enumerate(zip(program.steps, scratch, strict=True)):
+            self.places[number, step.kernel.scratch] = end, row
+        self.size = end + max(scratch)
 
 
 def _layout(values: Sequence[Any]) -> Any:

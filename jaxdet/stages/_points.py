@@ -77,7 +77,7 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
         )
         return _spread.run(_detect, *images, tables, SPECS, static)
 
-    return _spread.in_parts(run, (frames.color, frames.depth), plane)
+    return _spread.in_parts(run, (frames.color, frames.depth), plane, staged=True)
 
 
 def _align_tables(

@@ -17,9 +17,14 @@ ROWS = PartitionSpec("frames")
 WHOLE = PartitionSpec()
 """An array that every device needs."""
 _COPIES = 256
-PART_BYTES = 12 << 20
-"""Of images that the CPU works on together, 8 frames of 640x480: temporaries of that size are
+PART_BYTES = 96 << 20
+"""Of images that the CPU works on together, 64 frames of 640x480: results are what then has memory,
+and a call's own time is little beside that of so many frames."""
+STAGED_PART_BYTES = 12 << 20
+"""The same of a program that goes through its stages with all frames: temporaries of that size are
 memory that the process keeps, and larger ones come from the system as fresh pages at every call."""
+_FEW = 8
+"""Fewer frames a device are padded."""
 
 Devices = tuple[jax.Device, ...]
 
@@ -42,28 +47,34 @@ def rows_over(among: Devices) -> NamedSharding:
 
 
 def in_parts(
-    run: Callable[[tuple[Any, ...], GroundPlane], Any], images: tuple[Any, ...], plane: GroundPlane
+    run: Callable[[tuple[Any, ...], GroundPlane], Any],
+    images: tuple[Any, ...],
+    plane: GroundPlane,
+    staged: bool = False,
 ) -> Any:
     """What a program finds in a batch of any size, while it is compiled for few sizes.
 
     A batch is worked on as a whole, on the CPU in parts of at most ``PART_BYTES`` of images a
-    device. Images on the host get frames without depth added, until their number is a power of
-    two times the devices; what is found in those is left out.
+    device, whose frames are a power of two. Fewer than ``_FEW`` images on the host, and any number
+    of them for CUDA, get frames without depth added, until their number is a power of two times
+    the devices; what is found in those is left out.
 
     Args:
         run: Gets images and planes, and returns a tree of arrays with a row for each frame.
         images: Of each kind ``(B, ...)``, ``B`` at least 1.
         plane: ``B`` planes.
+        staged: The program goes through its stages with all frames, see ``STAGED_PART_BYTES``.
 
     Returns:
         The tree for all ``B`` frames: what ``run`` returned, where that needed nothing; of a batch
         in several parts, NumPy arrays.
     """
     count, parts = len(images[0]), len(devices_for(images[0]))
-    size = _part_size(images, parts)
-    found = []
-    for start in range(0, count, size):
-        rows = slice(start, start + size)
+    most = _part_size(images, parts, STAGED_PART_BYTES if staged else PART_BYTES)
+    found, end = [], 0
+    while end < count:
+        size = _next_part(count - end, most, parts)
+        rows = slice(end, end := end + size)
         some = tuple(image[rows] if size < count else image for image in images)
         planes = GroundPlane(*(np.asarray(values)[rows] for values in plane))
         number = len(some[0])
@@ -80,13 +91,20 @@ def in_parts(
     return found[0] if len(found) == 1 else jax.tree.map(lambda *a: np.concatenate(a), *found)
 
 
-def _part_size(images: tuple[Any, ...], parts: int) -> int:
+def _part_size(images: tuple[Any, ...], parts: int, part_bytes: int) -> int:
     """The most frames that are worked on together."""
     count = len(images[0])
     if on_cuda():
         return count
     frame = sum(image.nbytes for image in images) // count
-    return parts << max(PART_BYTES // frame, 1).bit_length() - 1
+    return parts << max(part_bytes // frame, 1).bit_length() - 1
+
+
+def _next_part(left: int, most: int, parts: int) -> int:
+    """How many of the frames that are left are worked on together."""
+    if left >= most or left < _FEW * parts or on_cuda():
+        return min(left, most)
+    return parts << (left // parts).bit_length() - 1
 
 
 def _bucket(count: int, parts: int) -> int:

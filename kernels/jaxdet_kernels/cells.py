@@ -14,6 +14,7 @@ wp.set_module_options(
 
 @native_kernel(
     "lanes.h",
+    "vectors.h",
     "cell_depth.h",
     "pixel_pair.h",
     "projection.h",

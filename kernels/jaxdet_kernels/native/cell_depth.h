@@ -1,6 +1,7 @@
 // The depth of a cell: of the measured depths of its pixels, the mean of those near their median.
 // Twin of `_block_depth` in jaxdet/reference/_cells.py.
 #pragma once
+#include "vectors.h"
 
 struct CellDepth {
     const unsigned short* first;  // The cell's upper left pixel.
@@ -141,96 +142,98 @@ struct CellDepth {
     }
 };
 
-// The same for LANES cells side by side, for the vector units of a CPU: all loops over them have that
-// length and no branch. Called with a constant `side`, so that the pixels of a row are dealt out by
-// shuffles.
+#if !defined(__CUDA_ARCH__)
+// The same for LANES cells side by side, in vectors.
 struct CellRow {
-    enum { LANES = 64, MOST_SIDE = 8 };
+    typedef Vectors::Words Words;  // One of each cell.
+    typedef Vectors::Wide Wide;
+    enum { LANES = Vectors::SHORTS, MOST_SIDE = 8, NONE = 65535 };
     const int* near;  // As in CellDepth.
     // By place in the cell: depth less one, so that no measurement is more than any depth.
     unsigned short pixel[MOST_SIDE * MOST_SIDE][LANES];
-    unsigned short count[LANES], median[LANES];
-    int sum[LANES], reach[LANES];
 
     explicit CellRow(const int* near) : near(near) {}
 
-    // Of a depth less one.
-    int near_of(unsigned short one) const { return near[(one + 1) & 65535]; }
+    Words& at(int p) { return *(Words*)pixel[p]; }
+    static Words least(Words a, Words b) { return a < b ? a : b; }
+    static Words most(Words a, Words b) { return a > b ? a : b; }
 
-    // The depths of the cells whose first pixel is `first`; a side is at most MOST_SIDE.
+    // Of a depth less one.
+    int reach(unsigned short one) const {
+        const int reach = near[(one + 1) & 65535];
+        return reach < NONE ? reach : (int)NONE;
+    }
+
+    // The depths of the cells whose first pixel is `first`; a side is at most MOST_SIDE. Called with
+    // a constant, so that the pixels of a row are dealt out by shuffles.
     __attribute__((always_inline)) inline void run(const unsigned short* first, int stride,
                                                    int side, int* out) {
         const int all = side * side;
-        unsigned short low[LANES], high[LANES];
-        for (int k = 0; k < LANES; ++k) {
-            low[k] = 65535;
-            high[k] = 0;
-        }
         for (int v = 0; v < side; ++v)
             for (int k = 0; k < LANES; ++k)
                 for (int u = 0; u < side; ++u)
                     pixel[v * side + u][k] = (unsigned short)(first[v * stride + k * side + u] - 1);
-        for (int p = 0; p < all; ++p)
-            for (int k = 0; k < LANES; ++k) {
-                const unsigned short one = pixel[p][k], value = (unsigned short)(one + 1);
-                low[k] = one < low[k] ? one : low[k];
-                high[k] = value > high[k] ? value : high[k];
+        Words low = (Words){} - 1, high = {}, count = {};
+        Wide sum = {};
+        for (int p = 0; p < all; ++p) {
+            low = least(low, at(p));
+            high = most(high, at(p) + 1);
+            add(at(p) + 1, &count, &sum);
+        }
+        const Words enough = (Words)(count * 2 >= (unsigned short)all);
+        if (are_uneven(low, high)) {
+            sort(all);
+            Words median = at(0);
+            for (int p = 1; p <= (all - 1) / 2; ++p)
+                median = (count - 1) / 2 == (unsigned short)p ? at(p) : median;
+            Words most_apart;
+            for (int k = 0; k < LANES; ++k) most_apart[k] = (unsigned short)reach(median[k]);
+            count = (Words){};
+            sum = (Wide){};
+            for (int p = 0; p < all; ++p) {
+                const Words apart = at(p) > median ? at(p) - median : median - at(p);
+                add(apart <= most_apart ? at(p) + 1 : (Words){}, &count, &sum);
             }
-        // What is near grows with depth: if the farthest is near the nearest, all are near the
-        // median, whatever that is.
-        int uneven = 0;
-        for (int k = 0; k < LANES; ++k) {
-            reach[k] = 65535;
-            median[k] = low[k];
-            uneven |= high[k] - low[k] - 1 > near_of(low[k]);
         }
-        add_near(all);
-        for (int k = 0; k < LANES; ++k) low[k] = 2 * count[k] >= all;
-        if (uneven) {
-            find_median(all);
-            for (int k = 0; k < LANES; ++k) reach[k] = near_of(median[k]);
-            add_near(all);
-        }
-        for (int k = 0; k < LANES; ++k) out[k] = low[k] ? CellDepth::mean(sum[k], count[k]) : 0;
+        // Rounded, halves up. Quotients of such integers are exact to 2^-7, and float32 tells those
+        // below a whole number from it.
+        const Wide parts = __builtin_convertvector(count, Wide);
+        const Vectors::WideFloats mean =
+            __builtin_convertvector(sum * 2 + parts, Vectors::WideFloats)
+            / __builtin_convertvector(parts ? parts * 2 : 1, Vectors::WideFloats);
+        const Wide depth = __builtin_convertvector(mean, Wide);
+        *(Wide*)out = __builtin_convertvector(enough, Wide) ? depth : (Wide){};
     }
 
-    // The lower median of `count` depths, from its highest bit on: as many are below it as come
-    // before it, or fewer.
-    __attribute__((always_inline)) inline void find_median(int all) {
-        for (int k = 0; k < LANES; ++k) median[k] = 0;
-        for (int bit = 1 << 15; bit; bit >>= 1) {
-            unsigned short tried[LANES], below[LANES];
-            for (int k = 0; k < LANES; ++k) {
-                tried[k] = (unsigned short)(median[k] | bit);
-                below[k] = 0;
-            }
-            for (int p = 0; p < all; ++p)
-                for (int k = 0; k < LANES; ++k)
-                    below[k] = (unsigned short)(below[k] + (pixel[p][k] < tried[k]));
-            for (int k = 0; k < LANES; ++k) {
-                const unsigned short twice = (unsigned short)(2 * below[k]);
-                median[k] = (unsigned short)(median[k] | (twice < count[k] ? bit : 0));
-            }
-        }
+    // Depths, 0 = none.
+    static void add(Words depth, Words* count, Wide* sum) {
+        *count -= (Words)(depth != 0);
+        *sum += __builtin_convertvector(depth, Wide);
     }
 
-    // How many depths are within reach of the median, and their sum.
-    __attribute__((always_inline)) inline void add_near(int all) {
-        unsigned short most[LANES];
+    // Whether the farthest depth of a cell may not be near its nearest; else all are near its
+    // median, whatever that is, as what is near grows with depth.
+    bool are_uneven(Words low, Words high) const {
+        const Words spread = high > low ? high - low : (Words){};
+        unsigned short lowest = NONE, widest = 0;
         for (int k = 0; k < LANES; ++k) {
-            most[k] = (unsigned short)(reach[k] < 65535 ? reach[k] : 65535);
-            count[k] = 0;
-            sum[k] = 0;
+            lowest = low[k] < lowest ? low[k] : lowest;
+            widest = spread[k] > widest ? spread[k] : widest;
         }
-        for (int p = 0; p < all; ++p)
-            for (int k = 0; k < LANES; ++k) {
-                const unsigned short one = pixel[p][k], other = median[k];
-                const unsigned short apart =
-                    (unsigned short)(one > other ? one - other : other - one);
-                const unsigned short value =
-                    (unsigned short)(apart <= most[k] ? one + 1 : 0);
-                count[k] = (unsigned short)(count[k] + (value != 0));
-                sum[k] += value;
-            }
+        return widest - 1 > reach(lowest);
+    }
+
+    // Each cell's pixels by rising depth: Batcher's odd-even merge sort.
+    __attribute__((always_inline)) inline void sort(int all) {
+        for (int part = 1; part < all; part *= 2)
+            for (int apart = part; apart; apart /= 2)
+                for (int i = apart % part; i + apart < all; i += 2 * apart)
+                    for (int k = i; k < i + apart && k + apart < all; ++k) {
+                        if (k / (2 * part) != (k + apart) / (2 * part)) continue;
+                        const Words one = at(k), other = at(k + apart);
+                        at(k) = least(one, other);
+                        at(k + apart) = most(one, other);
+                    }
     }
 };
+#endif

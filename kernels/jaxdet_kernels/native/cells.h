@@ -98,6 +98,9 @@ struct CellGrid {
             // The last ones are found again where they don't fill the lanes.
             const int from = start < columns - LANES ? start : columns - LANES;
             const unsigned short* first = cell(row, from).first;
+            // Those of the next row of cells are on their way meanwhile.
+            for (int v = side; row + 1 < rows && v < 2 * side; ++v)
+                for (int u = 0; u < LANES * side; u += 32) __builtin_prefetch(first + v * width + u);
             switch (side) {
                 case 1: beside.run(first, width, 1, d + from); break;
                 case 2: beside.run(first, width, 2, d + from); break;

@@ -8,10 +8,12 @@ struct Vectors {
     enum { SHORTS = 32, FLOATS = 16, BYTES = 64 };
     typedef unsigned char Bytes __attribute__((vector_size(64), aligned(1), may_alias));
     typedef short Shorts __attribute__((vector_size(64), aligned(2), may_alias));
+    typedef unsigned short Words __attribute__((vector_size(64), aligned(2), may_alias));
     typedef int Wide __attribute__((vector_size(128), aligned(4), may_alias));
     typedef int Ints __attribute__((vector_size(64), aligned(4), may_alias));
     typedef unsigned Unsigned __attribute__((vector_size(64), aligned(4), may_alias));
     typedef float Floats __attribute__((vector_size(64), aligned(4), may_alias));
+    typedef float WideFloats __attribute__((vector_size(128), aligned(4), may_alias));
     typedef double Doubles __attribute__((vector_size(128), aligned(8), may_alias));
 
     // Which lanes hold: bit i is lane i. Lanes are 0 or -1, as comparisons give them.
