@@ -215,25 +215,30 @@ struct CellRow {
     // median, whatever that is, as what is near grows with depth.
     bool are_uneven(Words low, Words high) const {
         const Words spread = high > low ? high - low : (Words){};
-        unsigned short lowest = NONE, widest = 0;
-        for (int k = 0; k < LANES; ++k) {
-            lowest = low[k] < lowest ? low[k] : lowest;
-            widest = spread[k] > widest ? spread[k] : widest;
-        }
-        return widest - 1 > reach(lowest);
+        const int widest = NONE - Vectors::least(~spread);
+        return widest - 1 > reach(Vectors::least(low));
     }
 
     // Each cell's pixels by rising depth: Batcher's odd-even merge sort.
     __attribute__((always_inline)) inline void sort(int all) {
+#if defined(__clang__)
+#pragma clang loop unroll(full)
+#endif
         for (int part = 1; part < all; part *= 2)
+#if defined(__clang__)
+#pragma clang loop unroll(full)
+#endif
             for (int apart = part; apart; apart /= 2)
-                for (int i = apart % part; i + apart < all; i += 2 * apart)
-                    for (int k = i; k < i + apart && k + apart < all; ++k) {
-                        if (k / (2 * part) != (k + apart) / (2 * part)) continue;
-                        const Words one = at(k), other = at(k + apart);
-                        at(k) = least(one, other);
-                        at(k + apart) = most(one, other);
-                    }
+#if defined(__clang__)
+#pragma clang loop unroll(full)
+#endif
+                for (int k = apart % part; k + apart < all; ++k) {
+                    // Runs of `apart` places, every second one, and within two parts.
+                    if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
+                    const Words one = at(k), other = at(k + apart);
+                    at(k) = least(one, other);
+                    at(k + apart) = most(one, other);
+                }
     }
 };
 #endif

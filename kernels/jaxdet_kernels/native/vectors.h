@@ -70,6 +70,16 @@ struct Vectors {
 #endif
     }
 
+    static unsigned short least(const Words& values) {
+#if defined(__clang__)
+        return __builtin_reduce_min(values);
+#else
+        unsigned short low = values[0];
+        for (int i = 1; i < SHORTS; ++i) low = values[i] < low ? values[i] : low;
+        return low;
+#endif
+    }
+
     static void root(const Floats& values, Floats* out) {
 #if defined(__clang__)
         *out = __builtin_elementwise_sqrt(values);
