@@ -155,8 +155,6 @@ struct CellRow {
     explicit CellRow(const int* near) : near(near) {}
 
     Words& at(int p) { return *(Words*)pixel[p]; }
-    static Words least(Words a, Words b) { return a < b ? a : b; }
-    static Words most(Words a, Words b) { return a > b ? a : b; }
 
     // Of a depth less one.
     int reach(unsigned short one) const {
@@ -176,9 +174,10 @@ struct CellRow {
         Words low = (Words){} - 1, high = {}, count = {};
         Wide sum = {};
         for (int p = 0; p < all; ++p) {
-            low = least(low, at(p));
-            high = most(high, at(p) + 1);
-            add(at(p) + 1, &count, &sum);
+            const Words depth = at(p) + 1;
+            low = low < at(p) ? low : at(p);
+            high = high > depth ? high : depth;
+            add(depth, &count, &sum);
         }
         const Words enough = (Words)(count * 2 >= (unsigned short)all);
         if (are_uneven(low, high)) {
@@ -206,14 +205,14 @@ struct CellRow {
     }
 
     // Depths, 0 = none.
-    static void add(Words depth, Words* count, Wide* sum) {
+    static void add(const Words& depth, Words* count, Wide* sum) {
         *count -= (Words)(depth != 0);
         *sum += __builtin_convertvector(depth, Wide);
     }
 
     // Whether the farthest depth of a cell may not be near its nearest; else all are near its
     // median, whatever that is, as what is near grows with depth.
-    bool are_uneven(Words low, Words high) const {
+    bool are_uneven(const Words& low, const Words& high) const {
         const Words spread = high > low ? high - low : (Words){};
         const int widest = NONE - Vectors::least(~spread);
         return widest - 1 > reach(Vectors::least(low));
@@ -236,8 +235,8 @@ struct CellRow {
                     // Runs of `apart` places, every second one, and within two parts.
                     if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
                     const Words one = at(k), other = at(k + apart);
-                    at(k) = least(one, other);
-                    at(k + apart) = most(one, other);
+                    at(k) = one < other ? one : other;
+                    at(k + apart) = one < other ? other : one;
                 }
     }
 };
