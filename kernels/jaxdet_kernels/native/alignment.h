@@ -30,10 +30,9 @@ struct Alignment {
         const int units = depth[(long long)v * columns + u];
         const long long one = (long long)v * (columns + 1) + u;
         const long long two = one + fills * (columns + 2);
-        const Projection::Point first =
-            projection.through(units, corner_x[one], corner_y[one], bends);
-        const Projection::Point last =
-            projection.through(units, corner_x[two], corner_y[two], bends);
+        Projection::Point first, last;
+        projection.through(units, corner_x[one], corner_y[one], bends, &first);
+        projection.through(units, corner_x[two], corner_y[two], bends, &last);
         const int left = first.u > 0 ? first.u : 0, top = first.v > 0 ? first.v : 0;
         const int right = last.u < width - 1 ? last.u : width - 1;
         const int bottom = last.v < height - 1 ? last.v : height - 1;

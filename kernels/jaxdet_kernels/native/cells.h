@@ -79,11 +79,12 @@ struct CellGrid {
     // The box of a cell whose depth is d; `bends` where the lens does.
     void box(int row, int column, const Corners& at, int d, bool bends) const {
         const int k = row * columns + column, u = column * side, v = row * side;
-        if (aligned)
-            box(k, {u, v, d, true}, {u + side - 1, v + side - 1, d, true});
-        else
-            box(k, projection.through(d, at.x[0], at.y[0], bends),
-                projection.through(d, at.x[1], at.y[1], bends));
+        Projection::Point one{u, v, d, true}, two{u + side - 1, v + side - 1, d, true};
+        if (!aligned) {
+            projection.through(d, at.x[0], at.y[0], bends, &one);
+            projection.through(d, at.x[1], at.y[1], bends, &two);
+        }
+        box(k, one, two);
     }
 
 #if !defined(__CUDA_ARCH__)
@@ -129,7 +130,8 @@ struct CellGrid {
             const int at = (row + which) * (columns + 1) + which;
             const float *x = corner_x + at, *y = corner_y + at;
             for (int column = 0; column < columns; ++column) {
-                const Projection::Point there = pinhole.through(d[column], x[column], y[column]);
+                Projection::Point there;
+                pinhole.through(d[column], x[column], y[column], false, &there);
                 u[which][column] = there.u;
                 v[which][column] = there.v;
                 seen[which][column] = there.seen;

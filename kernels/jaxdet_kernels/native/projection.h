@@ -68,9 +68,10 @@ struct Projection {
 
     // The pixel of the point at `units` on the ray (x, y) of the depth camera; `bends` where the
     // lens does. There is no branch but for the model, and functions are inlined, so that loops
-    // over points become vector instructions. Points that are not seen go the same way.
-    __attribute__((always_inline)) Point through(
-        int units, float x, float y, bool bends = false) const {
+    // over points become vector instructions; a struct that is returned would be packed into words.
+    // Points that are not seen go the same way.
+    __attribute__((always_inline)) void through(
+        int units, float x, float y, bool bends, Point* at) const {
         const float depth = (float)units * p[25];
         const float px = depth * x, py = depth * y;
         const float cx = p[0] * px + (p[1] * py + (p[2] * depth + p[9]));
@@ -90,7 +91,9 @@ struct Projection {
         const float limit = 1048576.0f;
         seen = seen & (column < limit) & (column > -limit) & (row < limit) & (row > -limit);
         const float z = over / p[25] + 0.5f;
-        return {(int)(seen ? column : 0.0f), (int)(seen ? row : 0.0f),
-                (int)(z < 65534.0f ? z : 65534.0f), seen};
+        at->u = (int)(seen ? column : 0.0f);
+        at->v = (int)(seen ? row : 0.0f);
+        at->z = (int)(z < 65534.0f ? z : 65534.0f);
+        at->seen = seen;
     }
 };
