@@ -21,8 +21,8 @@ class CellFeatures(NamedTuple):
     slots: tuple[jax.Array, ...]
     """:class:`~jaxdet.types.Features` but for ``overflow``: ``N`` slots of corners a frame, then
     the sample."""
-    count: jax.Array
-    """``(B,)`` int32, how many corners qualify, where they are more than N perhaps too few."""
+    num_corners: jax.Array
+    """``(B,)`` int32, how many qualify, where they are more than N perhaps too few."""
     label: jax.Array
     """``(B, N + S)`` int32, the cells' labels below ``MAX_OBSTACLES``, or -1."""
     has_depth: jax.Array

@@ -165,8 +165,8 @@ class _Steps(NamedTuple):
 
     floor: jax.Array
     num_surfaces: jax.Array
-    count: jax.Array
-    """``(B,)`` int32, how many obstacles there are."""
+    num_obstacles: jax.Array
+    """``(B,)`` int32."""
     features: CellFeatures
     outlined: _outlines.Outlined
     free: tuple[jax.Array, jax.Array]
@@ -181,10 +181,10 @@ def _detect(
 ) -> Detections:
     steps = partial(_steps, color, depth, *tables, static)
     found = by_device(partial(frame_by_frame, steps), steps)
-    too_many = (found.count > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)
-    overflow = too_many | (found.features.count > static.slots)
-    points = Features(*found.features.slots, overflow)
-    labels = Labels(found.features.label, jnp.minimum(found.count, MAX_OBSTACLES))
+    too_many = (found.num_obstacles > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)
+    overflow = too_many | (found.features.num_corners > static.slots)
+    points = Features._make((*found.features.slots, overflow))
+    labels = Labels(found.features.label, jnp.minimum(found.num_obstacles, MAX_OBSTACLES))
     lost = cast(GroundPlane, None)  # it stays on the host
     scene = Scene(found.floor, lost, *found.outlined[1:], *found.free)
     cells = None
