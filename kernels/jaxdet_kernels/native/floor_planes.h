@@ -128,7 +128,10 @@ struct FloorRefine {
         for (int k = 0, n = 0; k < 3;) {
             const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
             const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
-            const bool more = n < rounds && round(crew, plane, cells, slack[0], slack[1]);
+            const FloorPlane before = plane;
+            // A round that changes nothing would do so again.
+            const bool more = n < rounds && round(crew, plane, cells, slack[0], slack[1]) &&
+                              !(plane == before);
             n = more ? n + 1 : 0;
             k += !more;
         }

@@ -25,7 +25,15 @@ struct FloorRamps {
         KEY_WORDS = 2,
         // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
         // told (2), where the next cell goes.
-        ROW_ARRAYS = 8
+        ROW_ARRAYS = 8,
+        // Ramps taken together: three degrees of turns, and so many starts side by side.
+        SECTOR = 3 * FloorAngles::ANGLES,
+        SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
+#if defined(__CUDA_ARCH__)
+        ABREAST = 1
+#else
+        ABREAST = STARTS
+#endif
     };
     FloorAngles angles;
     const int* settings;
@@ -48,6 +56,8 @@ struct FloorRamps {
     int* anew() const { return row(5); }
     int* there() const { return row(6); }
     int* cursor() const { return row(7); }
+    // Of each cell in `sorted`.
+    int* worth() const { return places; }
 
     // The middle of a distance.
     int middle(int k) const {
@@ -64,6 +74,11 @@ struct FloorRamps {
         const int beyond = run > start ? run - start : 0;
         return (int)(((long long)slope * beyond + (1 << (FloorAngles::SLOPE_BITS - 1))) >>
                      FloorAngles::SLOPE_BITS);
+    }
+
+    // What has SLOPE_BITS fraction bits. Distances of cells have 19 bits, slopes 12.
+    static int rounded(int product) {
+        return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
     }
 
     // Tolerances at each distance, and the cells of a plane by distance, with their heights.
@@ -147,44 +162,49 @@ struct FloorRamps {
 #endif
     }
 
-    // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets:
-    // as many cells as a range of heights as wide as the tolerances holds.
+    // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets. Of
+    // each cell, how many at most where it is the highest that counts: with s the tolerance, a ramp
+    // that passes at height p counts the cells from p - s to p + s, less those below p - 4 s. If
+    // the highest is at h, none of them is below h - 2 s, and all below h - 5 s are taken off.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
         const int *heights = sorted(), *at = places + 3 * cells.count;
+        for (int k = team.rank; k <= runs(); k += team.size) most()[k] = flat()[k] = 0;
+        team.sync();
 #if defined(__CUDA_ARCH__)
-        for (int k = team.rank; k <= runs(); k += team.size) {
-            most()[k] = flat()[k] = 0;
-            if (k < runs() && begin()[k] < begin()[k + 1]) {
-                const int s = slack[k];
-                const int ends[3] = {index(s), index(-s), index(-FloorScore::BELOW * s)};
-                int under[3];
-                lower(k, ends, under, 3);
-                flat()[k] = under[0] - under[1] - each * under[2];
-            }
+        for (int k = team.rank; k < runs(); k += team.size) {
+            if (begin()[k] == begin()[k + 1]) continue;
+            const int s = slack[k];
+            const int ends[3] = {index(s), index(-s), index(-FloorScore::BELOW * s)};
+            int under[3];
+            lower(k, ends, under, 3);
+            flat()[k] = under[0] - under[1] - each * under[2];
         }
-        team.sync();
-        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
-            const int k = at[i], end = heights[i] + (2 * slack[k] >> bits) + 1;
-            int under;
-            lower(k, &end, &under, 1);
-            team.most(most() + k, begin()[k] + under - i);
-        }
-        team.sync();
-#else
-        for (int k = team.rank; k <= runs(); k += team.size) flat()[k] = most()[k] = 0;
-        team.sync();
-        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
-            const int k = at[i], s = slack[k], from = begin()[k], to = begin()[k + 1];
-            const int h = heights[i], width = (2 * s >> bits) + 1;
-            const int on = (h < index(s)) - (h < index(-s));
-            team.add(flat() + k, on - each * (h < index(-FloorScore::BELOW * s)));
-            int held = 0;
-            for (int j = from; j < to; j++) held += (unsigned)(heights[j] - h) < (unsigned)width;
-            team.most(most() + k, held);
-        }
-        team.sync();
 #endif
+        for (int i = team.rank; i < begin()[runs()]; i += team.size) {
+            const int k = at[i], s = slack[k], from = begin()[k], h = heights[i];
+            const int width = 2 * s >> bits, deep = (FloorScore::BELOW + 1) * s >> bits;
+            int on, below;
+#if defined(__CUDA_ARCH__)
+            const int ends[2] = {h - width, h - deep};
+            int under[2];
+            lower(k, ends, under, 2);
+            on = i + 1 - from - under[0];
+            below = under[1];
+#else
+            const int flatly = (h < index(s)) - (h < index(-s));
+            flat()[k] += flatly - each * (h < index(-FloorScore::BELOW * s));
+            on = below = 0;
+            for (int j = from; j < begin()[k + 1]; j++) {
+                const unsigned deeper = h - heights[j];
+                on += deeper <= (unsigned)width;
+                below += h - heights[j] > deep;
+            }
+#endif
+            worth()[i] = on - each * below;
+            team.most(most() + k, worth()[i]);
+        }
+        team.sync();
         // The first become sums of those before, the second of those from there on.
         const Lanes lanes(team);
         if (lanes.index == 0) lanes.run_up(flat(), runs());
@@ -193,6 +213,56 @@ struct FloorRamps {
             for (int k = lanes.rank; k <= runs(); k += lanes.size) most()[k] = all - most()[k];
         }
         team.sync();
+    }
+
+    // At most how many votes any ramp gets, once there are limits: ramps are taken together by
+    // where they begin and by their turn.
+    void limit(const Team& team, const int* slack, int* found) const {
+        const int *heights = sorted(), bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
+        for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
+            const int sector = first / STARTS;
+            const int turn = sector < SECTORS / 2 ? -MOST_TURN + sector * SECTOR
+                                                  : LEAST_TURN + (sector - SECTORS / 2) * SECTOR;
+            const int low_slope = angles.slope(turn), high_slope = angles.slope(turn + SECTOR);
+            const bool uphill = turn > 0;
+            int nearest[ABREAST], farthest[ABREAST], votes[ABREAST];
+            for (int w = 0; w < ABREAST; w++) {
+                nearest[w] = begins(first % STARTS + w);
+                farthest[w] = begins(first % STARTS + w + 1);
+                votes[w] = 0;
+            }
+            for (int k = 0; k < runs(); k++) {
+                const int from = begin()[k], to = begin()[k + 1], run = middle(k), s = slack[k];
+                if (from == to) continue;
+                const int level = flat()[k + 1] - flat()[k];
+                int lowest[ABREAST], highest[ABREAST], most[ABREAST];
+                for (int w = 0; w < ABREAST; w++) {
+                    const int far = run > nearest[w] ? run - nearest[w] : 0;
+                    const int near = run > farthest[w] ? run - farthest[w] : 0;
+                    const int low = low_slope * (uphill ? near : far);
+                    const int high = high_slope * (uphill ? far : near);
+                    lowest[w] = ((rounded(low) - s) >> bits) + middle_rise;
+                    highest[w] = ((rounded(high) + s) >> bits) + middle_rise;
+                    most[w] = 0;
+                }
+                for (int i = from; i < to; i++) {
+                    const int h = heights[i], own = worth()[i];
+                    for (int w = 0; w < ABREAST; w++) {
+                        const bool counts = (h >= lowest[w]) & (h < highest[w]) & (own > most[w]);
+                        most[w] = counts ? own : most[w];
+                    }
+                }
+                for (int w = 0; w < ABREAST; w++) votes[w] += run > nearest[w] ? most[w] : level;
+            }
+            for (int w = 0; w < ABREAST; w++) team.most(found, votes[w]);
+        }
+    }
+
+    // Where the ramps begin that belong to a start of the rough lattice; with the finer one.
+    int begins(int i) const {
+        const int around = AROUND * settings[FloorSetting::START_STEP];
+        const int* starts = settings + FloorSetting::STARTS;
+        return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
     // Running counts of the cells of each distance over their heights, where these are in no order.
@@ -350,18 +420,12 @@ struct FloorRamps {
     FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorHinge& out) const {
         int most_alone = -0x7fffffff;
         for (int n = 0; n < count; n++) {
+            if (team.rank == 0) bound[n] = -0x7fffffff;
             sort(team, planes[n]);
             limits(team, fine());
             const int votes = flat()[runs()];
-            const Lanes lanes(team);
-            int limit = -0x7fffffff;
-            for (int k = lanes.rank; k <= runs(); k += lanes.size) {
-                const int here = flat()[k] + most()[k];
-                limit = here > limit ? here : limit;
-            }
-            limit = lanes.most(limit);
             most_alone = votes > most_alone ? votes : most_alone;
-            if (team.rank == 0) bound[n] = limit;
+            limit(team, fine(), bound + n);
             team.sync();
         }
         const long long least = 100LL * most_alone + (long long)MIN_GAIN * cells.count;
