@@ -11,14 +11,10 @@
 struct FloorVotes {
     enum {
         APART = 12,
-#if defined(__CUDA_ARCH__)
-        CHUNK = 1,
-        COPIES = 1
-#else
-        // A core adds to one place only every few cycles: neighbouring cells have other places.
+        // On the CPU the ends of so many cells are placed at once, and, since a core adds to one place
+        // only every few cycles, counted in so many copies.
         CHUNK = 64,
         COPIES = 8
-#endif
     };
     FloorAngles angles;
     FloorCells cells;
@@ -62,16 +58,6 @@ struct FloorVotes {
         return p >= edge_pitches && p < pitches - edge_pitches;
     }
 
-    unsigned long long least(const int* row, int from, int to, int d) const {
-        int most = row[from], bin = from;
-        for (int b = from + 1; b < to; b++)
-            if (row[b] > most) {
-                most = row[b];
-                bin = b;
-            }
-        return key(most, d, bin);
-    }
-
 #if defined(__CUDA_ARCH__)
     // Directions with those that fill up the last warp.
     int padded() const { return (directions() + Lanes::size - 1) / Lanes::size * Lanes::size; }
@@ -82,24 +68,39 @@ struct FloorVotes {
 #else
     int* row_of(int d) const { return votes + d * (bins + 1); }
     int bin_step() const { return 1; }
-#endif
 
-    // Where the ends of ranges of a direction are counted.
-    int* ends(int* row) const { return COPIES == 1 ? row : copies; }
+    // The best of some bins of a row; there are fewer than 2^MOST_BITS.
+    unsigned long long least(const int* row, int from, int to, int d) const {
+        enum { MOST_BITS = 10 };
+        int most = -0x7fffffff;
+        for (int b = from; b < to; b++) {
+            const int here = row[b] * (1 << MOST_BITS) - b;
+            most = here > most ? here : most;
+        }
+        const int bin = -most & ((1 << MOST_BITS) - 1);
+        return key((most + bin) >> MOST_BITS, d, bin);
+    }
 
-    // The sums of what was counted.
-    void fold(int* row) const {
-        if (COPIES == 1) return;
+    void clear(int* __restrict__ counted) const {
+        const int n = COPIES * (bins + 1);
+        for (int b = 0; b < n; b++) counted[b] = 0;
+    }
+
+    // The votes, from the ends that were counted of so many cells.
+    void sum_up(const int* __restrict__ counted, int* __restrict__ row, int cells) const {
         const int n = bins + 1;
         for (int b = 0; b < n; b++) {
             int sum = 0;
-            for (int k = 0; k < COPIES; k++) sum += copies[k * n + b];
+            for (int k = 0; k < COPIES; k++) sum += counted[k * n + b];
             row[b] = sum;
         }
+        int sum = -FloorScore::BELOW_COST * cells;
+        for (int b = 0; b < n; b++) row[b] = sum += row[b];
     }
 
     // Adds the ends of the ranges of some cells.
-    void count(const FloorDirection& down, int from, int to, int* ends) const {
+    void count(const FloorDirection& direction, int from, int to, int* ends) const {
+        const FloorDirection down = direction;
         const int low = lowest, shift = bits, last = bins;
         const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y;
         const int *__restrict__ zs = cells.z, *__restrict__ slacks = slack;
@@ -116,7 +117,7 @@ struct FloorVotes {
                 under[k] = c < 0 ? 0 : c > last ? last : c;
             }
             for (int k = 0; k < n; k++) {
-                int* one = ends + (COPIES > 1 ? (k & (COPIES / 2 - 1)) * (last + 1) : 0);
+                int* one = ends + (k & (COPIES / 2 - 1)) * (last + 1);
                 int* other = one + COPIES / 2 * (last + 1);
                 one[begin[k]]++;
                 one[end[k]]--;
@@ -124,6 +125,7 @@ struct FloorVotes {
             }
         }
     }
+#endif
 
 #if defined(__CUDA_ARCH__)
     // How counts lie in memory: those of direction k and bin b at `table[b * span + k]`, or where
@@ -245,35 +247,23 @@ struct FloorVotes {
             run(team, first, {most ? copies : votes, all - first < span ? all - first : span,
                               most > 0, is_packed && most});
 #else
-        for (int d = team.rank; d < directions(); d += team.size) {
+        for (int d = 0; d < directions(); d++) {
             const FloorDirection down = direction(d);
-            int* row = votes + d * (bins + 1);
-            int* counted = ends(row);
-            for (int b = 0; b < COPIES * (bins + 1); b++) counted[b] = 0;
             const bool near = is_near(d);
+            int* row = row_of(d);
+            clear(copies);
             int done = 0;
-            for (int n = 0; n < rings - 1; n++) {
-                if (!near || ring_ends[n] < fewest) continue;
-                count(down, done, ring_ends[n], counted);
-                fold(row);
-                done = ring_ends[n];
-                int sum = -FloorScore::BELOW_COST * done, most = -0x7fffffff, bin = 0;
-                for (int b = 0; b < bins - edge_bins; b++) {
-                    sum += row[b];
-                    if (b >= edge_bins && sum > most) {
-                        most = sum;
-                        bin = b;
-                    }
-                }
-                team.least(best + n, key(most, d, bin));
+            for (int n = 0; n < rings; n++) {
+                const bool is_last = n == rings - 1;
+                if (!is_last && (!near || ring_ends[n] < fewest)) continue;
+                const int end = is_last ? cells.count : ring_ends[n];
+                count(down, done, end, copies);
+                done = end;
+                sum_up(copies, row, end);
+                of_direction[d] = near ? least(row, edge_bins, bins - edge_bins, d) : ~0ull;
+                team.least(best + n, of_direction[d]);
             }
-            count(down, done, cells.count, counted);
-            fold(row);
-            int sum = -FloorScore::BELOW_COST * cells.count;
-            for (int b = 0; b < bins; b++) row[b] = sum += row[b];
             team.least(whole, least(row, 0, bins, d));
-            of_direction[d] = near ? least(row, edge_bins, bins - edge_bins, d) : ~0ull;
-            if (near) team.least(best + rings - 1, of_direction[d]);
         }
 #endif
         team.sync();
