@@ -115,29 +115,37 @@ struct Floor {
             for (int n = 0; n < FloorSearch::RINGS - 1; n++) ring += rings[n] < depth;
             return ring;
         };
-        // Calls with row, column and place of all cells of every so many rows and columns of these.
-        const auto each = [&](int every, auto use) {
-            const int across = (c + every - 1) / every, down = (r + every - 1) / every;
+        const auto is_used = [&](int depth) { return (depth > 0) & (depth <= deepest); };
 #if defined(__CUDA_ARCH__)
-            for (int i = team.rank; i < down * across; i += team.size) {
-                const int row = i / across * every, column = i % across * every;
-                use(row, column, (half + row * stride) * columns + half + column * stride);
-            }
-#else
-            for (int row = 0; row < down * every; row += every)
-                for (int column = 0; column < across * every; column += every)
-                    use(row, column, (half + row * stride) * columns + half + column * stride);
-#endif
-        };
-        each(1, [&](int row, int column, int p) {
-            const int depth = z[p];
-            if (depth <= 0 || depth > deepest) return;
+        for (int i = team.rank; i < r * c; i += team.size) {
+            const int row = i / c, column = i % c;
+            const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
+            if (!is_used(depth)) continue;
             const int k = team.count(counts + ALL);
             cells[k] = x[p];
             cells[most + k] = y[p];
             cells[2 * most + k] = depth;
             if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
-        });
+        }
+#else
+        // Each cell is written, and the next one over it where it is not used.
+        int all = 0;
+        for (int row = 0; row < r; row++) {
+            const int first = (half + row * stride) * columns + half;
+            for (int column = 0, p = first; column < c; column++, p += stride) {
+                const int depth = z[p];
+                cells[all] = x[p];
+                cells[most + all] = y[p];
+                cells[2 * most + all] = depth;
+                all += is_used(depth);
+            }
+            for (int column = 0; column < c && row % 2 == 0; column += 2) {
+                const int depth = z[first + column * stride];
+                counts[ENDS + ring_of(depth)] += is_used(depth);
+            }
+        }
+        counts[ALL] = all;
+#endif
         team.sync();
         if (team.rank == 0) {
             int sum = 0;
@@ -147,19 +155,21 @@ struct Floor {
             }
         }
         team.sync();
-        each(2, [&](int, int column, int p) {
-            const int depth = z[p];
-            if (depth <= 0 || depth > deepest) return;
+        const int across = (c + 1) / 2, down = (r + 1) / 2;
+        for (int i = team.rank; i < down * across; i += team.size) {
+            const int row = i / across * 2, column = i % across * 2;
+            const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
+            if (!is_used(depth)) continue;
             const int k = team.count(counts + NEXT + ring_of(depth));
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
-            if (column < margin || column >= c - margin) return;
+            if (column < margin || column >= c - margin) continue;
             const int n = team.count(counts + INNER);
             inner[n] = x[p];
             inner[most_few + n] = y[p];
             inner[2 * most_few + n] = depth;
-        });
+        }
         team.sync();
     }
 
