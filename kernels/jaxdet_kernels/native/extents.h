@@ -228,13 +228,21 @@ struct Trimmed {
 
     // Counts the cells in the buckets, of the second end too if `ends`.
     void fill(const Team& team, bool ends) const {
-        for (int i = team.rank; i < all; i += team.size) {
-            const int l = label[i], width = bits(l), at = value[i];
+        for (int i = team.rank, next; i < all; i = next) {
+            next = i + team.size;
+            const int l = label[i], width = bits(l);
+#if !defined(__CUDA_ARCH__)
+            // Cells of one label that follow each other.
+            while (next < all && label[next] == l) ++next;
+#endif
             if (width < 0) continue;
-            const int range = ends ? span(l) : 31;
-            const unsigned a = at - begin(l)[0], b = at - begin(l)[1];
-            if (a >> range == 0) team.add(histogram(l, 0) + (a >> width), 1);
-            if (ends && b >> range == 0) team.add(histogram(l, 1) + (b >> width), 1);
+            const int range = ends ? span(l) : 31, low = begin(l)[0], high = begin(l)[1];
+            int *const lower = histogram(l, 0), *const upper = histogram(l, 1);
+            for (int k = i; k < next; k += team.size) {
+                const unsigned a = value[k] - low, b = value[k] - high;
+                if (a >> range == 0) team.add(lower + (a >> width), 1);
+                if (ends && b >> range == 0) team.add(upper + (b >> width), 1);
+            }
         }
     }
 };

@@ -54,18 +54,15 @@ struct Listed {
         }
 #else
         int n = 0;
+        unsigned char some[BitRows::WIDTH];
         for (int i = 0; i < has.count(); ++i) {
             const int from = has.row(i) * columns + has.column(i), left = columns - has.column(i);
             const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
             if (wide <= 0) continue;
-            unsigned those = 0;
-            for (int k = 0; k < wide; ++k) {
-                those |= (unsigned)(labels[from + k] >= 0) << k;
-                out[from + k] = labels[from + k];
-            }
-            has[i] = those;
+            copy_word(labels + from, out + from, some, wide);
+            has[i] = BitRows::packed(some, 0, wide);
             open[i] = BitRows::packed(free + from, 0, wide);
-            for (; those; those &= those - 1) {
+            for (unsigned those = has[i]; those; those &= those - 1) {
                 const int at = from + BitRows::first(those), own = labels[at];
                 put(n++, at, own, at_right, at_forward);
                 largest = own > largest ? own : largest;
@@ -75,6 +72,16 @@ struct Listed {
 #endif
         if (largest >= 0) team.most(most, largest + 1);
         team.sync();
+    }
+
+    // Labels of the cells of a word, and which have one.
+    static void copy_word(
+        const int* __restrict__ labels, int* __restrict__ out, unsigned char* __restrict__ some, int n
+    ) {
+        for (int k = 0; k < n; ++k) {
+            out[k] = labels[k];
+            some[k] = labels[k] >= 0;
+        }
     }
 
     // The same for the labels 0 .. limit - 1 of `cells` cells, and no more than that.

@@ -41,22 +41,24 @@ struct Pieces {
         join(team);
     }
 
-    // How many cells of small surfaces touch which surface, in the next cell or the one after it.
+    // How many cells of small surfaces touch which surface, in the next cell or the one after it, at
+    // all four sides.
     void touch(const Team& team) const {
         const int all = *listed.count;
         for (int i = team.rank; i < all; i += team.size) {
-            const int a = listed.label[i], k = listed.cell[i];
-            const int row = k / columns, c = k - row * columns;
+            const int a = listed.label[i];
+            if (!small[a]) continue;
+            const int k = listed.cell[i], row = k / columns, c = k - row * columns;
             const auto meet = [&](bool inside, int there) {
                 const int b = inside ? label[there] : -1;
-                if (b < 0 || b == a || !(small[a] || small[b])) return;
+                if (b < 0 || b == a) return;
                 const int apart = z[there] - z[k];
-                if (apart > step || apart < -step) return;
-                if (small[a]) team.add(touching + a * count + b, 1);
-                if (small[b]) team.add(touching + b * count + a, 1);
+                if (apart <= step && apart >= -step) team.add(touching + a * count + b, 1);
             };
             for (int away = 1; away <= REACH; ++away) {
+                meet(c >= away, k - away);
                 meet(c + away < columns, k + away);
+                meet(row >= away, k - away * columns);
                 meet(row + away < rows, k + away * columns);
             }
         }
