@@ -6,7 +6,7 @@ from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options({"enable_backward": False})
 
-COLUMN_WORDS = 11
+COLUMN_WORDS = 8
 
 
 def scratch_words(columns: int) -> int:

@@ -18,10 +18,12 @@ struct FreeFloor {
         SEEK = 8,
         AHEAD = 4,
 #if defined(__CUDA_ARCH__)
-        BEHIND = 4
+        BEHIND = 4,
 #else
-        BEHIND = 1
+        BEHIND = 1,
 #endif
+        // On the CPU so many columns are followed side by side.
+        ABREAST = 256
     };
 
     // What is known of a column while one goes up its cells.
@@ -35,26 +37,24 @@ struct FreeFloor {
         // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
         int ended, falls;
     };
-    enum { COLUMN_WORDS = 8 };
-
     const Team& team;
     int rows, columns, far, gap;
     const int *label, *z, *right, *forward, *height;
     const bool* low;
     const int *bows, *drops;  // (DEPTHS,), by z
     int *line_out, *end_out;
-    // By column: the nearest obstacle's distance and row, and whether the floor drops.
-    int *limit, *nearest, *falls;
-    Column* state;
+    // By column: whether the floor drops; on the CPU what else `Column` has.
+    int *falls, *limit, *nearest, *first, *last, *ahead, *high, *ended;
 
     explicit FreeFloor(const Team& team) : team(team) {}
 
-    // Puts the arrays into scratch memory, 3 + COLUMN_WORDS words by column.
+    // Puts the arrays into scratch memory, COLUMN_WORDS of free_floor.py by column.
     void lay(int* scratch) {
-        limit = scratch;
-        nearest = limit + columns;
-        falls = nearest + columns;
-        state = (Column*)(falls + columns);
+        int** const arrays[] = {&falls, &limit, &nearest, &first, &last, &ahead, &high, &ended};
+        for (int** array : arrays) {
+            *array = scratch;
+            scratch += columns;
+        }
     }
 
     void run() const {
@@ -84,15 +84,18 @@ struct FreeFloor {
 #else
         // Row by row, as the cells lie in memory.
         find_obstacles();
-        for (int c = 0; c < columns; ++c) state[c] = start(limit[c], nearest[c]);
+        for (int c = 0; c < columns; ++c) {
+            limit[c] = nearest[c] >= 0 ? limit[c] : far;
+            first[c] = last[c] = falls[c] = -1;
+            ahead[c] = high[c] = ended[c] = 0;
+        }
         for (int row = rows - 1; row >= 0; --row)
-            for (int c = 0; c < columns; ++c) {
-                const int k = row * columns + c;
-                if (!low[k] || state[c].ended || forward[k] >= state[c].limit) continue;
-                if (z[k] <= far && height[k] >= -bows[z[k]])
-                    follow(state[c], row, c, forward[k], height[k], drops[z[k]]);
-            }
-        for (int c = 0; c < columns; ++c) put(state[c], c);
+            for (int c = 0; c < columns; c += ABREAST)
+                follow_columns(row, c, columns - c < ABREAST ? columns - c : (int)ABREAST);
+        for (int c = 0; c < columns; ++c) {
+            Column column = column_of(c);
+            put(column, c);
+        }
 #endif
         team.sync();
         for (int c = team.rank; c < columns; c += team.size) {
@@ -148,6 +151,7 @@ struct FreeFloor {
     }
 #endif
 
+#if defined(__CUDA_ARCH__)
     // Goes on with a cell that may be floor, from the bottom row up.
     void follow(Column& column, int row, int c, int ahead, int high, int drop) const {
         if (column.first < 0) {
@@ -165,6 +169,73 @@ struct FreeFloor {
         column.height = high;
         column.falls = -1;
     }
+
+#else
+    Column column_of(int c) const {
+        return {limit[c], nearest[c], first[c], last[c], ahead[c], high[c], ended[c], falls[c]};
+    }
+
+    // The same for a cell of each of n columns: in loops that become vectors, but for drops.
+    void follow_columns(int row, int column, int n) const {
+        const int k = row * columns + column, *depth = z + k;
+        int on[ABREAST], bow[ABREAST], drop[ABREAST], jumps[ABREAST];
+        if (!find_low(low + k, depth, forward + k, limit + column, ended + column, far, on, n)) return;
+        for (int c = 0; c < n; ++c) {
+            bow[c] = bows[depth[c]];
+            drop[c] = drops[depth[c]];
+        }
+        if (!follow_low(row, gap, on, bow, drop, forward + k, height + k, first + column,
+                        last + column, ahead + column, high + column, ended + column,
+                        falls + column, jumps, n))
+            return;
+        for (int c = column; c < column + n; ++c) {
+            if (!jumps[c - column]) continue;
+            if (falls[c] < 0) falls[c] = falls_after(column_of(c), c);
+            ended[c] = falls[c];
+        }
+    }
+
+    // Which cells are low and before the nearest obstacle; whether any is.
+    static bool find_low(
+        const bool* __restrict low, const int* __restrict depth, const int* __restrict forward,
+        const int* __restrict limit, const int* __restrict ended, int far, int* __restrict on, int n
+    ) {
+        int some = 0;
+        for (int c = 0; c < n; ++c) some |= low[c];
+        if (!some) return false;
+        some = 0;
+        for (int c = 0; c < n; ++c) {
+            on[c] = low[c] & (ended[c] == 0) & (forward[c] < limit[c]) & (depth[c] <= far);
+            some |= on[c];
+        }
+        return some;
+    }
+
+    // Goes on with them; which are a drop lower than the last, and whether any is.
+    static bool follow_low(
+        int row, int gap, const int* __restrict on, const int* __restrict bow,
+        const int* __restrict drop, const int* __restrict forward, const int* __restrict height,
+        int* __restrict first, int* __restrict last, int* __restrict ahead, int* __restrict high,
+        int* __restrict ended, int* __restrict falls, int* __restrict jumps, int n
+    ) {
+        int some = 0;
+        for (int c = 0; c < n; ++c) {
+            const int floor = on[c] & (height[c] >= -bow[c]), goes_on = floor & (first[c] >= 0);
+            const int is_gap = goes_on & (forward[c] - ahead[c] > gap);
+            const int jump = goes_on & ~is_gap & (high[c] - height[c] > drop[c]);
+            const int next = floor & ~is_gap & ~jump;
+            ended[c] |= is_gap;
+            first[c] = floor & ~goes_on ? row : first[c];
+            last[c] = next ? row : last[c];
+            ahead[c] = next ? forward[c] : ahead[c];
+            high[c] = next ? height[c] : high[c];
+            falls[c] = next ? -1 : falls[c];
+            jumps[c] = jump;
+            some |= jump;
+        }
+        return some;
+    }
+#endif
 
     // Whether the next RUN measured cells up a column are a drop lower, and lie flat.
     int falls_after(const Column& column, int c) const {
