@@ -30,7 +30,13 @@ struct Facing {
     // and with something nearer, COUNT_BITS each; those that agree, and above STEP_SHIFT the steps;
     // in columns, places, of these as above, and with something nearer or a hole.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
-    enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, AHEAD = 8, FAR = 1 << 30 };
+    enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
+    // On CUDA the loads of so many cells wait together.
+#if defined(__CUDA_ARCH__)
+    enum { AHEAD = 8 };
+#else
+    enum { AHEAD = 1 };
+#endif
     // A run of cells of one label in a line. `before` and `after` are the free cells of the line
     // up to its first cell and up to behind its last.
     struct Run {
@@ -61,7 +67,6 @@ struct Facing {
         }
     }
 
-    // AHEAD cells at a time: their loads wait together.
     void walk(const Team& team, int line, const int* cell, const int* place) const {
         Past ring[RING];
         Run run = {-1, 0, -2, 0, 0, 0, 0, 0, 0};
