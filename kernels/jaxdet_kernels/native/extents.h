@@ -40,6 +40,15 @@ struct Extents {
         team.sync();
     }
 
+    struct Range {
+        int low = NONE, high = -NONE;
+
+        void add(int value) {
+            low = value < low ? value : low;
+            high = value > high ? value : high;
+        }
+    };
+
     // Everything but the trimmed extremes, from the listed cells. Ends in a sync.
     void measure(
         const Team& team, int count, const Listed& listed, int wide, const int* x, const int* z,
@@ -76,27 +85,21 @@ struct Extents {
 #else
         for (int i = 0; i < all;) {
             const int l = listed.label[i], from = listed.cell[i], row = from / wide;
-            int found[KNOWN] = {0, 0, from, row, from - row * wide, NONE, NONE, NONE, NONE, NONE,
-                                row, 0, -NONE, -NONE, -NONE};
-            const auto least = [&](int n, int value) { found[n] = value < found[n] ? value : found[n]; };
-            const auto most = [&](int n, int value) { found[n] = value > found[n] ? value : found[n]; };
             const int end = (row + 1) * wide - from, left = all - i < end ? all - i : end;
+            const int *own = listed.label + i, *cell = listed.cell + i, *at = z + from;
+            const int *right = listed.right + i, *forward = listed.forward + i;
+            const int *high = height + from, *across = x + from;
+            const unsigned char* seen = in_view + from;
+            int n = 0, shown_here = 0;
+            Range r, f, h, d, w;
             // Cells of a row that follow each other.
-            int n = 0;
-            for (; n < left && listed.label[i + n] == l && listed.cell[i + n] == from + n; ++n) {
-                const int k = from + n;
-                found[1] += in_view[k];
-                least(5, listed.right[i + n]);
-                least(6, listed.forward[i + n]);
-                least(7, height[k]);
-                least(8, z[k]);
-                least(9, x[k]);
-                most(12, listed.right[i + n]);
-                most(13, listed.forward[i + n]);
-                most(14, height[k]);
+            for (; n < left && own[n] == l && cell[n] == from + n; ++n) {
+                shown_here += seen[n];
+                r.add(right[n]), f.add(forward[n]), h.add(high[n]), d.add(at[n]), w.add(across[n]);
             }
-            found[0] = n;
-            found[11] = found[4] + n - 1;
+            const int column = from - row * wide;
+            const int found[KNOWN] = {n, shown_here, from, row, column, r.low, f.low, h.low, d.low,
+                                      w.low, row, column + n - 1, r.high, f.high, h.high};
             for (int k = 0; k < KNOWN; ++k) add(team, l, k, found[k]);
             i += n;
         }
