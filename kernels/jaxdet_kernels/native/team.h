@@ -67,6 +67,14 @@ struct Team {
 #endif
     }
 
+    // On the CPU asks for a cache line that is read later, while others are worked on. A CUDA
+    // device has other threads meanwhile.
+    static void fetch([[maybe_unused]] const void* place) {
+#if !defined(__CUDA_ARCH__)
+        __builtin_prefetch(place);
+#endif
+    }
+
     // Whether any thread says so; all threads must ask.
     bool any(bool mine) const {
 #if defined(__CUDA_ARCH__)
