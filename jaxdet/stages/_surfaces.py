@@ -13,6 +13,9 @@ from jaxdet_kernels import surfaces as kernels
 
 _surfaces = TeamKernel(kernels.surfaces, 8)
 
+MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
+"""Depths have 16 bits, bends 17: larger steps and limits mean the same."""
+
 
 class SurfaceSettings(NamedTuple):
     """The numbers of the configuration, in the order of ``native/surfaces.h``."""
@@ -76,11 +79,11 @@ def surface_settings(config: Config, depth_unit: float) -> np.ndarray:
 
 
 def surface_tables(calibration: Calibration, config: Config) -> SurfaceTables:
-    """The configuration's lengths by z, on the host; at most 2^30, which no length is."""
+    """The configuration's lengths by z, on the host; where they are larger than any length, cut."""
     surface, depth_unit = config.surface, calibration.depth_unit
     tables = (
-        quadratic_table(surface.step_m, surface.step_per_m, depth_unit),
-        quadratic_table(surface.crease_m, surface.crease_per_m, depth_unit),
+        np.minimum(quadratic_table(surface.step_m, surface.step_per_m, depth_unit), MOST_STEP),
+        np.minimum(quadratic_table(surface.crease_m, surface.crease_per_m, depth_unit), MOST_LIMIT),
         step_table(calibration, config),
     )
     return SurfaceTables(*map(kernel_table, tables))

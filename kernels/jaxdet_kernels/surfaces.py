@@ -80,8 +80,9 @@ def surfaces(
         y: Likewise.
         z: Likewise, 0 .. 65535, 0 = no measurement.
         floor: ``(B, 13)``, see ``native/floor_frame.h``.
-        steps: ``(65536,)``, largest step in depth between neighbours of a surface, by z.
-        limits: ``(65536,)``, deeper bends are creases, by z.
+        steps: ``(65536,)``, largest step in depth between neighbours of a surface, by z; at most
+            2^16.
+        limits: ``(65536,)``, deeper bends are creases, by z; at most 2^17.
         rises: ``(65536,)``, what is no higher above the floor is floor, by z.
         settings: ``(6,)``, see :class:`jaxdet.stages._surfaces.SurfaceSettings`.
         right_out: ``(B, R, C)``, on the floor [depth units].

@@ -11,8 +11,6 @@ struct Creases {
     enum {
         BITS = 4,           // fraction bits of smoothed depths
         NONE = -(1 << 26),  // in place of one where nothing is measured: far from all of them
-        MOST_STEP = 1 << 16,
-        MOST_LIMIT = 1 << 17,  // larger steps and limits mean the same
         // On CUDA a warp smooths a strip of columns, of which HALO at both sides are its
         // neighbours', down SEGMENT rows; loads of AHEAD rows or words wait together.
         HALO = 2,
@@ -22,7 +20,7 @@ struct Creases {
     Grid grid;
     // How many cells away the bend is measured, least cells of a crease, cells it is made wider.
     int reach, least, margin;
-    // By depth: the surface step, and the limit of bends.
+    // By depth: the surface step, at most 2^16, and the limit of bends, at most 2^17.
     const int* steps;
     const int* limits;
     // (R, C): depth, 0 = none.
@@ -40,7 +38,6 @@ struct Creases {
     int most_near;
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
-    static int capped(int value, int most) { return value < most ? value : most; }
 
     // The rounded mean of the 3 x 3 neighbours that are at most two steps away. At most nine depths
     // below 2^20 are added up, so floats have them exactly, and their quotient, below 2^20 and a
@@ -122,7 +119,7 @@ struct Creases {
                     const bool there = inside && r >= 0 && r < grid.rows;
                     depth[k] = there ? z[r * grid.columns + c] : 0;
                 }
-                for (int k = 0; k < AHEAD; ++k) near[k] = capped(steps[depth[k]], MOST_STEP);
+                for (int k = 0; k < AHEAD; ++k) near[k] = steps[depth[k]];
                 for (int k = 0; k < AHEAD; ++k) {
                     measured.push(depth[k] > 0 ? depth[k] << BITS : (int)NONE);
                     once.push(measured.mean(near_last));
@@ -165,8 +162,8 @@ struct Creases {
             }
             for (int k = 0; k < AHEAD; ++k) {
                 const int i = first + k * lanes.count;
-                const int most = reach * capped(near[k], MOST_STEP) << BITS;
-                const int deep = capped(limit[k], MOST_LIMIT) << (BITS + 1);
+                const int most = reach * near[k] << BITS;
+                const int deep = limit[k] << (BITS + 1);
                 const bool bent = bends(here[k], before[k], after[k], most, deep) |
                                   bends(here[k], up[k], down[k], most, deep);
                 const unsigned crease = lanes.those(on[k] & bent);
@@ -218,7 +215,7 @@ struct Creases {
             for (unsigned words = once[r]; words;) {
                 const int n = next(&words, &c), at = grid.row(r) + c;
                 const int* depths = z + r * grid.columns + c;
-                for (int k = 0; k < n; ++k) step[at + k] = capped(steps[depths[k]], MOST_STEP);
+                for (int k = 0; k < n; ++k) step[at + k] = steps[depths[k]];
                 const int* here = smooth + at;
                 smooth_row(here - wide, here, here + wide, step + at, other + at, n);
             }
@@ -256,7 +253,7 @@ struct Creases {
             const int up = inside ? at - reach * grid.stride : none;
             const int down = inside ? at + reach * grid.stride : none;
             const int* depths = z + r * grid.columns + c;
-            for (int k = 0; k < n; ++k) limit[k] = capped(limits[depths[k]], MOST_LIMIT);
+            for (int k = 0; k < n; ++k) limit[k] = limits[depths[k]];
             bends_of_row(smooth + up, smooth + at, smooth + down, step + at, limit, bent, reach, n);
             found[i] = BitRows::packed(bent, 0, n) & kept[i];
         }

@@ -27,7 +27,8 @@ struct Surfaces {
     const int* y;
     const int* z;
     const int* floor;
-    // By depth: steps of a surface, limits of bends, heights that are floor.
+    // By depth: steps of a surface, at most 2^16; limits of bends, at most 2^17; heights that are
+    // floor.
     const int* steps;
     const int* limits;
     const int* rises;
@@ -338,7 +339,8 @@ struct Surfaces {
             for (int first = lanes.index * Lanes::size; first < has.count();
                  first += lanes.count * Lanes::size) {
                 const int own = first + lanes.rank;
-                const bool open = own < has.count() && Beside(has, own).free(kept, has, own);
+                const bool open = own < has.count() && (kept[own] & ~has[own]) &&
+                                  Beside(has, own).free(kept, has, own);
                 unsigned taken = 0;
                 for (unsigned rest = lanes.those(open); rest; rest &= rest - 1) {
                     const int lane = BitRows::first(rest);
