@@ -26,7 +26,7 @@ struct ObstacleCells {
     int margin;  // columns of it at a side
     const int *label, *right, *forward;
     const bool* in_view;
-    Listed listed;  // those of obstacles
+    Listed listed;  // those of obstacles; their label becomes their place
     // By obstacle and part, and one more.
     int* starts;
     int* filled;
@@ -64,12 +64,6 @@ struct ObstacleCells {
         if (team.rank == 0) *listed.count = 0;
     }
 
-    // The obstacle and part of a listed cell.
-    int place_of(int i) const {
-        const int k = listed.cell[i];
-        return place(listed.label[i], in_view[k], k % columns);
-    }
-
     // By the first warp, after all cells are counted; then all threads wait.
     void order(const Lanes& lanes) const {
         const int all = PARTS * count;
@@ -78,10 +72,10 @@ struct ObstacleCells {
         for (int i = lanes.rank; i < all; i += lanes.size) filled[i] = starts[i];
     }
 
-    // Puts the cells in order; then all threads wait.
+    // Puts the cells in order, once their labels are their places; then all threads wait.
     void sort() const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
-            const int at = team.count(filled + place_of(i));
+            const int at = team.count(filled + listed.label[i]);
             cell[at] = listed.cell[i];
             right_of[at] = listed.right[i];
             forward_of[at] = listed.forward[i];

@@ -93,14 +93,16 @@ struct Outlines {
         for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
     }
 
-    // Counts the cells of each obstacle and finds the nearest in each column.
+    // Counts the cells of each obstacle's parts and finds the nearest in each column.
     void look() const {
         const Team& team = cells.team;
         const Listed& listed = cells.listed;
         for (int i = team.rank; i < *listed.count; i += team.size) {
-            const int k = listed.cell[i];
-            team.count(cells.filled + cells.place_of(i));
-            team.least(nearest + listed.label[i] * cells.columns + k % cells.columns,
+            const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
+            const int place = cells.place(number, cells.in_view[k], column);
+            listed.label[i] = place;
+            team.count(cells.filled + place);
+            team.least(nearest + number * cells.columns + column,
                        key(k, listed.right[i], listed.forward[i]));
         }
     }
