@@ -63,10 +63,11 @@ def _check_types(calibration: Calibration) -> None:
     """Refuses what is no calibration of plain numbers, which can be hashed."""
     _of(calibration, Calibration, "the calibration")
     _of(calibration.depth_unit, Real, "the depth unit")
-    for name, camera in (("colour", calibration.color), ("depth", calibration.depth)):
-        if camera is None and name == "depth":
-            continue
-        _of(camera, Intrinsics, f"the {name} camera")
+    cameras: dict[str, Any] = {"colour": calibration.color}
+    if calibration.depth is not None:
+        cameras["depth"] = calibration.depth
+    for name, given in cameras.items():
+        camera = _of(given, Intrinsics, f"the {name} camera")
         for field, value in zip(camera._fields, camera, strict=True):
             whole = Integral if field in ("width", "height") else Real
             kind = {"distortion": str, "coefficients": tuple}.get(field, whole)
@@ -186,9 +187,9 @@ def check_frames(frames: Frames) -> None:
 def _check_planes(planes: GroundPlane) -> int:
     """How many planes there are."""
     of_type("plane", planes, GroundPlane)
-    kinds = ["b" if name == "valid" else "fiu" for name in planes._fields]
     columns = [
-        _column(f"plane.{n}", *of) for n, *of in zip(planes._fields, planes, kinds, strict=True)
+        _column(f"plane.{name}", values, "b" if name == "valid" else "fiu")
+        for name, values in planes._asdict().items()
     ]
     if len({len(column) for column in columns}) > 1:
         raise InputError("a plane whose parts are of several lengths", remedy=_PLANES)

@@ -19,9 +19,9 @@ from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_messages
-from jaxdet.io.lookahead import FileRecord, ahead
+from jaxdet.io.lookahead import FileRecord
 from jaxdet.io.messages import kind_of
-from jaxdet.io.scan import Handler
+from jaxdet.io.walk import Handler, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
@@ -66,16 +66,9 @@ def scan_bag(file: BagFile, handler: Handler, pool: ThreadPoolExecutor) -> FileI
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
-    walk = _Walk(file, handler)
-    for item in ahead(file, walk.records(), pool):
-        try:
-            walk.take(item.record, item.chunk)
-        except DamageError as error:
-            walk.lost[str(error)] += 1
-            walk.lost_bytes += item.record.length
-        del item
-    file.check_unchanged()
-    return walk.integrity()
+    scan = _Scan(file, handler)
+    scan.walk.over(scan.records(), scan.take, pool)
+    return scan.integrity()
 
 
 def _read_end(file: BagFile) -> dict[int, dict[int, int]]:
@@ -140,15 +133,12 @@ def _chunk_index(
         raise DamageError("message indexes contradict the index of the chunks")
 
 
-class _Walk:
-    """The state of a walk over a bag."""
+class _Scan:
+    """The state of one walk over a bag."""
 
     def __init__(self, file: BagFile, handler: Handler) -> None:
-        self.file, self.handler = file, handler
-        self.lost: Counter[str] = Counter()
-        self.lost_bytes = self.messages = self.chunks = self.last_ns = 0
-        self.read: Counter[int] = Counter()
-        self.problem = ""
+        self.file, self.walk = file, Walk(file, handler)
+        self.chunks, self.problem = 0, ""
         try:
             self.counts = _read_end(file)
         except DamageError as error:
@@ -184,12 +174,9 @@ class _Walk:
             info = self.file.connections.get(number)
             if info is None:
                 raise DamageError("message of an undeclared connection")
-            self.messages += 1
-            self.read[number] += 1
-            self.last_ns = max(self.last_ns, log_ns)
-            check_messages(self.messages, self.file.size, str(self.file.path), self.file.memory)
             where = Location(record.position, place + _HEAD, size)
-            self.handler(info, log_ns, chunk[place + _HEAD : place + _HEAD + size], where)
+            payload = chunk[place + _HEAD : place + _HEAD + size]
+            self.walk.give(number, info, log_ns, payload, where)
 
     def integrity(self) -> FileIntegrity:
         """What was found, and of what the index speaks beside that."""
@@ -197,20 +184,13 @@ class _Walk:
         for counts in self.counts.values():
             declared.update(counts)
         missing: Counter[str] = Counter()
-        for number, count in sorted((declared - self.read).items()):
+        for number, count in sorted((declared - self.walk.read).items()):
             info = self.file.connections.get(number)
             missing[info.topic if info else f"connection {number}"] += count
-        return FileIntegrity(
-            path=self.file.path,
-            messages=self.messages,
+        return self.walk.integrity(
             declared_messages=None if self.problem else declared.total(),
             chunks=self.chunks,
-            chunks_with_crc=0,
             has_end=not self.problem,
-            lost=dict(self.lost),
-            lost_bytes=self.lost_bytes,
-            lost_spans_ns=(),
-            last_log_time_ns=self.last_ns,
             missing=dict(missing),
             summary_problem=self.problem,
         )

@@ -17,10 +17,11 @@ from jaxdet.io.image_folder_index import read_folder_index, scan_folder
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.message_index import read_message_index
 from jaxdet.io.messages import kind_of
-from jaxdet.io.scan import Handler, scan
+from jaxdet.io.scan import scan
 from jaxdet.io.sqlite import SqliteFile
 from jaxdet.io.sqlite_index import read_sqlite_index, scan_sqlite
 from jaxdet.io.summary import read_summary
+from jaxdet.io.walk import Handler
 
 _FORMATS: dict[str, type[LogFile]] = {".bag": BagFile, ".db3": SqliteFile}
 """By suffix; any other file is taken for MCAP."""

@@ -8,7 +8,7 @@ from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
 from jaxdet.io.image_folder import ImageFolder
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.message_file import HEAD_BYTES, POSITION_BITS, position_of
-from jaxdet.io.scan import Handler
+from jaxdet.io.walk import Handler, Walk
 
 
 def read_folder_index(folder: ImageFolder) -> FileIndex:
@@ -33,17 +33,15 @@ def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
     Raises:
         InputError: The folder was changed meanwhile.
     """
-    integrity = indexed_integrity(folder.path, len(folder.rows), 0, False)
-    messages, lost = 0, dict[str, int]()
+    walk = Walk(folder, handler)
     for number, row in enumerate(folder.rows):
         position = position_of(number)
         try:
             payload = folder.chunk(position)[HEAD_BYTES:]
         except DamageError as error:
-            lost[str(error)] = lost.get(str(error), 0) + 1
+            walk.lose(str(error), 0)
             continue
-        messages += 1
         where = Location(position, HEAD_BYTES, row.size)
-        handler(folder.infos[row.channel], row.log_ns, memoryview(payload), where)
-    folder.check_unchanged()
-    return integrity._replace(messages=messages, lost=lost, by_index=False)
+        info = folder.infos[row.channel]
+        walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
+    return walk.integrity(declared_messages=len(folder.rows), has_end=True)

@@ -10,7 +10,7 @@ message indexes speak of and the walk did not find is lost, and said.
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from mcap.opcode import Opcode
@@ -19,9 +19,10 @@ from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError, 
 from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import MAX_ODD_RECORDS, check_messages
-from jaxdet.io.lookahead import FileRecord, ahead
+from jaxdet.io.limits import MAX_ODD_RECORDS
+from jaxdet.io.lookahead import FileRecord
 from jaxdet.io.summary import Summary, read_summary, read_summary_at
+from jaxdet.io.walk import Handler, Walk
 
 _TOP_LEVEL = -1
 _TORN = 0
@@ -32,9 +33,6 @@ _INDEX_HEAD = struct.Struct("<HI")
 _ENTRY_BYTES = 16
 _ODD_BYTES = 64
 """Records of unknown kinds that are shorter are odd, see ``MAX_ODD_RECORDS``."""
-
-Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
-"""Gets channel, log time [ns], payload and location of each message."""
 
 
 def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:
@@ -48,22 +46,16 @@ def scan(file: McapFile, handler: Handler, pool: ThreadPoolExecutor) -> FileInte
     Raises:
         InputError: The file was changed meanwhile, or holds more messages than it has room for.
     """
-    walk = _Scan(file, handler)
-    for item in ahead(file, walk.records(), pool):
-        try:
-            walk.record(item.record, item.chunk)
-        except DamageError as error:
-            walk.lose(str(error), item.record.length)
-        del item  # and its chunk, before the next is decompressed
-    file.check_unchanged()
-    return walk.integrity()
+    scan = _Scan(file, handler)
+    scan.walk.over(scan.records(), scan.record, pool)
+    return scan.integrity()
 
 
 class _Scan:
     """The state of one walk over a file."""
 
     def __init__(self, file: McapFile, handler: Handler) -> None:
-        self.file, self.handler = file, handler
+        self.file, self.walk = file, Walk(file, handler)
         self.summary: Summary | None = None
         self.summary_problem = ""
         try:
@@ -73,14 +65,10 @@ class _Scan:
         self.declared = Declarations()
         self.infos: dict[int, ChannelInfo] = {}
         self.ended = False
-        self.lost: Counter[str] = Counter()
-        self.lost_bytes = self.messages = self.chunks = self.chunks_with_crc = 0
+        self.chunks = self.chunks_with_crc = 0
         self.lost_spans: list[tuple[int, int]] = []
-        self.last_ns = 0
-        self.read: Counter[int] = Counter()
-        """Messages, by channel."""
         self.indexed: Counter[int] = Counter()
-        """Those of the message indexes."""
+        """Messages of the message indexes, by channel."""
         self.torn: list[tuple[int, int]] = []
         """Parts of the file that were passed over."""
         self.seen: Counter[tuple[int, int, int, int]] = Counter()
@@ -129,28 +117,18 @@ class _Scan:
             content = memoryview(self.file.read(position, length))
             self._content(opcode, content, _TOP_LEVEL, position)
 
-    def lose(self, reason: str, size: int) -> None:
-        """Counts something that can't be used."""
-        self.lost[reason] += 1
-        self.lost_bytes += size
-
     def integrity(self) -> FileIntegrity:
         """What was found, and of what the file speaks beside that."""
         missing = self._missing()
         statistics = self.summary.statistics if self.summary else None
         if missing or (self.summary and not statistics):
             self._lose_missing_chunks()
-        return FileIntegrity(
-            path=self.file.path,
-            messages=self.messages,
+        return self.walk.integrity(
             declared_messages=statistics.message_count if statistics else None,
             chunks=self.chunks,
             chunks_with_crc=self.chunks_with_crc,
             has_end=self.ended,
-            lost=dict(self.lost),
-            lost_bytes=self.lost_bytes,
             lost_spans_ns=tuple(self.lost_spans),
-            last_log_time_ns=self.last_ns,
             missing=missing,
             summary_problem=self.summary_problem,
         )
@@ -195,7 +173,7 @@ class _Scan:
             try:
                 self._content(opcode, view[offset : offset + size], position, offset)
             except DamageError as error:
-                self.lose(str(error), size)
+                self.walk.lose(str(error), size)
 
     def _content(self, opcode: int, content: memoryview, chunk: int, offset: int) -> None:
         if opcode == Opcode.SCHEMA:
@@ -208,14 +186,10 @@ class _Scan:
             raise DamageError("message record is too short")
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         info = self.infos.get(channel_id) or self._info(channel_id)
-        self.messages += 1
-        self.read[channel_id] += 1
-        check_messages(self.messages, self.file.size, str(self.file.path), self.file.memory)
-        log_ns = min(log_ns, _MAX_TIME_NS)
-        self.last_ns = max(self.last_ns, log_ns)
         size = len(content) - MESSAGE_HEAD.size
         location = Location(chunk, offset + MESSAGE_HEAD.size, size)
-        self.handler(info, log_ns, content[MESSAGE_HEAD.size :], location)
+        payload = content[MESSAGE_HEAD.size :]
+        self.walk.give(channel_id, info, min(log_ns, _MAX_TIME_NS), payload, location)
 
     def _info(self, channel_id: int) -> ChannelInfo:
         more = self.summary.declared if self.summary else None
@@ -239,7 +213,7 @@ class _Scan:
         declared = statistics.channel_message_counts if statistics else {}
         missing: Counter[str] = Counter()
         for number in sorted({*declared, *self.indexed}):
-            count = max(declared.get(number, 0), self.indexed[number]) - self.read[number]
+            count = max(declared.get(number, 0), self.indexed[number]) - self.walk.read[number]
             if count > 0:
                 more = self.summary.declared if self.summary else None
                 info = self.infos.get(number) or self.declared.info(number, more)
@@ -259,7 +233,7 @@ class _Scan:
                 continue
             self.lost_spans.append((key[0], key[1]))
             if not any(first <= start < end for first, end in self.torn):
-                self.lose("chunk of the index isn't there", key[3])
+                self.walk.lose("chunk of the index isn't there", key[3])
 
 
 def _chunk_key(head: ChunkHead) -> tuple[int, int, int, int]:

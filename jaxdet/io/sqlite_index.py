@@ -16,8 +16,8 @@ from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
 from jaxdet.io.message_file import HEAD_BYTES, POSITION_BITS, MessageRow, position_of
 from jaxdet.io.messages import kind_of
-from jaxdet.io.scan import Handler
 from jaxdet.io.sqlite import SqliteFile, damage
+from jaxdet.io.walk import Handler, Walk
 from jaxdet.io.writer_cdr import is_known, schema_text
 
 _ROWS_AT_ONCE = 1 << 14
@@ -87,10 +87,8 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
         infos = _channels(file)
     except DamageError as error:
         problem = str(error)
-    lost: Counter[str] = Counter()
-    missing: Counter[str] = Counter()
-    lost_bytes = messages = last_ns = 0
-    for number, channel, log_ns, data, size in _rows(file, lost):
+    walk, missing = Walk(file, handler), Counter[str]()
+    for number, channel, log_ns, data, size in _rows(file, walk.lost):
         try:
             MessageRow(channel, log_ns, size).check()
             position = position_of(number)
@@ -100,26 +98,13 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
                 missing[infos[channel].topic] += 1
                 raise DamageError("message is damaged or larger than --log.max-chunk-mib")
         except DamageError as error:
-            lost[str(error)] += 1
-            lost_bytes += size or 0
+            walk.lose(str(error), size or 0)
             continue
-        messages += 1
-        last_ns = max(last_ns, log_ns)
-        check_messages(messages, file.size, str(file.path), file.memory)
         where = Location(position, HEAD_BYTES, len(data))
-        handler(infos[channel], log_ns, memoryview(data), where)
-    file.check_unchanged()
-    return FileIntegrity(
-        path=file.path,
-        messages=messages,
+        walk.give(channel, infos[channel], log_ns, memoryview(data), where)
+    return walk.integrity(
         declared_messages=_declared(file),
-        chunks=0,
-        chunks_with_crc=0,
         has_end=file.declared_bytes <= file.size,
-        lost=dict(lost),
-        lost_bytes=lost_bytes,
-        lost_spans_ns=(),
-        last_log_time_ns=last_ns,
         missing=dict(missing),
         summary_problem=problem,
     )

@@ -1,0 +1,98 @@
+"""What every walk over a whole file does: it gives what is whole, and counts what is lost."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import Location, LogFile
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.integrity import FileIntegrity
+from jaxdet.io.limits import check_messages
+from jaxdet.io.lookahead import FileRecord, ahead
+
+Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
+"""Gets channel, log time [ns], payload and location of each message."""
+
+
+class Walk:
+    """The state of a walk over a file.
+
+    Args:
+        file: The file.
+        handler: Called for each message that is whole, in the order in which they are found.
+    """
+
+    def __init__(self, file: LogFile, handler: Handler) -> None:
+        self._file, self._handler = file, handler
+        self.lost: Counter[str] = Counter()
+        """What could not be used, by reason."""
+        self.lost_bytes = self.messages = self.last_ns = 0
+        self.read: Counter[int] = Counter()
+        """Messages, by the number of their channel."""
+
+    def over(
+        self,
+        records: Iterable[FileRecord],
+        take: Callable[[FileRecord, Future[bytes] | None], None],
+        pool: ThreadPoolExecutor,
+    ) -> None:
+        """Takes in records, chunks decompressed; those that are damaged are lost.
+
+        Args:
+            records: Of the file, in order.
+            take: Takes in one; raises a DamageError where it can't be used.
+            pool: Decompresses chunks, up to 64 MiB of them ahead (or one chunk, if larger).
+
+        Raises:
+            InputError: The file holds more messages than it has room for.
+        """
+        for item in ahead(self._file, records, pool):
+            try:
+                take(item.record, item.chunk)
+            except DamageError as error:
+                self.lose(str(error), item.record.length)
+            del item  # and its chunk, before the next is decompressed
+
+    def give(
+        self, number: int, info: ChannelInfo, log_ns: int, payload: memoryview, where: Location
+    ) -> None:
+        """Gives a message of the channel with this number to the handler.
+
+        Raises:
+            InputError: The file holds more messages than it has room for.
+        """
+        self.messages += 1
+        self.read[number] += 1
+        check_messages(
+            self.messages, self._file.size, str(self._file.path), self._file.memory
+        )
+        self.last_ns = max(self.last_ns, log_ns)
+        self._handler(info, log_ns, payload, where)
+
+    def lose(self, reason: str, size: int) -> None:
+        """Counts something that can't be used."""
+        self.lost[reason] += 1
+        self.lost_bytes += size
+
+    def integrity(self, **more: Any) -> FileIntegrity:
+        """What was found and lost.
+
+        Args:
+            more: What the format tells beside that; by default the file has no chunks, and nothing
+                of which it speaks is missing.
+
+        Raises:
+            InputError: The file was changed meanwhile.
+        """
+        self._file.check_unchanged()
+        plain = {"chunks": 0, "chunks_with_crc": 0, "lost_spans_ns": (), "missing": {}}
+        return FileIntegrity(
+            path=self._file.path,
+            messages=self.messages,
+            lost=dict(self.lost),
+            lost_bytes=self.lost_bytes,
+            last_log_time_ns=self.last_ns,
+            **{**plain, **more},
+        )
