@@ -86,6 +86,10 @@ class CalibrationError(JaxdetError):
     """A calibration is missing, unknown or contradicts itself."""
 
 
+class TransformError(CalibrationError):
+    """The transforms that were looked at don't join two frames; others of the log might."""
+
+
 class ConfigError(JaxdetError):
     """A configuration value is out of its range or unknown."""
 

@@ -3,8 +3,9 @@
 import pytest
 
 from jaxdet.errors import CalibrationError, CamerasError, TopicError
-from jaxdet.io import LogOptions, open_log
+from jaxdet.io import LogOptions, indexed, open_log
 from jaxdet.io.topics import camera_name
+from tests.io_both_ways import is_indexed
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_K,
@@ -15,6 +16,7 @@ from tests.io_helpers import (
     make_scene,
     ros_image,
     ros_info,
+    ros_tf,
 )
 
 
@@ -114,3 +116,31 @@ def test_of_two_cameras_the_complete_one_is_taken(tmp_path):
     with open_log(str(path)) as log:
         assert log.camera == "front" and log.label == "log, front"
         assert any("camera side is left out" in text for text in log.description.warnings)
+
+
+def test_a_camera_without_calibration_asks_for_no_scan(tmp_path, monkeypatch):
+    """Transforms that are not in the sample can't help it; what lacks extrinsics they can."""
+    monkeypatch.setattr(indexed, "_MAX_MOTIONS", 10)
+    scene = make_scene(3, size=COLOR_SIZE)
+    for name, info, by_index in (("side", None, True), ("rear", COLOR_K, False)):
+        path = tmp_path / f"{name}.mcap"
+        with LogFile(path) as log:
+            add_camera(log, "front", scene)
+            for number in range(40):
+                edge = "odom", "base_link", (0.1 * number, 0, 0), (0, 0, 0, 1)
+                log.ros("/tf", ros_tf(edge, stamp_ns=START + number), START + number)
+            if info:
+                message = ros_info(COLOR_SIZE, info, START, "rear_depth")
+                log.ros(f"/{name}/depth/camera_info", message, START)
+                message = ros_info(COLOR_SIZE, info, START, "rear_color")
+                log.ros(f"/{name}/color/camera_info", message, START)
+            depth = ros_image(scene.depth[0], "16UC1", START, "rear_depth")
+            log.ros(f"/{name}/depth/image_raw", depth, START)
+            log.ros(
+                f"/{name}/color/image_raw",
+                ros_image(scene.color[0], "rgb8", START, "rear_color"),
+                START,
+            )
+        with open_log(str(path)) as log:
+            assert log.camera == "front" and is_indexed(log) is by_index
+            assert any(f"camera {name} is left out" in text for text in log.description.warnings)

@@ -1,8 +1,10 @@
 """The C++ of kernels: each header is a file that a compiler takes alone, and is shipped."""
 
+import os
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -85,6 +87,36 @@ def test_corners_of_both_sources(tmp_path, target):
         assert min(found[0], slots) == want.valid.sum()
         assert (found[0] > slots) == want.overflow[0]
         np.testing.assert_array_equal(found[1:].reshape(-1, 2), np.c_[want.u[0], want.v[0]])
+
+
+def sanitized(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """``tests/sanitized.py`` with the sanitizers loaded before all else."""
+    names = "libasan.so", "libubsan.so", "libstdc++.so"
+    asked = [[str(COMPILER), f"-print-file-name={name}"] for name in names]
+    found = [subprocess.run(ask, capture_output=True, text=True).stdout.strip() for ask in asked]
+    if not all(Path(name).is_absolute() for name in found):
+        pytest.skip("no sanitizers on this machine")
+    given = {"LD_PRELOAD": " ".join(found), "ASAN_OPTIONS": "detect_leaks=0"}
+    command = [sys.executable, "-m", "tests.sanitized", str(folder), *arguments]
+    return subprocess.run(
+        command, cwd=ROOT, env={**os.environ, **given}, capture_output=True, text=True
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
+def test_all_kernels_on_mutated_calibrations(tmp_path):
+    """Of ``scripts/fuzz calibrations``; in results, too, they are the reference's twins."""
+    done = sanitized(tmp_path, "0", "60")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "60 calibrations, 11 kernels: ['clean', 'error', 'frames']\n"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
+def test_a_kernel_that_leaves_its_memory_is_found(tmp_path):
+    done = sanitized(tmp_path, "0", "1", "fault")
+    assert done.returncode and "AddressSanitizer: heap-buffer-overflow" in done.stderr
 
 
 def test_headers_lie_in_the_wheel():

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError, printable
+from jaxdet.errors import TransformError, printable
 from jaxdet.io.index import LogIndex
 from jaxdet.io.messages import ExtrinsicsMessage
 from jaxdet.io.motion import difference, inverse, motion_matrix
@@ -64,7 +64,7 @@ def find_extrinsics(
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
         problem = f"no transform from depth to colour (frames {frames})"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
-        raise CalibrationError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
+        raise TransformError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
     if color_frame == depth_frame:
         return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
     origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"

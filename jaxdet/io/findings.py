@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError, RescanError
+from jaxdet.errors import CalibrationError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.index import LogIndex
@@ -127,7 +127,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     index = log.contents
     cameras = find_cameras(index, options, path)
     for error in cameras.incomplete.values():
-        if isinstance(error, CalibrationError) and not log.motions.whole:
+        if isinstance(error, TransformError) and not log.motions.whole:
             raise RescanError(f"not found in a sample: {error.problem}", path=path)
     choice = cameras.chosen(options, path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError
+from jaxdet.errors import TransformError
 from jaxdet.io.limits import MAX_FRAMES_TF
 from jaxdet.io.messages import TransformMessage
 from jaxdet.io.motion import MotionSamples, difference, inverse, motion_matrix
@@ -84,7 +84,7 @@ class TransformTree:
         """``T_target_source`` ``(4, 4)`` of static transforms; None where there is none.
 
         Raises:
-            CalibrationError: The transforms form a cycle.
+            TransformError: The transforms form a cycle.
         """
         paths = self._paths(target, source)
         if paths is None:
@@ -98,7 +98,7 @@ class TransformTree:
         None where no chain of transforms, static or moving, joins the frames.
 
         Raises:
-            CalibrationError: The transforms form a cycle.
+            TransformError: The transforms form a cycle.
         """
         paths = self._paths(target, source)
         if paths is None:
@@ -110,7 +110,7 @@ class TransformTree:
         """Whether a chain of transforms, static or moving, joins two frames.
 
         Raises:
-            CalibrationError: The transforms form a cycle.
+            TransformError: The transforms form a cycle.
         """
         return self._paths(target, source) is not None
 
@@ -123,7 +123,7 @@ class TransformTree:
         """A frame and those that it stands in, up to the root.
 
         Raises:
-            CalibrationError: The transforms form a cycle.
+            TransformError: The transforms form a cycle.
         """
         return self._ancestors(frame)
 
@@ -197,7 +197,7 @@ class TransformTree:
             frame = self._edges[frame].parent
             if frame in known:
                 problem = f"the transforms form a cycle through frame {frame!r}"
-                raise CalibrationError(problem, remedy=_REMEDY)
+                raise TransformError(problem, remedy=_REMEDY)
             path.append(frame)
             known.add(frame)
         return path
