@@ -183,7 +183,7 @@ class LogRun:
         notes = join_parts(plan, about, self.run.memory.room)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[len(log.description.warnings) :]
-        about.warnings += [about.floor_warning] if about.floor_warning else []
+        about.warnings += filter(None, (about.depth_warning, about.floor_warning))
 
     def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> None:
         """Leaves the parts that are not there yet."""

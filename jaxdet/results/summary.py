@@ -129,6 +129,17 @@ class LogSummary(Counts):
         )
 
     @property
+    def depth_warning(self) -> str | None:
+        """A line where most frames that can be decoded have no depth in range."""
+        none, good = self.status[FrameStatus.NO_DEPTH], self.status[FrameStatus.OK]
+        if none <= good:
+            return None
+        return (
+            f"{none} of {none + good} frames have no depth in range: check the depth unit "
+            "(--log.depth-unit-m; 32FC1 counts as metres), then --ground.max-depth-m"
+        )
+
+    @property
     def rates(self) -> dict[str, float]:
         """Frames a second of each step, if all that do it did nothing else."""
         return {

@@ -1,0 +1,101 @@
+"""Failure classes of the field that no other test shows by itself: what is wrong is named."""
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from jaxdet.cli import main
+from jaxdet.errors import InputError
+from jaxdet.io import open_log
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.messages import ImageMessage
+from tests.io_helpers import (
+    COLOR,
+    COLOR_FRAME,
+    DEPTH,
+    DEPTH_FRAME,
+    START,
+    STORE,
+    LogFile,
+    assert_holds,
+    make_scene,
+    ros_image,
+    write_calibration,
+    write_images,
+)
+from tests.mcap_bytes import MAGIC
+
+IMAGE = "sensor_msgs/msg/Image"
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "is empty"),
+        (MAGIC, "holds no records"),
+        (MAGIC[:5], "not an MCAP"),
+        (b"x" * 99, "not an MCAP"),
+    ],
+)
+def test_files_that_are_no_logs_are_refused_by_name(tmp_path, data, said):
+    (tmp_path / "one.mcap").write_bytes(data)
+    with pytest.raises(InputError, match=rf"one\.mcap: .*{said}"):
+        open_log(str(tmp_path / "one.mcap"))
+
+
+@pytest.mark.parametrize("encodings", [("smoke", "ros2msg"), ("cdr", "smoke"), ("cdr", "ros2idl")])
+def test_encodings_that_nobody_knows_are_named_and_other_topics_go_on(tmp_path, encodings):
+    message, schema = encodings
+    scene, text = make_scene(3), STORE.generate_msgdef(IMAGE, ros_version=2)[0].encode()
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        write_images(log, scene)
+        log._schemas.clear()
+        log.raw("/other/image", message, (IMAGE, schema, text), b"\0" * 40, START)
+    with open_log(str(tmp_path / "x.mcap")) as log:
+        assert_holds(log, scene)
+        [said] = [text for text in log.description.warnings if "/other/image" in text]
+        assert "smoke" in said or "ros2idl" in said
+
+
+@pytest.mark.parametrize("little", [True, False])
+def test_fields_are_where_the_schema_of_the_log_says(little):
+    """An Image that is not the one of ROS: one field more, two in another order."""
+    text = STORE.generate_msgdef(IMAGE, ros_version=2)[0]
+    text = text.replace(
+        "uint32 height\nuint32 width\n", "float64 extra\nuint32 width\nuint32 height\n"
+    )
+    assert "extra" in text
+    store = get_typestore(Stores.ROS2_JAZZY)
+    own = {k: v for k, v in get_types_from_msg(text, IMAGE).items() if k == IMAGE}
+    store.types.pop(IMAGE)
+    store.fielddefs.pop(IMAGE)
+    store.register(own)
+    plain = ros_image(make_scene(1).color[0], "rgb8", START, "f")
+    values = {
+        name: getattr(plain, name) for name in plain.__dataclass_fields__ if name != "__msgtype__"
+    }
+    message = store.types[IMAGE](extra=0.5, **values)
+    data = bytes(store.serialize_cdr(message, IMAGE, little_endian=little))
+    decoder = MessageDecoder(ChannelInfo("/i", "cdr", IMAGE, "ros2msg", text.encode()))
+    found = decoder.decode(memoryview(data))
+    assert isinstance(found, ImageMessage)
+    assert (found.width, found.height, found.frame_id) == (40, 30, "f")
+    assert bytes(found.data) == make_scene(1).color[0].tobytes()
+
+
+@pytest.mark.parametrize("form", ["millimetres in floats", "tenths of them"])
+def test_a_depth_unit_that_is_wrong_is_suspected(tmp_path, capsys, form):
+    scene, path = make_scene(4), tmp_path / "x.mcap"
+    with LogFile(path) as log:
+        write_calibration(log)
+        for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
+            kind, wrong = "32FC1", depth.astype(np.float32)
+            if form == "tenths of them":
+                kind, wrong = "16UC1", depth.clip(500, 6000) * np.uint16(10)
+            log.ros(DEPTH, ros_image(wrong, kind, at, DEPTH_FRAME), at)
+            log.ros(COLOR, ros_image(color, "rgb8", at, COLOR_FRAME), at)
+    run = ["run", str(path), "--output", str(tmp_path / "out"), "--backend", "reference"]
+    main([*run, "--pictures", "0"])
+    assert "frames have no depth in range: check the depth unit" in capsys.readouterr().out
