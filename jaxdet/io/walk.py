@@ -65,9 +65,7 @@ class Walk:
         """
         self.messages += 1
         self.read[number] += 1
-        check_messages(
-            self.messages, self._file.size, str(self._file.path), self._file.memory
-        )
+        check_messages(self.messages, self._file.size, str(self._file.path), self._file.memory)
         self.last_ns = max(self.last_ns, log_ns)
         self._handler(info, log_ns, payload, where)
 
