@@ -21,6 +21,7 @@ from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import local, log_run, pool, station
+from jaxdet.engine.plan import LogPlan
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
@@ -244,10 +245,24 @@ def test_short_logs_need_no_workers(tmp_path):
 
 
 def test_units_keep_all_workers_busy():
-    assert log_run._unit_frames(10**6, 16, 8, "jax") == log_run.UNIT_FRAMES
-    assert log_run._unit_frames(600, 16, 8, "jax") == 16
-    assert log_run._unit_frames(3, 16, 8, "jax") == 16
-    assert log_run._unit_frames(10**6, 16, 8, "reference") == 16
+    most = log_run.UNIT_FRAMES
+    assert log_run._unit_sizes(10**6, 16, 8, "jax") == (most, 8 * most, most // 4)
+    assert log_run._unit_sizes(600, 16, 8, "jax") == (16, 8 * 16, 16)
+    assert log_run._unit_sizes(3, 16, 1, "jax") == (16, 0, 16)
+    assert log_run._unit_sizes(10**6, 16, 8, "reference") == (16, 8 * 16, 16)
+
+
+@pytest.mark.parametrize("frames", [range(1), range(5, 900, 3), range(20_040)])
+@pytest.mark.parametrize("workers", [1, 2, 15])
+def test_units_hold_each_frame_once(frames, workers):
+    sizes = log_run._unit_sizes(len(frames), 16, workers, "jax")
+    plan: Any = SimpleNamespace(frames=frames, sizes=sizes)
+    units = list(LogPlan.units(plan))
+    held = [number for unit in units for number in frames if unit.start <= number < unit.stop]
+    assert held == list(frames) and [unit.number for unit in units] == list(range(len(units)))
+    if len(units) > 4 * workers > 4:
+        small = [unit for unit in units if len(range(*unit[1:], frames.step)) <= sizes.end_size]
+        assert len(small) >= workers and units[-len(small) :] == small
 
 
 def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxdet.engine.part import Part, part_path
+from jaxdet.engine.part import Part, load_parts, part_path
 from jaxdet.engine.plan import LogPlan
 from jaxdet.errors import OutputError
 from jaxdet.memory import size_text
@@ -29,8 +29,7 @@ def parts_of(plan: LogPlan) -> Iterator[Part]:
     Raises:
         OutputError: One is not, or is damaged.
     """
-    for unit in plan.units():
-        part = Part.load(plan.folder, unit)
+    for unit, part in load_parts(plan.folder, plan.units()):
         if part is None:
             (plan.folder / WHOLE).unlink(missing_ok=True)  # so that the unit is done again
             path = str(part_path(plan.folder, unit))

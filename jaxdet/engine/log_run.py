@@ -21,7 +21,7 @@ from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
 from jaxdet.engine.memory import BATCH, Memory, Needs, Share
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import Part, part_path
-from jaxdet.engine.plan import LogPlan, Observer
+from jaxdet.engine.plan import LogPlan, Observer, UnitSizes
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.progress import Clock, Report
 from jaxdet.engine.startup import start_up
@@ -248,7 +248,7 @@ class LogRun:
             config,
             self.options.backend,
             batch,
-            _unit_frames(len(log.frames), batch, self.workers, self.options.backend),
+            _unit_sizes(len(log.frames), batch, self.workers, self.options.backend),
             planes,
             frozenset(drawn.tolist()),
             self.folder,
@@ -275,7 +275,9 @@ class LogRun:
         )
 
 
-def _unit_frames(frames: int, batch: int, workers: int, backend: BackendName) -> int:
-    """Frames of a unit: whole batches, and enough units to keep all workers busy to the end."""
+def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> UnitSizes:
+    """Whole batches, and enough units to keep all workers busy to the end."""
     most = UNIT_FRAMES if backend == "jax" else batch
-    return max(1, min(most, frames // (4 * workers)) // batch) * batch
+    batches = max(1, min(most, frames // (4 * workers)) // batch)
+    end_frames = workers * batches * batch if workers > 1 else 0
+    return UnitSizes(batches * batch, end_frames, max(1, batches // 4) * batch)

@@ -1,6 +1,9 @@
 """What a unit leaves behind: a file that is whole, and agrees with its checksum, or no file."""
 
 import pickle
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,6 +15,9 @@ from jaxdet.results.writer import Tables
 
 if TYPE_CHECKING:
     from jaxdet.io import Notes
+
+_LOADED_AHEAD = 4
+"""Parts, of 256 frames 2.5 MB each."""
 
 
 class Part(NamedTuple):
@@ -44,6 +50,19 @@ class Part(NamedTuple):
             OutputError: The disk is full or broken.
         """
         write_checked(part_path(folder, unit), pickle.dumps(self, 5), wait=False)
+
+
+def load_parts(folder: Path, units: Iterable[Unit]) -> Iterator[tuple[Unit, Part | None]]:
+    """The parts of units as :meth:`Part.load` has them, in order, a few loaded ahead."""
+    waiting: deque[tuple[Unit, Future[Part | None]]] = deque()
+    with ThreadPoolExecutor(_LOADED_AHEAD) as disk:
+        for unit in units:
+            waiting.append((unit, disk.submit(Part.load, folder, unit)))
+            if len(waiting) > _LOADED_AHEAD:
+                first, part = waiting.popleft()
+                yield first, part.result()
+        for unit, part in waiting:
+            yield unit, part.result()
 
 
 def part_path(folder: Path, unit: Unit) -> Path:

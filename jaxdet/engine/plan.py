@@ -1,6 +1,7 @@
 """What is to be done with a log: decided before its frames are worked on, and then only read."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -37,6 +38,17 @@ class Unit(NamedTuple):
     """The frame after the last."""
 
 
+class UnitSizes(NamedTuple):
+    """How the frames of a log are shared out."""
+
+    size: int
+    """Frames of a unit."""
+    end_frames: int
+    """About so many frames at the end are in smaller units, so that all workers end together."""
+    end_size: int
+    """Frames of those."""
+
+
 class LogPlan(NamedTuple):
     """What holds for all frames of a log. No unit's results depend on another's."""
 
@@ -52,8 +64,7 @@ class LogPlan(NamedTuple):
     backend: BackendName
     batch_size: int
     """Frames that are read and computed together."""
-    unit_frames: int
-    """Frames of a unit but the last."""
+    sizes: "UnitSizes"
     planes: Planes
     drawn: frozenset[int]
     """Frames to draw."""
@@ -67,9 +78,11 @@ class LogPlan(NamedTuple):
 
     def units(self) -> Iterator[Unit]:
         """The units, in the order of their frames."""
-        size = self.unit_frames
-        for number, first in enumerate(range(0, len(self.frames), size)):
-            part = self.frames[first : first + size]
+        count, (size, end_frames, end_size) = len(self.frames), self.sizes
+        whole = max(0, count - end_frames) // size * size
+        ends = [*range(0, whole, size), *range(whole, count, end_size), count]
+        for number, (first, last) in enumerate(pairwise(ends)):
+            part = self.frames[first:last]
             yield Unit(number, part[0], part[-1] + 1)
 
     def where(self, unit: Unit) -> str:

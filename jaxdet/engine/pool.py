@@ -46,11 +46,25 @@ def gpus() -> tuple[Any, ...]:
     """The GPUs that JAX computes on; without its plugin for them JAX needn't be loaded."""
     if os.environ.get("JAX_PLATFORMS") == "cpu" or not importlib.util.find_spec("jax_plugins"):
         return ()
+    if next(Path("/dev").glob("nvidia[0-9]*"), None):  # while JAX looks for them
+        _start_server(LOADED)
     start_up()
     from jaxdet.stages._device import on_cuda
     from jaxdet.stages._spread import devices_for
 
     return devices_for(None) if on_cuda() else ()
+
+
+def _start_method() -> str:
+    return "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+
+
+def _start_server(loaded: list[str]) -> None:
+    """Starts the process that workers are forked from, if there is to be one and it isn't there."""
+    if _start_method() == "forkserver":
+        with _stops_kept_from_processes():
+            multiprocessing.set_forkserver_preload(loaded)
+            forkserver.ensure_running()
 
 
 SaveWork = Callable[[LogPlan], Path]
@@ -88,10 +102,7 @@ class Pool:
         self.count, self.devices = count, devices
         self._backend: BackendName = backend
         self._station: Station | None = None
-        methods = multiprocessing.get_all_start_methods()
-        self._context: Any = multiprocessing.get_context(
-            "forkserver" if "forkserver" in methods else "spawn"
-        )
+        self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
         """Workers, one after the other, that died before they had begun."""
@@ -114,11 +125,8 @@ class Pool:
         """Begins to start the processes, if they are not there."""
         if self._workers:
             return
-        if self._context.get_start_method() == "forkserver":
-            with _stops_kept_from_processes():
-                compute = self._backend == "jax" and not self.devices
-                multiprocessing.set_forkserver_preload(LOADED + LOADED_TO_COMPUTE * compute)
-                forkserver.ensure_running()
+        compute = self._backend == "jax" and not self.devices
+        _start_server(LOADED + LOADED_TO_COMPUTE * compute)
         self._station = Station(self.count, self.devices) if self.devices else None
         ends = self._station.ends if self._station else [None] * self.count
         self._workers = [Worker(self._context, self._backend, end) for end in ends]

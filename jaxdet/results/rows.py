@@ -134,7 +134,14 @@ def used_slots(inputs: RowInputs, count: int) -> RowInputs:
         slotted = few(contour), few(points), few(heights)
         scene = SceneInputs(floor.copy(), *slotted, free.copy(), end.copy())
     obstacles = Obstacles(*map(few, found.obstacles))
-    return RowInputs(*(part.copy() for part in found[:4]), obstacles, scene)
+    return RowInputs(
+        found.num_features.copy(),
+        found.num_obstacles.copy(),
+        found.overflow.copy(),
+        found.has_depth.copy(),
+        obstacles,
+        scene,
+    )
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
