@@ -151,7 +151,7 @@ def run_command(log: Path, results: Path) -> Run:
     command = [sys.executable, "-m", "jaxdet", "run", str(log), "--output", str(results)]
     start = time.perf_counter()
     command += ["--overwrite", "--quiet", "--pictures", "0"]
-    with subprocess.Popen(command) as process, _PeakMemory(process.pid) as peak:
+    with subprocess.Popen(command) as process, PeakMemory(process.pid) as peak:
         code = process.wait()
     wall = time.perf_counter() - start
     if code:
@@ -163,14 +163,14 @@ def run_command(log: Path, results: Path) -> Run:
     return Run(about["frames_per_s"], wall - steady, wall, peak.mib)
 
 
-class _PeakMemory:
+class PeakMemory:
     """Samples the memory of a process and its descendants; 0 where there is no ``/proc``."""
 
     def __init__(self, pid: int) -> None:
         self.mib, self._pid, self._done = 0.0, pid, Event()
         self._thread = Thread(target=self._sample, daemon=True)
 
-    def __enter__(self) -> "_PeakMemory":
+    def __enter__(self) -> "PeakMemory":
         self._thread.start()
         return self
 

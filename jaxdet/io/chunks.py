@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import deflate
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
@@ -22,6 +23,8 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time [ns], publish time [ns]; the payload follows."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
+PIECE_BYTES = 1 << 18
+"""Of a chunk, worked on at a time: they stay in a core's cache."""
 
 _of_thread = local()
 
@@ -82,7 +85,7 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
     return ChunkHead(start, end, size, crc, name, offset, data_size, length)
 
 
-def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
+def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes | memoryview:
     """The records of a chunk, at most ``max_bytes``, checked against its CRC where it has one.
 
     Raises:
@@ -90,12 +93,12 @@ def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
     """
     if max(head.uncompressed_size, head.data_size) > max_bytes:
         raise DamageError("chunk is larger than --log.max-chunk-mib")
-    size = head.uncompressed_size
+    size, crc = head.uncompressed_size, None
     try:
         if head.compression == "zstd":
             records = _zstd(data, size)
         elif head.compression == "lz4":
-            records = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+            records, crc = _lz4(data, size)
         elif head.is_plain:
             records = data
         else:
@@ -104,7 +107,7 @@ def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes:
         raise DamageError("chunk can't be decompressed") from error
     if len(records) != size:
         raise DamageError("chunk has another size than declared")
-    if head.crc and crc32(records) != head.crc:
+    if head.crc and (crc32(records) if crc is None else crc) != head.crc:
         raise DamageError("chunk has a wrong CRC")
     return records
 
@@ -125,7 +128,27 @@ def _zstd(data: bytes, size: int) -> bytes:
     return decompressor.stream_reader(data, read_across_frames=True).read(size + 1)
 
 
-def chunk_records(records: bytes) -> Iterator[Record]:
+def _lz4(data: bytes, size: int) -> tuple[memoryview, int]:
+    """At most ``size + 1`` bytes of the first frame, and their CRC.
+
+    In pieces that stay in a core's cache until they are copied and their CRC is known: ``lz4``
+    copies all that it returns, and many processes at once wait for memory.
+    """
+    records = np.empty(size + 1, np.uint8).data
+    context, left = lz4.frame.create_decompression_context(), memoryview(data)
+    place, crc, end = 0, 0, False
+    while not end and place <= size:
+        piece, count, end = lz4.frame.decompress_chunk(
+            context, left, max_length=min(PIECE_BYTES, size + 1 - place)
+        )
+        if not count and not piece:
+            break  # the frame goes on, but not the data
+        records[place : place + len(piece)] = piece
+        crc, place, left = crc32(piece, crc), place + len(piece), left[count:]
+    return records[:place], crc
+
+
+def chunk_records(records: bytes | memoryview) -> Iterator[Record]:
     """The records of a decompressed chunk in order.
 
     Raises:

@@ -130,7 +130,7 @@ class LogFile(ABC):
         """
 
     @abstractmethod
-    def chunk(self, position: int) -> bytes:
+    def chunk(self, position: int) -> bytes | memoryview:
         """The decompressed chunk at ``position``; its messages are MCAP's records.
 
         Raises:
@@ -210,7 +210,7 @@ class McapFile(LogFile):
             raise DamageError("no chunk where one should be")
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
 
-    def chunk(self, position: int) -> bytes:
+    def chunk(self, position: int) -> bytes | memoryview:
         """The decompressed chunk whose record's content begins at ``position``.
 
         Raises:

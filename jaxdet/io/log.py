@@ -82,13 +82,14 @@ class Batch(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence["Batch"]) -> "Batch":
         """Batches of a log as one; they are :meth:`without_images`, and at least one."""
-        frames, poses = [part.frames for part in parts], None
+        frames = [part.frames for part in parts]
         known = {name: np.concatenate([getattr(a, name) for a in frames]) for name in _PER_FRAME}
-        if frames[0].T_world_camera is not None:
-            poses = np.concatenate([part.T_world_camera for part in frames])
+        poses = [a.T_world_camera for a in frames if a.T_world_camera is not None]
         times = [part.log_time_ns for part in parts if part.log_time_ns is not None]
         return parts[0]._replace(
-            frames=frames[0]._replace(**known, T_world_camera=poses),
+            frames=frames[0]._replace(
+                **known, T_world_camera=np.concatenate(poses) if poses else None
+            ),
             status=tuple(chain.from_iterable(part.status for part in parts)),
             errors=tuple(chain.from_iterable(part.errors for part in parts)),
             notes=total(part.notes for part in parts),
@@ -354,10 +355,9 @@ class Log:
         count = len(indices)
         if memory is None:
             color, depth = self.image_shapes
-            memory = _blank((size, *color), np.uint8), _blank((size, *depth), np.uint16)
-        else:
-            for images in memory:
-                images[count:] = 0
+            memory = _aligned((size, *color), np.uint8), _aligned((size, *depth), np.uint16)
+        for images in memory:
+            images[count:] = 0  # all other rows are written, or zeroed where that fails
         windows, failures = [], []
         for row, start, stop in _runs(indices, self._at_once):
             window = self._window(start, stop)
@@ -482,10 +482,10 @@ def _rescan(error: DamageError, path: str) -> RescanError:
     return RescanError(f"the file isn't as its index says ({error})", path=path)
 
 
-def _blank(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
-    """Zeros that begin with a cache line; XLA copies arrays that don't."""
+def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:
+    """An array that begins with a cache line; XLA copies arrays that don't."""
     nbytes = math.prod(shape) * np.dtype(kind).itemsize
-    memory = np.zeros(nbytes + _LINE_BYTES, np.uint8)
+    memory = np.empty(nbytes + _LINE_BYTES, np.uint8)
     start = -memory.ctypes.data % _LINE_BYTES
     return memory[start : start + nbytes].view(kind).reshape(shape)
 

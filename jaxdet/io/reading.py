@@ -1,7 +1,7 @@
 """Reads images of a log into the rows of arrays, a chunk at a time.
 
-A chunk that isn't packed is read by one call: the pixels go straight into their rows where they
-are what the rows hold, everything else beside them, and all of it through the CRC.
+Of a chunk that isn't packed the pixels go straight into their rows where they are what the rows
+hold, everything else beside them, and all of it through the CRC while it is in the core's cache.
 """
 
 import time
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameError, FrameStatus
-from jaxdet.io.chunks import DamageError, crc32
+from jaxdet.io.chunks import PIECE_BYTES, DamageError, crc32
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
 from jaxdet.io.container import Location
 from jaxdet.io.decode_messages import MessageDecoder
@@ -205,10 +205,12 @@ class ImageReader:
                 parts += [rest[used : used + before], span.row]
                 used, done = used + before, span.start + len(span.row)
         parts.append(rest[used:])
-        file.read_into(start, parts)
         crc = 0
         for part in parts:
-            crc = crc32(part, crc)
+            for begin in range(0, len(part), PIECE_BYTES):
+                piece = part[begin : begin + PIECE_BYTES]
+                file.read_into(start, [piece])
+                start, crc = start + len(piece), crc32(piece, crc)
         if crc != head.crc:
             raise DamageError("chunk has a wrong CRC")
         self._store.checked.add(chunk)

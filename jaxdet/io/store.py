@@ -53,7 +53,7 @@ class ChunkStore:
         several = self.threads > 1
         self._pool = ThreadPoolExecutor(self.threads, "jaxdet-read") if several else None
         self._heads: OrderedDict[Place, ChunkHead] = OrderedDict()
-        self._chunks: OrderedDict[Place, bytes] = OrderedDict()
+        self._chunks: OrderedDict[Place, bytes | memoryview] = OrderedDict()
         self._ahead: set[Place] = set()
         self._bytes = 0
         self._lock = Lock()
@@ -119,7 +119,7 @@ class ChunkStore:
                     self._heads.popitem(last=False)
         return head
 
-    def data(self, place: Place, ahead: bool = False) -> bytes:
+    def data(self, place: Place, ahead: bool = False) -> bytes | memoryview:
         """The records of a chunk, checked against its CRC.
 
         Args:

@@ -1,0 +1,35 @@
+"""Memory does not grow with the log: ``pytest -m slow tests/test_long_logs.py``, a minute."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import feed_logs
+from benchmarks.feed import PeakMemory
+from jaxdet.sim import SimConfig
+
+SHORT, TIMES = 640, 5
+"""Frames of 0.4 MB; fewer would not fill what is kept of packed chunks."""
+
+
+def peak_mib(log: Path, output: Path) -> float:
+    """Of all processes of ``jaxdet run``; memory that several share counts once."""
+    command = [sys.executable, "-m", "jaxdet", "run", str(log), "--output", str(output)]
+    command += ["--quiet", "--pictures", "0", "--workers", "2"]
+    with subprocess.Popen(command) as process, PeakMemory(process.pid) as peak:
+        assert process.wait() == 0
+    return peak.mib
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["raw", "zstd"])
+def test_a_log_five_times_as_long_takes_no_more(form, tmp_path, monkeypatch):
+    monkeypatch.setattr(feed_logs, "CONFIG", SimConfig(frames=4, width=320, height=240))
+    frames, found = feed_logs.drive(), []
+    for count in (SHORT, TIMES * SHORT):
+        log = tmp_path / f"{count}.mcap"
+        feed_logs.write(log, feed_logs.FORMS[form], frames, count)
+        found.append(peak_mib(log, tmp_path / f"{count}"))
+    assert 0 < found[1] <= 1.1 * found[0] and found[1] < 2048, found
