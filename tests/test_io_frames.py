@@ -116,7 +116,7 @@ def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
     scene = make_scene(12)
     path = write_log(tmp_path / "log.mcap", scene, chunk_size=6000)
     monkeypatch.setattr(log_module, "_FRAMES_KEPT", 0)
-    monkeypatch.setattr(store.ChunkStore.__init__, "__defaults__", (4, 1))
+    monkeypatch.setattr(store.ChunkStore.__init__, "__defaults__", (4, 1, 1 << 30))
     alive: set[int] = set()
     most = 0
     plain = McapFile.chunk

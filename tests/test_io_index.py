@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from jaxdet.cli import info
 from jaxdet.errors import RescanError
-from jaxdet.io import LogOptions, indexed, reading, windows
+from jaxdet.io import Batch, LogOptions, indexed, reading, windows
 from jaxdet.io import log as log_module
 from jaxdet.io import open_log as open_only
 from jaxdet.io.container import McapFile
@@ -193,7 +193,7 @@ def test_opening_reads_little_and_each_chunk_is_read_once(tmp_path, monkeypatch,
 
     # As with large images: few are read at once, and few chunks are kept.
     monkeypatch.setattr(log_module, "_BYTES_AT_ONCE", 2 * 5136)
-    monkeypatch.setattr(ChunkStore.__init__, "__defaults__", (1, 1))
+    monkeypatch.setattr(ChunkStore.__init__, "__defaults__", (1, 1, 1 << 30))
     monkeypatch.setattr(McapFile, "read", counted)
     monkeypatch.setattr(McapFile, "read_into", counted_into)
     monkeypatch.setattr(McapFile, "chunk", counted_chunk)
@@ -205,6 +205,31 @@ def test_opening_reads_little_and_each_chunk_is_read_once(tmp_path, monkeypatch,
         assert sum(read) < (1.4 if compression == "none" else 1.2) * size
     if compression != "none":
         assert len(chunks) <= len(set(chunks)) + 2
+
+
+@pytest.mark.parametrize("size", [1, 5, 16])
+def test_how_many_frames_are_looked_at_together_changes_nothing(tmp_path, monkeypatch, size):
+    path = str(long_log(tmp_path / "x.mcap", 90, compression="none"))
+    found, looked_at = [], []
+    plain = windows.IndexedFrames.window
+
+    def counted(frames, start, stop):
+        looked_at.append(stop - start)
+        return plain(frames, start, stop)
+
+    monkeypatch.setattr(windows.IndexedFrames, "window", counted)
+    for together in (1, 40, 256):
+        monkeypatch.setattr(log_module, "_LOOKED_AT", together)
+        looked_at.clear()
+        with open_only(path) as log:
+            batches = list(log.batches(size, 3, 88))
+        assert max(looked_at) == min(85, max(1, together // size) * size)
+        parts = [batch.without_images() for batch in batches]
+        images = [np.concatenate([b.frames[i][: len(b.status)] for b in batches]) for i in (0, 1)]
+        found.append((Batch.joined(parts), images))
+    for batch, images in found[1:]:
+        np.testing.assert_equal(batch._replace(decoding_s=0), found[0][0]._replace(decoding_s=0))
+        np.testing.assert_equal(images, found[0][1])
 
 
 @pytest.mark.parametrize("apart", [1, windows.REACH - 1, windows.REACH, 30])

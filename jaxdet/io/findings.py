@@ -48,6 +48,10 @@ class ScannedFrames(NamedTuple):
         """``(F,)`` int64, the stamps [ns]."""
         return self.timeline.color.stamps_ns
 
+    def is_plain(self, number: int) -> bool:
+        """Whether the frames from a number on are better looked at many at a time: all are."""
+        return False
+
     def stamp_ns(self, number: int) -> int:
         """The stamp of a frame [ns]."""
         return int(self.timeline.color.stamps_ns[number])

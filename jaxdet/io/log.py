@@ -39,6 +39,8 @@ _MESSAGE_BYTES = 96
 _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
 """Of images that are read together."""
+_LOOKED_AT = 256
+"""Frames whose messages are looked at together, where no chunk has to be unpacked for that."""
 _NONE = np.zeros(0, np.int64)
 _FRAMES_KEPT = 14
 """Of which the chunks are kept: those read together, or of large images one, and those that are
@@ -300,9 +302,23 @@ class Log:
         numbers = self.frames
         ends = [max(0, -(-(end - numbers.start) // numbers.step)) for end in (start, stop)]
         numbers = numbers[ends[0] : ends[1]]
+        together = self._together(numbers, batch_size)
+        known = None
         for first in range(0, len(numbers), batch_size):
+            if together and first % together == 0:
+                some = numbers[first : first + together]
+                known = _Known(some[0], self._window(some[0], some[-1] + 1))
             memory = images() if images else None
-            yield self._batch(numbers[first : first + batch_size], batch_size, memory)
+            yield self._batch(numbers[first : first + batch_size], batch_size, memory, known)
+
+    def _together(self, numbers: range, batch_size: int) -> int:
+        """Frames in a row, a multiple of the batch, that are looked at together; 0: each batch."""
+        if len(numbers) <= batch_size or numbers.step != 1:
+            return 0
+        with suppress(DamageError):  # which the window says
+            if self._frames.is_plain(numbers[0]):
+                return max(1, _LOOKED_AT // batch_size) * batch_size
+        return 0
 
     def read(self, indices: Sequence[int]) -> Batch:
         """The frames of these numbers, in the order given, without padding.
@@ -351,6 +367,7 @@ class Log:
         indices: Sequence[int],
         size: int,
         memory: tuple[np.ndarray, np.ndarray] | None = None,
+        known: "_Known | None" = None,
     ) -> Batch:
         count = len(indices)
         if memory is None:
@@ -360,7 +377,7 @@ class Log:
             images[count:] = 0  # all other rows are written, or zeroed where that fails
         windows, failures = [], []
         for row, start, stop in _runs(indices, self._at_once):
-            window = self._window(start, stop)
+            window = known.window(start, stop) if known else self._window(start, stop)
             rows = slice(row, row + stop - start)
             try:
                 failures += self._reader.read(window, memory[0][rows], memory[1][rows])
@@ -457,6 +474,17 @@ def open_log(
     except BaseException:
         store.close()
         raise
+
+
+class _Known(NamedTuple):
+    """Frames in a row whose messages have been looked at."""
+
+    first: int
+    whole: Window
+
+    def window(self, start: int, stop: int) -> Window:
+        """Those of some numbers."""
+        return self.whole.part(start - self.first, stop - self.first)
 
 
 def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:

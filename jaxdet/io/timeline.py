@@ -50,6 +50,21 @@ class Window(NamedTuple):
     chunks: tuple[Place, ...] = ()
     """What this window answers for: chunks that must be as their CRC says."""
 
+    def part(self, first: int, last: int) -> "Window":
+        """The frames ``first`` to ``last`` of these.
+
+        What is to be noted goes with the first part, what is to be checked with the last one,
+        when most of it has been read.
+        """
+        rows = slice(first, last)
+        color, depth = (FrameTable(*(a[rows] for a in table)) for table in self[:2])
+        poses, other = (
+            a if a is None else a[rows] for a in (self.T_world_camera, self.other_calibration)
+        )
+        notes = Notes() if first else self.notes
+        chunks = self.chunks if last == len(self.color.stamps_ns) else ()
+        return Window(color, depth, poses, notes, other, chunks)
+
 
 class Timeline(NamedTuple):
     """Colour and depth frames in order, and their pairs."""

@@ -62,7 +62,7 @@ class StreamWindows:
     ) -> None:
         self.topic, self.messages, self.decoders = topic, messages, decoders
         self.backward = backward
-        self._store, self._path = store, path
+        self.store, self._path = store, path
         count = len(messages.log_ns)
         self.stamp, self.depth_stamp, self.size = (np.full(count, -1, np.int64) for _ in range(3))
         self._undecodable = np.zeros(count, bool)
@@ -126,9 +126,9 @@ class StreamWindows:
                 sorted(zip(places, missing.tolist(), strict=True)), lambda item: item[0]
             )
         }
-        for wave in self._store.waves(parts):
-            packed = [place for place in wave if not self._store.head(place).is_plain]
-            for _ in self._store.map(partial(self._store.data, ahead=True), packed):
+        for wave in self.store.waves(parts):
+            packed = [place for place in wave if not self.store.head(place).is_plain]
+            for _ in self.store.map(partial(self.store.data, ahead=True), packed):
                 pass
             for place in wave:
                 for number in parts[place]:
@@ -138,10 +138,10 @@ class StreamWindows:
         decoder = self.decoders[self.messages.decoder[number]]
         leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
         size, payload = read_message(
-            self._store, self.messages, number, _STAMP_BYTES if leads else None
+            self.store, self.messages, number, _STAMP_BYTES if leads else None
         )
         if leads and not decoder.reads_stamp(payload):
-            size, payload = read_message(self._store, self.messages, number)
+            size, payload = read_message(self.store, self.messages, number)
         try:
             stamps = image_stamps(decoder, payload)
         except FrameError:
@@ -244,6 +244,15 @@ class IndexedFrames:
     def about_ns(self) -> np.ndarray:
         """``(F,)`` int64, log times of the colour messages, in order [ns]."""
         return self.color.messages.log_ns
+
+    def is_plain(self, number: int) -> bool:
+        """Whether the chunk of a frame isn't packed, so that its messages can be read alone.
+
+        Raises:
+            DamageError: There is no such chunk.
+        """
+        (place,) = self.color.messages.places(slice(number, number + 1))
+        return place.position < 0 or self.color.store.head(place).is_plain
 
     def with_poses(
         self, source: PoseSource, calibrations: CalibrationWindows | None = None
