@@ -450,14 +450,19 @@ class _Lane:
         self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
         self._ready = 0.0
         """Time when the last batch was computed."""
-        log.page_lock(log.memory, device)
+        # Pages of a gigabyte are made and locked while the program is traced and loaded.
+        self._lock = ThreadPoolExecutor(1, "jaxdet-lock")
+        self._locked = self._lock.submit(log.page_lock, log.memory, device)
 
     def close(self) -> None:
-        """Ends its thread."""
+        """Ends its threads."""
+        self._lock.shutdown()
         self._watch.shutdown()
 
     def start(self, pieces: list[Piece]) -> _Started:
         """Copies the pieces and starts to compute them."""
+        if pieces:
+            self._locked.result()
         log, begin = self.log, time.perf_counter()
         images: Any = self.uploader.upload([log.images[piece.slot] for piece in pieces])
         copied = time.perf_counter()

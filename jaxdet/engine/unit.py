@@ -108,7 +108,7 @@ class LogWork:
         self._timed("write", building[0].add, piece, found)
         self.batch_done()
         if piece.numbers[-1] + 1 == piece.unit.stop:
-            part = building.pop().whole()
+            part: Part = self._timed("write", building.pop().whole)
             self._timed("write", part.save, self.plan.folder, piece.unit)
             busy, self._busy = self._busy, Counter()
             part.counts.busy_s.update(busy)
