@@ -9,8 +9,10 @@ import jaxdet
 from benchmarks.paper.case_list import CASES
 from benchmarks.paper.cases import drop_of
 from benchmarks.paper.free import claim_of
+from benchmarks.paper.missed import CLASSES, kinds_of
 from benchmarks.paper.mounts import MOUNTS
 from benchmarks.paper.shots import Spec, frames_of, shot_of
+from benchmarks.paper.systems import eval_config
 from jaxdet.config import Config
 from jaxdet.sim import SimConfig, floor_truth, make_scene
 from jaxdet.sim.draft import Draft
@@ -72,6 +74,16 @@ def test_the_floor_that_outlines_claim(box):
 def test_a_box_claims_no_floor_but_its_margin(box):
     shot, _, found = box
     assert 0 < claim_of(shot, found, CONFIG).share < 0.02
+
+
+def test_what_is_in_another_thing_and_what_is_hardly_measured():
+    size, config = (0.3, 0.3, 0.3), eval_config(CONFIG)
+    boxes = [Box((1.65, y), size) for y in (-0.5, 0.1, 0.35)]
+    shot, _ = shot_and_frame(Scene(boxes=tuple(boxes)))
+    apart, inside, hidden = range(len(CLASSES))
+    assert kinds_of(shot, config).tolist() == [apart, inside, inside]
+    blind = shot._replace(depth=np.zeros_like(shot.depth))
+    assert kinds_of(blind, config).tolist() == [hidden] * 3
 
 
 def test_a_told_mount_is_wrong_by_what_is_said(box):

@@ -1,0 +1,97 @@
+"""Which things ours misses: those apart, those in other things, those hardly measured."""
+
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.paper.hard import CAMERAS, ERRORS, FAMILIES, specs_of
+from benchmarks.paper.lab import Lab
+from benchmarks.paper.plan import SCENES
+from benchmarks.paper.section import Section, percent
+from benchmarks.paper.shots import Shot, load_shots
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
+from jaxdet import reference
+from jaxdet.eval import EvalConfig, evaluate_frames
+from jaxdet.eval.polygon import overlap
+
+CLASSES = ("apart", "in another thing", "hardly measured")
+
+
+class Asked(NamedTuple):
+    """Things asked for, and those found, ``(3,)`` int64 each, in the order of ``CLASSES``."""
+
+    asked: np.ndarray
+    found: np.ndarray
+
+
+def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
+    """The place in ``CLASSES`` of each thing of a frame, ``(J,)`` int64.
+
+    Hardly measured is what the depth camera measures on fewer colour pixels than it must show
+    (beside nearer things, or beyond the edge of the depth image). In another thing is what has a
+    footprint that overlaps a wall's or another thing's: some scenes are drawn with solid things
+    in each other.
+    """
+    truth, calibration = shot.truth, shot.calibration
+    assert truth.footprint is not None and truth.depth_m is not None
+    z_m = reference.align(shot.depth[None], calibration).z[0] * calibration.depth_unit
+    off = np.abs(z_m - np.asarray(truth.depth_m[0], np.float64))
+    measured = truth.obstacle_id[0][(z_m > 0) & (off <= config.depth_slack(z_m))]
+    pixels = np.bincount(measured, minlength=len(truth.is_wall) + 1)[1:]
+    outlines = [one[~np.isnan(one[:, 0])] for one in truth.footprint[0]]
+    kinds = np.zeros(len(outlines), np.int64)
+    for one, outline in enumerate(outlines):
+        others = outlines[:one] + outlines[one + 1 :]
+        kinds[one] = any(overlap(outline, other) > 0 for other in others)
+    return np.where(pixels < config.min_visible_pixels, 2, kinds)
+
+
+def judge_missed(task: tuple[Path, System]) -> Asked:
+    """A worker's task: a system on all frames of a file."""
+    path, system = task
+    shots, config = load_shots(path), eval_config(system.config)
+    total = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
+    for shot, found in zip(shots, found_by(system, Prepared(shots)), strict=True):
+        unit, kinds = shot.calibration.depth_unit, kinds_of(shot, config)
+        for case in evaluate_frames(found, shot.truth, unit, config)[0].cases:
+            total.asked[kinds[case.number - 1]] += 1
+            total.found[kinds[case.number - 1]] += case.found
+    return total
+
+
+def run(lab: Lab) -> Section:
+    """How many things of each class are found, by family."""
+    section = Section("missed", "What is missed (ours)")
+    section.say(
+        "Things asked for in the scenes in normal light, as above, in three classes, found of "
+        "asked. Apart: measured, and in nothing else. In another thing: its footprint overlaps "
+        "another's or a wall's, as a chair's under a table; the simulator also draws solid things "
+        "in each other, as a person in a vehicle. Hardly measured: of the pixels that the colour "
+        "camera sees, 400 or more, the depth camera measures fewer than 400."
+    )
+    specs = {name: lab.test_specs(name, "normal") for name in SCENES}
+    for family, error in product(FAMILIES, ERRORS):
+        specs[f"{family}, {CAMERAS[error]}"] = specs_of(lab, family, error)
+    rows, system = [], ours(lab.config)
+    every = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
+    for family, own in specs.items():
+        lab.store.ensure(own)
+        parts = lab.run(judge_missed, [(lab.store.path(spec), system) for spec in own])
+        one = Asked(*(np.sum(part, axis=0) for part in zip(*parts, strict=True)))
+        every = Asked(*(a + b for a, b in zip(every, one, strict=True)))
+        rows.append([family, *_cells(one)])
+    rows.append(["all", *_cells(every)])
+    section.table(["Family", *(name.capitalize() for name in CLASSES)], rows)
+    for name, asked, found in zip(CLASSES, *every, strict=True):
+        key = f"{OURS}.{name.replace(' ', '_')}.recall"
+        section.add(key, float(found / asked) if asked else float("nan"), "", "higher")
+    return section
+
+
+def _cells(one: Asked) -> list[str]:
+    return [
+        f"{found} of {asked} ({percent(found / asked)})" if asked else "-"
+        for asked, found in zip(*one, strict=True)
+    ]
