@@ -80,7 +80,7 @@ def used(memory: Memory, share: Share, needs: Needs) -> int:
 
 
 @given(
-    total=st.integers(640, 40_000),
+    total=st.integers(704, 40_000),
     needs=st.builds(
         Needs, st.integers(1, 200 * MIB), st.integers(0, 2 * GIB), st.integers(0, 2 * GIB)
     ),
@@ -124,9 +124,9 @@ def test_less_memory_is_fewer_processes_then_smaller_batches():
 def test_a_default_is_never_too_little(monkeypatch):
     monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 400 * MIB)
     assert Memory(None, 4).workers == 1
-    with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 640MiB"):
+    with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 704MiB"):
         Memory("100M", 4)
-    assert Memory("640MiB", 4).total == 640 * MIB
+    assert Memory("704MiB", 4).total == 704 * MIB
 
 
 def test_too_little_is_said(tmp_path, capsys):
@@ -134,7 +134,7 @@ def test_too_little_is_said(tmp_path, capsys):
     given = ["run", str(log), "--output", str(tmp_path / "out"), "--memory", "100MiB", "--quiet"]
     assert main(given) == 2
     said = capsys.readouterr().err
-    assert said.splitlines()[-1].endswith("too little for any log; give --memory 640MiB or more")
+    assert said.splitlines()[-1].endswith("too little for any log; give --memory 704MiB or more")
     assert not (tmp_path / "out").exists()
 
 

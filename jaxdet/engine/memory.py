@@ -17,9 +17,9 @@ from jaxdet.memory import machine_memory, parse_size, size_text
 MIB = 1 << 20
 SHARE = 0.75
 """Of the machine's memory, where the user says nothing."""
-ALONE = 544 * MIB
+ALONE = 608 * MIB
 """A process that does all: JAX, Warp, their programs and temporaries; 520 MiB, of which 280 are
-pages of libraries."""
+pages of libraries, and 70 more while kernels are compiled."""
 PARENT = 448 * MIB
 """The process that hands out units, the server that workers are forked from, and what all share;
 440 MiB."""
