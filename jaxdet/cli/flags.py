@@ -75,8 +75,9 @@ class _Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, options: Sequence[Option], see: str) -> None:
-        quiet = {"add_help": False, "allow_abbrev": False}
-        super().__init__(argument_default=argparse.SUPPRESS, usage="", **quiet)
+        super().__init__(
+            usage="", argument_default=argparse.SUPPRESS, add_help=False, allow_abbrev=False
+        )
         self.see = see
         for option in options:
             how: dict[str, Any] = {"dest": ".".join(option.path)}
