@@ -176,6 +176,8 @@ def check_frames(frames: Frames) -> None:
     if frames.plane is not None:
         rows["planes"] = _check_planes(frames.plane)
     rows["entries of valid"] = len(_column("valid", frames.valid, "b"))
+    if not any(rows.values()):
+        raise InputError("there are no frames", remedy="give one at least")
     if len(frames.color) > MAX_FRAMES:
         problem = f"a batch of {len(frames.color)} frames, but at most {MAX_FRAMES} are taken"
         raise InputError(problem, remedy="give them in parts")

@@ -209,10 +209,14 @@ def test_low_level_calls_with_what_is_no_batch_of_frames() -> None:
         small(80, 60), np.zeros((1, 60, 80, 3), np.uint8), np.zeros((1, 60, 80), np.uint16)
     )
     arrays = given.calibration._replace(color_from_depth=Extrinsics(np.eye(3), [0, 0, 0]))
+    none = given._replace(color=given.color[:0], depth=given.depth[:0], valid=given.valid[:0])
     for wrong, said in (
-        ([given, given], "frames are a list; give jaxdet.Frames"),
-        (given._replace(calibration=arrays), "make it with jaxdet.Extrinsics.from_matrix"),
-        (given._replace(color=given.color[:0], depth=given.depth[:0]), "there are no frames"),
+        ([given, given], "frames: list is no Frames; give a Frames"),
+        (
+            given._replace(calibration=arrays),
+            "rotation of color_from_depth is a ndarray; give a tuple",
+        ),
+        (none, "there are no frames"),
     ):
         for backend in ("reference", "jax"):
             with pytest.raises((InputError, CalibrationError), match=said):
