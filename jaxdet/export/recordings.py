@@ -138,9 +138,14 @@ def look_again(
         yield Seen(batch._replace(frames=frames), found, chunk)
 
 
-def some(results: Results, log: ResultLog, wanted: np.ndarray) -> Iterator[Chunk]:
-    """The rows of some frames, at most :data:`BATCH` at a time."""
-    for chunk in results.chunks(log):
+def some(
+    results: Results,
+    log: ResultLog,
+    wanted: np.ndarray,
+    obstacles: Sequence[str] | None = None,
+) -> Iterator[Chunk]:
+    """The rows of some frames, with these columns of obstacles, at most :data:`BATCH` at a time."""
+    for chunk in results.chunks(log, None, obstacles):
         rows = np.flatnonzero(np.isin(chunk.frames["frame"].to_numpy(), wanted))
         for start in range(0, len(rows), BATCH):
             yield chunk.take(rows[start : start + BATCH])

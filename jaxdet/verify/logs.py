@@ -15,6 +15,7 @@ from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.rows import batch_rows, no_inputs, row_inputs
+from jaxdet.results.schemas import OBSTACLES_SCHEMA
 from jaxdet.results.writer import Tables, table_bytes
 from jaxdet.verify.report import Report
 
@@ -125,7 +126,7 @@ def _check_sample(
     if not wanted.size:
         return
     planes = decide_planes(opened, config, "reference", wanted)
-    for chunk in some(results, log, wanted):
+    for chunk in some(results, log, wanted, OBSTACLES_SCHEMA.names):  # without tracks
         again = chunk.frames["frame"].to_pylist()
         batch = opened.read(again)
         stamps = batch.frames.stamp_ns

@@ -10,6 +10,7 @@ import numpy as np
 from jaxdet.errors import InputError
 from jaxdet.results.metadata import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
 from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.schemas import OBSTACLES_SCHEMA
 from jaxdet.results.summary import Counts
 from jaxdet.verify.report import Report
 
@@ -44,7 +45,7 @@ def check_tables(results: Results, inputs: Mapping[str, Any] | None, report: Rep
 
 def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -> None:
     counts, numbers, problems = Counts(), [], set[str]()
-    for chunk in results.chunks(log):
+    for chunk in results.chunks(log, None, OBSTACLES_SCHEMA.names):  # without tracks
         read.add(chunk.frames)
         counts.count(_columns(chunk))
         numbers.append(chunk.frames["frame"].to_numpy())
