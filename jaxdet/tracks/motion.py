@@ -67,34 +67,14 @@ def motion_of(
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
     off = np.hypot(*_middle(edges - line).T)
     line, slope = _fitted(track, time, edges, weight / (1 + (off / OFF_M) ** 2), config.smooth_s)
-    rest = _resting(things, first)
     moving = _moves(line, edges, weight, starts, track, usual, config)
     velocity = _middle(slope) * moving[track, None]
-    place = np.where(moving[track, None], _middle(line), rest[track])
-    return Motion(starts, place, velocity, moving)
+    return Motion(starts, _middle(line), velocity, moving)
 
 
 def _middle(edges: np.ndarray) -> np.ndarray:
     """``(N, 2)``, of edges ``(N, 4)``."""
     return (edges[:, :2] + edges[:, 2:]) / 2
-
-
-def _resting(things: Things, first: np.ndarray) -> np.ndarray:
-    """``(K, 2)``, the middle of each track's outlines by median [m].
-
-    Of those that show both sides, where there are any.
-    """
-    track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
-    whole = ~things.hidden.any(axis=1)
-    count = np.bincount(track[whole], minlength=len(first))
-    seen = np.diff(np.append(first, len(track)))
-    count = np.where(count > 0, count, seen)
-    found = np.empty((len(first), 2))
-    for side, place in enumerate(things.outline.center.T):
-        order = np.lexsort((place, ~whole, track))
-        low, high = (place[order][first + at] for at in ((count - 1) // 2, count // 2))
-        found[:, side] = (low + high) / 2
-    return found
 
 
 def _edges(things: Things) -> np.ndarray:
