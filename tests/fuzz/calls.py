@@ -138,8 +138,8 @@ def _mutated(value: Any, random: Random) -> tuple[Any, str]:
     """Something else than a value, and which part of it that is."""
     if random.random() < 0.25:
         return random.choice(_ANYTHING), ""
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        name = random.choice(value._fields)
+    if fields := getattr(value, "_fields", ()):
+        name = random.choice(fields)
         part, where = _mutated(getattr(value, name), random)
         return value._replace(**{name: part}), f".{name}{where}"
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
