@@ -24,7 +24,7 @@ FLAGS = ["-std=c++17", "-O1", "-g1", "-w", "-fPIC", "-shared", "-ffp-contract=of
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 ASSERTING = 'extern "C" void _wp_assert(const char*, const char*, unsigned) { __builtin_trap(); }\n'
 """What Warp's own library has."""
-FAULT = "{ volatile int* one = new int[1]; volatile int at = 1; one[at] = 0; }"
+FAULT = "{ volatile int* one = new int[1]; delete[] one; one[0] = 0; }"
 
 
 class Sanitized:

@@ -153,13 +153,7 @@ def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
 def _seen(text: str) -> list[Path]:
     """The files that an input names, of whatever kind, in order."""
     path = Path(text)
-    try:
-        path.stat()
-    except (FileNotFoundError, NotADirectoryError):  # perhaps a glob
-        pass
-    except (OSError, ValueError) as error:
-        problem = f"can't be read ({getattr(error, 'strerror', None) or error})"
-        raise InputError(problem, path=text[:200], remedy="check the path") from error
+    _check_path(path)
     if not text:  # a shell's variable that is not set is not this folder
         raise InputError("a log without a name", remedy="check the arguments")
     if path.exists():
@@ -208,6 +202,21 @@ def _is_dataset(file: Path) -> bool:
         return b'"codebase_version"' in file.read_bytes()[:4096]
     except OSError:
         return False
+
+
+def _check_path(path: Path) -> None:
+    """Refuses a path that the system doesn't take; there may be nothing at it.
+
+    Raises:
+        InputError: It is too long, has a zero byte, or may not be looked at.
+    """
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):  # perhaps a glob
+        return
+    except (OSError, ValueError) as error:
+        problem = f"can't be read ({getattr(error, 'strerror', None) or error})"
+        raise InputError(problem, path=str(path)[:200], remedy="check the path") from error
 
 
 def _preferred(found: Sequence[Path], others: Sequence[Path]) -> tuple[list[Path], str]:
