@@ -129,8 +129,8 @@ def _on_cells() -> Case:
         return reference.features(given.color, Keep(there, z, there.any((1, 2))), camera, CORNERS)
 
     def corners(found: CellFeatures) -> Features:
-        columns = (a[:, : CORNERS.max_corners] for a in found.features[:-1])
-        return Features(*columns, overflow=found.features.overflow)
+        columns = (a[:, : CORNERS.max_corners] for a in found.slots)
+        return Features(*columns, overflow=found.num_corners > CORNERS.max_corners)
 
     return Case(
         name="on_cells.vs_reference",

@@ -69,7 +69,7 @@ def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
 
 @pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])
 def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
-    def pitch(*words: str) -> float:
+    def pitch(*words: str) -> float | None:
         height = ["--ground.camera-height-m", "0.3", "--ground.camera-pitch", "0deg"]
         return parse(["a", "--output", "x", *height, *words]).method.ground.camera_pitch_rad
 

@@ -121,7 +121,7 @@ def test_chunks_in_memory_are_bounded_whatever_is_read(tmp_path, monkeypatch):
     most = 0
     plain = McapFile.chunk
 
-    def counted(file: McapFile, position: int) -> bytes:
+    def counted(file: McapFile, position: int) -> bytes | memoryview:
         nonlocal most
         alive.add(position)
         most = max(most, len(alive))
@@ -161,7 +161,7 @@ def test_a_failed_frame_does_not_hold_its_batch(tmp_path):
 def test_a_chunk_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch, whole):
     plain, failures = McapFile.chunk, [1]
 
-    def failing(file: McapFile, position: int) -> bytes:
+    def failing(file: McapFile, position: int) -> bytes | memoryview:
         if failures:
             raise DamageError(f"file can't be read (try {failures.pop()})")
         return plain(file, position)

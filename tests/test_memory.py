@@ -76,7 +76,7 @@ def used(memory: Memory, share: Share, needs: Needs) -> int:
     processes = ALONE if share.workers == 1 else PARENT + share.workers * WORKER
     images = (5 + share.read_ahead) * share.batch * needs.frame
     all_images = share.workers * (images + memory.chunks)
-    return processes + all_images + needs.index * (1 + share.workers) + needs.rows
+    return processes + all_images + needs.known * (1 + share.workers) + needs.rows
 
 
 @given(

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from jaxdet.config import Config
 from jaxdet.pipeline import detect
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages import _threads
+from jaxdet.stages import _chain
 from jaxdet_kernels.native_source import FOLDER
 from tests.scenes import frames, level
 
@@ -36,32 +37,34 @@ class Launch(NamedTuple):
     arrays: dict[str, np.ndarray]
 
 
-def launched(launch: Any) -> Launch:
-    """Copies of the arrays of a launch that has run."""
-    kernel, arrays = launch._recorded.kernel, {}
-    for i, argument in enumerate(kernel.adj.args):
-        if hasattr(argument.type, "ndim"):
-            given = getattr(launch._arguments, f"argument_{i}")
-            shape = tuple(given.shape[: given.ndim])
-            dtype = np.dtype(wp.dtype_to_numpy(argument.type.dtype))
-            size = int(np.prod(shape)) * dtype.itemsize
-            data = ctypes.string_at(given.data, size)
-            arrays[argument.label] = np.frombuffer(data, dtype).reshape(shape)
-    return Launch(kernel, arrays)
+def launched(program: Any) -> dict[str, Launch]:
+    """Copies of what the kernels of a program had and made, when it has run on one frame."""
+    lane, found = program.lanes[0], {}
+    starts = lane._shares.tolist()
+    for step, launch, start in zip(program.steps, lane._recorded, starts, strict=True):
+        layout, arrays = type(_chain._layout(launch.params[1:])), {}
+        for i, (name, of) in enumerate(step.kernel.types.items()):
+            if name not in step.scalars:
+                address = int(lane._words[start + getattr(layout, f"argument_{i + 2}").offset // 8])
+                shape, dtype = step.shapes[name], np.dtype(wp.dtype_to_numpy(of.dtype))
+                data = ctypes.string_at(address, int(np.prod(shape)) * dtype.itemsize)
+                arrays[name] = np.frombuffer(data, dtype).reshape(shape)
+        kernel = step.kernel.kernel
+        found[kernel.key] = Launch(kernel, arrays)
+    return found
 
 
 def all_launches(work: Callable[[], Any]) -> dict[str, Launch]:
-    """The last launch of each kernel."""
+    """What each kernel had and made while one frame was worked on."""
     found: dict[str, Launch] = {}
-    on_all_cores = _threads._on_all_cores
+    plain = _chain._Program.run
 
-    def run(work: Sequence[Any]) -> None:
-        on_all_cores(work)
-        one = launched(work[0].__self__)
-        found[one.kernel.key] = one
+    def run(program: Any, addresses: Sequence[int]) -> None:
+        plain(program, addresses)
+        found.update(launched(program))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_threads, "_on_all_cores", run)
+        patch.setattr(_chain._Program, "run", run)
         jax.block_until_ready(work())
     return found
 
@@ -97,26 +100,33 @@ def source(one: Launch) -> str:
 @pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
 def test_threads_of_a_block_find_what_one_thread_does(tmp_path: Path) -> None:
-    shown = list(sample_frames("ramps", 300, 4, width=320, height=240, depth_error=1.0))
-    color, depth = (np.stack([getattr(f, name) for f in shown]) for name in ("color", "depth"))
-    given = frames(calibration_of(shown[0].config), color, depth, plane=level(4, 0.4, 0.1))
-    found = all_launches(lambda: detect(given, Config()))
+    found = []
+    for shown in sample_frames("ramps", 300, 4, width=320, height=240, depth_error=1.0):
+        images = shown.color[None], shown.depth[None]
+        given = frames(calibration_of(shown.config), *images, plane=level(1, 0.4, 0.1))
+        found.append(all_launches(partial(detect, given, Config())))
     for name in KERNELS:
-        one, case = found[name], tmp_path / name
-        (tmp_path / "kernel.h").write_text(source(one), encoding="utf-8")
-        program, main = str(tmp_path / "program"), str(ROOT / "tests/team_main.cpp")
+        (tmp_path / "kernel.h").write_text(source(found[0][name]), encoding="utf-8")
+        program, main = tmp_path / "program", str(ROOT / "tests/team_main.cpp")
         folders = ["-I", str(tmp_path), "-I", str(FOLDER), "-I", str(ROOT / "tests")]
         flags = ["-std=c++17", "-O1", "-w", "-ffp-contract=off", *folders]
-        subprocess.run([str(COMPILER), *flags, main, "-o", program], check=True)
-        results = [key for key in one.arrays if key.endswith("_out")]
-        # Results that are not written are seen to be wrong.
-        arrays = {k: np.full_like(a, 77) if k in results else a for k, a in one.arrays.items()}
-        case.write_bytes(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values()))
-        subprocess.run([program, str(case)], check=True)
-        data, at = case.read_bytes(), 0
-        for key in results:
-            want = one.arrays[key]
-            own = np.frombuffer(data, want.dtype, want.size, at).reshape(want.shape)
-            at += want.nbytes
-            if key != "scratch_out":
-                np.testing.assert_array_equal(own, want, err_msg=f"{name}: {key}")
+        subprocess.run([str(COMPILER), *flags, main, "-o", str(program)], check=True)
+        for launches in found:
+            check(program, name, launches[name].arrays)
+
+
+def check(program: Path, name: str, arrays: dict[str, np.ndarray]) -> None:
+    """Runs the block's threads on what the kernel had, and compares what they make of it."""
+    case = program.with_name(name)
+    results = [key for key in arrays if key.endswith("_out")]
+    # Results that are not written are seen to be wrong.
+    given = {k: np.full_like(a, 77) if k in results else a for k, a in arrays.items()}
+    case.write_bytes(b"".join(np.ascontiguousarray(a).tobytes() for a in given.values()))
+    subprocess.run([str(program), str(case)], check=True)
+    data, at = case.read_bytes(), 0
+    for key in results:
+        want = arrays[key]
+        own = np.frombuffer(data, want.dtype, want.size, at).reshape(want.shape)
+        at += want.nbytes
+        if key != "scratch_out":
+            np.testing.assert_array_equal(own, want, err_msg=f"{name}: {key}")

@@ -48,7 +48,7 @@ class Needs(NamedTuple):
 
     frame: int
     """A frame's images."""
-    index: int
+    known: int
     """What is known of its messages, which each process has."""
     rows: int
     """Rows of the tables that wait in this process."""
@@ -116,7 +116,7 @@ class Memory:
         """
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
-            left -= (needs.index * (count + 1) + needs.rows) // count
+            left -= (needs.known * (count + 1) + needs.rows) // count
             ahead = READ_AHEAD if count == 1 and not self._devices else 0
             size = batch
             while size:
@@ -124,7 +124,7 @@ class Memory:
                     if (_IN_HAND + waiting) * size * needs.frame <= left:
                         return Share(count, size, waiting)
                 size //= 2
-        rest = _IN_HAND * needs.frame + 2 * needs.index + needs.rows
+        rest = _IN_HAND * needs.frame + 2 * needs.known + needs.rows
         chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, rest))  # which get half of what is left
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"

@@ -159,7 +159,7 @@ class _Scan:
                 yield FileRecord(Opcode.CHUNK, position, record.size)
             position = record.end
 
-    def take(self, record: FileRecord, decompressed: Future[bytes] | None) -> None:
+    def take(self, record: FileRecord, decompressed: Future[bytes | memoryview] | None) -> None:
         """Takes in a chunk.
 
         Raises:

@@ -28,7 +28,7 @@ class Ahead(NamedTuple):
     """A record that is to be taken in."""
 
     record: FileRecord
-    chunk: Future[bytes] | None = None
+    chunk: Future[bytes | memoryview] | None = None
     """What a chunk will be decompressed."""
     size: int = 0
     """Of that."""

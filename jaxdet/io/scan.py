@@ -97,7 +97,7 @@ class _Scan:
             if not after:
                 return
 
-    def record(self, record: FileRecord, chunk: Future[bytes] | None) -> None:
+    def record(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
         """Takes in one record.
 
         Raises:
@@ -157,7 +157,7 @@ class _Scan:
             except DamageError as error:
                 self.summary_problem = self.summary_problem or str(error)
 
-    def _chunk(self, position: int, decompressed: Future[bytes]) -> None:
+    def _chunk(self, position: int, decompressed: Future[bytes | memoryview]) -> None:
         head = self.file.chunk_head(position)
         self.chunks += 1
         self.chunks_with_crc += head.crc != 0

@@ -35,7 +35,7 @@ class Walk:
     def over(
         self,
         records: Iterable[FileRecord],
-        take: Callable[[FileRecord, Future[bytes] | None], None],
+        take: Callable[[FileRecord, Future[bytes | memoryview] | None], None],
         pool: ThreadPoolExecutor,
     ) -> None:
         """Takes in records, chunks decompressed; those that are damaged are lost.

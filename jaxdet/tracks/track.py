@@ -56,12 +56,12 @@ class Piece(NamedTuple):
     length_m: float
     width_m: float
     top_m: float
-    count: int
-    """Frames, those that don't show it as well."""
+    num_frames: int
+    """Those that don't show it as well."""
     path: np.ndarray
-    """``(count, 2)`` float32, or one point where it does not move [m]."""
+    """``(num_frames, 2)`` float32, or one point where it does not move [m]."""
     speed: np.ndarray
-    """``(count,)`` or ``(1,)`` float32 [m/s]."""
+    """``(num_frames,)`` or ``(1,)`` float32 [m/s]."""
 
 
 def piece_of(
@@ -107,8 +107,8 @@ def track_of(number: int, pieces: Sequence[Piece]) -> Track:
     moving = any(piece.moving for piece in pieces)
     seen = np.array([piece.seen for piece in pieces], np.float64)
     if moving:
-        path = np.concatenate([np.broadcast_to(p.path, (p.count, 2)) for p in pieces])
-        speed = np.concatenate([np.broadcast_to(p.speed, p.count) for p in pieces])
+        path = np.concatenate([np.broadcast_to(p.path, (p.num_frames, 2)) for p in pieces])
+        speed = np.concatenate([np.broadcast_to(p.speed, p.num_frames) for p in pieces])
     else:
         points = np.concatenate([piece.path for piece in pieces])
         path = np.average(points, axis=0, weights=seen)[None].astype(np.float32)
