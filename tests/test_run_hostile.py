@@ -147,7 +147,7 @@ def test_a_lock_that_many_race_for(tmp_path):
     assert sum(int(out) for out, _ in said) > 20
 
 
-@pytest.mark.parametrize("since", [time.time() + 1e6, -1.0, 1e300])
+@pytest.mark.parametrize("since", [4e9, -1.0, 1e300])
 def test_a_clock_that_jumped(tmp_path, since):
     """Only the system says whether a lock is held; the time is for people."""
     path = tmp_path / ".jaxdet" / "lock"
