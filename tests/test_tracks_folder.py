@@ -118,3 +118,13 @@ def test_tracks_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch, 
     assert part.read_bytes() == b"of a run" and not (copy / ".jaxdet" / "commit").exists()
     shutil.rmtree(copy / ".jaxdet")
     assert not verify(copy, sample=0).findings
+
+
+def test_other_files_stay(folder: Path, tmp_path: Path):
+    """Whatever they are called."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    own = copy / "tracks_of_my_own.png"
+    own.write_bytes(b"mine")
+    track_results(copy)
+    track_results(copy)
+    assert own.read_bytes() == b"mine"
