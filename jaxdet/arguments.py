@@ -77,7 +77,8 @@ def numbers(name: str, values: Any, kind: type) -> "np.ndarray":
     import numpy as np
 
     try:
-        if getattr(values, "size", 0) <= _MOST:
+        size = getattr(values, "size", 0)
+        if not isinstance(size, Integral) or size <= _MOST:  # of a tensor it is a method
             return np.asarray(values, kind)
     except Exception as error:  # likewise
         raise _no_numbers(name, values) from error
