@@ -119,7 +119,8 @@ def _is(value: Any, kind: Any) -> bool:
         many = isinstance(value, tuple | list) and len(value) == len(each)
         return many and all(map(_is, value, each))
     if kind in (float, int):
-        return isinstance(value, Real if kind is float else Integral) and value is not True
+        number = isinstance(value, Real if kind is float else Integral)
+        return number and not isinstance(value, bool)
     return isinstance(value, kind)
 
 
