@@ -247,3 +247,17 @@ def test_a_map_of_any_extent_is_drawn(far_m):
     counts = np.ones((3, 4), np.int32)
     path = np.array([[0.0, 0.0], [far_m, -far_m]])
     assert draw_map(MapImage(counts, 0 * counts, (0.0, 0.0), 0.05, path), "map").shape[2] == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+@pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["doctor", "--help"]])
+def test_output_that_nobody_takes(words):
+    command = [sys.executable, "-m", "jaxdet", *words]
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        found = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert found.returncode == 1 and "Traceback" not in found.stderr
+    ours, theirs = os.pipe()
+    os.close(ours)
+    found = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, text=True)
+    os.close(theirs)
+    assert found.returncode == 1 and not found.stderr

@@ -60,6 +60,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # whatever a terminal or a pipe can show
             stream.reconfigure(errors="backslashreplace")
+    try:
+        return _guarded(_do, args)
+    finally:
+        SPINNER.stop()
+
+
+def _do(args: list[str]) -> int:
+    """The command that the first argument names."""
     if not args or args[0] in ("-h", "--help"):
         lines = (f"  {name:<8} {text}" for name, text in COMMANDS.items())
         print(HELP.format(commands="\n".join(lines)), end="")
@@ -74,11 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"no command {args[0]!r}; {meant}use one of {known}, see jaxdet --help", 2)
     if args[0] == "run" and not {"-h", "--help", "--help-all", "--quiet", "--json"} & set(args):
         SPINNER.start("loading")
-    try:
-        command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
-        return _guarded(command, args[1:])
-    finally:
-        SPINNER.stop()
+    command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
+    return command(args[1:])
 
 
 def _guarded(command: Callable[[list[str]], int], args: list[str]) -> int:

@@ -286,20 +286,20 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
     :func:`world_angle` and the camera at ``(X0, Y0)``.
 
     Args:
-        corners: ``(B, M, 4, 2)`` float64, ground frame, right and forward [m].
+        corners: ``(B, M, P, 2)`` float64, outlines of P corners, ground frame, right and forward [m].
         T_world_camera: ``(B, 4, 4)`` float64, NaN where the pose is unknown.
 
     Returns:
-        ``(B, M, 4, 2)`` float64, world X and Y [m]; NaN where the pose is unknown.
+        ``(B, M, P, 2)`` float64, world X and Y [m]; NaN where the pose is unknown.
 
     Raises:
         InputError: They are no such arrays.
     """
     poses = numeric("T_world_camera", T_world_camera)
     corners = numeric("corners", corners)
-    if poses.shape[1:] != (4, 4) or corners.shape != (len(poses), *corners.shape[1:2], 4, 2):
+    if poses.shape[1:] != (4, 4) or corners.shape != (len(poses), *corners.shape[1:3], 2):
         problem = f"shape {corners.shape}, with poses of shape {poses.shape}"
-        raise InputError(problem, topic="corners", remedy="give (B, M, 4, 2) and (B, 4, 4)")
+        raise InputError(problem, topic="corners", remedy="give (B, M, P, 2) and (B, 4, 4)")
     sin, cos = (a[:, None, None] for a in world_angle(poses))
     x, y = corners[..., 0], corners[..., 1]
     X0, Y0 = (poses[:, i, 3][:, None, None] for i in (0, 1))
