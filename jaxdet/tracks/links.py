@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.hidden import unseen
-from jaxdet.tracks.outlines import Outlines, displacement
+from jaxdet.tracks.outlines import Outlines, displacement, gap
 from jaxdet.tracks.pairs import chain_starts, choose, pairs_of_frames, ranges
 from jaxdet.tracks.things import Things
 
@@ -66,6 +66,38 @@ def _frame_cost(
 
 def _stretch(a: Outlines, b: Outlines) -> np.ndarray:
     return np.abs(np.log(np.maximum(a.area, 1e-4) / np.maximum(b.area, 1e-4)))
+
+
+def end_pieces(things: Things, before: np.ndarray, first: int, config: TrackConfig) -> np.ndarray:
+    """Ends tracklets where another begins beside them and outlasts them.
+
+    A thing may fall into two pieces. Its tracklet follows one; if that is lost within
+    ``max_gap_frames``, the thing goes on as the other, whose tracklet began beside it.
+
+    Args:
+        things: ``N`` things.
+        before: ``(N,)`` int64, as the first pass left it.
+        first: Tracklets that start from here on are looked at.
+        config: How near the two are, and for how long.
+
+    Returns:
+        ``before`` without the links to and in those last frames.
+    """
+    root = chain_starts(before)
+    end = np.zeros(len(before), np.int64)  # the last frame of each chain, at its first thing
+    np.maximum.at(end, root, things.frame)
+    starts = np.flatnonzero(before[first:] < 0) + first
+    old, new = pairs_of_frames(things.frame, starts, 0)
+    lost = end[root[old]] - things.frame[new]
+    taken = (lost < config.max_gap_frames) & (end[new] > end[root[old]]) & (before[old] >= 0)
+    taken &= things.in_world[old] == things.in_world[new]
+    short = 2 * things.outline.half.max(axis=1) <= config.long_m
+    taken &= short[old] & short[new]
+    old, new = old[taken], new[taken]
+    beside = gap(things.outline.take(old), things.outline.take(new)) <= config.touch_m
+    cut = np.full(len(before), np.iinfo(np.int64).max)
+    np.minimum.at(cut, root[old[beside]], things.frame[old[beside]])
+    return np.where(things.frame >= cut[root], -1, before)
 
 
 class Tracklets(NamedTuple):
@@ -151,13 +183,13 @@ def _gap_cost(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cost of going on from tracklets ``a`` to ``b`` [m], and whether it can be."""
     end, start = track.end[a], track.start[b]
-    gap = ((things.stamp_ns[start] - things.stamp_ns[end]) * 1e-9)[:, None]
+    time = ((things.stamp_ns[start] - things.stamp_ns[end]) * 1e-9)[:, None]
     one, other = things.outline.take(end), things.outline.take(start)
     one = one._replace(center=track.place[a, 1])
     other = other._replace(center=track.place[b, 0])
-    forth = one._replace(center=one.center + track.velocity[a, 1] * gap)
-    back = other._replace(center=other.center - track.velocity[b, 0] * gap)
+    forth = one._replace(center=one.center + track.velocity[a, 1] * time)
+    back = other._replace(center=other.center - track.velocity[b, 0] * time)
     missed = (displacement(forth, other) + displacement(back, one)) / 2
     cost = missed + _STRETCH * _stretch(one, other)
     same = things.in_world[end] == things.in_world[start]
-    return cost, same & (cost < _LOST_M + _LOST_MPS * gap[:, 0])
+    return cost, same & (cost < _LOST_M + _LOST_MPS * time[:, 0])

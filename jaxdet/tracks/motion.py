@@ -13,10 +13,6 @@ GUESSED = 0.05
 """Weight of a frame between sightings."""
 LONGER, MERGED = 1.6, 0.1
 """An outline so much longer than usual holds something else; its weight."""
-HIDDEN = 0.5
-"""Weight of an outline with a hidden side, its square with two."""
-OFF_M = 0.1
-"""Outlines whose middle is so far from the line through their neighbours weigh half [m]."""
 STEADY_S = 0.02
 """Fits over less time than this are drawn to standing still [s]."""
 
@@ -41,8 +37,7 @@ def motion_of(
     """Fits the ways of tracks.
 
     A hidden side is put where it would be seen. Between sightings the outline's edges are
-    interpolated; over ``smooth_s`` before and after each frame they are lines, fitted twice: what
-    is far from the first line weighs less for the second.
+    interpolated; over ``smooth_s`` before and after each frame they are lines.
 
     Args:
         things: Sightings, those of the first track first, each track's by frame.
@@ -59,14 +54,11 @@ def motion_of(
     time = (stamp - stamp[starts][track]) * 1e-9
     length, usual = _lengths(things, first)
     longer = length > LONGER * np.repeat(usual, np.diff(np.append(first, len(length))))
-    less = np.where(longer, MERGED, 1) * HIDDEN ** things.hidden.sum(axis=1)
-    things = things._replace(weight=less * things.weight)
+    things = things._replace(weight=np.where(longer, MERGED, 1) * things.weight)
     shift = unseen(things, np.searchsorted(first, np.arange(len(length)), "right") - 1, len(first))
     edges = _edges(things) + np.hstack([shift, shift])
     edges, weight = _filled(things, edges, starts, first, stamp)
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
-    off = np.hypot(*_middle(edges - line).T)
-    line, slope = _fitted(track, time, edges, weight / (1 + (off / OFF_M) ** 2), config.smooth_s)
     moving = _moves(line, edges, weight, starts, track, usual, config)
     velocity = _middle(slope) * moving[track, None]
     return Motion(starts, _middle(line), velocity, moving)

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.hidden import hide_sides
-from jaxdet.tracks.links import link_frames, link_tracklets
+from jaxdet.tracks.links import end_pieces, link_frames, link_tracklets
 from jaxdet.tracks.motion import motion_of
 from jaxdet.tracks.numbers import Numbers
 from jaxdet.tracks.pairs import chain_starts
@@ -69,6 +69,7 @@ class Tracker:
         self.things = things if self.things is None else join_things(self.things, things)
         before = np.concatenate([self.before, np.full(new, -1)])
         before = link_frames(self.things, before, first, self.config)
+        before = end_pieces(self.things, before, first, self.config)
         self.before = link_tracklets(self.things, before, first, self.config)
         chain = np.concatenate([self.chain, self.count + np.arange(new)])
         self.chain = chain[chain_starts(self.before)]
