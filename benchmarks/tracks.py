@@ -219,7 +219,21 @@ class _Log:
         sides = np.linalg.norm(box - np.roll(box, 1, axis=2), axis=-1).max(axis=(0, 2))
         near = (truth.nearest_m >= RANGE_M[0]) & (truth.nearest_m <= RANGE_M[1])
         seen = (truth.visible_pixels >= self.pixels) & near & (truth.height_m > 0.05)
-        return seen & ~truth.is_wall & (sides <= LONG_M)
+        return seen & ~truth.is_wall & (sides <= LONG_M) & ~self._inside
+
+    @property
+    def _inside(self) -> np.ndarray:
+        """``(J,)`` bool, what the scene put into a higher thing: no picture tells the two apart."""
+        things = self.scene.objects
+        stand = [j for j, o in enumerate(things) if not isinstance(o, Model) or o.path is None]
+        box, high = self.truth.box_world[0, :, :4, :2], self.truth.box_world[0, :, :, 2].max(axis=1)
+        inside = np.zeros(len(things), bool)
+        for i in stand:
+            middle = box[i].mean(axis=0)
+            inside[i] = any(
+                high[j] > high[i] and _distance(box[j], middle) < 0 for j in stand if j != i
+            )
+        return inside
 
     def there(self, frame: int) -> tuple[list[int], np.ndarray, np.ndarray]:
         """The tracks of a frame, where they are ``(K, 2)`` and how fast ``(K,)``."""
