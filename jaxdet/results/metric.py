@@ -286,7 +286,8 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
     :func:`world_angle` and the camera at ``(X0, Y0)``.
 
     Args:
-        corners: ``(B, M, P, 2)`` float64, outlines of P corners, ground frame, right and forward [m].
+        corners: ``(B, M, P, 2)`` float64, outlines of P corners in the ground frame, right and
+            forward [m].
         T_world_camera: ``(B, 4, 4)`` float64, NaN where the pose is unknown.
 
     Returns:
