@@ -77,7 +77,8 @@ def numbers(name: str, values: Any, kind: type) -> "np.ndarray":
     import numpy as np
 
     try:
-        if getattr(values, "size", 0) <= _MOST:
+        size = getattr(values, "size", 0)
+        if not isinstance(size, Integral) or size <= _MOST:  # of a tensor it is a method
             return np.asarray(values, kind)
     except Exception as error:  # likewise
         raise _no_numbers(name, values) from error
@@ -118,7 +119,8 @@ def _is(value: Any, kind: Any) -> bool:
         many = isinstance(value, tuple | list) and len(value) == len(each)
         return many and all(map(_is, value, each))
     if kind in (float, int):
-        return isinstance(value, Real if kind is float else Integral) and value is not True
+        number = isinstance(value, Real if kind is float else Integral)
+        return number and not isinstance(value, bool)
     return isinstance(value, kind)
 
 

@@ -12,7 +12,7 @@ _GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 _UNITS = {"": 1, "b": 1, **{f"{name}ib": 1 << 10 * (i + 1) for i, name in enumerate("kmgt")}}
 _UNITS |= {name[0]: size for name, size in _UNITS.items() if name}
 _UNITS |= {f"{name}b": 1000 ** (i + 1) for i, name in enumerate("kmgt")}
-_SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([kmgt]?(?:i?b)?)", re.IGNORECASE)
+_SIZE = re.compile(r"(\d{1,18}(?:\.\d+)?) ?([kmgt]?(?:i?b)?)", re.IGNORECASE | re.ASCII)
 
 
 def machine_memory() -> int:

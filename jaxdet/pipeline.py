@@ -113,7 +113,7 @@ def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax")
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
         InputError: There are not as many images and planes.
     """
-    _given(config)
+    config = _given(config)
     check_frames(frames)
     check_cells(frames.calibration, config.surface)
     prior = known_plane(frames, config)

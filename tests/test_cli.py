@@ -17,7 +17,7 @@ from jaxdet.cli.run import RunCommand, parse
 from jaxdet.cli.settings import defaults
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, OutputError
 from jaxdet.io import LogOptions
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, load_truth, write_log
@@ -316,6 +316,22 @@ def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Capture
     assert captured.err.count("jaxdet: error: ") == 1
     assert "bad.mcap" in captured.err
     assert "2 frames" in captured.out
+
+
+def test_a_log_that_fails_is_said_whatever_tracking_does(
+    sim_log: Path, tmp_path: Path, capfd: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"nothing")
+
+    def full(folder: Path) -> None:
+        raise OutputError("can't be written", path=str(folder))
+
+    monkeypatch.setattr("jaxdet.tracks.folder.track_results", full)
+    logs = [str(sim_log), str(tmp_path / "bad.mcap")]
+    how = ["--backend", "reference", "--quiet", "--tracks"]
+    assert main(["run", *logs, "--output", str(tmp_path / "out"), *how]) == 1
+    first, second = capfd.readouterr().err.splitlines()
+    assert "bad.mcap" in first and second.endswith("out: can't be written")
 
 
 def test_info_says_what_is_used_and_why(sim_log: Path, capsys: Captured) -> None:

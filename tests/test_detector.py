@@ -214,6 +214,26 @@ def test_frames_come_as_people_have_them():
     assert of_grey == rows_of(plain(np.repeat(grey[0, ..., None], 3, axis=2), DEPTH[0]))
 
 
+class Tensor:
+    """An array of another library, as torch has them."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = np.asarray(values)
+
+    def size(self) -> tuple[int, ...]:
+        return self.values.shape
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return self.values.astype(dtype)
+
+
+def test_matrices_of_other_libraries_are_taken():
+    K = [[60.0, 0, 48], [0, 60, 30], [0, 0, 1]]
+    assert Intrinsics.from_matrix(Tensor(K), 96, 60) == Intrinsics.from_matrix(K, 96, 60)
+    motion = np.eye(4)
+    assert Extrinsics.from_matrix(Tensor(motion)) == Extrinsics.from_matrix(motion)
+
+
 def test_aligned_depth_and_lenses():
     camera = CALIBRATION.color
     depth = smooth_depth(1, camera)[0]

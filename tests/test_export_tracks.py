@@ -13,6 +13,7 @@ from jaxdet.errors import InputError
 from jaxdet.results.reading import Results
 from jaxdet.tracks import TrackConfig, track_results
 from tests.export_results import run, sim_log
+from tests.made_results import make_results
 from tests.test_export_coco import coco_of
 from tests.test_export_foxglove import exported
 from tests.test_export_html import Opened, browser, page_of
@@ -140,3 +141,21 @@ def test_results_without_tracks_and_with_those_of_others(
     pq.write_table(links.replace_schema_metadata(None), copy / "track_links.parquet")
     with Results(copy) as results, pytest.raises(InputError, match="format none"):
         list(results.frames())
+
+
+def test_tracks_of_many_logs_are_read_by_log(tmp_path: Path, monkeypatch: Any) -> None:
+    """Each is read once for all logs, not once for each."""
+    folder = make_results(tmp_path / "many", dict.fromkeys(map(str, range(12)), 40))
+    track_results(folder, TrackConfig(min_frames=1))
+    rows = pq.read_table(folder / "tracks.parquet").to_pylist()
+    read, plain = [0], pq.ParquetFile.iter_batches
+
+    def iter_batches(*given: Any, **how: Any) -> Any:
+        for batch in plain(*given, **how):
+            read[0] += batch.num_rows
+            yield batch
+
+    monkeypatch.setattr(pq.ParquetFile, "iter_batches", iter_batches)
+    with Results(folder) as results:
+        found = [row for log in results.logs for row in results.tracks(log)]
+    assert found == rows and read[0] == len(rows) > 100

@@ -22,7 +22,7 @@ DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.m
 DOCUMENTS["README"] = ROOT / "README.md"
 CONSOLE = ("pip ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
 """What a block that is not run may hold: installing, and other programs."""
-OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only")
+OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 """Flags of other programs."""
 
 

@@ -44,7 +44,10 @@ def test_sizes(text, size):
     assert parse_size(size_text(size), "--memory") in range(size, size + MIB)
 
 
-@pytest.mark.parametrize("text", ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec"])
+NO_SIZES = ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec", "9" * 400]
+
+
+@pytest.mark.parametrize("text", NO_SIZES)
 def test_what_is_no_size(tmp_path, text):
     with pytest.raises(ConfigError, match=r"--memory .* is no size; give --memory .* 4GiB"):
         RunOptions(tmp_path, memory=text)

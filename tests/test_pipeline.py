@@ -12,6 +12,7 @@ import pytest
 from jaxdet import detect
 from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
 from jaxdet.errors import ConfigError
+from jaxdet.pipeline import find_floors
 from jaxdet.presets import PRESETS, preset
 from jaxdet.stages import _detect, _points
 from jaxdet.types import Calibration, Extrinsics, Frames, Intrinsics
@@ -102,6 +103,12 @@ def test_empty_depth_is_told_apart_from_no_obstacle():
     found = detect(given)
     assert np.asarray(found.has_depth).tolist() == [True, False]
     assert np.asarray(found.labels.num_obstacles)[1] == 0
+
+
+def test_floors_are_found_with_the_default_configuration():
+    frames = made_frames(1)
+    found, expected = (find_floors(frames, c, backend="reference") for c in (None, Config()))
+    np.testing.assert_array_equal(found.plane.height, expected.plane.height)
 
 
 def test_unknown_names_are_errors():

@@ -374,6 +374,8 @@ def test_settings_out_of_range(field):
     problem = ": float is not what it takes" if whole else " is out of its range"
     with pytest.raises(ConfigError, match=f"{name}{problem}"):
         TrackConfig(**{field: float("inf")})
+    with pytest.raises(ConfigError, match=f"{name}: bool is not what it takes"):
+        TrackConfig(**{field: False})
 
 
 def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: object) -> Path:

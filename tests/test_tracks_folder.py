@@ -118,3 +118,34 @@ def test_tracks_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch, 
     assert part.read_bytes() == b"of a run" and not (copy / ".jaxdet" / "commit").exists()
     shutil.rmtree(copy / ".jaxdet")
     assert not verify(copy, sample=0).findings
+
+
+def test_other_files_stay(folder: Path, tmp_path: Path):
+    """Whatever they are called."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    own = copy / "tracks_of_my_own.png"
+    own.write_bytes(b"mine")
+    track_results(copy)
+    track_results(copy)
+    assert own.read_bytes() == b"mine"
+
+
+def test_results_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch):
+    """``jaxdet track`` brings those of a run to their place, and leaves nothing of the run."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    logs = find_logs([str(folder.parent / "log.mcap")])
+    again = RunOptions(copy, backend="reference", pictures=0, overwrite=True)
+    replace = os.replace
+
+    def broken(old: Any, new: Any) -> None:
+        if Path(new).name == "manifest.json":
+            raise OSError(5, "Input/output error")
+        replace(old, new)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", broken)
+        with pytest.raises(OutputError, match="Input/output error"):
+            engine.run(logs, Config(), LogOptions(), again)
+    assert (copy / ".jaxdet" / "commit").exists()
+    track_results(copy)
+    assert not (copy / ".jaxdet").exists() and not verify(copy, sample=0).findings

@@ -100,6 +100,11 @@ def main(args: list[str]) -> int:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
         print("\n".join(summary_lines(summary, command.run.output)))
+    errors = [log.error for log in summary.failed]
+    errors += [log.unusable for log in summary.whole if log.unusable]
+    errors += [lost for log in summary.whole for lost in log.lost]
+    for error in errors:
+        print(f"jaxdet: error: {error}", file=sys.stderr)
     if command.tracks and len(summary.failed) < len(summary.logs):
         from jaxdet.cli.track import track_lines
         from jaxdet.tracks import track_results
@@ -107,11 +112,6 @@ def main(args: list[str]) -> int:
         found = track_results(command.run.output)
         if not silent:
             print("\n".join(track_lines(found)))
-    errors = [log.error for log in summary.failed]
-    errors += [log.unusable for log in summary.whole if log.unusable]
-    errors += [lost for log in summary.whole for lost in log.lost]
-    for error in errors:
-        print(f"jaxdet: error: {error}", file=sys.stderr)
     return 1 if errors else 0
 
 

@@ -3,7 +3,7 @@
 The libraries and programs of each process come first, in figures measured with frames of 640x480.
 What is left is shared by the processes: a part for chunks of the log, which bounds what a file may
 ask for, and the rest for images. So it decides how many processes there are, how many frames they
-compute together, and how far they read ahead. None of these changes a byte of the results.
+compute together, and how far they read ahead. None of these changes a byte of the two tables.
 
 Counted is resident memory, pages that processes share once.
 """

@@ -170,7 +170,7 @@ class Workspace:
         Raises:
             OutputError: The disk is full or broken.
         """
-        rest = self.logs.name, "result", "tracks"
+        rest = self.logs.name, "result", "tracks", "plan"
         commit(self.folder, files, result_files(self.output), rest, (self.record, told))
         self.clear()
 

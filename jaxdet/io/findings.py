@@ -49,7 +49,7 @@ class ScannedFrames(NamedTuple):
         return self.timeline.color.stamps_ns
 
     def is_plain(self, number: int) -> bool:
-        """Whether the frames from a number on are better looked at many at a time: all are."""
+        """False: nothing is read to look at a frame, as all messages have been."""
         return False
 
     def stamp_ns(self, number: int) -> int:

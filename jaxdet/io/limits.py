@@ -66,8 +66,9 @@ def check_memory(what: str, nbytes: int, memory_bytes: int, path: str) -> None:
     """
     if nbytes > memory_bytes:
         problem = f"{what} takes {size_text(nbytes)}, where {size_text(memory_bytes)} are allowed"
-        # A chunk gets a quarter of what there is, and the index half.
-        remedy = f"give --memory {size_text(4 * (nbytes - memory_bytes))} more"
+        # A chunk gets a quarter of what there is for a worker, and the index half.
+        more = size_text(4 * (nbytes - memory_bytes))
+        remedy = f"give --memory {more} more for each worker, or fewer --workers"
         raise InputError(problem, path=path, remedy=remedy)
 
 

@@ -31,6 +31,15 @@ def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
     return pa.OSFile(os.fsencode(path), mode)
 
 
+def map_file(path: Path) -> pa.NativeFile:
+    """A file mapped into memory for Arrow to read, likewise.
+
+    Raises:
+        OSError: It can't be opened.
+    """
+    return pa.memory_map(os.fsencode(path))
+
+
 def to_array(values: Any, field: pa.Field) -> pa.Array:
     """A column.
 

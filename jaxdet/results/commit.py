@@ -79,9 +79,12 @@ def settle(working: Path) -> Journal | None:
         return None
     journal: Journal = pickle.loads(content)
     _carry_out(working, journal)
-    for name in (*journal.rest, _OLD):
-        shutil.rmtree(working / name, ignore_errors=True)
     with writing(working):
+        for path in (working / name for name in (*journal.rest, _OLD)):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
         (working / JOURNAL).unlink()
     return journal
 

@@ -5,7 +5,7 @@ import json
 import typing
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -162,8 +162,8 @@ class Results:
         """Closes the tables."""
         self._frames.close(force=True)
         self._obstacles.close(force=True)
-        if "_links" in vars(self):
-            self._links.close(force=True)
+        for name in {"_tracks", "_links"} & vars(self).keys():
+            getattr(self, name).close(force=True)
 
     @cached_property
     def tracked(self) -> bool:
@@ -178,8 +178,9 @@ class Results:
         """
         if not self.tracked:
             return
-        with self._reading(), closing(self._table_of_tracks(TRACKS)) as table:
-            for batch in table.iter_batches(batch_size=CHUNK_FRAMES):
+        with self._reading():
+            groups = self._track_groups.get((log.name, log.camera), [])
+            for batch in self._tracks.iter_batches(CHUNK_FRAMES, groups) if groups else ():
                 for row in batch.to_pylist():
                     if (row["log"], row["camera"]) == (log.name, log.camera):
                         yield row
@@ -333,6 +334,20 @@ class Results:
             problem = "is not of the results that it lies beside"
             raise InputError(problem, path=str(self._path(name)), remedy="run jaxdet track again")
         return table
+
+    @cached_property
+    def _tracks(self) -> pq.ParquetFile:
+        return self._table_of_tracks(TRACKS)
+
+    @cached_property
+    def _track_groups(self) -> dict[tuple[str, str], list[int]]:
+        """The row groups that hold the tracks of each log and camera."""
+        found: dict[tuple[str, str], list[int]] = {}
+        for group in range(self._tracks.num_row_groups):
+            names = self._tracks.read_row_group(group, ["log", "camera"]).to_pydict()
+            for of in {*zip(names["log"], names["camera"], strict=True)}:
+                found.setdefault(of, []).append(group)
+        return found
 
     @cached_property
     def _links(self) -> pq.ParquetFile:

@@ -11,6 +11,7 @@ import shutil
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from jaxdet.results.arrow import open_file
 from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import writing
 from jaxdet.results.lock import Lock
-from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest
+from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest, read_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.writer import write_json
 from jaxdet.tracks.config import TrackConfig
@@ -205,8 +206,8 @@ def _staging(folder: Path) -> Iterator[Path]:
 
 def _commit(staging: Path, folder: Path) -> None:
     """Makes the new files those of the folder."""
-    names = TRACKS, LINKS, *(path.name for path in folder.glob("tracks_*.png"))
-    old = [name for name in names if (folder / name).is_file()]
+    known = read_manifest(folder)["files"]
+    old = [name for name in known if name in (TRACKS, LINKS) or fnmatch(name, "tracks_*.png")]
     new = {path.name: path for path in staging.iterdir()}
     new |= write_json(staging / MANIFEST, changed_manifest(folder, old, new))
     commit(staging.parent, new, (*old, MANIFEST), [staging.name])

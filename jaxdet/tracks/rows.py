@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from jaxdet.results.arrow import map_file, open_file
 from jaxdet.results.durable import writing
 from jaxdet.results.reading import ResultLog
 from jaxdet.tracks.schemas import TRACKS_SCHEMA
@@ -30,7 +31,8 @@ class TrackRows:
     def __init__(self, path: Path, log: ResultLog) -> None:
         self._path, self._log = path, log
         with writing(path):
-            self._writer = pa.ipc.new_file(str(path), TRACKS_SCHEMA)
+            self._file = open_file(path, "wb")
+            self._writer = pa.ipc.new_file(self._file, TRACKS_SCHEMA)
         self._places: list[tuple[int, int, int]] = []
         """Number, batch, and row in it, of each track."""
         self._batches = 0
@@ -42,7 +44,7 @@ class TrackRows:
 
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):  # what it holds is not needed any more
-            self._writer.close()
+            self._close()
         self._path.unlink(missing_ok=True)
 
     def __len__(self) -> int:
@@ -62,13 +64,18 @@ class TrackRows:
     def ordered(self) -> Iterator[pa.Table]:
         """The rows by number, some at a time; no track can be added any more."""
         with writing(self._path):
-            self._writer.close()
-        with pa.memory_map(str(self._path)) as file, pa.ipc.open_file(file) as reader:
+            self._close()
+        with map_file(self._path) as file, pa.ipc.open_file(file) as reader:
             places = sorted(self._places)
             for first in range(0, len(places), PART_ROWS):
                 part = places[first : first + PART_ROWS]
                 rows = [reader.get_batch(batch).slice(row, 1) for _, batch, row in part]
                 yield pa.Table.from_batches(rows).combine_chunks()
+
+    def _close(self) -> None:
+        if not self._file.closed:
+            with self._file:
+                self._writer.close()
 
 
 def _batch(log: ResultLog, tracks: Sequence[Track]) -> pa.RecordBatch:
