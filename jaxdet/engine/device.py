@@ -1,6 +1,6 @@
 """Where the obstacles of a batch are found: in this process, or by the one that has the GPU."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxdet.config import Config
 from jaxdet.engine.signals import stops_held_back
 from jaxdet.pipeline import BackendName, detect
-from jaxdet.results.rows import RowInputs, row_inputs, to_host
+from jaxdet.results.rows import RowInputs, joined_inputs, row_inputs, to_host
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class OwnDevice:
                 if not out_of_memory(error):
                     raise
                 found.append(self._in_halves(half))
-        return _joined(found)
+        return joined_inputs(found)
 
 
 class _Started(NamedTuple):
@@ -143,13 +143,3 @@ def _rows(frames: Frames, rows: slice) -> Frames:
     parts = {k: a[rows] for k, a in frames._asdict().items() if isinstance(a, np.ndarray)}
     plane = frames.plane and GroundPlane(*(np.asarray(a)[rows] for a in frames.plane))
     return frames._replace(**parts, plane=plane)
-
-
-def _joined(parts: Sequence[Any]) -> Any:
-    """Trees of named tuples, arrays and None, one after the other."""
-    first = parts[0]
-    if first is None:
-        return None
-    if isinstance(first, tuple):
-        return type(first)(*map(_joined, zip(*parts, strict=True)))
-    return np.concatenate(parts)

@@ -145,7 +145,7 @@ def used_slots(inputs: RowInputs, count: int) -> RowInputs:
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
-    """Those of frames one after the other, with the slots of whoever has most."""
+    """Trees of frames' arrays one after the other, with the slots of whoever has most."""
     first = parts[0]
     if first is None:
         return None
