@@ -6,13 +6,10 @@ overruns its chunk; here every length is checked before it is used.
 
 import struct
 from collections.abc import Iterator
-from threading import local
 from typing import NamedTuple
 
 import deflate
 import lz4.frame
-import numpy as np
-import zstandard
 from mcap.opcode import Opcode
 
 from jaxdet.io.limits import MAX_ODD_RECORDS
@@ -25,8 +22,6 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 
 PIECE_BYTES = 1 << 18
 """Of a chunk, worked on at a time: they stay in a core's cache."""
-
-_of_thread = local()
 
 
 class DamageError(Exception):
@@ -85,29 +80,29 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
     return ChunkHead(start, end, size, crc, name, offset, data_size, length)
 
 
-def decompress(head: ChunkHead, data: bytes, max_bytes: int) -> bytes | memoryview:
+def decompress(head: ChunkHead, data: bytes | memoryview, max_bytes: int) -> bytes | memoryview:
     """The records of a chunk, at most ``max_bytes``, checked against its CRC where it has one.
+
+    Those of a packed chunk are in memory of their own, others are ``data``.
 
     Raises:
         DamageError: Unknown compression, a size other than declared, or a wrong CRC.
     """
-    if max(head.uncompressed_size, head.data_size) > max_bytes:
+    size = head.uncompressed_size
+    if max(size, head.data_size) > max_bytes:
         raise DamageError("chunk is larger than --log.max-chunk-mib")
-    size, crc = head.uncompressed_size, None
-    try:
-        if head.compression == "zstd":
-            records = _zstd(data, size)
-        elif head.compression == "lz4":
-            records, crc = _lz4(data, size)
-        elif head.is_plain:
-            records = data
-        else:
+    records = data
+    if not head.is_plain:
+        if head.compression not in ("lz4", "zstd"):
             raise DamageError(f"chunk compression {head.compression!a} is unknown")
-    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as error:
-        raise DamageError("chunk can't be decompressed") from error
-    if len(records) != size:
+        try:
+            records = _unpacked(head.compression, data, size)
+        except (RuntimeError, EOFError, OSError) as error:
+            problem = "chunk can't be decompressed, or has another size than declared"
+            raise DamageError(problem) from error
+    if len(records) != size or (not head.crc and not _fills(head.compression, data, size)):
         raise DamageError("chunk has another size than declared")
-    if head.crc and (crc32(records) if crc is None else crc) != head.crc:
+    if head.crc and crc32(records) != head.crc:
         raise DamageError("chunk has a wrong CRC")
     return records
 
@@ -117,35 +112,27 @@ def crc32(data: bytes | memoryview, start: int = 0) -> int:
     return deflate.crc32(data, start)
 
 
-def _zstd(data: bytes, size: int) -> bytes:
-    """At most ``size + 1`` bytes of all frames; at once where the one frame says its size."""
-    try:
-        decompressor = _of_thread.zstd
-    except AttributeError:
-        decompressor = _of_thread.zstd = zstandard.ZstdDecompressor()
-    if size and zstandard.frame_content_size(data) == size:
-        return decompressor.decompress(data, allow_extra_data=False)
-    return decompressor.stream_reader(data, read_across_frames=True).read(size + 1)
+def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryview:
+    """``size`` bytes that are decompressed to where they stay."""
+    import pyarrow as pa
+
+    if not len(data) and not size:
+        return memoryview(b"")
+    memory = pa.system_memory_pool()
+    unpacked = pa.Codec(compression).decompress(data, size, memory_pool=memory)
+    return memoryview(unpacked).cast("B")
 
 
-def _lz4(data: bytes, size: int) -> tuple[memoryview, int]:
-    """At most ``size + 1`` bytes of the first frame, and their CRC.
-
-    In pieces that stay in a core's cache until they are copied and their CRC is known: ``lz4``
-    copies all that it returns, and many processes at once wait for memory.
-    """
-    records = np.empty(size + 1, np.uint8).data
+def _fills(compression: str, data: bytes | memoryview, size: int) -> bool:
+    """Whether packed data are ``size`` bytes: of lz4 pyarrow doesn't say how many it wrote."""
+    if compression != "lz4" or not len(data):
+        return True
     context, left = lz4.frame.create_decompression_context(), memoryview(data)
-    place, crc, end = 0, 0, False
-    while not end and place <= size:
-        piece, count, end = lz4.frame.decompress_chunk(
-            context, left, max_length=min(PIECE_BYTES, size + 1 - place)
-        )
-        if not count and not piece:
-            break  # the frame goes on, but not the data
-        records[place : place + len(piece)] = piece
-        crc, place, left = crc32(piece, crc), place + len(piece), left[count:]
-    return records[:place], crc
+    found, end = 0, False
+    while not end and found <= size:
+        piece, count, end = lz4.frame.decompress_chunk(context, left, max_length=PIECE_BYTES)
+        found, left = found + len(piece), left[count:]
+    return found == size
 
 
 def chunk_records(records: bytes | memoryview) -> Iterator[Record]:

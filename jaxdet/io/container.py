@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from threading import local
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
@@ -21,6 +22,10 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
+_PACKED_BYTES = 16 << 20
+"""Of a packed chunk that is read into memory which its thread keeps."""
+
+_of_thread = local()
 
 
 class Location(NamedTuple):
@@ -218,8 +223,25 @@ class McapFile(LogFile):
         """
         head = self.chunk_head(position)
         self.check_memory(max(head.uncompressed_size, head.data_size))
-        data = self.read(position + head.data_offset, min(head.data_size, self.max_bytes + 1))
+        start, size = position + head.data_offset, min(head.data_size, self.max_bytes + 1)
+        if head.is_plain:
+            return decompress(head, self.read(start, size), self.max_bytes)
+        data = _packed_memory(size)
+        self.read_into(start, [data])
         return decompress(head, data, self.max_bytes)
+
+
+def _packed_memory(size: int) -> memoryview:
+    """Memory for a packed chunk, until the thread's next call.
+
+    It stays in a core's cache, where fresh memory would be fetched, written and read once more.
+    """
+    memory: bytearray = getattr(_of_thread, "memory", bytearray())
+    if len(memory) < size:
+        memory = bytearray(size)
+        if size <= _PACKED_BYTES:
+            _of_thread.memory = memory
+    return memoryview(memory)[:size]
 
 
 def _unreadable(error: Exception) -> DamageError:

@@ -1,6 +1,7 @@
 """Opens a log by the indexes of its files: what is small is read, of images the first few."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind
 from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows, decode_motions
 from jaxdet.io.records import IndexedMessages, read_message
-from jaxdet.io.store import ChunkStore
+from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.validity import InfoMessages
 from jaxdet.io.windows import StreamWindows
@@ -83,7 +84,11 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
     whole = sum(len(topic.messages.log_ns) for topic in motions) <= _MAX_MOTIONS
     probes = [(topic, _probes(topic, whole)) for topic in topics]
-    feed_messages(builder, store, probes)
+    delays = _Delays()
+    for topic, number, location, payload in _read_messages(store, probes):
+        _add_message(builder, topic, number, location, payload)
+        if topic.kind in _MOTIONS and not whole and not _is_static(topic):
+            delays.see(topic, number, payload)
     for name, item in index.topics.items():
         item.count, item.first_ns, item.last_ns = counts[name]
         if item.undecodable:
@@ -106,8 +111,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    seen = {} if whole else _delays(store, [item for item in probes if item[0] in motions])
-    windows = _motion_windows(index, motions, store, seen, path, whole)
+    windows = _motion_windows(index, motions, store, delays.seen, path, whole)
     infos = {
         topic.name: InfoMessages(
             topic.name,
@@ -132,13 +136,15 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
         for topic in _read_topics([file], builder)
         if topic.kind not in _MOTIONS or _is_static(topic)
     ]
-    feed_messages(builder, store, [(topic, _probes(topic, False)) for topic in topics])
+    probes = [(topic, _probes(topic, False)) for topic in topics]
+    for topic, number, location, payload in _read_messages(store, probes):
+        _add_message(builder, topic, number, location, payload)
 
 
-def feed_messages(
-    builder: IndexBuilder, store: ChunkStore, parts: Sequence[tuple[_Topic, np.ndarray]]
-) -> None:
-    """Gives some messages of topics to a builder, in the order of the files.
+def _read_messages(
+    store: ChunkStore, parts: Sequence[tuple[_Topic, np.ndarray]]
+) -> Iterator[tuple[_Topic, int, Location, memoryview]]:
+    """Some messages of topics in the order of the files; threads decompress their chunks.
 
     Raises:
         DamageError: One isn't where the index says.
@@ -148,12 +154,22 @@ def feed_messages(
         for topic, numbers in parts
         for number in numbers.tolist()
     ]
-    for file, position, offset, topic, number in sorted(wanted, key=lambda item: item[:3]):
-        size, payload = read_message(store, topic.messages, number)
-        location = Location(position, offset + RECORD_HEAD.size + MESSAGE_HEAD.size, size)
-        info = topic.channels[int(topic.messages.decoder[number])].info
-        builder.file_number = file
-        builder.add(info, int(topic.messages.log_ns[number]), payload, location)
+    wanted.sort(key=lambda item: item[:3])
+    chunks = {Place(*where): list(group) for where, group in groupby(wanted, lambda item: item[:2])}
+    for wave in store.waves(chunks):
+        store.load(wave)
+        for _, position, offset, topic, number in (i for place in wave for i in chunks[place]):
+            size, payload = read_message(store, topic.messages, number)
+            head = RECORD_HEAD.size + MESSAGE_HEAD.size
+            yield topic, number, Location(position, offset + head, size), payload
+
+
+def _add_message(
+    builder: IndexBuilder, topic: _Topic, number: int, location: Location, payload: memoryview
+) -> None:
+    info = topic.channels[int(topic.messages.decoder[number])].info
+    builder.file_number = int(topic.messages.file[number])
+    builder.add(info, int(topic.messages.log_ns[number]), payload, location)
 
 
 def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[_Topic]:
@@ -223,22 +239,21 @@ def _is_static(topic: _Topic) -> bool:
     return MotionTopic(topic.name, topic.channels[0].decoder).is_static
 
 
-def _delays(
-    store: ChunkStore, probes: Sequence[tuple[_Topic, np.ndarray]]
-) -> dict[str, tuple[int, int]]:
-    """By how much stamps differ from log times, least and most, by frame or pose topic [ns]."""
-    found: dict[str, list[int]] = {}
-    for topic, numbers in probes:
-        if _is_static(topic):
-            continue
-        for number in numbers.tolist():
-            decoder = topic.channels[int(topic.messages.decoder[number])].decoder
-            _, payload = read_message(store, topic.messages, number)
-            for item in decode_motions(decoder, payload):
-                name = item.child if topic.kind is Kind.TRANSFORM else topic.name
-                delay = item.stamp_ns - int(topic.messages.log_ns[number])
-                found.setdefault(name, []).append(delay)
-    return {name: (min(delays), max(delays)) for name, delays in found.items()}
+class _Delays:
+    """By how much stamps differ from log times."""
+
+    def __init__(self) -> None:
+        self.seen: dict[str, tuple[int, int]] = {}
+        """Least and most by frame or pose topic [ns]."""
+
+    def see(self, topic: _Topic, number: int, payload: memoryview) -> None:
+        """Looks at a message of what moves."""
+        decoder = topic.channels[int(topic.messages.decoder[number])].decoder
+        for item in decode_motions(decoder, payload):
+            name = item.child if topic.kind is Kind.TRANSFORM else topic.name
+            delay = item.stamp_ns - int(topic.messages.log_ns[number])
+            low, high = self.seen.get(name, (delay, delay))
+            self.seen[name] = min(low, delay), max(high, delay)
 
 
 def _motion_windows(

@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from threading import Lock
 from typing import NamedTuple, TypeVar
 
@@ -147,6 +148,17 @@ class ChunkStore:
                     self._ahead.add(place)
             self.checked.add(place)
         return data
+
+    def load(self, places: Iterable[Place]) -> None:
+        """Decompresses a wave of chunks by all threads, those of them that are packed.
+
+        Raises:
+            DamageError: One can't be read.
+        """
+        packed = [place for place in places if place.position >= 0]
+        packed = [place for place in packed if not self.head(place).is_plain]
+        for _ in self.map(partial(self.data, ahead=True), packed):
+            pass
 
     def _drop_one(self) -> None:
         """Drops the chunk used least of late; one that waits for its use only if all do."""

@@ -10,7 +10,6 @@ of its frames. So whoever reads all frames either gets the ranks of a whole scan
 """
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import groupby
 from typing import NamedTuple
 
@@ -127,9 +126,7 @@ class StreamWindows:
             )
         }
         for wave in self.store.waves(parts):
-            packed = [place for place in wave if not self.store.head(place).is_plain]
-            for _ in self.store.map(partial(self.store.data, ahead=True), packed):
-                pass
+            self.store.load(wave)
             for place in wave:
                 for number in parts[place]:
                     self._read(number)
