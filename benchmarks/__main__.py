@@ -17,9 +17,8 @@ import tyro
 import warp as wp
 
 from benchmarks import gate, report
-from benchmarks.fit import fits_of
 from benchmarks.run import Metric, Missing, copy_rate, metrics_of, sweep_metrics
-from benchmarks.sweep import AXES, case_at, points_of
+from benchmarks.sweep import AXES, points_of
 
 
 @dataclass(frozen=True)
@@ -32,14 +31,10 @@ class Options:
     """The stages to time, and the whole pipeline."""
     seconds: float = 1.0
     """How long each case is repeated; the points of the sweep half of it."""
-    sweep: bool = False
-    """More batch sizes and feature counts."""
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None
     """Where to write the metrics, a list of key, value, unit, direction, tolerance."""
     gate: Path | None = None
     """A file written earlier on the same device; metrics worse than its tolerance fail."""
-    output: Path | None = None
-    """A folder for the table and the plots (these with the extra ``bench``)."""
 
 
 class Run:
@@ -61,12 +56,9 @@ class Run:
                 self.missing[key] = case
             else:
                 yield metrics_of(key, case, options.seconds, rate)
-        points = points_of(stage, options.device, options.sweep)
-        cases = {f"{stage}.{point.name}": case_at(stage, point) for point in points}
-        found = sweep_metrics(cases, options.seconds / 2 * len(cases), rate)
-        yield from found
-        times = dict(zip(points, (metrics[0].value for metrics in found), strict=True))
-        yield fits_of(stage, times)
+        points = points_of(stage, options.device)
+        cases = {f"{stage}.{point.name}": module.at(point) for point in points}
+        yield from sweep_metrics(cases, options.seconds / 2 * len(cases), rate)
         if stage == "pipeline":
             yield module.throughput(options.seconds)
 
@@ -85,8 +77,6 @@ def main(options: Options) -> int:
     print("\n".join(["", *report.absent(run.missing), f"{time.perf_counter() - start:.0f} s"]))
     if options.json_file:
         gate.write(options.json_file, run.metrics)
-    if options.output:
-        report.write(options.output, run.metrics, run.missing)
     if options.gate is None:
         return 0
     old = [metric for metric in gate.read(options.gate) if metric.key.split(".")[0] in options.only]

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import cache, partial
 from multiprocessing import get_context
 from typing import Any
@@ -14,6 +15,7 @@ from sklearn.cluster import DBSCAN
 
 from benchmarks.run import Case, Metric, check_equal
 from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
+from benchmarks.sweep import Point
 from jaxdet.config import Config
 from jaxdet.floor.plane import flat_plane, floor_limits
 from jaxdet.pipeline import detect
@@ -46,6 +48,20 @@ def cases() -> list[Case]:
     peer = partial(handwritten, many)
     found.append(Case("vs_handwritten", lambda: detect(many, CONFIG), 16 * BATCH, peer))
     return found
+
+
+def at(point: Point) -> Case:
+    """Images on the device."""
+    frames = frames_of(point.size, point.batch)
+    color, depth = jax.device_put((frames.color, frames.depth))
+    frames = frames._replace(color=color, depth=depth)
+    config = replace(CONFIG, features=replace(CONFIG.features, max_corners=point.slots))
+    return Case(
+        name=point.name,
+        run=lambda: detect(frames, config),
+        frames=point.batch,
+        bytes_read=color.nbytes + depth.nbytes,
+    )
 
 
 def _at_size(size: str) -> Case:

@@ -1,7 +1,4 @@
-"""The report: a table of all cases in Markdown, plots, and what this machine lacks."""
-
-from importlib import import_module
-from pathlib import Path
+"""The report: a table of all cases in Markdown, and what this machine lacks."""
 
 from benchmarks.run import Metric, Missing
 
@@ -42,7 +39,7 @@ def rows(metrics: list[Metric]) -> list[str]:
 
 
 def others(metrics: list[Metric]) -> list[str]:
-    """The metrics that are no part of a case: throughputs and fits."""
+    """The metrics that are no part of a case: throughputs."""
     cases = set(_cases(metrics))
     return [str(m) for m in metrics if not {m.key, m.key.rpartition(".")[0]} & cases]
 
@@ -50,21 +47,6 @@ def others(metrics: list[Metric]) -> list[str]:
 def absent(missing: dict[str, Missing]) -> list[str]:
     """A line for each peer that this machine lacks."""
     return [f"not measured: {key}: {m.reason}; {m.remedy}" for key, m in missing.items()]
-
-
-def write(folder: Path, metrics: list[Metric], missing: dict[str, Missing]) -> None:
-    """Writes ``table.md`` and, where matplotlib is installed, the plots."""
-    folder.mkdir(parents=True, exist_ok=True)
-    rest = ["", *others(metrics), "", *absent(missing)]
-    text = "\n".join([HEADER, *rows(metrics), *(f"    {line}".rstrip() for line in rest)])
-    (folder / "table.md").write_text(text + "\n", encoding="utf-8")
-    try:
-        plots = import_module("benchmarks.plots")
-    except ImportError as error:
-        print(f"no plots: {error}; install the extra bench")
-        return
-    for path in plots.draw(metrics, folder):
-        print(path)
 
 
 def _cases(metrics: list[Metric]) -> list[str]:

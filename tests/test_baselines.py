@@ -19,7 +19,7 @@ from benchmarks.baselines import (
     tune,
 )
 from benchmarks.baselines.dense import range_image
-from benchmarks.baselines.frames import grid_features, labels_at, ordered
+from benchmarks.baselines.frames import labels_at, ordered
 from benchmarks.paper.shots import Spec, frames_of, shot_of
 from jaxdet import reference
 from jaxdet.config import MAX_POINTS, ClusterConfig
@@ -91,9 +91,6 @@ def test_every_baseline_bears_little(name, frame):
         few = frame._replace(features=frame.features._replace(kept=kept))
         found = detect_with(baseline, few, CONFIG)
         assert (found.labels.labels[~kept] == -1).all()
-        if baseline.space == "image":
-            empty = few._replace(keep=np.zeros_like(frame.keep))
-            assert detect_with(baseline, empty, CONFIG, on="grid").labels.num_obstacles == [0]
 
 
 def test_the_registry():
@@ -145,19 +142,12 @@ def test_range_image_by_hand(frame):
     assert len(np.unique(range_image(wall, 80.0))) > 100
 
 
-def test_grid_and_labels_at(frame):
-    grid = grid_features(frame, 4)
-    assert frame.keep[grid.v, grid.u].all() and (grid.u % 4 == 0).all()
-    np.testing.assert_array_equal(grid.z, frame.z[grid.v, grid.u])
-    full = frame._replace(keep=np.ones((120, 160), bool))
-    assert MAX_POINTS / 3 < grid_features(full, 1).z.shape[1] <= MAX_POINTS
+def test_labels_at():
     image = np.full((5, 5), -1, np.int32)
     image[2, 2], image[2, 4] = 7, 8
     u, v = np.array([0, 3, 4, 0]), np.array([2, 2, 1, 0])
     assert labels_at(image, u, v).tolist() == [7, 7, 8, 7]
     assert labels_at(image, u, v, 1).tolist() == [-1, 7, 8, -1]
-    with pytest.raises(ValueError, match="works on features"):
-        detect_with(BASELINES["dbscan"], frame, on="grid")
 
 
 # --- Tuning and preparing ---

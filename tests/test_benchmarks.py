@@ -1,4 +1,4 @@
-"""The benchmark's own parts: the gate, the fits, the report, and what cases promise."""
+"""The benchmark's own parts: the gate, the report, and what cases promise."""
 
 import doctest
 import json
@@ -9,12 +9,12 @@ import jax
 import numpy as np
 import pytest
 
-from benchmarks import fit, gate, report
+from benchmarks import gate, report
 from benchmarks.baselines.sortgap import sort_and_gap
 from benchmarks.points import points, settings
 from benchmarks.run import Case, Metric, Missing, check_equal, metrics_of, with_peer
 from benchmarks.scene import BATCH, on_cells
-from benchmarks.sweep import AXES, Point, points_of
+from benchmarks.sweep import Point
 from jaxdet import reference
 from jaxdet.presets import preset
 
@@ -152,34 +152,8 @@ def test_the_scene_has_obstacles() -> None:
     assert (seen.of("label", seen.obstacles).max(axis=(1, 2)) >= 2).all()
 
 
-# the sweep and its fits
+# the report
 
 
-@pytest.mark.parametrize("module", [fit, report])
-def test_examples(module) -> None:
-    assert doctest.testmod(module).failed == 0
-
-
-@pytest.mark.parametrize("stage", AXES)
-@pytest.mark.parametrize("kind", ["cpu", "gpu"])
-def test_fits_find_the_cost_that_was_put_in(stage: str, kind: str) -> None:
-    def cost(p: Point) -> float:
-        return 0.5 / p.batch + 0.1 + (1e-5 * p.slots * np.log2(p.slots) if p.slots else 0.0)
-
-    times = {point: cost(point) for point in points_of(stage, kind, full=True)}
-    values = {m.key.removeprefix(f"{stage}."): m.value for m in fit.fits_of(stage, times)}
-    assert values["batch_fit.fixed"] == pytest.approx(0.5)
-    assert values["batch_fit.residual"] == pytest.approx(0.0, abs=1e-9)
-    if "slots" in AXES[stage]:
-        assert values["slots_fit.per_n_log_n"] == pytest.approx(10.0)
-        assert values["slots_fit.residual_n_log_n"] == pytest.approx(0.0, abs=1e-9)
-        assert values["slots_fit.residual_n"] > 0.01
-        assert values["slots_fit.residual_n2"] > values["slots_fit.residual_n"]
-
-
-def test_points_have_names_that_the_plots_read() -> None:
-    plots = pytest.importorskip("benchmarks.plots", exc_type=ImportError)
-    for stage in AXES:
-        want = dict.fromkeys(points_of(stage, "cpu", full=True), 1.0)
-        metrics = [Metric(f"{stage}.{p.name}.time", 1.0, "ms/frame", "info", 0.0) for p in want]
-        assert plots.sweep_of(metrics, "time") == {stage: want}
+def test_examples() -> None:
+    assert doctest.testmod(report).failed == 0

@@ -26,11 +26,9 @@ from benchmarks.paper.fig14_cylinder import errors_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import Counts
 from benchmarks.paper.shots import Shot
-from benchmarks.paper.table3_detectors import run as table3
 from benchmarks.paper.table4_distance import run as table4
 from jaxdet.eval import Case, Interval, Tally
 from jaxdet.sim import SimConfig, write_log
-from tests.test_baselines_detector import ROWS, save_model
 
 TINY = Counts(
     scenes=1, test_seeds=2, tuning_seeds=1, approach=1, cylinder_seeds=1, floor_seeds=1,
@@ -144,7 +142,7 @@ def test_report_files(sections, tmp_path):
     assert "src='data:image/png;base64," in page and "http://" not in page
     assert "https://" not in page
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "not run: weights not supplied" in text and "simulated" in text
+    assert "not run: weights not public" in text and "simulated" in text
     for line in text.splitlines():
         if line.startswith("!["):
             assert (tmp_path / line.rpartition("](")[2].rstrip(")")).is_file()
@@ -180,21 +178,6 @@ def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):
         found = next(block for block in blocks if isinstance(block, section.Table))
         assert {len(row) for row in found.rows} == {len(found.header)}
         assert found.rows[-1][0] == "CURE" and "not run: CURE needs a module" in found.rows[-1]
-
-
-def test_a_detector_s_row(lab, tmp_path):
-    pytest.importorskip("onnxruntime")
-    save_model(tmp_path / "tiny.onnx", ROWS)
-    lab.detectors = {"YOLOv7": tmp_path / "tiny.onnx"}
-    found = table3(lab)
-    lab.detectors = {}
-    values = {figure.key: figure for figure in found.figures}
-    assert values["table3.YOLOv7.accuracy"].paper == 0.8147
-    assert values["table3.YOLOv7.time"].value > 0
-    texts = [
-        row for block in found.blocks if isinstance(block, section.Table) for row in block.rows
-    ]
-    assert [row[1].startswith("not run") for row in texts] == [False, False, False, True]
 
 
 @pytest.mark.parametrize(

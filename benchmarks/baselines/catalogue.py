@@ -159,16 +159,6 @@ _ALL = (
         grid={"distance_m": (0.05, *DISTANCES_M), "depth_scale": SCALES},
     ),
     Baseline(
-        name="open3d_dbscan",
-        title="Open3D DBSCAN, dense cloud",
-        run=dense.open3d_dbscan,
-        space="image",
-        citation="Zhou, Park, Koltun, Open3D, arXiv 1801.09847 (2018)",
-        defaults={"eps_m": 0.08, "min_samples": 5, "voxel_m": 0.03},
-        grid={"eps_m": (0.05, 0.08, 0.12, 0.2), "min_samples": (3, 8), "voxel_m": (0.03,)},
-        needs=("open3d",),
-    ),
-    Baseline(
         name="range_image",
         title="Range image (depth_clustering)",
         run=dense.range_image,
@@ -180,4 +170,4 @@ _ALL = (
 )
 
 BASELINES: dict[str, Baseline] = {baseline.name: baseline for baseline in _ALL}
-"""All but the detector, which needs the user's weights, by name."""
+"""By name."""

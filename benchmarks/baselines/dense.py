@@ -1,7 +1,4 @@
-"""Methods that need no features: the dense cloud, and the range image."""
-
-from importlib import import_module
-from typing import Any
+"""A method that needs no features: components of the range image."""
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -9,38 +6,6 @@ from scipy.sparse.csgraph import connected_components
 
 from benchmarks.baselines.frames import Frame
 from jaxdet.camera import pixel_rays
-
-
-def open3d_dbscan(frame: Frame, eps_m: float, min_samples: int, voxel_m: float) -> np.ndarray:
-    """Open3D's DBSCAN on the kept pixels' cloud, thinned to one mean point a voxel.
-
-    Args:
-        frame: The frame; its pixels above the floor are the cloud.
-        eps_m: Radius of the neighbourhood [m].
-        min_samples: Points in it that make a point dense.
-        voxel_m: Side of the voxels [m].
-
-    Returns:
-        ``(H, W)`` int32, -1 = none.
-
-    Raises:
-        ImportError: Open3D is not installed.
-    """
-    open3d: Any = import_module("open3d")
-    out = np.full(frame.z.shape, -1, np.int32)
-    if not frame.keep.any():
-        return out
-    ray_x, ray_y = pixel_rays(frame.calibration.color)
-    z = frame.z[frame.keep] * frame.calibration.depth_unit
-    points = np.stack([ray_x[frame.keep] * z, ray_y[frame.keep] * z, z], axis=-1)
-    _, voxel = np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
-    voxel = voxel.reshape(-1)
-    sizes = np.bincount(voxel)
-    means = np.stack([np.bincount(voxel, a) / sizes for a in points.T], axis=-1)
-    cloud = open3d.geometry.PointCloud()
-    cloud.points = open3d.utility.Vector3dVector(means)
-    out[frame.keep] = np.asarray(cloud.cluster_dbscan(eps=eps_m, min_points=min_samples))[voxel]
-    return out
 
 
 def range_image(frame: Frame, angle_deg: float, stride: int = 1) -> np.ndarray:

@@ -84,27 +84,6 @@ def points_of(frame: Frame, space: Space = "xz") -> np.ndarray:
     return np.stack([a[0, kept] for a in axes], axis=-1) * frame.calibration.depth_unit
 
 
-def grid_features(frame: Frame, stride: int = 8) -> Features:
-    """The kept pixels of a regular grid as if they were features, ``B = 1``.
-
-    For methods that need no features (dense clouds, range images, detectors), so that a
-    picture without corners doesn't hide what they find.
-
-    Args:
-        frame: The frame.
-        stride: Distance of the grid's columns and rows [pixel], more where the grid would have
-            more than ``MAX_POINTS``.
-    """
-    while (v_u := np.argwhere(frame.keep[::stride, ::stride])).shape[0] > MAX_POINTS:
-        stride += 1
-    v, u = (v_u * stride).astype(np.int32).T[:, None]
-    z = frame.z[v, u].astype(np.int32)
-    ray_x, ray_y = fixed_rays(frame.calibration.color)
-    yes = np.ones(u.shape, bool)
-    x, y = lateral(ray_x[v, u], z), lateral(ray_y[v, u], z)
-    return Features(u, v, x, y, z, yes, yes, np.zeros(1, bool))
-
-
 def ordered(labels: np.ndarray, z: np.ndarray, x: np.ndarray, min_points: int) -> np.ndarray:
     """The rule that all methods share: small clusters go, the rest is numbered as ours are.
 
@@ -147,17 +126,15 @@ def labels_at(image: np.ndarray, u: np.ndarray, v: np.ndarray, tolerance: int = 
     return np.take_along_axis(around, first[:, None], 1)[:, 0].astype(np.int32)
 
 
-def detections_of(
-    frame: Frame, features: Features, labels: np.ndarray, config: Config
-) -> Detections:
+def detections_of(frame: Frame, labels: np.ndarray, config: Config) -> Detections:
     """Labels of one frame as the pipeline's result, outlines by our own last stage.
 
     Args:
         frame: Where they are from.
-        features: ``B = 1``, ``N`` slots, of which ``n`` are kept.
-        labels: ``(n,)`` integer of the kept ones.
+        labels: ``(n,)`` integer of its ``n`` kept features.
         config: The size rule and the outline's parameters.
     """
+    features = frame.features
     kept = features.kept[0]
     full = np.full(features.z.shape, -1, np.int32)
     z, x = features.z[0, kept], features.x[0, kept]

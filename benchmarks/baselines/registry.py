@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from benchmarks.baselines.frames import (
     Frame,
     Space,
     detections_of,
-    grid_features,
     labels_at,
     points_of,
 )
@@ -20,7 +19,6 @@ from jaxdet.config import Config
 from jaxdet.types import Detections
 
 Params = Mapping[str, Any]
-On = Literal["features", "grid"]
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,6 @@ def detect_with(
     frame: Frame,
     config: Config | None = None,
     params: Params | None = None,
-    on: On = "features",
 ) -> Detections:
     """One frame's obstacles by a baseline, as the pipeline returns them.
 
@@ -115,22 +112,13 @@ def detect_with(
         frame: Preprocessed as for ours.
         config: The shared size rule and the outline's parameters.
         params: Over the baseline's defaults.
-        on: Which points carry the labels of a method of the space ``image``: our kept
-            ``features``, so that all methods are scored on the same points, or a ``grid`` of kept
-            pixels, so that it doesn't depend on our features.
 
     Returns:
         ``B = 1``.
-
-    Raises:
-        ValueError: A method of features is asked for a grid.
     """
     config, features = config or Config(), frame.features
-    if baseline.space != "image" and on == "grid":
-        raise ValueError(f"{baseline.name} works on features")
     labels = labels_of(baseline, frame, config, params)
     if baseline.space == "image":
-        features = grid_features(frame) if on == "grid" else features
         kept = features.kept[0]
         labels = labels_at(labels, features.u[0, kept], features.v[0, kept])
-    return detections_of(frame, features, labels, config)
+    return detections_of(frame, labels, config)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.baselines.frames import Frame
-from benchmarks.baselines.registry import Baseline, On, detect_with
+from benchmarks.baselines.registry import Baseline, detect_with
 from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, score
 
@@ -35,7 +35,6 @@ def tune(
     objective: Objective = "f1",
     config: Config | None = None,
     eval_config: EvalConfig | None = None,
-    on: On = "features",
 ) -> Tuned:
     """Tries the whole grid of a method.
 
@@ -46,14 +45,13 @@ def tune(
         objective: What to make large; NaN counts as the worst.
         config: The shared size rule and outlines.
         eval_config: What counts.
-        on: See :func:`benchmarks.baselines.detect_with`.
 
     Returns:
         The best trial; of equals, the first in the grid's order.
     """
     trials: list[tuple[dict[str, Any], float]] = []
     for params in baseline.trials():
-        figures = score(run_frames(baseline, frames, truth, params, config, eval_config, on))
+        figures = score(run_frames(baseline, frames, truth, params, config, eval_config))
         value = getattr(figures, objective) if isinstance(objective, str) else objective(figures)
         trials.append((params, float(value)))
     values = np.nan_to_num([value for _, value in trials], nan=-np.inf)
@@ -68,7 +66,6 @@ def run_frames(
     params: Mapping[str, Any] | None = None,
     config: Config | None = None,
     eval_config: EvalConfig | None = None,
-    on: On = "features",
 ) -> list[Tally]:
     """A method on some frames, compared with the truth: a tally for each frame.
 
@@ -79,11 +76,10 @@ def run_frames(
         params: Over the method's defaults.
         config: The shared size rule and outlines.
         eval_config: What counts.
-        on: See :func:`benchmarks.baselines.detect_with`.
     """
     tallies: list[Tally] = []
     for frame, own in zip(frames, split(truth), strict=True):
-        found = detect_with(baseline, frame, config, params, on)
+        found = detect_with(baseline, frame, config, params)
         tallies += evaluate_frames(found, own, frame.calibration.depth_unit, eval_config)
     return tallies
 

@@ -40,7 +40,6 @@ class Lab:
         folder: Where frames are kept.
         pool: Worker processes; None: everything runs here.
         config: Ours.
-        detectors: Weights by the name of their row in Table 3.
         rehearsal: Draw by other seeds than the test's.
     """
 
@@ -50,13 +49,11 @@ class Lab:
         folder: Path,
         pool: Executor | None = None,
         config: Config | None = None,
-        detectors: dict[str, Path] | None = None,
         *,
         rehearsal: bool = False,
     ) -> None:
         self.counts, self.config = counts, config or Config()
         self.store, self.pool = Store(folder, pool), pool
-        self.detectors = detectors or {}
         self.sections: dict[str, Section] = {}
         self.recordings: tuple[Path, ...] = ()
         self.quiet, self.rehearsal = False, rehearsal
@@ -128,14 +125,12 @@ class Lab:
     @cached_property
     def scores(self) -> Scores:
         """Tallies of all systems on the test scenes, by scene and light, in the seeds' order."""
-        return self.score_scenes(self.systems)
-
-    def score_scenes(self, chosen: Sequence[System]) -> Scores:
-        """The same of some systems."""
         keys = [(scene, light) for scene in SCENES for light in LIGHTS]
         specs = [spec for scene, light in keys for spec in self.test_specs(scene, light)]
-        self.log(f"scoring {len(chosen)} systems on {sum(s.frames for s in specs)} test frames")
-        parts = iter(self.judge(specs, chosen))
+        self.log(
+            f"scoring {len(self.systems)} systems on {sum(s.frames for s in specs)} test frames"
+        )
+        parts = iter(self.judge(specs, self.systems))
         out: Scores = {}
         for key in keys:
             mine = [next(parts) for _ in self.seeds]

@@ -73,14 +73,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Section]] = {
 }
 """In the order in which they run; the goals are judged last and stand first."""
 RECORDINGS = "recordings"
-BENCH_PACKAGES = (
-    "scikit-learn",
-    "scipy",
-    "chameleon-cluster",
-    "matplotlib",
-    "onnxruntime",
-    "open3d",
-)
+BENCH_PACKAGES = ("scikit-learn", "scipy", "chameleon-cluster", "matplotlib")
 
 
 @dataclass(frozen=True)
@@ -100,8 +93,6 @@ class Options:
     """Where to write all figures; by default figures.json in the output folder."""
     only: tuple[str, ...] = ()
     """Names of experiments; by default all. ``recordings`` alone: only the pictures of those."""
-    detector: tuple[str, ...] = ()
-    """Rows of Table 3 as NAME=FILE.onnx; weights are not part of the project."""
     recordings: tuple[Path, ...] = ()
     """Folders of real recordings, to be pictured; labelled ones are also looked for in and beside
     them, by default in ../shared/data, for the experiment ``realframes``."""
@@ -123,9 +114,8 @@ def main(options: Options) -> int:
         return 2
     start = time.perf_counter()
     with _folder(options.frames) as folder, _pool(options.workers or os.cpu_count() or 1) as pool:
-        models = dict(_named(item) for item in options.detector)
         counts, rehearsal = FULL if options.full else QUICK, options.rehearsal
-        lab = Lab(counts, folder, pool, detectors=models, rehearsal=rehearsal)
+        lab = Lab(counts, folder, pool, rehearsal=rehearsal)
         lab.recordings = options.recordings or (BESIDE,)
         sections = run(lab, options.only or tuple(EXPERIMENTS))
         for number, place in enumerate(options.recordings):
@@ -144,11 +134,6 @@ def run(lab: Lab, names: tuple[str, ...]) -> list[Section]:
         lab.log(name)
         lab.sections[name] = EXPERIMENTS[name](lab)
     return sorted(lab.sections.values(), key=lambda section: section.name != "goals")
-
-
-def _named(item: str) -> tuple[str, Path]:
-    name, _, path = item.rpartition("=")
-    return name or Path(path).stem, Path(path)
 
 
 @contextmanager

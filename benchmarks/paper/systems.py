@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
-from benchmarks.baselines.detector import OnnxDetector, detector_baseline
 from benchmarks.paper.shots import Shot, frames_of, load_shots
 from jaxdet import detect
 from jaxdet.config import ClusterConfig, Config
@@ -41,21 +40,14 @@ class System(NamedTuple):
     name: str
     title: str
     method: str
-    """``ours``, a key of :data:`benchmarks.baselines.BASELINES`, or ``onnx``."""
+    """``ours``, or a key of :data:`benchmarks.baselines.BASELINES`."""
     config: Config
     params: tuple[tuple[str, Any], ...] = ()
-    model: Path | None = None
-    """Weights of a detector."""
 
     @property
     def baseline(self) -> Baseline:
         """How it is run, if it is not ours."""
-        return _detector(self.model, self.title) if self.model else BASELINES[self.method]
-
-
-@lru_cache(maxsize=4)
-def _detector(model: Path, title: str) -> Baseline:
-    return detector_baseline(OnnxDetector(model), title)
+        return BASELINES[self.method]
 
 
 def systems(config: Config, tuned: dict[str, dict[str, Any]]) -> list[System]:
@@ -123,9 +115,8 @@ def found_by(system: System, prepared: Prepared) -> list[Detections]:
     if system.method == OURS:
         each = [frames_of([shot]) for shot in prepared.shots]
         return [detect(frames, config, backend="reference") for frames in each]
-    on = "grid" if system.model else "features"
-    frames = prepared.frames(config)
-    return [detect_with(system.baseline, f, config, dict(system.params), on) for f in frames]
+    frames, params = prepared.frames(config), dict(system.params)
+    return [detect_with(system.baseline, frame, config, params) for frame in frames]
 
 
 def joined(truth: FrameTruth) -> FrameTruth:
