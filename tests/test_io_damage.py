@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from jaxdet import io
 from jaxdet.errors import InputError, JaxdetError, TopicError
-from jaxdet.io import LogOptions, RescanError, lookahead, open_log
+from jaxdet.io import LogOptions, RescanError, open_log, walk
 from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
 from tests.io_both_ways import is_indexed
 from tests.io_helpers import COLOR_FRAME, LogFile, assert_holds, make_scene, ros_image, write_log
@@ -145,7 +145,7 @@ def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, mon
     path.write_bytes(data)
     found = []
     for ahead in (0, 10_000, 1 << 30):
-        monkeypatch.setattr(lookahead, "AHEAD_BYTES", ahead)
+        monkeypatch.setattr(walk, "AHEAD_BYTES", ahead)
         with open_log(str(path), LogOptions(scan=True)) as log:
             [integrity] = log.description.integrity
             found.append((integrity, integrity.text, log.stamps_ns.tolist(), frames_right(log)))

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from jaxdet.io import LogOptions, RescanError, lookahead, open_log, scan, store
+from jaxdet.io import LogOptions, RescanError, open_log, scan, store, walk
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import McapFile
@@ -190,8 +190,8 @@ def test_records_are_taken_in_while_the_file_is_walked(tmp_path, use_chunking):
 
     file = McapFile(path, 1 << 30)
     with ThreadPoolExecutor(1) as pool:
-        for taken, _ in enumerate(lookahead.ahead(file, records(), pool)):
-            assert walked - taken <= (lookahead.AHEAD_RECORDS + 1 if use_chunking else 1)
+        for taken, _ in enumerate(walk.ahead(file, records(), pool)):
+            assert walked - taken <= (walk.AHEAD_RECORDS + 1 if use_chunking else 1)
     file.close()
     assert walked > 12 or use_chunking
 
@@ -200,7 +200,7 @@ def test_one_chunk_is_in_memory_where_more_are_too_many(tmp_path, monkeypatch):
     size = 4 << 20
     scene = make_scene(6, size=(1024, 1024))
     path = write_log(tmp_path / "log.mcap", scene, compression="zstd", chunk_size=size)
-    monkeypatch.setattr(lookahead, "AHEAD_BYTES", 0)
+    monkeypatch.setattr(walk, "AHEAD_BYTES", 0)
     sizes: list[int] = []
     file = McapFile(path, 1 << 30)
     with ThreadPoolExecutor(1) as pool:

@@ -12,7 +12,8 @@ from mcap.reader import make_reader
 from jaxdet.errors import FrameError
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.writer_cdr import encode_cdr, schema_text
+from jaxdet.io.definition import schema_text
+from jaxdet.io.writer_cdr import encode_cdr
 
 
 def decoders(name: str, text: str | None = None) -> tuple[MessageDecoder, MessageDecoder]:
@@ -21,7 +22,7 @@ def decoders(name: str, text: str | None = None) -> tuple[MessageDecoder, Messag
     package, kind = name.split("/")
     channel = ChannelInfo("/t", "cdr", f"{package}/msg/{kind}", "ros2msg", data, len(data))
     by_definition = MessageDecoder(channel)
-    by_definition._standard_motions = False
+    by_definition._in_place = False
     return MessageDecoder(channel), by_definition
 
 
@@ -61,7 +62,7 @@ def test_transforms_are_as_by_their_definition(parts, change):
     message = {"transforms": [stamped(*part) for part in parts]}
     payload = bytearray(encode_cdr("tf2_msgs/TFMessage", message))
     quick, general = decoders("tf2_msgs/TFMessage")
-    assert quick._standard_motions
+    assert quick._in_place
     found: Any = quick.decode(payload) if all(part[0] >= 0 for part in parts) else ()
     assert [item.parent for item in found] == [part[1].lstrip("/") for part in parts if found]
     assert told(quick, bytes(payload)) == told(general, bytes(payload))
@@ -74,7 +75,7 @@ def test_transforms_are_as_by_their_definition(parts, change):
 
 def test_odometry_is_as_by_its_definition():
     quick, general = decoders("nav_msgs/Odometry")
-    assert quick._standard_motions
+    assert quick._in_place
     payload = encode_cdr("nav_msgs/Odometry", odometry(3, "/odom", "base", 0.4))
     found: Any = quick.decode(payload)
     (item,) = found
@@ -86,7 +87,31 @@ def test_odometry_is_as_by_its_definition():
 
 def test_another_definition_is_not_read_in_place():
     text = schema_text("tf2_msgs/TFMessage").replace("float64 w", "float64 v")
-    assert not decoders("tf2_msgs/TFMessage", text)[0]._standard_motions
+    assert not decoders("tf2_msgs/TFMessage", text)[0]._in_place
+    longer = schema_text("tf2_msgs/TFMessage") + "====\nMSG: a/Header\nstring frame_id\n"
+    quick, _ = decoders("tf2_msgs/TFMessage", longer)
+    assert not quick._in_place  # there are two types Header, and one is another
+
+
+def test_which_stamps_lead():
+    def leads(name: str, text: str, encoding: str = "cdr") -> bool:
+        schema = "ros1msg" if encoding == "ros1" else "ros2msg"
+        data = text.encode()
+        return MessageDecoder(
+            ChannelInfo("/t", encoding, name, schema, data, len(data))
+        ).stamp_leads
+
+    image = schema_text("sensor_msgs/Image")
+    assert leads("sensor_msgs/msg/Image", image)
+    assert leads("sensor_msgs/msg/Image", "uint8 MANY=7 # of these\n" + image)
+    assert not leads("sensor_msgs/msg/Image", "uint8 many\n" + image)
+    assert not leads("sensor_msgs/msg/Image", image.replace("int32 sec", "int64 sec"))
+    assert not leads("sensor_msgs/msg/Image", image + "====\nMSG: a/Header\nstring frame_id\n")
+    older = image.replace("builtin_interfaces/Time stamp", "uint32 seq\ntime stamp")
+    assert not leads("sensor_msgs/msg/Image", image.replace("Header header", "Time stamp"))
+    pytest.importorskip("rosbags")
+    assert leads("sensor_msgs/Image", older, "ros1")
+    assert not leads("sensor_msgs/Image", older.replace("uint32 seq\n", ""), "ros1")
 
 
 def test_recorded_transforms(shared_data: Path):
@@ -103,7 +128,7 @@ def test_recorded_transforms(shared_data: Path):
                 if channel.id not in known:
                     name = schema.name.replace("/msg/", "/")
                     known[channel.id] = decoders(name, schema.data.decode())
-                    assert known[channel.id][0]._standard_motions, path
+                    assert known[channel.id][0]._in_place, path
                 quick, general = known[channel.id]
                 assert quick.decode(message.data) == general.decode(message.data)
                 seen += 1

@@ -16,7 +16,8 @@ from jaxdet.errors import FrameError, FrameStatus, InputError, JaxdetError, Resc
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.declarations import ChannelInfo, Declarations
-from jaxdet.io.decode_messages import MessageDecoder, bare_definition
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.definition import bare_definition
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.messages import TransformMessage
 from jaxdet.io.opening import open_files, scan_files

@@ -19,15 +19,13 @@ from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_messages
-from jaxdet.io.lookahead import FileRecord
 from jaxdet.io.messages import kind_of
-from jaxdet.io.walk import Handler, Walk
+from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
 _HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
 _INDEX_VERSION = 1
-_TORN = 0
 
 
 def read_bag_index(file: BagFile) -> FileIndex:
@@ -153,7 +151,7 @@ class _Scan:
             except DamageError:
                 after = [start for start in self.counts if start > position]
                 start, position = position, min(after, default=end)
-                yield FileRecord(_TORN, start, position - start)
+                yield FileRecord(TORN, start, position - start)
                 continue
             if record.op == CHUNK:
                 yield FileRecord(Opcode.CHUNK, position, record.size)
@@ -165,8 +163,7 @@ class _Scan:
         Raises:
             DamageError: It can't be used.
         """
-        if decompressed is None:
-            raise DamageError("damaged or torn record")
+        assert decompressed is not None  # all but chunks are passed over
         self.chunks += 1
         chunk = memoryview(decompressed.result())
         for place, size in _messages(chunk):

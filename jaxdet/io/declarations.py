@@ -51,20 +51,6 @@ class ChannelInfo(NamedTuple):
         """The schema as text."""
         return self.schema_data.decode("utf-8", "replace")
 
-    @property
-    def definition(self) -> dict[str, tuple[str, ...]]:
-        """Of a ROS 2 schema, the fields of each message type; its own type's name is empty."""
-        found: dict[str, tuple[str, ...]] = {}
-        name, fields = "", []
-        for line in [*self.schema_text.splitlines(), "MSG: end"]:
-            words = line.partition("#")[0].split()
-            if words and words[0] == "MSG:":
-                found[name] = tuple(fields)
-                name, fields = words[-1].rpartition("/")[2], []
-            elif words and words[0].strip("="):
-                fields.append(f"{words[0].rpartition('/')[2]} {' '.join(words[1:2])}")
-        return found
-
 
 class Declarations:
     """The schemas and channels of a file, or of its summary; of one number the first counts."""

@@ -4,7 +4,6 @@ All are decoded by the schema that stands in the log, never by offsets known bef
 """
 
 import json
-import re
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -20,22 +19,16 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SCHEMA_LINES, MAX_SMALL_BYTES
+from jaxdet.io.definition import bare_definition, is_standard, stamp_leads
+from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
-from jaxdet.io.raw_transforms import has_standard_motions, read_motions
+from jaxdet.io.raw_transforms import read_motions
 from jaxdet.io.ros1 import MissingRosbagsError, ros1_decoder
 
-_HEADERS = {
-    "cdr": (
-        re.compile(r"std_msgs/(msg/)?Header header"),
-        re.compile(r"builtin_interfaces/(msg/)?Time stamp(; .*)?"),
-    ),
-    "ros1": (re.compile(r"(std_msgs/)?Header header"), re.compile(r"uint32 seq; time stamp")),
-}
-"""The first field of a message and the first two of its header, where the stamp leads."""
-STAMP_BYTES = 12
+_STAMP_BYTES = 12
 """In which a stamp that leads is."""
+_IN_PLACE = (Kind.TRANSFORM, Kind.ODOMETRY)
 
 
 class MessageDecoder:
@@ -57,8 +50,8 @@ class MessageDecoder:
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
         self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
-        self._standard_motions = has_standard_motions(channel)
-        self.stamp_leads: bool = _stamp_leads(channel.message_encoding, channel.schema_text)
+        self._in_place = kind in _IN_PLACE and is_standard(channel)
+        self.stamp_leads: bool = stamp_leads(channel)
         small = kind not in IMAGE_KINDS
         json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
         self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
@@ -79,7 +72,7 @@ class MessageDecoder:
             raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
         readable = self._readable(payload)
         try:
-            found = read_motions(self.kind, readable) if self._standard_motions else None
+            found = read_motions(self.kind, readable) if self._in_place else None
             return found or parse(self.kind, self._raw(readable), self._name)
         except MemoryError:
             raise
@@ -93,9 +86,13 @@ class MessageDecoder:
         CDR has it after its own 4 bytes, of which one says the order; ROS 1 after the header's
         number, little-endian.
         """
-        if not self.stamp_leads or len(head) < STAMP_BYTES:
+        if not self.stamp_leads or len(head) < _STAMP_BYTES:
             return False
         return self.channel.message_encoding == "ros1" or head[1] in (0, 1)
+
+    def after_stamp(self, payload: memoryview) -> bytes:
+        """What a message says beside its time: what follows a stamp that leads, else all."""
+        return bytes(payload[_STAMP_BYTES:] if self.stamp_leads else payload)
 
     def _readable(self, payload: bytes | memoryview) -> Any:
         """What the decoder reads: a copy, but for ROS's images, whose pixels stay."""
@@ -164,43 +161,3 @@ def _raw_decoder(
             f"encoding {what} is not supported (only cdr with ros2msg, ros1, protobuf, json)"
         )
     return decode
-
-
-def bare_definition(text: str) -> str:
-    """A ROS definition's types and names, without comments, constants and default values.
-
-    These say nothing of the bytes of a message, and the parser takes time that grows with the
-    square of their length.
-
-    Raises:
-        ValueError: It has more than ``MAX_SCHEMA_LINES``.
-    """
-    lines = []
-    for line in text.splitlines():
-        kind, _, rest = line.partition("#")[0].strip().partition(" ")
-        if not kind or (kind != "MSG:" and "=" in rest):
-            continue
-        lines.append(f"{kind} {''.join(rest.split()[:1])}".rstrip())
-    if len(lines) > MAX_SCHEMA_LINES:
-        raise ValueError(f"it has {len(lines)} fields, but at most {MAX_SCHEMA_LINES} are taken")
-    return "\n".join(lines)
-
-
-def _stamp_leads(message_encoding: str, schema_text: str) -> bool:
-    """Whether the definition begins with a header that begins with its stamp."""
-    if message_encoding not in _HEADERS:
-        return False
-    first, header = _HEADERS[message_encoding]
-    sections = re.split(r"^=+\s*$", schema_text, flags=re.MULTILINE)
-    if not first.fullmatch(_first_fields(sections[0], 1)):
-        return False
-    for section in sections[1:]:
-        name, _, body = section.strip().partition("\n")
-        if re.fullmatch(r"MSG:\s+std_msgs/(msg/)?Header\s*", name):
-            return bool(header.fullmatch(_first_fields(body, 2)))
-    return False
-
-
-def _first_fields(definition: str, count: int) -> str:
-    lines = (" ".join(line.partition("#")[0].split()) for line in definition.splitlines())
-    return "; ".join([line for line in lines if line][:count])

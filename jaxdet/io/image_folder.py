@@ -23,8 +23,9 @@ from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.definition import schema_text
 from jaxdet.io.message_file import MessageFile, MessageRow
-from jaxdet.io.writer_cdr import encode_cdr, schema_text
+from jaxdet.io.writer_cdr import encode_cdr
 
 RATE_HZ = 30
 COLOR_NAMES = ("rgb", "color", "colour")

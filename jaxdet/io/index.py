@@ -227,7 +227,7 @@ class IndexBuilder:
         check_motions(self._small_messages, self.bytes, self.path, topic)
         if decoder.kind is Kind.INFO:
             known = self.index.calibrations.setdefault(topic, CalibrationTopic())
-            rest = bytes(payload[12:] if decoder.stamp_leads else payload)
+            rest = decoder.after_stamp(payload)
             if rest != known.last_payload:
                 message = decoder.decode(payload)
                 assert isinstance(message, CameraInfoMessage)

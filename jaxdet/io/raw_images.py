@@ -5,10 +5,10 @@ what the arrays hold; all others are decoded.
 """
 
 import struct
-from functools import lru_cache
 from typing import NamedTuple
 
 from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.definition import is_standard
 from jaxdet.io.images import canonical_encoding
 from jaxdet.io.messages import Kind, kind_of
 
@@ -18,17 +18,6 @@ _MAX_STAMP_S = 9_000_000_000
 _STAMP = struct.Struct("<iII")
 _SIZE = struct.Struct("<III")
 _DATA = struct.Struct("<II")
-
-
-_IMAGE = {
-    "": (
-        *("Header header", "uint32 height", "uint32 width", "string encoding"),
-        *("uint8 is_bigendian", "uint32 step", "uint8[] data"),
-    ),
-    "Header": ("Time stamp", "string frame_id"),
-    "Time": ("int32 sec", "uint32 nanosec"),
-}
-"""sensor_msgs/Image: the fields of the message and of its parts."""
 
 
 class Pixels(NamedTuple):
@@ -42,15 +31,9 @@ class Pixels(NamedTuple):
     """One lower-case name for each encoding."""
 
 
-@lru_cache(64)
 def is_standard_image(channel: ChannelInfo) -> bool:
-    """Whether a channel holds sensor_msgs/Image in CDR as ROS 2 defines it.
-
-    What counts is the definition that stands in the log, without the packages of its types.
-    """
-    if channel.message_encoding != "cdr" or kind_of(channel.schema_name) is not Kind.IMAGE:
-        return False
-    return channel.definition == _IMAGE
+    """Whether a channel holds sensor_msgs/Image in CDR as ROS 2 defines it."""
+    return kind_of(channel.schema_name) is Kind.IMAGE and is_standard(channel)
 
 
 def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:

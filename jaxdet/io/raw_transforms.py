@@ -5,65 +5,24 @@ sends some hundred a second, and a decoder that works by the definition takes 0.
 """
 
 import struct
-from functools import lru_cache
 
-from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.message_fields import motion, nanoseconds
-from jaxdet.io.messages import Kind, TransformMessage, kind_of
+from jaxdet.io.messages import Kind, TransformMessage
 
 _COUNT = struct.Struct("<I")
 _STAMP = struct.Struct("<iI")
 _MOTION = struct.Struct("<7d")
 _MAX_AT_ONCE = 1000
 """Transforms of a message."""
-_HEADER = {
-    "Header": ("Time stamp", "string frame_id"),
-    "Time": ("int32 sec", "uint32 nanosec"),
-    "Quaternion": ("float64 x", "float64 y", "float64 z", "float64 w"),
-}
-_POINT = "float64 x", "float64 y", "float64 z"
-_TRANSFORMS = _HEADER | {
-    "": ("TransformStamped[] transforms",),
-    "TransformStamped": ("Header header", "string child_frame_id", "Transform transform"),
-    "Transform": ("Vector3 translation", "Quaternion rotation"),
-    "Vector3": _POINT,
-}
-"""tf2_msgs/TFMessage: the fields of the message and of its parts."""
-_ODOMETRY = _HEADER | {
-    "": (
-        *("Header header", "string child_frame_id"),
-        *("PoseWithCovariance pose", "TwistWithCovariance twist"),
-    ),
-    "PoseWithCovariance": ("Pose pose", "float64[36] covariance"),
-    "Pose": ("Point position", "Quaternion orientation"),
-    "Point": _POINT,
-    "TwistWithCovariance": ("Twist twist", "float64[36] covariance"),
-    "Twist": ("Vector3 linear", "Vector3 angular"),
-    "Vector3": _POINT,
-}
-"""nav_msgs/Odometry: it begins as a transform does."""
 _ODOMETRY_REST = 8 * (36 + 6 + 36)
 """Bytes after the pose."""
-
-
-@lru_cache(64)
-def has_standard_motions(channel: ChannelInfo) -> bool:
-    """Whether a channel holds TFMessage or Odometry in CDR as ROS 2 defines them.
-
-    What counts is the definition that stands in the log, without the packages of its types.
-    """
-    known = {Kind.TRANSFORM: _TRANSFORMS, Kind.ODOMETRY: _ODOMETRY}
-    kind = kind_of(channel.schema_name)
-    if channel.message_encoding != "cdr" or kind not in known:
-        return False
-    return channel.definition == known[kind]
 
 
 def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | None:
     """The motions in a little-endian CDR message; None where they need decoding.
 
     Args:
-        kind: ``TRANSFORM`` or ``ODOMETRY``, of a channel that :func:`has_standard_motions`.
+        kind: ``TRANSFORM`` or ``ODOMETRY``; its definition is ROS 2's.
         payload: The whole message.
 
     Raises:

@@ -20,13 +20,10 @@ from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_ODD_RECORDS
-from jaxdet.io.lookahead import FileRecord
 from jaxdet.io.summary import Summary, read_summary, read_summary_at
-from jaxdet.io.walk import Handler, Walk
+from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _TOP_LEVEL = -1
-_TORN = 0
-"""Opcode, which no record has, of what can't be walked over."""
 _MAX_TIME_NS = (1 << 63) - 1
 _INDEX_HEAD = struct.Struct("<HI")
 """Channel and bytes of the entries of a message index."""
@@ -93,7 +90,7 @@ class _Scan:
             after = [offset for offset in offsets if offset > start]
             position, odd = (after[0], 0) if after else (file.size, 0)
             self.torn.append((start, position))
-            yield FileRecord(_TORN, start, position - start)
+            yield FileRecord(TORN, start, position - start)
             if not after:
                 return
 
@@ -104,8 +101,6 @@ class _Scan:
             DamageError: It can't be used.
         """
         opcode, position, length = record
-        if opcode == _TORN:
-            raise DamageError("damaged or torn record")
         if chunk is not None:
             self._chunk(position, chunk)
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -136,11 +131,11 @@ class _Scan:
     def _record_head(self, position: int) -> tuple[int, int]:
         """Opcode and length; what is no record where the file ends or can't be read."""
         if position + RECORD_HEAD.size > self.file.size:
-            return _TORN, 0
+            return TORN, 0
         try:
             opcode, length = RECORD_HEAD.unpack(self.file.read(position, RECORD_HEAD.size))
         except DamageError:
-            return _TORN, 0
+            return TORN, 0
         return opcode, length
 
     def _end(self, position: int) -> None:

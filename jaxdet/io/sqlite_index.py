@@ -11,6 +11,7 @@ import numpy as np
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.definition import is_known, schema_text
 from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
@@ -18,7 +19,6 @@ from jaxdet.io.message_file import HEAD_BYTES, POSITION_BITS, MessageRow, positi
 from jaxdet.io.messages import kind_of
 from jaxdet.io.sqlite import SqliteFile, damage
 from jaxdet.io.walk import Handler, Walk
-from jaxdet.io.writer_cdr import is_known, schema_text
 
 _ROWS_AT_ONCE = 1 << 14
 _DAMAGED = "page is damaged"

@@ -16,8 +16,6 @@ from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.records import IndexedMessages, read_message
 from jaxdet.io.store import ChunkStore, Place
 
-_STAMP_END = 12
-"""Bytes of CDR up to the end of the stamp that leads."""
 _MAX_VARIANTS = 16
 
 
@@ -129,7 +127,7 @@ class CalibrationWindows:
     def _compare(self, topic: InfoMessages, number: int) -> None:
         decoder = topic.decoders[int(topic.messages.decoder[number])]
         _, payload = read_message(self._store, topic.messages, number)
-        rest = topic.topic, bytes(payload[_STAMP_END:] if decoder.stamp_leads else payload)
+        rest = topic.topic, decoder.after_stamp(payload)
         if rest in self._good:
             return
         try:

@@ -1,19 +1,49 @@
-"""What every walk over a whole file does: it gives what is whole, and counts what is lost."""
+"""What every walk over a whole file does: it gives what is whole, and counts what is lost.
 
-from collections import Counter
-from collections.abc import Callable, Iterable
+Chunks ahead are decompressed on threads; all is taken in by the caller's, in order.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
+
+from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_messages
-from jaxdet.io.lookahead import FileRecord, ahead
 
 Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
 """Gets channel, log time [ns], payload and location of each message."""
+AHEAD_BYTES = 64 << 20
+"""Of decompressed chunks."""
+AHEAD_RECORDS = 256
+TORN = 0
+"""Opcode, which no record has."""
+
+
+class FileRecord(NamedTuple):
+    """A record of a file's data section."""
+
+    opcode: int
+    """``TORN``: what can't be walked over."""
+    position: int
+    """Where its content begins in the file."""
+    length: int
+    """Of its content, by its own word."""
+
+
+class Ahead(NamedTuple):
+    """A record that is to be taken in."""
+
+    record: FileRecord
+    chunk: Future[bytes | memoryview] | None = None
+    """What a chunk will be decompressed."""
+    size: int = 0
+    """Of that."""
 
 
 class Walk:
@@ -50,6 +80,8 @@ class Walk:
         """
         for item in ahead(self._file, records, pool):
             try:
+                if item.record.opcode == TORN:
+                    raise DamageError("damaged or torn record")
                 take(item.record, item.chunk)
             except DamageError as error:
                 self.lose(str(error), item.record.length)
@@ -94,3 +126,32 @@ class Walk:
             last_log_time_ns=self.last_ns,
             **{**plain, **more},
         )
+
+
+def ahead(
+    file: LogFile, records: Iterable[FileRecord], pool: ThreadPoolExecutor
+) -> Iterator[Ahead]:
+    """The records in order; up to 64 MiB of chunks (or one chunk, if larger) are ahead.
+
+    Args:
+        file: The file.
+        records: Its records.
+        pool: Decompresses.
+    """
+    waiting: deque[Ahead] = deque()
+    size_ahead, most = 0, min(AHEAD_BYTES, file.memory.chunk)
+    for record in records:
+        is_chunk = record.opcode == Opcode.CHUNK
+        size = file.chunk_bytes(record.position) if is_chunk else 0
+        while waiting and (size_ahead + size > most or len(waiting) >= AHEAD_RECORDS):
+            size_ahead -= waiting[0].size
+            yield waiting.popleft()
+        if is_chunk:
+            waiting.append(Ahead(record, pool.submit(file.chunk, record.position), size))
+            size_ahead += size
+        elif waiting:
+            waiting.append(Ahead(record))
+        else:
+            yield Ahead(record)
+    while waiting:
+        yield waiting.popleft()

@@ -13,8 +13,9 @@ import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from jaxdet.io.definition import schema_text
 from jaxdet.io.motion import quaternions
-from jaxdet.io.writer_cdr import encode_cdr, schema_text
+from jaxdet.io.writer_cdr import encode_cdr
 from jaxdet.types import Distortion, Extrinsics, Intrinsics
 
 Compression = Literal["zstd", "lz4", "none"]
