@@ -11,55 +11,16 @@ from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind
-from jaxdet.io.notes import Notes
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
 from jaxdet.io.streams import ImageSource, first_image
-from jaxdet.io.timeline import Timeline, Window, log_time_warnings, make_timeline
+from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
 """Frames looked at to see whether any has a pose."""
-
-
-class ScannedFrames(NamedTuple):
-    """The frames of a log that was read as a whole."""
-
-    timeline: Timeline
-    T_world_camera: np.ndarray | None
-    """``(F, 4, 4)`` float64, NaN where unknown; None when the log has no poses."""
-    other_calibration: np.ndarray
-    """``(F,)`` bool, frames to which another calibration belongs than the one used."""
-
-    @property
-    def num_frames(self) -> int:
-        """Colour frames."""
-        return len(self.timeline.color.stamps_ns)
-
-    @property
-    def notes(self) -> Notes:
-        """What is to be said of all frames."""
-        return self.timeline.notes(self.T_world_camera)
-
-    @property
-    def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, the stamps [ns]."""
-        return self.timeline.color.stamps_ns
-
-    def is_plain(self, number: int) -> bool:
-        """False: nothing is read to look at a frame, as all messages have been."""
-        return False
-
-    def stamp_ns(self, number: int) -> int:
-        """The stamp of a frame [ns]."""
-        return int(self.timeline.color.stamps_ns[number])
-
-    def window(self, start: int, stop: int) -> Window:
-        """The frames ``start`` to ``stop``."""
-        window = self.timeline.window(start, stop, self.T_world_camera)
-        return window._replace(other_calibration=self.other_calibration[start:stop])
 
 
 class Findings(NamedTuple):
@@ -96,9 +57,9 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     cameras = find_cameras(index, options, path)
     choice = cameras.chosen(options, path)
     color, depth = index.streams[choice.color], index.streams[choice.depth]
-    timeline = make_timeline(color, depth, options.pair_tolerance_s)
+    frames = order_and_pair(color, depth, options.pair_tolerance_s)
     tracks = {name: track.samples for name, track in index.poses.items()}
-    stamps = timeline.color.stamps_ns
+    stamps = frames.about_ns
 
     def ever_known(source: PoseSource) -> bool:
         return _any_known(source.at(stamps, index.tree, tracks))
@@ -108,13 +69,13 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     for topic, used in parts.calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
             changes = index.calibrations[topic].changes
-            other |= other_calibration(stamps, changes, used, timeline.by_log_time)
+            other |= other_calibration(stamps, changes, used, frames.by_log_time)
     return Findings(
         *parts,
-        ScannedFrames(timeline, parts.poses.at(stamps, index.tree, tracks), other),
+        frames.completed(parts.poses.at(stamps, index.tree, tracks), other),
         ImageSource(color.topic, color.decoders),
         ImageSource(depth.topic, depth.decoders),
-        timeline.warnings,
+        frames.warnings,
     )
 
 

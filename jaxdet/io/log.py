@@ -18,7 +18,7 @@ from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
-from jaxdet.io.findings import Findings, ScannedFrames, find_indexed, find_scanned
+from jaxdet.io.findings import Findings, find_indexed, find_scanned
 from jaxdet.io.index import LogIndex
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.log_frame import LogFrame, one_by_one
@@ -28,7 +28,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import ImageReader
 from jaxdet.io.store import ChunkStore
-from jaxdet.io.timeline import Window
+from jaxdet.io.timeline import ScannedFrames, Window
 from jaxdet.io.windows import IndexedFrames
 from jaxdet.types import Frames
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxdet.errors import printable
 from jaxdet.io.messages import Kind
 from jaxdet.io.notes import Notes, StreamNotes
-from jaxdet.io.pairing import Pairing, pair
+from jaxdet.io.pairing import pair
 from jaxdet.io.store import Place
 from jaxdet.io.streams import ImageStream
 
@@ -66,43 +66,48 @@ class Window(NamedTuple):
         return Window(color, depth, poses, notes, other, chunks)
 
 
-class Timeline(NamedTuple):
-    """Colour and depth frames in order, and their pairs."""
+class ScannedFrames(NamedTuple):
+    """The frames of a log that was read as a whole."""
 
-    color: FrameTable
-    depth: FrameTable
-    pairing: Pairing
-    color_notes: StreamNotes
-    depth_notes: StreamNotes
+    whole: Window
+    """All of them."""
+    notes: Notes
+    """What is to be said of all of them."""
     by_log_time: bool
     """Whether the stamps are log times."""
     warnings: tuple[str, ...]
 
-    def window(self, start: int, stop: int, T_world_camera: np.ndarray | None) -> Window:
-        """The frames ``start`` to ``stop``, with the poses of all."""
-        numbers = np.arange(start, stop)
-        return Window(
-            self.color.rows(numbers),
-            self.depth.rows(self.pairing.depth_of_color[start:stop]),
-            None if T_world_camera is None else T_world_camera[start:stop],
-        )
+    @property
+    def num_frames(self) -> int:
+        """Colour frames."""
+        return len(self.about_ns)
 
-    def notes(self, T_world_camera: np.ndarray | None) -> Notes:
-        """What is to be said of all frames."""
-        partner = self.pairing.depth_of_color
-        depth_ns = self.depth.rows(partner).stamps_ns
-        return Notes(
-            self.color_notes,
-            self.depth_notes,
-            np.abs(self.color.stamps_ns - depth_ns)[partner >= 0],
-            int((partner < 0).sum()),
-            self.depth.stamps_ns[self.pairing.unpaired_depth],
-            0 if T_world_camera is None else int(np.isfinite(T_world_camera[:, 0, 0]).sum()),
-        )
+    @property
+    def about_ns(self) -> np.ndarray:
+        """``(F,)`` int64, the stamps [ns]."""
+        return self.whole.color.stamps_ns
+
+    def is_plain(self, number: int) -> bool:
+        """False: nothing is read to look at a frame, as all messages have been."""
+        return False
+
+    def stamp_ns(self, number: int) -> int:
+        """The stamp of a frame [ns]."""
+        return int(self.about_ns[number])
+
+    def window(self, start: int, stop: int) -> Window:
+        """The frames ``start`` to ``stop``."""
+        return self.whole.part(start, stop)
+
+    def completed(self, T_world_camera: np.ndarray | None, other: np.ndarray) -> "ScannedFrames":
+        """The same frames with their poses, and which of them have another calibration."""
+        whole = self.whole._replace(T_world_camera=T_world_camera, other_calibration=other)
+        poses = 0 if T_world_camera is None else np.isfinite(T_world_camera[:, 0, 0]).sum()
+        return self._replace(whole=whole, notes=self.notes._replace(poses=int(poses)))
 
 
-def make_timeline(color: ImageStream, depth: ImageStream, tolerance_s: float) -> Timeline:
-    """Orders and pairs the frames.
+def order_and_pair(color: ImageStream, depth: ImageStream, tolerance_s: float) -> ScannedFrames:
+    """Orders and pairs the messages of a log that was read as a whole.
 
     The order is by header stamp, then log time, then place in the files. Where all stamps of a
     stream are zero, log times stand for the stamps of both, with a warning. The two images of
@@ -117,17 +122,19 @@ def make_timeline(color: ImageStream, depth: ImageStream, tolerance_s: float) ->
         backward = int((np.diff(stream.column("log_time")) < 0).sum())
         warnings += log_time_warnings(stream.topic, backward)
     stamps = "log_time" if zero else "stamp"
-    color_table, color_notes = _table(color, stamps, stamps)
+    own, color_notes = _table(color, stamps, stamps)
     if color is depth and color.kind is Kind.RGBD:
-        depth_table, _ = _table(depth, stamps, "log_time" if zero else "depth_stamp")
-        depth_notes = StreamNotes()
-        pairing = Pairing(np.arange(len(color)), np.zeros(0, np.int64))
+        partners, _ = _table(depth, stamps, "log_time" if zero else "depth_stamp")
+        depth_notes, alone_ns = StreamNotes(), np.zeros(0, np.int64)
     else:
-        depth_table, depth_notes = _table(depth, stamps, stamps)
-        pairing = pair(color_table.stamps_ns, depth_table.stamps_ns, tolerance_s)
-    tables = color_table, depth_table
-    notes = color_notes, depth_notes
-    return Timeline(*tables, pairing, *notes, bool(zero), tuple(warnings))
+        every, depth_notes = _table(depth, stamps, stamps)
+        pairing = pair(own.stamps_ns, every.stamps_ns, tolerance_s)
+        partners = every.rows(pairing.depth_of_color)
+        alone_ns = every.stamps_ns[pairing.unpaired_depth]
+    paired = partners.stamps_ns >= 0
+    apart_ns = np.abs(own.stamps_ns - partners.stamps_ns)[paired]
+    notes = Notes(color_notes, depth_notes, apart_ns, int((~paired).sum()), alone_ns)
+    return ScannedFrames(Window(own, partners, None), notes, bool(zero), tuple(warnings))
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:
