@@ -16,10 +16,9 @@ from mcap.opcode import Opcode
 from jaxdet.io.bag import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, BagFile, records
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
 from jaxdet.io.container import Location
-from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
+from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import check_messages
-from jaxdet.io.messages import kind_of
 from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
@@ -39,18 +38,10 @@ def read_bag_index(file: BagFile) -> FileIndex:
     parts = [np.zeros((5, 0), np.int64)]
     for position, end in pairwise(ends):
         parts += _chunk_index(file, position, end, counts[position])
-    channel, log_ns, place, length, offset = np.concatenate(parts, axis=1)
-    total = len(channel)
-    check_messages(total, file.size, str(file.path), file.memory)
-    if set(np.unique(channel).tolist()) - file.connections.keys():
-        raise DamageError("message index of an undeclared connection")
+    messages = np.concatenate(parts, axis=1)
+    check_messages(messages.shape[1], file.size, str(file.path), file.memory)
     infos = dict(sorted(file.connections.items()))
-    useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
-    which = np.flatnonzero(np.isin(channel, np.array(useful, np.int64)))
-    which = which[np.lexsort((offset[which], place[which]))]
-    columns = (column[which] for column in (channel, log_ns, place, length, offset))
-    integrity = indexed_integrity(file.path, total, len(counts), False)
-    return FileIndex(infos, count_channels(channel, log_ns), integrity, *columns)
+    return file_index(file.path, infos, messages, chunks=len(counts))
 
 
 def scan_bag(file: BagFile, handler: Handler, pool: ThreadPoolExecutor) -> FileIntegrity:

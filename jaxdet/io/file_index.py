@@ -5,9 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.io.chunks import DamageError
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.message_index import ChannelCount
+from jaxdet.io.messages import kind_of
+
+
+class ChannelCount(NamedTuple):
+    """The messages of one channel."""
+
+    messages: int
+    first_ns: int
+    last_ns: int
 
 
 class FileIndex(NamedTuple):
@@ -16,7 +25,8 @@ class FileIndex(NamedTuple):
     infos: dict[int, ChannelInfo]
     """All channels."""
     counts: dict[int, ChannelCount]
-    """Of the channels that have messages."""
+    """Of all channels that have messages; where the chunks of an MCAP file aren't in the order of
+    log times, the span of those of no use is about right."""
     integrity: FileIntegrity
     channel: np.ndarray
     log_ns: np.ndarray
@@ -29,14 +39,40 @@ class FileIndex(NamedTuple):
     """Of the message's record in the decompressed chunk."""
 
 
-def indexed_integrity(path: Path, messages: int, chunks: int, has_crc: bool) -> FileIntegrity:
-    """What an index says of its file."""
-    return FileIntegrity(
+def file_index(
+    path: Path,
+    infos: dict[int, ChannelInfo],
+    messages: np.ndarray,
+    counts: dict[int, ChannelCount] | None = None,
+    chunks: int = 0,
+    chunks_with_crc: int = 0,
+) -> FileIndex:
+    """The index of a file.
+
+    Args:
+        path: The file.
+        infos: Its channels.
+        messages: ``(5, N)`` int64, the last five fields of the index of messages in any order;
+            those of no use are left out.
+        counts: What else is known of the channels, where ``messages`` lacks some of no use.
+        chunks: Of the file.
+        chunks_with_crc: Of these.
+
+    Raises:
+        DamageError: A message is of no channel.
+    """
+    counts = (counts or {}) | _counts(*messages[:2])
+    if counts.keys() - infos.keys():
+        raise DamageError("message index of an undeclared channel")
+    which = np.flatnonzero(np.isin(messages[0], useful_channels(infos)))
+    which = which[np.lexsort(messages[[4, 2]][:, which])]
+    count = sum(item.messages for item in counts.values())
+    integrity = FileIntegrity(
         path=path,
-        messages=messages,
-        declared_messages=messages,
+        messages=count,
+        declared_messages=count,
         chunks=chunks,
-        chunks_with_crc=chunks if has_crc else 0,
+        chunks_with_crc=chunks_with_crc,
         has_end=True,
         lost={},
         lost_bytes=0,
@@ -45,15 +81,16 @@ def indexed_integrity(path: Path, messages: int, chunks: int, has_crc: bool) -> 
         missing={},
         by_index=True,
     )
+    return FileIndex(infos, counts, integrity, *messages[:, which])
 
 
-def count_channels(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
-    """How many messages each channel has, and their first and last log time.
+def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
+    """The numbers of the channels with messages of use, int64."""
+    useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
+    return np.array(useful, np.int64)
 
-    Args:
-        channel: ``(N,)`` int64.
-        log_ns: ``(N,)`` int64.
-    """
+
+def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:
     found = {}
     for number in np.unique(channel).tolist():
         mine = log_ns[channel == number]

@@ -4,27 +4,18 @@ import numpy as np
 
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location
-from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
+from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.image_folder import ImageFolder
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.message_file import HEAD_BYTES, POSITION_BITS, position_of
+from jaxdet.io.message_file import HEAD_BYTES, indexed_messages, position_of
 from jaxdet.io.walk import Handler, Walk
 
 
 def read_folder_index(folder: ImageFolder) -> FileIndex:
     """What the files' names and sizes tell."""
     channel, log_ns, size = np.array(folder.rows, np.int64).reshape(-1, 3).T
-    position = np.arange(len(channel)) << POSITION_BITS
-    return FileIndex(
-        folder.infos,
-        count_channels(channel, log_ns),
-        indexed_integrity(folder.path, len(channel), 0, False),
-        channel,
-        log_ns,
-        position,
-        size + HEAD_BYTES,
-        np.zeros_like(position),
-    )
+    messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+    return file_index(folder.path, folder.infos, messages)
 
 
 def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:

@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError
@@ -52,6 +53,14 @@ def position_of(number: int) -> int:
     if not 0 <= number <= _MAX_NUMBER:
         raise DamageError("number of a message is out of range")
     return number << POSITION_BITS
+
+
+def indexed_messages(
+    number: np.ndarray, channel: np.ndarray, log_ns: np.ndarray, size: np.ndarray
+) -> np.ndarray:
+    """Messages ``(N,)`` as :func:`jaxdet.io.file_index.file_index` takes them, ``(5, N)`` int64."""
+    place = number << POSITION_BITS
+    return np.stack([channel, log_ns, place, size + HEAD_BYTES, np.zeros_like(place)])
 
 
 class MessageFile(LogFile):

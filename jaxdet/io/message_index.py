@@ -4,7 +4,7 @@ They stand behind each chunk; those of a million messages are parsed in a fracti
 What they say is held against the summary here, and against each message when it is read.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +12,9 @@ from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
+from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
 from jaxdet.io.limits import check_messages
-from jaxdet.io.summary import FileBytes, Summary
+from jaxdet.io.summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
 """Of a message index before its entries: record head, channel, length."""
@@ -21,32 +22,6 @@ _ENTRY_BYTES = 16
 """Log time and offset in the chunk."""
 _PART_BYTES = 32 << 20
 """Of message indexes in memory at once."""
-
-
-class ChannelCount(NamedTuple):
-    """The messages of one channel."""
-
-    messages: int
-    first_ns: int
-    last_ns: int
-
-
-class MessageIndex(NamedTuple):
-    """The messages of the channels asked for, ``(N,)`` each, in file order."""
-
-    channel: np.ndarray
-    """int64."""
-    log_ns: np.ndarray
-    """int64, log time [ns]."""
-    chunk: np.ndarray
-    """int64, number of the chunk in the summary."""
-    offset: np.ndarray
-    """int64, of the message's record in the decompressed chunk."""
-    counts: dict[int, ChannelCount]
-    """Of all channels that have messages; where chunks aren't in the order of log times, the span
-    of those not asked for is about right."""
-    total: int
-    """Messages of all channels."""
 
 
 class _Records(NamedTuple):
@@ -60,15 +35,18 @@ class _Records(NamedTuple):
     """int64, the larger one."""
 
 
-def read_message_index(file: McapFile, summary: Summary, channels: Collection[int]) -> MessageIndex:
-    """The messages of some channels.
+def read_mcap_index(file: McapFile) -> FileIndex:
+    """What the summary and the message indexes of a file tell.
 
     Raises:
         DamageError: Something is missing, or the indexes contradict the summary.
     """
+    summary = read_summary(file)
     _check(file, summary)
     chunks, offsets = summary.chunks, summary.offsets
-    wanted = np.isin(offsets.channel, np.array(sorted(channels), np.int64))
+    infos = {key: summary.declared.info(key) for key in summary.declared.channels}
+    infos = {key: info for key, info in infos.items() if info is not None}
+    wanted = np.isin(offsets.channel, useful_channels(infos))
     records, found = [], [(np.zeros(0, np.int64),) * 4]
     for part, data, base in _parts(file, summary):
         chunk, channel = offsets.chunk[part], offsets.channel[part]
@@ -86,27 +64,17 @@ def read_message_index(file: McapFile, summary: Summary, channels: Collection[in
         entry = entries[each] + _ENTRY_BYTES * within
         log_ns, offset = data.at(entry, "<u8"), data.at(entry + 8, "<u8")
         found.append((channel[each], log_ns, chunk[each], offset))
-    statistics = summary.statistics
-    assert statistics is not None
     counts = _counts(offsets.channel, records)
-    if counts.keys() - summary.declared.channels.keys():
-        raise DamageError("message index of an undeclared channel")
-    declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
-    if declared != {key: item.messages for key, item in counts.items()}:
-        raise DamageError("message indexes contradict the statistics")
-    if sum(declared.values()) != statistics.message_count:
-        raise DamageError("statistics contradict themselves")
+    _check_counts(summary, counts)
     channel, log_ns, chunk, offset = map(np.concatenate, zip(*found, strict=True))
     inside = (log_ns >= chunks.first_ns[chunk]) & (log_ns <= chunks.last_ns[chunk])
     inside &= offset <= chunks.size[chunk] - RECORD_HEAD.size - MESSAGE_HEAD.size
     if not inside.all():
         raise DamageError("message index leaves its chunk")
-    for number in counts.keys() & set(channels):
-        mine = log_ns[channel == number]
-        counts[number] = ChannelCount(len(mine), int(mine.min()), int(mine.max()))
-    order = np.lexsort((offset, chunk))
-    columns = channel[order], log_ns[order], chunk[order], offset[order]
-    return MessageIndex(*columns, counts, statistics.message_count)
+    place, length = chunks.start + RECORD_HEAD.size, chunks.length - RECORD_HEAD.size
+    messages = np.stack([channel, log_ns, place[chunk], length[chunk], offset])
+    has_crc = len(place) and file.chunk_head(int(place[0])).crc
+    return file_index(file.path, infos, messages, counts, len(place), len(place) if has_crc else 0)
 
 
 def _check(file: McapFile, summary: Summary) -> None:
@@ -129,6 +97,17 @@ def _check(file: McapFile, summary: Summary) -> None:
         raise DamageError("chunk ends before it begins")
     count = int(chunks.index_length.sum()) // _ENTRY_BYTES
     check_messages(count, file.size, str(file.path), file.memory)
+
+
+def _check_counts(summary: Summary, counts: dict[int, ChannelCount]) -> None:
+    """Whether there are as many messages of each channel as the statistics say."""
+    statistics = summary.statistics
+    assert statistics is not None
+    declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
+    if declared != {key: item.messages for key, item in counts.items()}:
+        raise DamageError("message indexes contradict the statistics")
+    if sum(declared.values()) != statistics.message_count:
+        raise DamageError("statistics contradict themselves")
 
 
 def _entries(

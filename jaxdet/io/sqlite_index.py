@@ -12,10 +12,10 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import is_known, schema_text
-from jaxdet.io.file_index import FileIndex, count_channels, indexed_integrity
+from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
-from jaxdet.io.message_file import HEAD_BYTES, POSITION_BITS, MessageRow, position_of
+from jaxdet.io.message_file import HEAD_BYTES, MessageRow, indexed_messages, position_of
 from jaxdet.io.messages import kind_of
 from jaxdet.io.sqlite import SqliteFile, damage
 from jaxdet.io.walk import Handler, Walk
@@ -60,17 +60,9 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
         raise DamageError("numbers of messages are out of order")
     for value in (number.min(initial=0), number.max(initial=0)):
         position_of(int(value))
-    counts = count_channels(channel, log_ns)
-    if counts.keys() - infos.keys():
-        raise DamageError("message of an undeclared topic")
     if _declared(file) not in (None, len(number)):
         raise DamageError("index of times contradicts the messages")
-    useful = [key for key, info in infos.items() if kind_of(info.schema_name) is not None]
-    which = np.isin(channel, np.array(useful, np.int64))
-    place = number[which] << POSITION_BITS
-    columns = channel[which], log_ns[which], place, size[which] + HEAD_BYTES, np.zeros_like(place)
-    integrity = indexed_integrity(file.path, len(number), 0, False)
-    return FileIndex(infos, counts, integrity, *columns)
+    return file_index(file.path, infos, indexed_messages(number, channel, log_ns, size))
 
 
 def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
