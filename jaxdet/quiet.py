@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import struct
 import sys
@@ -9,6 +10,8 @@ from pathlib import Path
 
 _ELF = struct.Struct("<40xQ10xHH")
 """Of the head: where the table of sections is, the size of an entry, and their number."""
+_BEING_MADE = re.compile(r".*_p\d+_t\d+")
+"""Folders that a process writes a module into, before Warp gives them their name."""
 
 
 def quiet_warp() -> None:
@@ -37,7 +40,8 @@ def remove_torn(cache: Path) -> list[Path]:
     torn = [
         folder
         for folder in cache.glob("wp_jaxdet_kernels.*")
-        if not all(_is_whole(file) for file in folder.glob("*"))
+        if not _BEING_MADE.fullmatch(folder.name)
+        and not all(_is_whole(file) for file in folder.glob("*"))
     ]
     for folder in torn:
         shutil.rmtree(folder, ignore_errors=True)
