@@ -5,7 +5,7 @@ from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
-from jaxdet.errors import ConfigError, InputError
+from jaxdet.errors import ConfigError, InputError, JaxdetError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -14,17 +14,19 @@ Kind = TypeVar("Kind")
 _MOST = 1 << 24
 """Entries of an array that is converted: a pose each for many more frames than a batch has."""
 _WORDS = {bool: "True or False", float: "a number", int: "a whole number", str: "a text"}
+_NAMES: dict[type, str] = {Integral: "whole number", Real: "number"}
 
 
-def of_type(name: str, value: Any, kind: type[Kind]) -> Kind:
-    """A value of a type of ours, and of no other.
+def of_type(name: str, value: Any, kind: type[Kind], error: type[JaxdetError] = InputError) -> Kind:
+    """A value of a type, and of no other.
 
     Raises:
-        InputError: It is of another.
+        JaxdetError: It is of another; by default an InputError.
     """
     if not isinstance(value, kind):
-        problem = f"{type(value).__name__} is no {kind.__name__}"
-        raise InputError(problem, topic=name, remedy=f"give a {kind.__name__}")
+        wanted = _NAMES.get(kind, kind.__name__)
+        problem = f"{type(value).__name__} is no {wanted}"
+        raise error(problem, topic=name, remedy=f"give a {wanted}")
     return value
 
 
@@ -34,9 +36,7 @@ def number(name: str, value: Any) -> float:
     Raises:
         InputError: It is none.
     """
-    if not isinstance(value, Real):
-        raise InputError(f"{type(value).__name__} is no number", topic=name, remedy="give one")
-    return float(value)
+    return float(of_type(name, value, Real))
 
 
 def whole_number(name: str, value: Any) -> int:
@@ -45,10 +45,7 @@ def whole_number(name: str, value: Any) -> int:
     Raises:
         InputError: It is none.
     """
-    if not isinstance(value, Integral):
-        problem = f"{type(value).__name__} is no whole number"
-        raise InputError(problem, topic=name, remedy="give one")
-    return int(value)
+    return int(of_type(name, value, Integral))
 
 
 def numeric(name: str, values: Any) -> "np.ndarray":

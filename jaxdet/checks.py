@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from functools import lru_cache
 from numbers import Integral, Real
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from jaxdet.types import (
     GroundPlane,
     Intrinsics,
 )
-
-Kind = TypeVar("Kind")
 
 MAX_CELL_SIDE = 128
 """Most pixels of a cell's side: sums of depths have 31 bits."""
@@ -61,35 +59,30 @@ def check_calibration(calibration: Calibration) -> None:
 
 def _check_types(calibration: Calibration) -> None:
     """Refuses what is no calibration of plain numbers, which can be hashed."""
-    _of(calibration, Calibration, "the calibration")
-    _of(calibration.depth_unit, Real, "the depth unit")
+
+    def check(name: str, value: Any, kind: type) -> None:
+        of_type(name, value, kind, CalibrationError)
+
+    check("calibration", calibration, Calibration)
+    check("depth unit", calibration.depth_unit, Real)
     cameras: dict[str, Any] = {"colour": calibration.color}
     if calibration.depth is not None:
         cameras["depth"] = calibration.depth
-    for name, given in cameras.items():
-        camera = _of(given, Intrinsics, f"the {name} camera")
+    for name, camera in cameras.items():
+        check(f"{name} camera", camera, Intrinsics)
         for field, value in zip(camera._fields, camera, strict=True):
             whole = Integral if field in ("width", "height") else Real
             kind = {"distortion": str, "coefficients": tuple}.get(field, whole)
-            _of(value, kind, f"{field} of the {name} camera")
+            check(f"{field} of the {name} camera", value, kind)
         for value in camera.coefficients:
-            _of(value, Real, f"one of the coefficients of the {name} camera")
+            check(f"coefficients of the {name} camera", value, Real)
     motion = calibration.color_from_depth
     if motion is not None:
-        _of(motion, Extrinsics, "color_from_depth")
+        check("color_from_depth", motion, Extrinsics)
         for field, values in zip(motion._fields, motion, strict=True):
-            for value in _of(values, tuple, f"the {field} of color_from_depth"):
-                _of(value, Real, f"a number of the {field} of color_from_depth")
-
-
-def _of(value: Any, kind: type[Kind], what: str) -> Kind:
-    if not isinstance(value, kind):
-        names = {Real: "number", Integral: "whole number", str: "lens model"}
-        raise CalibrationError(
-            f"{what} is a {type(value).__name__}",
-            remedy=f"give a {names.get(kind, kind.__name__)}",
-        )
-    return value
+            check(f"{field} of color_from_depth", values, tuple)
+            for value in values:
+                check(f"{field} of color_from_depth", value, Real)
 
 
 @lru_cache(maxsize=64)
