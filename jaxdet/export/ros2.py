@@ -24,7 +24,8 @@ from jaxdet.export.shapes import (
 )
 from jaxdet.export.sidecar import moments, sidecars
 from jaxdet.io import LogFiles
-from jaxdet.io.writer import Ros2LogWriter, header, pose_of, xyz
+from jaxdet.io.writer import Ros2LogWriter, pose_of, xyz
+from jaxdet.io.writer_cdr import header
 from jaxdet.results.reading import Frame, ResultLog, Results
 
 DETECTIONS, POINTS, MAP = "detections", "points", "map"

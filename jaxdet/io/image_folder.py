@@ -25,7 +25,8 @@ from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.message_file import MessageFile, MessageRow
-from jaxdet.io.writer_cdr import encode_cdr
+from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
+from jaxdet.types import Intrinsics
 
 RATE_HZ = 30
 COLOR_NAMES = ("rgb", "color", "colour")
@@ -185,7 +186,7 @@ def _image_messages(
     found = []
     for stamp_ns, path in images:
         size = path.stat().st_size if path.is_file() else 0
-        message = {"header": _header(stamp_ns), "format": form, "data": b""}
+        message = {"header": header(stamp_ns, _FRAME), "format": form, "data": b""}
         head = encode_cdr("sensor_msgs/CompressedImage", message)
         head = head[:-4] + size.to_bytes(4, "little")
         found.append(_Message(stamp_ns, channel, head, path, size))
@@ -229,15 +230,7 @@ def _calibration(folder: Path, log_ns: int) -> list[_Message]:
             raise ValueError("not column-major")
         width, height = int(camera["width"]), int(camera["height"])
         scale = float(camera.get("depth_scale", 1000))
-        info = {
-            "header": _header(log_ns), "height": height, "width": width,
-            "distortion_model": "plumb_bob", "d": (0.0,) * 5,
-            "k": (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
-            "r": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            "p": (fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
-            "binning_x": 0, "binning_y": 0,
-            "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
-        }  # fmt: skip
+        info = camera_info(log_ns, _FRAME, Intrinsics(width, height, fx, fy, cx, cy))
         unit = encode_cdr("std_msgs/Float32", {"data": 1 / scale})
         head = encode_cdr("sensor_msgs/CameraInfo", info)
     except (ArithmeticError, KeyError, TypeError, ValueError, struct.error) as error:
@@ -273,7 +266,7 @@ def _poses(folder: Path) -> list[_Message]:
             "translation": {"x": tx, "y": ty, "z": tz},
             "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
         }
-        head = {**_header(stamp_ns), "frame_id": "map"}
+        head = header(stamp_ns, "map")
         item = {"header": head, "child_frame_id": _FRAME, "transform": motion}
         data = encode_cdr("tf2_msgs/TFMessage", {"transforms": [item]})
         found.append(_Message(stamp_ns, _TF, data))
@@ -305,11 +298,6 @@ def _nanoseconds(text: str, path: Path) -> int:
         problem = f"stamp {text[:40]!a} is out of range"
         raise InputError(problem, path=str(path), remedy="correct it")
     return int(found * _SECOND)
-
-
-def _header(stamp_ns: int) -> dict[str, Any]:
-    sec, nanosec = divmod(stamp_ns, _SECOND)
-    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": _FRAME}
 
 
 def _state(folder: Path) -> FileState:

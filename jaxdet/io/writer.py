@@ -15,8 +15,8 @@ from mcap.writer import Writer as McapWriter
 
 from jaxdet.io.definition import schema_text
 from jaxdet.io.motion import quaternions
-from jaxdet.io.writer_cdr import encode_cdr
-from jaxdet.types import Distortion, Extrinsics, Intrinsics
+from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
+from jaxdet.types import Extrinsics, Intrinsics
 
 Compression = Literal["zstd", "lz4", "none"]
 
@@ -53,12 +53,6 @@ def quaternion(R: np.ndarray) -> dict[str, float]:
 def xyz(vector: np.ndarray | Sequence[float]) -> dict[str, float]:
     """A vector of three as its message has it."""
     return dict(zip("xyz", np.asarray(vector, np.float64).tolist(), strict=True))
-
-
-def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
-    """A ``std_msgs/Header``."""
-    sec, nanosec = divmod(int(stamp_ns), 10**9)
-    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
 
 
 def pose_of(T: np.ndarray) -> dict[str, Any]:
@@ -156,19 +150,8 @@ class Ros2LogWriter:
     def write_camera_info(
         self, topic: str, stamp_ns: int, frame_id: str, camera: Intrinsics
     ) -> None:
-        """Write a ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
-        plain = camera.distortion is Distortion.NONE
-        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
-        message = {
-            "header": header(stamp_ns, frame_id), "height": camera.height, "width": camera.width,
-            "distortion_model": "plumb_bob" if plain else str(camera.distortion),
-            "d": (0.0,) * 5 if plain else camera.coefficients,
-            "k": (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
-            "r": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            "p": (fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
-            "binning_x": 0, "binning_y": 0,
-            "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
-        }  # fmt: skip
+        """Write a ``sensor_msgs/CameraInfo``, see :func:`jaxdet.io.writer_cdr.camera_info`."""
+        message = camera_info(stamp_ns, frame_id, camera)
         self.write(topic, stamp_ns, "sensor_msgs/CameraInfo", message)
 
     def write_transforms(

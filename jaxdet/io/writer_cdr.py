@@ -10,6 +10,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from jaxdet.io.definition import DEFINITIONS
+from jaxdet.types import Distortion, Intrinsics
 
 _FORMATS = {
     "bool": "?",
@@ -89,3 +90,25 @@ def encode_cdr(type_name: str, message: Mapping[str, Any]) -> bytes:
     out = bytearray(b"\0\1\0\0")
     _append(out, type_name, message)
     return bytes(out)
+
+
+def header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
+    """A ``std_msgs/Header``."""
+    sec, nanosec = divmod(int(stamp_ns), 10**9)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
+
+
+def camera_info(stamp_ns: int, frame_id: str, camera: Intrinsics) -> dict[str, Any]:
+    """A ``sensor_msgs/CameraInfo``; no distortion is ``plumb_bob`` with zeros."""
+    plain = camera.distortion is Distortion.NONE
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    return {
+        "header": header(stamp_ns, frame_id), "height": camera.height, "width": camera.width,
+        "distortion_model": "plumb_bob" if plain else str(camera.distortion),
+        "d": (0.0,) * 5 if plain else camera.coefficients,
+        "k": (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
+        "r": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+        "p": (fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0),
+        "binning_x": 0, "binning_y": 0,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+    }  # fmt: skip
