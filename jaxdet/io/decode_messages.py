@@ -24,7 +24,7 @@ from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
 from jaxdet.io.raw_transforms import read_motions
-from jaxdet.io.ros1 import MissingRosbagsError, ros1_decoder
+from jaxdet.io.ros1 import ros1_decoder
 
 _STAMP_BYTES = 12
 """In which a stamp that leads is."""
@@ -139,8 +139,9 @@ def _raw_decoder(
     if message_encoding == "ros1" and schema_encoding == "ros1msg":
         try:
             return ros1_decoder(name, bare_definition(data.decode("utf-8", "replace")))
-        except MissingRosbagsError as error:
-            raise ValueError(str(error)) from error
+        except ImportError as error:
+            problem = "ROS 1 messages need the package rosbags; install jaxdet[rosbag]"
+            raise ValueError(problem) from error
         except Exception as error:  # parsers of foreign text raise what they like
             raise ValueError(f"its schema can't be read ({_short(error)})") from error
     factories = {"cdr": Ros2Factory, "protobuf": ProtobufFactory}

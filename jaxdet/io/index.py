@@ -136,9 +136,14 @@ class IndexBuilder:
     def add(
         self, channel: ChannelInfo, log_ns: int, payload: memoryview, location: Location
     ) -> None:
-        """Takes in a message."""
-        topic = self._topic(channel)
+        """Counts a message and takes it in."""
         self.count(channel, 1, log_ns, log_ns)
+        self.take(channel, log_ns, payload, location)
+
+    def take(
+        self, channel: ChannelInfo, log_ns: int, payload: memoryview, location: Location
+    ) -> None:
+        """Takes in a message."""
         decoder = self.decoder(channel)
         if decoder is None:
             return
@@ -149,7 +154,7 @@ class IndexBuilder:
             elif self.wants(decoder):
                 self._small(channel.topic, decoder, payload, log_ns)
         except FrameError:
-            topic.undecodable += 1
+            self._topic(channel).undecodable += 1
 
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
         topics = self.index.topics

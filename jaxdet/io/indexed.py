@@ -78,9 +78,6 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     index = LogIndex()
     builder = IndexBuilder(index, use_tf)
     topics = _read_topics(files, builder)
-    counts = {
-        name: (item.count, item.first_ns, item.last_ns) for name, item in index.topics.items()
-    }
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
     whole = sum(len(topic.messages.log_ns) for topic in motions) <= _MAX_MOTIONS
     probes = [(topic, _probes(topic, whole)) for topic in topics]
@@ -90,7 +87,6 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if topic.kind in _MOTIONS and not whole and not _is_static(topic):
             delays.see(topic, number, payload)
     for name, item in index.topics.items():
-        item.count, item.first_ns, item.last_ns = counts[name]
         if item.undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=name)
@@ -169,7 +165,7 @@ def _add_message(
 ) -> None:
     info = topic.channels[int(topic.messages.decoder[number])].info
     builder.file_number = int(topic.messages.file[number])
-    builder.add(info, int(topic.messages.log_ns[number]), payload, location)
+    builder.take(info, int(topic.messages.log_ns[number]), payload, location)
 
 
 def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[_Topic]:

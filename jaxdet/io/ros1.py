@@ -8,10 +8,6 @@ from typing import Any
 from jaxdet.errors import InputError
 
 
-class MissingRosbagsError(Exception):
-    """``rosbags`` isn't installed."""
-
-
 def require_rosbags(path: Path) -> None:
     """Makes sure that ROS 1 messages can be decoded.
 
@@ -32,14 +28,11 @@ def ros1_decoder(name: str, definition: str) -> Callable[[bytes], Any]:
         definition: Its fields, then those of the types in it, as ROS 1 concatenates them.
 
     Raises:
-        MissingRosbagsError: ``rosbags`` isn't installed.
+        ImportError: ``rosbags`` isn't installed.
         Exception: The definition can't be read.
     """
-    try:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        problem = "ROS 1 messages need the package rosbags; install jaxdet[rosbag]"
-        raise MissingRosbagsError(problem) from error
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     full = name if "/msg/" in name else name.replace("/", "/msg/")
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(definition, full))
