@@ -58,7 +58,7 @@ DEFINITIONS = {
 }
 """Fields by type, a line each: ROS 2 Jazzy's common_interfaces and geometry2, vision_msgs and
 realsense-ros."""
-_LEADING = {
+_LEADING: dict[str, dict[str, tuple[str, ...]]] = {
     "cdr": {"Header": ("Time stamp",), "Time": ("int32 sec", "uint32 nanosec")},
     "ros1": {"Header": ("uint32 seq", "time stamp")},
 }
