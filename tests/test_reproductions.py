@@ -214,7 +214,7 @@ def test_low_level_calls_with_what_is_no_batch_of_frames() -> None:
         ([given, given], "frames: list is no Frames; give a Frames"),
         (
             given._replace(calibration=arrays),
-            "rotation of color_from_depth is a ndarray; give a tuple",
+            "rotation of color_from_depth: ndarray is no tuple; give a tuple",
         ),
         (none, "there are no frames"),
     ):

@@ -56,6 +56,12 @@ class MessageDecoder:
         json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
         self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
 
+    @property
+    def is_static(self) -> bool:
+        """Whether its messages are transforms that hold at all times."""
+        static = self.channel.topic.rstrip("/").endswith("tf_static")
+        return static and self.kind is Kind.TRANSFORM
+
     def __reduce__(self) -> tuple:
         """In another process the decoder is made again from the schema."""
         return MessageDecoder, (self.channel,)

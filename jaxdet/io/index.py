@@ -254,9 +254,9 @@ class IndexBuilder:
         assert isinstance(messages, tuple)
         motions = [item for item in messages if isinstance(item, TransformMessage)]
         if decoder.kind is Kind.TRANSFORM:
-            static = topic.rstrip("/").endswith("tf_static")
-            if static or self.images:
-                self.index.tree.add(motions, static, once_is_static=decoder.is_foxglove)
+            if decoder.is_static or self.images:
+                foxglove = decoder.is_foxglove
+                self.index.tree.add(motions, decoder.is_static, once_is_static=foxglove)
         elif self.images:
             for item in motions:
                 track = self.index.poses.setdefault(topic, PoseTrack(item))

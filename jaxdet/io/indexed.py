@@ -9,21 +9,18 @@ import numpy as np
 from jaxdet.errors import RescanError
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
 from jaxdet.io.container import Location, LogFile
-from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.formats import read_file_index
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind
-from jaxdet.io.motion_windows import MotionMessages, MotionTopic, MotionWindows, decode_motions
-from jaxdet.io.records import IndexedMessages, read_message
-from jaxdet.io.store import ChunkStore, Place
+from jaxdet.io.motion_windows import MotionMessages, MotionWindows, decode_motions
+from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
+from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
-from jaxdet.io.validity import InfoMessages
 from jaxdet.io.windows import StreamWindows
 
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
-_WHERE = ("file", "position", "offset")
 _MAX_MOTIONS = 1000
 """So many transforms and poses are all read at opening; of more the first and a sample."""
 _FIRST_MOTIONS = 64
@@ -39,27 +36,9 @@ class IndexedLog(NamedTuple):
     streams: dict[str, StreamWindows]
     """Image topics."""
     motions: MotionWindows
-    calibrations: dict[str, InfoMessages]
+    calibrations: dict[str, TopicMessages]
+    """In the order of log time."""
     store: ChunkStore
-
-
-class _Channel(NamedTuple):
-    """A channel of one of the files."""
-
-    file: int
-    number: int
-    info: ChannelInfo
-    decoder: MessageDecoder
-
-
-class _Topic(NamedTuple):
-    """The messages of a topic that is of use, in the order of the files."""
-
-    name: str
-    kind: Kind
-    channels: tuple[_Channel, ...]
-    """A message's is that of its ``decoder``."""
-    messages: IndexedMessages
 
 
 def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: str) -> IndexedLog:
@@ -79,27 +58,27 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     builder = IndexBuilder(index, use_tf)
     topics = _read_topics(files, builder)
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
-    whole = sum(len(topic.messages.log_ns) for topic in motions) <= _MAX_MOTIONS
+    whole = sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
     probes = [(topic, _probes(topic, whole)) for topic in topics]
     delays = _Delays()
     for topic, number, location, payload in _read_messages(store, probes):
         _add_message(builder, topic, number, location, payload)
-        if topic.kind in _MOTIONS and not whole and not _is_static(topic):
+        if topic.kind in _MOTIONS and not whole and not topic.decoders[0].is_static:
             delays.see(topic, number, payload)
     for name, item in index.topics.items():
         if item.undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=name)
     for topic in topics:
-        known = index.calibrations.get(topic.name)
-        more = len(topic.messages.log_ns) > NUM_PROBES
+        known = index.calibrations.get(topic.topic)
+        more = topic.num_messages > NUM_PROBES
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
-            raise RescanError("the first calibrations are empty", path=path, topic=topic.name)
+            raise RescanError("the first calibrations are empty", path=path, topic=topic.topic)
     streams = {
-        topic.name: StreamWindows(
-            topic.name,
-            topic.messages.rows(_in_time([topic.messages])),
-            [channel.decoder for channel in topic.channels],
+        topic.topic: StreamWindows(
+            topic.topic,
+            topic.in_time().messages,
+            topic.decoders,
             store,
             path,
             int((np.diff(topic.messages.log_ns) < 0).sum()),
@@ -108,15 +87,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if topic.kind in IMAGE_KINDS
     }
     windows = _motion_windows(index, motions, store, delays.seen, path, whole)
-    infos = {
-        topic.name: InfoMessages(
-            topic.name,
-            topic.messages.rows(_in_time([topic.messages])),
-            [channel.decoder for channel in topic.channels],
-        )
-        for topic in topics
-        if topic.kind is Kind.INFO
-    }
+    infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
     return IndexedLog(index, streams, windows, infos, store)
 
 
@@ -130,7 +101,7 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
     topics = [
         topic
         for topic in _read_topics([file], builder)
-        if topic.kind not in _MOTIONS or _is_static(topic)
+        if topic.kind not in _MOTIONS or topic.decoders[0].is_static
     ]
     probes = [(topic, _probes(topic, False)) for topic in topics]
     for topic, number, location, payload in _read_messages(store, probes):
@@ -138,39 +109,48 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
 
 
 def _read_messages(
-    store: ChunkStore, parts: Sequence[tuple[_Topic, np.ndarray]]
-) -> Iterator[tuple[_Topic, int, Location, memoryview]]:
+    store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
+) -> Iterator[tuple[TopicMessages, int, Location, memoryview]]:
     """Some messages of topics in the order of the files; threads decompress their chunks.
 
     Raises:
         DamageError: One isn't where the index says.
     """
     wanted = [
-        (*(int(getattr(topic.messages, name)[number]) for name in _WHERE), topic, number)
+        (place, offset, topic, number)
         for topic, numbers in parts
-        for number in numbers.tolist()
+        for place, offset, number in zip(
+            topic.messages.places(numbers),
+            topic.messages.offset[numbers].tolist(),
+            numbers.tolist(),
+            strict=True,
+        )
     ]
-    wanted.sort(key=lambda item: item[:3])
-    chunks = {Place(*where): list(group) for where, group in groupby(wanted, lambda item: item[:2])}
+    wanted.sort(key=lambda item: item[:2])
+    chunks = {place: list(group) for place, group in groupby(wanted, lambda item: item[0])}
     for wave in store.waves(chunks):
         store.load(wave)
-        for _, position, offset, topic, number in (i for place in wave for i in chunks[place]):
+        for place, offset, topic, number in (item for place in wave for item in chunks[place]):
             size, payload = read_message(store, topic.messages, number)
             head = RECORD_HEAD.size + MESSAGE_HEAD.size
-            yield topic, number, Location(position, offset + head, size), payload
+            yield topic, number, Location(place.position, offset + head, size), payload
 
 
 def _add_message(
-    builder: IndexBuilder, topic: _Topic, number: int, location: Location, payload: memoryview
+    builder: IndexBuilder,
+    topic: TopicMessages,
+    number: int,
+    location: Location,
+    payload: memoryview,
 ) -> None:
-    info = topic.channels[int(topic.messages.decoder[number])].info
+    info = topic.decoder(number).channel
     builder.file_number = int(topic.messages.file[number])
     builder.take(info, int(topic.messages.log_ns[number]), payload, location)
 
 
-def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[_Topic]:
+def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicMessages]:
     """The topics that are of use; those of no use are noted and counted only."""
-    found: dict[str, tuple[list[_Channel], list[IndexedMessages]]] = {}
+    found: dict[str, tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, file in enumerate(files):
         builder.path, builder.bytes = str(file.path), builder.bytes + file.size
         entries = read_file_index(file)
@@ -184,7 +164,7 @@ def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[_Topic
             decoder = builder.decoder(info) if mine.any() else None
             if decoder is None or not builder.wants(decoder):
                 continue
-            channels, messages = found.setdefault(info.topic, ([], []))
+            decoders, messages = found.setdefault(info.topic, ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
             messages.append(
                 IndexedMessages(
@@ -194,45 +174,38 @@ def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[_Topic
                     entries.length[mine],
                     entries.offset[mine],
                     same + key,
-                    same + len(channels),
+                    same + len(decoders),
                 )
             )
-            channels.append(_Channel(number, key, info, decoder))
-    topics = [_topic(name, *parts) for name, parts in found.items()]
+            decoders.append(decoder)
+    topics = [_topic(*parts) for parts in found.values()]
     small = 0
     for topic in topics:
-        count = len(topic.messages.log_ns)
-        small += count * (topic.kind not in IMAGE_KINDS)
+        small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
         if topic.kind in IMAGE_KINDS:
-            check_images(count, builder.bytes, builder.path, topic.name)
-        check_motions(small, builder.bytes, builder.path, topic.name)
+            check_images(topic.num_messages, builder.bytes, builder.path, topic.topic)
+        check_motions(small, builder.bytes, builder.path, topic.topic)
     return topics
 
 
-def _topic(name: str, channels: list[_Channel], parts: list[IndexedMessages]) -> _Topic:
-    kind = channels[0].decoder.kind
-    if any(channel.decoder.kind is not kind for channel in channels):
+def _topic(decoders: list[MessageDecoder], parts: list[IndexedMessages]) -> TopicMessages:
+    if len({decoder.kind for decoder in decoders}) > 1:
         raise DamageError("a topic has messages of several kinds")
-    messages = IndexedMessages(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-    if len(parts) > 1:
-        messages = messages.rows(np.lexsort((messages.offset, messages.position, messages.file)))
-    return _Topic(name, kind, tuple(channels), messages)
+    return TopicMessages(tuple(decoders), _joined(parts))
 
 
-def _probes(topic: _Topic, whole: bool) -> np.ndarray:
+def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
     """The messages read at opening."""
-    count = len(topic.messages.log_ns)
+    count = topic.num_messages
     if topic.kind not in _MOTIONS:
         return np.arange(min(count, NUM_PROBES))
     if whole:
         return np.arange(count)
-    first, sample = (_STATIC, 0) if _is_static(topic) else (_FIRST_MOTIONS, _MOTION_SAMPLE)
+    first, sample = (
+        (_STATIC, 0) if topic.decoders[0].is_static else (_FIRST_MOTIONS, _MOTION_SAMPLE)
+    )
     spread = np.linspace(0, count - 1, sample).astype(np.int64)
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
-
-
-def _is_static(topic: _Topic) -> bool:
-    return MotionTopic(topic.name, topic.channels[0].decoder).is_static
 
 
 class _Delays:
@@ -242,11 +215,10 @@ class _Delays:
         self.seen: dict[str, tuple[int, int]] = {}
         """Least and most by frame or pose topic [ns]."""
 
-    def see(self, topic: _Topic, number: int, payload: memoryview) -> None:
+    def see(self, topic: TopicMessages, number: int, payload: memoryview) -> None:
         """Looks at a message of what moves."""
-        decoder = topic.channels[int(topic.messages.decoder[number])].decoder
-        for item in decode_motions(decoder, payload):
-            name = item.child if topic.kind is Kind.TRANSFORM else topic.name
+        for item in decode_motions(topic.decoder(number), payload):
+            name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
             delay = item.stamp_ns - int(topic.messages.log_ns[number])
             low, high = self.seen.get(name, (delay, delay))
             self.seen[name] = min(low, delay), max(high, delay)
@@ -254,35 +226,29 @@ class _Delays:
 
 def _motion_windows(
     index: LogIndex,
-    topics: Sequence[_Topic],
+    topics: Sequence[TopicMessages],
     store: ChunkStore,
     delays: dict[str, tuple[int, int]],
     path: str,
     whole: bool,
 ) -> MotionWindows:
-    """The windows on all motions; a message's decoder is the number of its topic and channel."""
-    parts, known = [], []
+    """The windows on the messages of all these topics."""
+    parts, decoders = [], []
     for topic in topics:
-        parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(known)))
-        known += [MotionTopic(topic.name, channel.decoder) for channel in topic.channels]
-    order = _in_time(parts)
-    columns = zip(*parts, strict=True) if parts else [[np.zeros(0, np.int64)]] * 7
-    messages = IndexedMessages(*(np.concatenate(column)[order] for column in columns))
-    arrival = np.lexsort((messages.offset, messages.position, messages.file))
-    place = np.empty_like(arrival)
-    place[arrival] = np.arange(len(arrival))
+        parts.append(topic.messages._replace(decoder=topic.messages.decoder + len(decoders)))
+        decoders += topic.decoders
+    messages = _joined(parts)
+    order = np.argsort(messages.log_ns, kind="stable")
     tracks = {name: track.samples for name, track in index.poses.items()}
-    found = MotionMessages(messages, place, tuple(known), delays)
+    found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
     return MotionWindows(found, store, index.tree, tracks, path, whole)
 
 
-def _in_time(parts: Sequence[IndexedMessages]) -> np.ndarray:
-    """The messages of all parts in the order of log time, then of arrival."""
-    if not parts:
-        return np.zeros(0, np.int64)
-    file, position, offset, log_ns = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in (*_WHERE, "log_ns")
-    )
-    if len(parts) == 1 and not (np.diff(log_ns) < 0).any():
-        return np.arange(len(log_ns))
-    return np.lexsort((offset, position, file, log_ns))
+def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:
+    """Messages of topics or channels, each in the order of the files, in this order."""
+    if len(parts) == 1:
+        return parts[0]
+    none = IndexedMessages(*[np.zeros(0, np.int64)] * 7)
+    columns = zip(none, *parts, strict=True)
+    messages = IndexedMessages(*map(np.concatenate, columns))
+    return messages.rows(np.lexsort((messages.offset, messages.position, messages.file)))

@@ -29,31 +29,14 @@ _MAX_MESSAGES = 20_000
 _MAX_DECODED = 1 << 15
 
 
-class MotionTopic(NamedTuple):
-    """A topic of transforms or poses."""
-
-    topic: str
-    decoder: MessageDecoder
-
-    @property
-    def is_tree(self) -> bool:
-        """Whether its messages are transforms."""
-        return self.decoder.kind is Kind.TRANSFORM
-
-    @property
-    def is_static(self) -> bool:
-        """Whether these hold at all times."""
-        return self.is_tree and self.topic.rstrip("/").endswith("tf_static")
-
-
 class MotionMessages(NamedTuple):
-    """All messages of such topics, in the order of log time, then of arrival."""
+    """All transforms and poses, in the order of log time, then of arrival."""
 
     messages: IndexedMessages
-    """A message's topic is that of its ``decoder``."""
     arrival: np.ndarray
     """``(N,)`` int64, their order in the files."""
-    topics: tuple[MotionTopic, ...]
+    decoders: tuple[MessageDecoder, ...]
+    """A message has the one of its ``decoder``."""
     delays: dict[str, tuple[int, int]]
     """Stamp less log time at opening, least and most, by frame or pose topic [ns]; empty where
     all were read then."""
@@ -80,7 +63,7 @@ class MotionWindows:
         path: str,
         whole: bool,
     ) -> None:
-        self._messages, self._arrival, self._topics, self._delays_seen = found
+        self._messages, self._arrival, self._decoders, self._delays_seen = found
         self._store, self._tree, self._tracks = store, tree, tracks
         self._path, self.whole = path, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
@@ -146,16 +129,19 @@ class MotionWindows:
     ) -> dict[str, MotionSamples]:
         """The samples of what moves, of some messages in the order of their arrival."""
         samples = {name: MotionSamples() for name in moving}
-        wanted = [topic.is_tree or topic.topic in samples for topic in self._topics]
+        wanted = [
+            decoder.kind is Kind.TRANSFORM or decoder.channel.topic in samples
+            for decoder in self._decoders
+        ]
         numbers = bound[0] + np.argsort(self._arrival[bound[0] : bound[1]])
-        topics, log_ns = (
+        decoders, log_ns = (
             column[numbers].tolist() for column in (self._messages.decoder, self._messages.log_ns)
         )
-        for number, topic, at_ns in zip(numbers.tolist(), topics, log_ns, strict=True):
-            if not wanted[topic]:
+        for number, decoder, at_ns in zip(numbers.tolist(), decoders, log_ns, strict=True):
+            if not wanted[decoder]:
                 continue
             found = self._decoded.get(number)
-            for name, item in self._decode(number, topic) if found is None else found:
+            for name, item in self._decode(number, decoder) if found is None else found:
                 if name not in samples:
                     continue
                 if not low <= item.stamp_ns - at_ns <= high:
@@ -163,17 +149,17 @@ class MotionWindows:
                 samples[name].add(item.stamp_ns, item.translation, item.rotation)
         return samples
 
-    def _decode(self, number: int, topic_number: int) -> list[tuple[str, TransformMessage]]:
+    def _decode(self, number: int, decoder_number: int) -> list[tuple[str, TransformMessage]]:
         """What a message says of what moves, with its frame or topic."""
-        topic = self._topics[topic_number]
+        decoder = self._decoders[decoder_number]
         _, payload = read_message(self._store, self._messages, number)
         found = []
-        for item in decode_motions(topic.decoder, payload):
-            if not topic.is_tree:
-                found.append((topic.topic, item))
-            elif not self._tree.agrees(item, topic.is_static):
+        for item in decode_motions(decoder, payload):
+            if decoder.kind is not Kind.TRANSFORM:
+                found.append((decoder.channel.topic, item))
+            elif not self._tree.agrees(item, decoder.is_static):
                 raise self._odd(f"frame {item.child!r} has transforms unlike the first ones")
-            elif not topic.is_static and item.parent == self._tree.parent(item.child):
+            elif not decoder.is_static and item.parent == self._tree.parent(item.child):
                 found.append((item.child, item))
         self._decoded[number] = found
         while len(self._decoded) > _MAX_DECODED:

@@ -6,6 +6,8 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.decode_messages import MessageDecoder
+from jaxdet.io.messages import Kind
 from jaxdet.io.store import ChunkStore, Place
 
 _HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
@@ -43,6 +45,38 @@ class IndexedMessages(NamedTuple):
     def chunks(self, which: np.ndarray | slice) -> set[Place]:
         """The chunks of some messages."""
         return set(self.places(which))
+
+
+class TopicMessages(NamedTuple):
+    """The messages of a topic."""
+
+    decoders: tuple[MessageDecoder, ...]
+    """All of one kind; a message has the one of its ``decoder``."""
+    messages: IndexedMessages
+
+    @property
+    def topic(self) -> str:
+        """The topic's name."""
+        return self.decoders[0].channel.topic
+
+    @property
+    def kind(self) -> Kind:
+        """What its messages hold."""
+        return self.decoders[0].kind
+
+    @property
+    def num_messages(self) -> int:
+        """How many there are."""
+        return len(self.messages.log_ns)
+
+    def decoder(self, number: int) -> MessageDecoder:
+        """What decodes a message."""
+        return self.decoders[int(self.messages.decoder[number])]
+
+    def in_time(self) -> "TopicMessages":
+        """The same, which are in the order of the files, by log time and then by arrival."""
+        order = np.argsort(self.messages.log_ns, kind="stable")
+        return self._replace(messages=self.messages.rows(order))
 
 
 def read_message(

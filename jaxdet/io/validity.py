@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
-from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import CameraInfoMessage
-from jaxdet.io.records import IndexedMessages, read_message
+from jaxdet.io.records import TopicMessages, read_message
 from jaxdet.io.store import ChunkStore, Place
 
 _MAX_VARIANTS = 16
@@ -63,20 +62,11 @@ def other_calibration(
     return other[np.maximum(np.searchsorted(begin, stamps_ns, "right") - 1, 0)]
 
 
-class InfoMessages(NamedTuple):
-    """The messages of a calibration topic in the order of log time."""
-
-    topic: str
-    messages: IndexedMessages
-    decoders: Sequence[MessageDecoder]
-    """A message has the one of its ``decoder``."""
-
-
 class CalibrationWindows:
     """Makes sure, window by window, that the calibration of a log never changes.
 
     Args:
-        topics: The messages of the topics used.
+        topics: The messages of the topics used, in the order of log time.
         used: The calibration of each that is used.
         store: The log's chunks.
         path: The log's, for errors.
@@ -84,7 +74,7 @@ class CalibrationWindows:
 
     def __init__(
         self,
-        topics: Sequence[InfoMessages],
+        topics: Sequence[TopicMessages],
         used: Mapping[str, CameraInfoMessage],
         store: ChunkStore,
         path: str,
@@ -124,8 +114,8 @@ class CalibrationWindows:
             self._last[topic.topic] = stop - 1
         return chunks
 
-    def _compare(self, topic: InfoMessages, number: int) -> None:
-        decoder = topic.decoders[int(topic.messages.decoder[number])]
+    def _compare(self, topic: TopicMessages, number: int) -> None:
+        decoder = topic.decoder(number)
         _, payload = read_message(self._store, topic.messages, number)
         rest = topic.topic, decoder.after_stamp(payload)
         if rest in self._good:
