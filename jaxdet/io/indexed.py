@@ -130,7 +130,7 @@ def _read_messages(
     chunks = {place: list(group) for place, group in groupby(wanted, lambda item: item[0])}
     for wave in store.waves(chunks):
         store.load(wave)
-        for place, offset, topic, number in (item for place in wave for item in chunks[place]):
+        for place, offset, topic, number in (one for part in wave for one in chunks[part]):
             size, payload = read_message(store, topic.messages, number)
             head = RECORD_HEAD.size + MESSAGE_HEAD.size
             yield topic, number, Location(place.position, offset + head, size), payload

@@ -87,12 +87,8 @@ class MotionWindows:
             RescanError: The messages are not as those seen at opening.
             DamageError: The file contradicts its index.
         """
-        log_ns = self._messages.log_ns
-        own = [
-            0 if begin is None else int(np.searchsorted(log_ns, begin)),
-            len(log_ns) if end is None else int(np.searchsorted(log_ns, end)),
-        ]
-        chunks = self._messages.chunks(slice(*own))
+        log_ns, own = self._messages.log_ns, self._messages.between(begin, end)
+        chunks = self._messages.chunks(own)
         if self.whole:
             return source.at(stamps_ns, self._tree, self._tracks), chunks
         moving = source.moving(self._tree) if source.known else []
@@ -100,12 +96,12 @@ class MotionWindows:
         about = int(stamps_ns.min()) - high, int(stamps_ns.max()) - low
         around = np.searchsorted(log_ns, about)
         bound = [
-            max(0, min(own[0], int(around[0])) - _BESIDE),
-            min(len(log_ns), max(own[1], int(around[1])) + _BESIDE),
+            max(0, min(own.start, int(around[0])) - _BESIDE),
+            min(len(log_ns), max(own.stop, int(around[1])) + _BESIDE),
         ]
         beside = 2 * _BESIDE
         while True:
-            if bound[1] - bound[0] > _MAX_MESSAGES + own[1] - own[0]:
+            if bound[1] - bound[0] > _MAX_MESSAGES + own.stop - own.start:
                 raise self._odd("poses are too far apart")
             samples = self._samples(bound, moving, low, high)
             sides = self._missing(samples, moving, stamps_ns, bound, low, high)

@@ -37,6 +37,14 @@ class IndexedMessages(NamedTuple):
         """Some of them."""
         return IndexedMessages(*(column[which] for column in self))
 
+    def between(self, begin: int | None, end: int | None) -> slice:
+        """Those from one log time to another, exclusive; None: from the first, to the last.
+
+        They are in the order of log time.
+        """
+        first, last = np.searchsorted(self.log_ns, [begin or 0, end or 0]).tolist()
+        return slice(0 if begin is None else first, len(self.log_ns) if end is None else last)
+
     def places(self, which: np.ndarray | slice) -> list[Place]:
         """The chunk of each of some messages."""
         pairs = zip(self.file[which].tolist(), self.position[which].tolist(), strict=True)

@@ -104,10 +104,9 @@ class CalibrationWindows:
         """
         chunks: set[Place] = set()
         for topic in self._topics:
-            log_ns = topic.messages.log_ns
-            start = 0 if begin is None else int(np.searchsorted(log_ns, begin))
-            stop = len(log_ns) if end is None else int(np.searchsorted(log_ns, end))
-            chunks |= topic.messages.chunks(slice(start, stop))
+            own = topic.messages.between(begin, end)
+            chunks |= topic.messages.chunks(own)
+            start, stop = own.start, own.stop
             known = self._last.get(topic.topic) == start - 1
             for number in range(start if known else max(0, start - 1), stop):
                 self._compare(topic, number)
