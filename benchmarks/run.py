@@ -139,8 +139,9 @@ def _nbytes(tree: Any) -> int:
     return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(tree))
 
 
-def copy_rate(seconds: float, size: int = 1 << 28) -> float:
+def copy_rate(seconds: float) -> float:
     """Bytes per second, read and written, of a plain pass over memory of the default device."""
+    size = 1 << 28
     increment = jax.jit(lambda a: a + 1, donate_argnums=0)
     array = jnp.zeros(size // 4, jnp.float32)
 

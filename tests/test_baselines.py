@@ -23,7 +23,7 @@ from benchmarks.baselines.frames import labels_at, ordered
 from benchmarks.paper.shots import Spec, frames_of, shot_of
 from jaxdet import reference
 from jaxdet.config import MAX_POINTS, ClusterConfig
-from jaxdet.eval import score
+from jaxdet.eval import EvalConfig, score
 from jaxdet.presets import preset
 from jaxdet.sim import sample_frames
 from jaxdet.types import Frames, GroundPlane
@@ -72,7 +72,7 @@ def runnable(name):
 def test_every_baseline_finds_the_boards(name, frame, truth):
     baseline = runnable(name)
     params = PARAMS.get(name, {})
-    tallies = run_frames(baseline, [frame], truth, params)
+    tallies = run_frames(baseline, [frame], [truth], params)
     figures = score(tallies)
     assert figures.recall == 1 and figures.precision == 1
     assert figures.position_error_m < 0.01
@@ -155,13 +155,13 @@ def test_labels_at():
 
 def test_tune(frame, truth):
     baseline = replace(BASELINES["scipy_single"], grid={"distance_m": (0.01, 0.2, 0.3, 9.0)})
-    best = tune(baseline, [frame], truth)
+    how = CONFIG, EvalConfig()
+    best = tune(baseline, [frame], [truth], lambda figures: figures.f1, *how)
     assert best.params == {"distance_m": 0.2} and best.value == 1
     assert [value for _, value in best.trials] == [
         pytest.approx(v, nan_ok=True) for v in (0, 1, 1, 0)
     ]
-    assert tune(baseline, [frame, frame], [truth, truth]).trials == best.trials
-    worst = tune(baseline, [frame], truth, lambda figures: -figures.f1)
+    worst = tune(baseline, [frame], [truth], lambda figures: -figures.f1, *how)
     assert worst.params == {"distance_m": 0.01}
 
 

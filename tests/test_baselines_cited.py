@@ -14,6 +14,7 @@ from sklearn.metrics import adjusted_rand_score
 from benchmarks.baselines import cure, perch, rock
 from benchmarks.baselines.clustering import chameleon
 from benchmarks.baselines.sampling import cluster_sample, sample
+from tests.boards import same_partition
 
 seeds = st.integers(0, 2**32 - 1)
 EASY = {
@@ -76,11 +77,6 @@ def naive_cure(points, clusters, representatives, shrink):
         a, b = pairs[int(np.argmin(gaps))]
         found[a] += found.pop(b)
     return found
-
-
-def same_partition(a, b):
-    pairs = np.unique(np.stack([a, b]), axis=1).shape[1]
-    return pairs == len(np.unique(a)) == len(np.unique(b))
 
 
 def as_labels(clusters, count):

@@ -12,7 +12,7 @@ from sklearn.metrics import adjusted_rand_score
 
 from benchmarks.baselines import autoencoder, dcc, ddc
 from jaxdet.config import Config
-from tests.boards import board_frame
+from tests.boards import board_frame, same_partition
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -68,11 +68,6 @@ def naive_peaks(points, ratio):
             if gap[i, j] < cutoff:
                 labels[labels == labels[j]] = labels[i]
     return labels
-
-
-def same_partition(a, b):
-    pairs = np.unique(np.stack([a, b]), axis=1).shape[1]
-    return pairs == len(np.unique(a)) == len(np.unique(b))
 
 
 @given(seeds, st.integers(3, 40), st.sampled_from([0.1, 0.2, 0.4]))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 pytest.importorskip("scipy")
 
 from benchmarks.baselines.rsc import nearest_neighbours, rsc_count, rsc_threshold
+from tests.boards import same_partition
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -44,11 +45,6 @@ def naive_rsc(points, tau, root):
     for number, (leaves, _) in enumerate(clusters):
         labels[leaves] = number
     return labels
-
-
-def same_partition(a, b):
-    pairs = np.unique(np.stack([a, b]), axis=1).shape[1]
-    return pairs == len(np.unique(a)) == len(np.unique(b))
 
 
 @given(

@@ -17,7 +17,7 @@ from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Extrinsics
 from tests.io_helpers import LogFile, make_scene, write_images
 from tests.scenes import frames, small
-from tests.test_failure_classes import names_in
+from tests.test_failure_classes import assert_there
 
 ROOT = Path(__file__).resolve().parent.parent
 Captured = pytest.CaptureFixture[str]
@@ -118,12 +118,7 @@ REPRODUCTIONS = {
 
 @pytest.mark.parametrize("name", REPRODUCTIONS)
 def test_each_has_its_tests(name: str) -> None:
-    for group in REPRODUCTIONS[name]:
-        file, *parts = group.split(" ")
-        tests = [test for test in names_in(file) if test.startswith("test_")]
-        assert parts
-        for part in parts:
-            assert any(part in test for test in tests), f"{file}: {part}"
+    assert_there(REPRODUCTIONS[name])
 
 
 @pytest.fixture(scope="module")

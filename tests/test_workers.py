@@ -326,8 +326,8 @@ def test_one_process_that_computes_for_all_gives_the_same_bytes(
 def test_the_memory_is_bounded(width, height, asked, want):
     log: Any = SimpleNamespace(image_shapes=((height, width, 3), (height, width)), calibration=None)
     there = station.Station(2, ["gpu"])
-    slots, batch = there.enter(log, Config(), asked)
-    again, _ = there.enter(log, Config(), asked)
+    slots, batch = there.enter(log, Config(), asked, station.PIECE_FRAMES)
+    again, _ = there.enter(log, Config(), asked, station.PIECE_FRAMES)
     assert (slots.frames, batch) == want and again is slots
     assert slots.nbytes <= 2 * station.SLOTS * max(station.PIECE_BYTES + 8192, 5 * width * height)
     first, last = slots.views(station._attached(slots.path))[:: 2 * station.SLOTS - 1]

@@ -10,13 +10,6 @@ from benchmarks.baselines.registry import Baseline, detect_with
 from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, score
 
-Objective = str | Callable[[Score], float]
-"""A figure of :class:`jaxdet.eval.Score` by name, or a function of it; larger is better."""
-
-
-Truths = FrameTruth | Sequence[FrameTruth]
-"""Of ``B`` frames of one scene, or a truth with ``B = 1`` for each frame, of any scene."""
-
 
 class Tuned(NamedTuple):
     """The best parameters on the tuning frames."""
@@ -31,17 +24,17 @@ class Tuned(NamedTuple):
 def tune(
     baseline: Baseline,
     frames: Sequence[Frame],
-    truth: Truths,
-    objective: Objective = "f1",
-    config: Config | None = None,
-    eval_config: EvalConfig | None = None,
+    truths: Sequence[FrameTruth],
+    objective: Callable[[Score], float],
+    config: Config,
+    eval_config: EvalConfig,
 ) -> Tuned:
     """Tries the whole grid of a method.
 
     Args:
         baseline: The method.
-        frames: ``B`` tuning frames, never those of the test.
-        truth: Of the same frames.
+        frames: Tuning frames, never those of the test.
+        truths: Of each, with ``B = 1``.
         objective: What to make large; NaN counts as the worst.
         config: The shared size rule and outlines.
         eval_config: What counts.
@@ -51,19 +44,17 @@ def tune(
     """
     trials: list[tuple[dict[str, Any], float]] = []
     for params in baseline.trials():
-        figures = score(run_frames(baseline, frames, truth, params, config, eval_config))
-        value = getattr(figures, objective) if isinstance(objective, str) else objective(figures)
-        trials.append((params, float(value)))
+        tallies = run_frames(baseline, frames, truths, params, config, eval_config)
+        trials.append((params, float(objective(score(tallies)))))
     values = np.nan_to_num([value for _, value in trials], nan=-np.inf)
-    best = int(np.argmax(values))
-    return Tuned(*trials[best], trials)
+    return Tuned(*trials[int(np.argmax(values))], trials)
 
 
 def run_frames(
     baseline: Baseline,
     frames: Sequence[Frame],
-    truth: Truths,
-    params: Mapping[str, Any] | None = None,
+    truths: Sequence[FrameTruth],
+    params: Mapping[str, Any],
     config: Config | None = None,
     eval_config: EvalConfig | None = None,
 ) -> list[Tally]:
@@ -71,31 +62,14 @@ def run_frames(
 
     Args:
         baseline: The method.
-        frames: ``B`` frames.
-        truth: Of the same frames.
+        frames: The frames.
+        truths: Of each, with ``B = 1``.
         params: Over the method's defaults.
         config: The shared size rule and outlines.
         eval_config: What counts.
     """
     tallies: list[Tally] = []
-    for frame, own in zip(frames, split(truth), strict=True):
+    for frame, truth in zip(frames, truths, strict=True):
         found = detect_with(baseline, frame, config, params)
-        tallies += evaluate_frames(found, own, frame.calibration.depth_unit, eval_config)
+        tallies += evaluate_frames(found, truth, frame.calibration.depth_unit, eval_config)
     return tallies
-
-
-def split(truth: Truths) -> Sequence[FrameTruth]:
-    """A truth for each frame."""
-    if not isinstance(truth, FrameTruth):
-        return truth
-    return [one_frame(truth, b) for b in range(len(truth.obstacle_id))]
-
-
-def one_frame(truth: FrameTruth, b: int) -> FrameTruth:
-    """The truth of frame ``b`` alone, ``B = 1``."""
-    parts = {
-        name: value[b : b + 1]
-        for name, value in truth._asdict().items()
-        if value is not None and name != "is_wall"
-    }
-    return truth._replace(**parts)

@@ -198,7 +198,7 @@ class Station:
         self._log = None
 
     def enter(
-        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int = PIECE_FRAMES
+        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
     ) -> tuple[Slots, int]:
         """Begins to serve a log.
 
