@@ -10,6 +10,7 @@ import numpy as np
 import simplejpeg
 
 from jaxdet.io.writer import Compression, Ros2LogWriter
+from jaxdet.io.writer_cdr import header
 from jaxdet.sim import SimConfig, SimFrame, simulate
 from jaxdet.sim.config import calibration_of
 from jaxdet.sim.record import COLOR_FRAME, DEPTH_FRAME, NAMESPACE, static_transforms
@@ -107,9 +108,7 @@ def _raw(pixels: np.ndarray, encoding: str) -> Put:
 
 def _compressed(form: str, data: bytes) -> Put:
     def put(log: Ros2LogWriter, topic: str, stamp: int, frame: str) -> None:
-        sec, nanosec = divmod(stamp, 10**9)
-        header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame}
-        message = {"header": header, "format": form, "data": data}
+        message = {"header": header(stamp, frame), "format": form, "data": data}
         log.write(topic, stamp, "sensor_msgs/CompressedImage", message)
 
     return put

@@ -125,6 +125,33 @@ def ros_compressed(data: bytes, form: str, stamp_ns: int, frame: str) -> Any:
     return message(ros_header(stamp_ns, frame), form, np.frombuffer(data, np.uint8))
 
 
+def encode_rvl(pixels: np.ndarray) -> bytes:
+    """An RVL stream by Wilson's encoder, pixel by pixel."""
+    nibbles: list[int] = []
+
+    def number(value: int) -> None:
+        while True:
+            low, value = value & 7, value >> 3
+            nibbles.append(low | 8 if value else low)
+            if not value:
+                return
+
+    flat, at, previous = [int(value) for value in pixels.reshape(-1)], 0, 0
+    while at < len(flat):
+        for wanted in (True, False):
+            end = at
+            while end < len(flat) and (flat[end] == 0) == wanted:
+                end += 1
+            number(end - at)
+            for value in flat[at:end] if not wanted else ():
+                delta, previous = value - previous, value
+                number(2 * delta if delta >= 0 else -2 * delta - 1)
+            at = end
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = np.array(nibbles, np.uint32).reshape(-1, 8)
+    return (words << np.arange(28, -1, -4, dtype=np.uint32)).sum(axis=1).astype("<u4").tobytes()
+
+
 def matrix9(K: tuple[float, ...]) -> list[float]:
     return [K[0], 0.0, K[2], 0.0, K[1], K[3], 0.0, 0.0, 1.0]
 

@@ -23,7 +23,7 @@ from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth, metres_to_units
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
 from jaxdet.io.rvl import decode_rvl
-from tests.io_helpers import STORE, ros_image
+from tests.io_helpers import STORE, encode_rvl, ros_image
 
 LIMIT = 1 << 20
 RANDOM = np.random.default_rng(3)
@@ -73,33 +73,6 @@ def size(message: ImageMessage | CompressedImageMessage) -> tuple[int, int]:
             return 6, 8
     width, height = found
     return (height, width) if 0 < width * height <= LIMIT else (6, 8)
-
-
-def encode_rvl(pixels: np.ndarray) -> bytes:
-    """Wilson's encoder, pixel by pixel."""
-    nibbles: list[int] = []
-
-    def number(value: int) -> None:
-        while True:
-            low, value = value & 7, value >> 3
-            nibbles.append(low | 8 if value else low)
-            if not value:
-                return
-
-    flat, at, previous = [int(value) for value in pixels.reshape(-1)], 0, 0
-    while at < len(flat):
-        for wanted in (True, False):
-            end = at
-            while end < len(flat) and (flat[end] == 0) == wanted:
-                end += 1
-            number(end - at)
-            for value in flat[at:end] if not wanted else ():
-                delta, previous = value - previous, value
-                number(2 * delta if delta >= 0 else -2 * delta - 1)
-            at = end
-    nibbles += [0] * (-len(nibbles) % 8)
-    words = np.array(nibbles, np.uint32).reshape(-1, 8)
-    return (words << np.arange(28, -1, -4, dtype=np.uint32)).sum(axis=1).astype("<u4").tobytes()
 
 
 def rvl(stream: bytes, height: int, width: int) -> np.ndarray:

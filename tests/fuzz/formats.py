@@ -27,6 +27,7 @@ from tests.io_helpers import (
     LogFile,
     Scene,
     convert_log,
+    encode_rvl,
     make_scene,
     ros_compressed,
     ros_image,
@@ -110,37 +111,6 @@ def _rvl(log: LogFile, pixels: np.ndarray, at: int) -> None:
     data = struct.pack("<iffII", 0, 0, 0, *DEPTH_SIZE) + encode_rvl(pixels)
     message = ros_compressed(data, "16UC1; compressedDepth rvl", at, DEPTH_FRAME)
     log.ros(DEPTH + "/compressedDepth", message, at)
-
-
-def encode_rvl(pixels: np.ndarray) -> bytes:
-    """RVL as its paper writes it."""
-    flat, nibbles, at, before = pixels.reshape(-1).tolist(), [], 0, 0
-
-    def put(value: int) -> None:
-        while True:
-            value, low = value >> 3, value & 7
-            nibbles.append(low | (8 if value else 0))
-            if not value:
-                return
-
-    while at < len(flat):
-        zeros = at
-        while at < len(flat) and flat[at] == 0:
-            at += 1
-        filled = at
-        while at < len(flat) and flat[at] != 0:
-            at += 1
-        put(filled - zeros)
-        put(at - filled)
-        for value in flat[filled:at]:
-            delta, before = value - before, value
-            put(delta << 1 if delta >= 0 else (-delta << 1) - 1)
-    nibbles += [0] * (-len(nibbles) % 8)
-    words = [
-        sum(nibble << (28 - 4 * i) for i, nibble in enumerate(nibbles[k : k + 8]))
-        for k in range(0, len(nibbles), 8)
-    ]
-    return struct.pack(f"<{len(words)}I", *words)
 
 
 def _ros(color: Callable[..., Any], depth: Callable[..., Any]) -> Callable[..., None]:
