@@ -52,6 +52,10 @@ def on(number, label, count=3):
     return [(left + i, 20, label) for i in range(count)]
 
 
+def position_errors(tally):
+    return [abs(case.position_error_m) for case in tally.cases if case.found]
+
+
 def counted(tally):
     names = ("visible", "found", "detections", "matched", "false", "ignored")
     return tuple(getattr(tally, name) for name in names)
@@ -61,7 +65,7 @@ def test_all_found():
     points = on(1, 0) + on(2, 1) + on(3, 2) + [(0, 39, -1)]
     tally = evaluate(detections(points, [1100, 2090, 3130]), truth())
     assert counted(tally) == (3, 3, 3, 3, 0, 0) and tally.frames == 1
-    np.testing.assert_allclose(tally.position_errors, [0.0, 0.01, 0.03], atol=1e-9)
+    np.testing.assert_allclose(position_errors(tally), [0.0, 0.01, 0.03], atol=1e-9)
     assert [case.number for case in tally.cases] == [1, 2, 3]
     assert (tally.points, tally.points_right) == (10, 10)
     assert (tally.pairs_both, tally.pairs_detected, tally.pairs_true) == (9, 9, 9)
@@ -162,7 +166,7 @@ def test_nothing():
 
 def test_units():
     tally = evaluate(detections(on(1, 0), [11000]), truth(), depth_unit=0.0001)
-    assert tally.position_errors[0] == pytest.approx(0)
+    assert position_errors(tally)[0] == pytest.approx(0)
 
 
 def box(left, right, near, far):

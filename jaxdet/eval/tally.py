@@ -86,11 +86,6 @@ class Tally(NamedTuple):
     """The shares of such pixels inside of an outline, of each frame that has enough of them."""
 
     @property
-    def position_errors(self) -> tuple[float, ...]:
-        """For each obstacle found, how far the distance of its nearest face is off [m]."""
-        return tuple(abs(case.position_error_m) for case in self.cases if case.found)
-
-    @property
     def counts(self) -> tuple[float, ...]:
         """All fields but the cases and the claims."""
         return tuple(getattr(self, name) for name in COUNTS)

@@ -6,7 +6,7 @@ follows is a sum, a product or a shift of integers.
 
 import numpy as np
 
-from jaxdet.floor.units import ANGLES, FARTHEST, SINE_BITS, SINES, SLOPE_BITS, angle_steps
+from jaxdet.floor.units import ANGLES, FARTHEST, SINE_BITS, SINES, angle_steps
 from jaxdet.types import Array, GroundPlane
 
 FRAME_BITS = 13
@@ -76,19 +76,6 @@ def axes(pitch: Array, roll: Array, table: Array) -> list[Array]:
     right = [product(cos_r), product(-sin_r), 0]
     forward = [product(-sin_r, sin_p), product(-cos_r, sin_p), product(cos_p)]
     return [*right, *forward, product(sin_r, cos_p), product(cos_r, cos_p), product(sin_p)]
-
-
-def ramp_slopes(turn: Array, table: Array) -> Array:
-    """The rise over run of ramps with ``FRAME_BITS`` fraction bits.
-
-    Args:
-        turn: ``(B,)`` integer, pitch against the plane [angle steps].
-        table: :data:`jaxdet.floor.units.SINES`.
-    """
-    sin, cos = (table[turn + n * ANGLES] for n in (360, 450))
-    return (((sin << SLOPE_BITS) // cos) + (1 << (SLOPE_BITS - FRAME_BITS - 1))) >> (
-        SLOPE_BITS - FRAME_BITS
-    )
 
 
 def on_floor(frame: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -96,8 +96,8 @@ class Mount:
         return cls._of(plane_from_transform(T))
 
     @classmethod
-    def _of(cls, plane: GroundPlane, row: int = 0) -> Self:
-        return cls(*(float(part[row]) for part in plane[:3]))
+    def _of(cls, plane: GroundPlane) -> Self:
+        return cls(*(float(part[0]) for part in plane[:3]))
 
     @property
     def plane(self) -> GroundPlane:
