@@ -94,7 +94,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
     warnings = [*index.warnings, *index.tree.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count = found.frames.num_frames
-    ends = [found.frames.stamp_ns(number) for number in (0, count - 1) if count]
+    first_ns, last_ns = (found.frames.stamp_ns(number) for number in (0, count - 1))
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
@@ -102,7 +102,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         cameras=found.cameras.lines,
         num_frames=count,
         part=_part_text(numbers, count, found.frames.stamp_ns),
-        duration_s=float(ends[-1] - ends[0]) / 1e9 if count else 0.0,
+        duration_s=(last_ns - first_ns) / 1e9,
         topics=describe_topics(index, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,

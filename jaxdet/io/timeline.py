@@ -28,9 +28,6 @@ class FrameTable(NamedTuple):
 
     def rows(self, numbers: np.ndarray) -> "FrameTable":
         """The messages of some numbers; of -1 one with a stamp of -1."""
-        if not len(self.stamps_ns):
-            none = np.full(len(numbers), -1, np.int64)
-            return FrameTable(none, none, none, np.stack([none] * 3, axis=1), none)
         rows = FrameTable(*(column[numbers] for column in self))
         return rows._replace(stamps_ns=np.where(numbers < 0, -1, rows.stamps_ns))
 
