@@ -102,6 +102,7 @@ def bare_definition(text: str) -> str:
     return "\n".join(lines)
 
 
+@lru_cache(16)
 def fields_of(text: str) -> dict[str, tuple[str, ...]]:
     """The fields of each type in a definition, as ``type name``, by the type's name.
 
