@@ -3,6 +3,33 @@
 ``find_logs`` turns what the user names into logs, ``open_log`` finds in one what its index and
 first messages tell, and :class:`Log` gives its frames in batches. The names are loaded when they
 are used, so that the options alone cost no import of a decoder.
+
+From the bytes of files to frames, by module::
+
+    files, splits                   paths -> the files of each log
+      formats                       a file of any format: chunks of MCAP records by position
+        container, chunks             MCAP
+        bag                           ROS 1
+        message_file                  messages one by one: sqlite (ROS 2), image_folder
+      opening
+        by index                    where every message is, without reading one
+          summary, message_index      MCAP; bag_index, sqlite_index, image_folder_index
+          file_index, records         the same for all formats: messages by topic
+          indexed, index              the first messages of each topic, decoded
+          windows                     any range of frames: order, pairs (pairing), poses
+                                      (motion_windows), calibration (validity)
+        by a scan                   where there is no index, or it isn't enough
+          walk, scan                  all that is whole; bag_index, sqlite_index, ...
+          index                       every message, decoded but for its pixels
+          timeline                    all frames: order, pairs
+      findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
+                                      transforms, motion
+    timeline.Window                 where the images of some frames lie
+      reading, store                  chunks, each read and checked once, by threads
+        raw_images                    pixels that go straight into their arrays
+        decode_messages               CDR, ROS 1, protobuf and JSON -> messages
+        images, compressed            their pixels: raw, jpeg, png, rvl
+    log.Batch                       arrays of images, stamps and poses, and what became of each
 """
 
 from importlib import import_module
