@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from collections.abc import Iterable
 from pathlib import Path
 
 import zstandard
@@ -45,16 +44,6 @@ def chunk(records: bytes, first_ns: int = 0, last_ns: int = 0, crc: bool = True)
 
 def end() -> bytes:
     return record(15, bytes(4)) + record(2, struct.pack("<QQI", 0, 0, 0)) + MAGIC
-
-
-def write_records(path: Path, records: Iterable[bytes]) -> Path:
-    """A file of these records, without a summary."""
-    with path.open("wb") as file:
-        file.write(MAGIC + header())
-        for item in records:
-            file.write(item)
-        file.write(end())
-    return path
 
 
 def without_end(path: Path) -> bytes:

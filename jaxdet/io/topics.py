@@ -6,6 +6,7 @@ them (RealSense old and new, OAK-D, ZED, Azure Kinect, Orbbec).
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 from jaxdet.errors import TopicError, printable
@@ -168,11 +169,11 @@ def _candidates(
 ) -> list[Candidate]:
     if override:
         return [_overridden(index, override, depth, path)]
-    make = _depth_candidate if depth else _color_candidate
+    make = _depth_candidate if depth else partial(_color_candidate, prefer_rect=prefer_rect)
     found = [
         candidate
         for stream in index.streams.values()
-        if not _is_eye(stream.topic, index) and (candidate := make(stream, prefer_rect)) is not None
+        if not _is_eye(stream.topic, index) and (candidate := make(stream)) is not None
     ]
     return sorted(found, key=lambda item: (item.rank, item.topic))
 
@@ -210,7 +211,7 @@ def _is_kind(stream: ImageStream, depth: bool) -> bool:
     return depth == (is_compressed_depth(image.format, stream.topic) or is_png16(image.data))
 
 
-def _depth_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None:
+def _depth_candidate(stream: ImageStream) -> Candidate | None:
     words = _words(stream.topic)
     named = bool(words & _DEPTH_WORDS)
     if not _is_kind(stream, True) or (words & _NOT_DEPTH and not named) or "confidence" in words:
