@@ -1,6 +1,6 @@
 """All that is found in a log before an image is decoded."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,12 +8,13 @@ import numpy as np
 from jaxdet.errors import CalibrationError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
+from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
-from jaxdet.io.streams import ImageSource, first_image
+from jaxdet.io.streams import first_image
 from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
@@ -32,8 +33,10 @@ class Findings(NamedTuple):
     base: Base
     poses: PoseSource
     frames: ScannedFrames | IndexedFrames
-    color: ImageSource
-    depth: ImageSource
+    color: Sequence[MessageDecoder]
+    """Of the colour topic; a message has the one of its ``decoder``."""
+    depth: Sequence[MessageDecoder]
+    """Of the depth topic, which may be the same."""
     warnings: tuple[str, ...]
     """About the frames."""
 
@@ -73,8 +76,8 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     return Findings(
         *parts,
         frames.completed(parts.poses.at(stamps, index.tree, tracks), other),
-        ImageSource(color.topic, color.decoders),
-        ImageSource(depth.topic, depth.decoders),
+        color.decoders,
+        depth.decoders,
         frames.warnings,
     )
 
@@ -130,8 +133,8 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     return Findings(
         *parts,
         frames.with_poses(parts.poses, calibrations),
-        ImageSource(color.topic, color.decoders),
-        ImageSource(depth.topic, depth.decoders),
+        color.decoders,
+        depth.decoders,
         tuple(
             text
             for stream in dict.fromkeys((color, depth))

@@ -75,14 +75,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
             raise RescanError("the first calibrations are empty", path=path, topic=topic.topic)
     streams = {
-        topic.topic: StreamWindows(
-            topic.topic,
-            topic.in_time().messages,
-            topic.decoders,
-            store,
-            path,
-            int((np.diff(topic.messages.log_ns) < 0).sum()),
-        )
+        topic.topic: StreamWindows(topic, store, path)
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }

@@ -26,7 +26,6 @@ from jaxdet.io.messages import (
 )
 from jaxdet.io.raw_images import HEAD_BYTES, find_pixels, is_standard_image
 from jaxdet.io.store import ChunkStore, Place
-from jaxdet.io.streams import ImageSource
 from jaxdet.io.timeline import FrameTable, Window
 from jaxdet.io.validity import says_other
 
@@ -64,8 +63,8 @@ class ImageReader:
 
     Args:
         store: The log's chunks.
-        color: The colour topic.
-        depth: The depth topic.
+        color: What decodes the colour topic; a message has the one of its ``decoder``.
+        depth: Likewise the depth topic, which may be the same.
         depth_unit_m: Metres in one depth unit.
         max_pixels: Largest image decoded.
         strict: Whether damage of the file is raised. If not it costs the frames in it only.
@@ -75,8 +74,8 @@ class ImageReader:
     def __init__(
         self,
         store: ChunkStore,
-        color: ImageSource,
-        depth: ImageSource,
+        color: Sequence[MessageDecoder],
+        depth: Sequence[MessageDecoder],
         depth_unit_m: float,
         max_pixels: int,
         strict: bool,
@@ -85,7 +84,8 @@ class ImageReader:
         self._store, self._strict = store, strict
         self._color, self._depth = color, depth
         self._used = used
-        self._same = color.topic == depth.topic
+        self._topic = color[0].channel.topic
+        self._same = self._topic == depth[0].channel.topic
         self._unit_m, self._max_pixels = depth_unit_m, max_pixels
         self._took: list[float] = []
         """Times of threads since :meth:`decoding_s` was called [s]."""
@@ -253,9 +253,8 @@ class ImageReader:
                 return
         message = request.decoder.decode(payload)
         if isinstance(message, RgbdMessage):
-            topic = self._color.topic
             for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
-                if self._same and says_other(info, self._used.get(f"{topic} ({name})")):
+                if self._same and says_other(info, self._used.get(f"{self._topic} ({name})")):
                     raise _other_calibration()
             if self._same or not request.depth:
                 self._decode_color(message.color, color[request.row])
@@ -290,10 +289,10 @@ def _other_calibration() -> FrameError:
 
 
 def _requests(
-    table: FrameTable, source: ImageSource, wanted: np.ndarray, depth: bool
+    table: FrameTable, known: Sequence[MessageDecoder], wanted: np.ndarray, depth: bool
 ) -> list[Request]:
     files, decoders, places = table.file.tolist(), table.decoder.tolist(), table.place.tolist()
     return [
-        Request(files[i], Location(*places[i]), i, depth, source.decoders[decoders[i]])
+        Request(files[i], Location(*places[i]), i, depth, known[decoders[i]])
         for i in np.flatnonzero(wanted).tolist()
     ]

@@ -2,7 +2,6 @@
 
 from array import array
 from collections import Counter
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,14 +24,6 @@ class ImageSize(NamedTuple):
 
     width: int
     height: int
-
-
-class ImageSource(NamedTuple):
-    """An image topic and what decodes it."""
-
-    topic: str
-    decoders: Sequence[MessageDecoder]
-    """A message has the number of its own."""
 
 
 class ImageStream:

@@ -9,7 +9,6 @@ by the window that answers for it, and each message of a log belongs to one wind
 of its frames. So whoever reads all frames either gets the ranks of a whole scan or an error.
 """
 
-from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -17,14 +16,13 @@ import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD
-from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import image_stamps
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.pairing import pair
 from jaxdet.io.poses import PoseSource
-from jaxdet.io.records import IndexedMessages, read_message
+from jaxdet.io.records import TopicMessages, read_message
 from jaxdet.io.store import ChunkStore, Place
 from jaxdet.io.timeline import FrameTable, Window
 from jaxdet.io.validity import CalibrationWindows
@@ -42,27 +40,21 @@ class StreamWindows:
     """The messages of one image topic; stamps are read when they are asked for.
 
     Args:
-        topic: The topic.
-        messages: Its messages in the order of log time, then of arrival.
-        decoders: A message has the one of its ``decoder``.
+        found: The messages, in the order of the files.
         store: The log's chunks.
         path: The log's, for errors.
-        backward: How many come after one with a later log time in the file.
+
+    Attributes:
+        messages: The messages in the order of log time, then of arrival.
+        backward: How many come after one with a later log time in the files.
     """
 
-    def __init__(
-        self,
-        topic: str,
-        messages: IndexedMessages,
-        decoders: Sequence[MessageDecoder],
-        store: ChunkStore,
-        path: str,
-        backward: int = 0,
-    ) -> None:
-        self.topic, self.messages, self.decoders = topic, messages, decoders
-        self.backward = backward
+    def __init__(self, found: TopicMessages, store: ChunkStore, path: str) -> None:
+        self.topic, self.decoders = found.topic, found.decoders
+        self.messages = found.in_time().messages
+        self.backward = int((np.diff(found.messages.log_ns) < 0).sum())
         self.store, self._path = store, path
-        count = len(messages.log_ns)
+        count = found.num_messages
         self.stamp, self.depth_stamp, self.size = (np.full(count, -1, np.int64) for _ in range(3))
         self._undecodable = np.zeros(count, bool)
 
