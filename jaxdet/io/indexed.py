@@ -63,7 +63,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     delays = _Delays()
     for topic, number, location, payload in _read_messages(store, probes):
         _add_message(builder, topic, number, location, payload)
-        if topic.kind in _MOTIONS and not whole and not topic.decoders[0].is_static:
+        if topic.kind in _MOTIONS and not whole and not topic.is_static:
             delays.see(topic, number, payload)
     for name, item in index.topics.items():
         if item.undecodable:
@@ -94,7 +94,7 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
     topics = [
         topic
         for topic in _read_topics([file], builder)
-        if topic.kind not in _MOTIONS or topic.decoders[0].is_static
+        if topic.kind not in _MOTIONS or topic.is_static
     ]
     probes = [(topic, _probes(topic, False)) for topic in topics]
     for topic, number, location, payload in _read_messages(store, probes):
@@ -194,9 +194,7 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
         return np.arange(min(count, NUM_PROBES))
     if whole:
         return np.arange(count)
-    first, sample = (
-        (_STATIC, 0) if topic.decoders[0].is_static else (_FIRST_MOTIONS, _MOTION_SAMPLE)
-    )
+    first, sample = (_STATIC, 0) if topic.is_static else (_FIRST_MOTIONS, _MOTION_SAMPLE)
     spread = np.linspace(0, count - 1, sample).astype(np.int64)
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
 

@@ -73,6 +73,11 @@ class TopicMessages(NamedTuple):
         return self.decoders[0].kind
 
     @property
+    def is_static(self) -> bool:
+        """Whether they are transforms that hold at all times."""
+        return self.decoders[0].is_static
+
+    @property
     def num_messages(self) -> int:
         """How many there are."""
         return len(self.messages.log_ns)
