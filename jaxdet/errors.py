@@ -64,6 +64,10 @@ class InputError(JaxdetError):
     """A log or file can't be read or is not what it should be."""
 
 
+class ChunkMemoryError(InputError):
+    """A chunk takes more memory than this process may give it; with fewer workers it has more."""
+
+
 class TopicError(JaxdetError):
     """The topics that the job needs are missing or ambiguous."""
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.errors import FrameError, FrameStatus, InputError, JaxdetError, RescanError, printable
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import LogOptions, find_logs, indexed, open_log
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.decode_messages import MessageDecoder
@@ -400,3 +400,24 @@ def test_video_is_refused_by_name(tmp_path):
         log.json("/cam/color/video", "foxglove.CompressedVideo", {"data": ""}, START)
     with pytest.raises(JaxdetError, match=r"/cam/color/video \(foxglove.CompressedVideo\)"):
         open_log(str(tmp_path / "x.mcap"))
+
+
+def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch):
+    """Be it beyond those that opening looks at: the log is scanned then."""
+    monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
+    monkeypatch.setattr(indexed, "_FIRST_MOTIONS", 4)
+    monkeypatch.setattr(indexed, "_MOTION_SAMPLE", 2)
+    path, scene = tmp_path / "x.mcap", make_scene(40)
+    text = STORE.generate_msgdef("tf2_msgs/msg/TFMessage", ros_version=2)[0].encode()
+    with LogFile(path) as log:
+        write_calibration(log)
+        for number, at in enumerate(scene.color_ns.tolist()):
+            log.ros("/tf", ros_tf(("odom", "color_optical", (1, 0, 0), (0, 0, 0, 1))), at)
+            if number in (20, 30):
+                kind = "tf2_msgs/msg/TFMessage", "ros2msg", text
+                log.raw("/tf", "cdr", kind, b"\0\1\0\0\xff\xff\xff\x0f", at)
+        write_images(log, scene)
+    with open_log(str(path)) as log, pytest.raises(RescanError, match="of /tf can't be decoded"):
+        list(log.batches(8))
+    with open_log(str(path), LogOptions(scan=True)) as log:
+        assert any("/tf: 2 messages can't be decoded" in text for text in log.description.warnings)

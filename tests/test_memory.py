@@ -13,14 +13,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxdet.memory
+from jaxdet import engine
 from jaxdet.cli.main import main
+from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions
 from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Memory, Needs, Share
-from jaxdet.errors import ConfigError, InputError
+from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
 from jaxdet.memory import machine_memory, parse_size, size_text
-from tests.io_helpers import make_scene, write_log
+from tests.io_helpers import (
+    START,
+    LogFile,
+    Scene,
+    make_scene,
+    write_calibration,
+    write_images,
+    write_log,
+)
+from tests.test_workers import same_results
 
 ROOT = Path(__file__).resolve().parents[1]
 GIB = 1 << 30
@@ -122,6 +133,69 @@ def test_less_memory_is_fewer_processes_then_smaller_batches():
         shares.append((share.workers, share.batch))
     assert shares == sorted(shares, reverse=True) and len(set(shares)) > 3
     assert shares[0][0] == 8 and shares[-1][0] == 1
+
+
+def test_larger_chunks_take_fewer_workers():
+    """Down to one, who may read the largest."""
+    memory = Memory("2GiB", 8)
+    seen = [(memory.workers, memory.reading.chunk)]
+    while memory := memory.with_fewer_workers():
+        seen.append((memory.workers, memory.reading.chunk))
+    assert [workers for workers, _ in seen] == [5, 2, 1]
+    chunks = [chunk for _, chunk in seen]
+    assert chunks == sorted(set(chunks)) and chunks[0] == 32 * MIB
+
+
+def test_a_worker_beside_this_process_is_counted():
+    """After a run that ended without a word, where there is room for one."""
+    whole, apart = Memory("1GiB", 1), Memory("1GiB", 1, apart=True)
+    assert apart.apart and whole.room - apart.room == PARENT + WORKER - ALONE
+    assert not Memory("704MiB", 1, apart=True).apart
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, early):
+    """Whether one is met when the log is opened, or by a worker."""
+    monkeypatch.setattr("jaxdet.engine.memory.LEAST_CHUNKS", 60_000)
+    scene, text = make_scene(30), ("std_msgs/msg/String", "ros2msg", b"string data")
+    with LogFile(tmp_path / "a.mcap", chunk_size=12_000) as log:
+        write_calibration(log)
+        write_images(log, Scene(*(part[:25] for part in scene)))
+        log.raw("/note", "cdr", text, bytes(2 if early else 50_000), START)
+        write_images(log, Scene(*(part[25:] for part in scene)))
+    if early:
+        write_log(tmp_path / "a.mcap", scene, chunk_size=100_000)
+    config = Config(GroundConfig(source="none"))
+
+    def run(name: str, **options: Any) -> Any:
+        how = RunOptions(tmp_path / name, "reference", 5, pictures=0, **options)
+        return engine.run(find_logs([str(tmp_path / "a.mcap")]), config, LogOptions(), how)
+
+    many = run("a", workers=5, memory="2GiB")
+    assert not many.failed and many.workers == 2
+    run("b", workers=1)
+    same_results(tmp_path / "a", tmp_path / "b")
+    (failed,) = run("c", workers=1, memory=f"{ALONE + 33 * MIB}").failed
+    assert re.search(
+        r"a chunk of \d+ bytes takes .* allowed; give --memory \d+MiB more$", failed.error
+    )
+
+
+def test_a_split_that_is_only_searched_is_bounded_too(tmp_path):
+    """For static transforms; it does not depend on the memory what is found."""
+    scene = make_scene(12)
+    for number in (0, 1):
+        with LogFile(tmp_path / f"a_{number}.mcap", chunk_size=100_000) as log:
+            write_calibration(log, tf=number == 0)
+            write_images(log, Scene(*(part[8 * number :][:8] for part in scene)))
+    second = str(tmp_path / "a_1.mcap")
+    with open_log(second, memory=ReadMemory(60_000)) as log:
+        assert log.description.warnings[-1].endswith("taken from the split a_0.mcap")
+    with pytest.raises(InputError, match=r"a_0.mcap: a chunk of .* give --memory"):
+        open_log(second, memory=ReadMemory(30_000))
+    (tmp_path / "a_0.mcap").write_bytes(b"no log")
+    with pytest.raises(CalibrationError):
+        open_log(second)
 
 
 def test_a_default_is_never_too_little(monkeypatch):

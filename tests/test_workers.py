@@ -232,10 +232,8 @@ def test_short_logs_need_no_workers(tmp_path):
     def alone(count: int, devices: Any = (), **options: Any) -> list[bool]:
         how = engine.RunOptions(tmp_path, **options)
         pool = SimpleNamespace(devices=devices, started=False)
-        memory, work = SimpleNamespace(workers=count), SimpleNamespace(taken_over=False)
-        given: Any = SimpleNamespace(
-            config=Config(), options=how, work=work, memory=memory, pool=pool
-        )
+        memory = SimpleNamespace(workers=count, apart=False)
+        given: Any = SimpleNamespace(config=Config(), options=how, memory=memory, pool=pool)
         one = log_run.LogRun(given, LogFiles("a", ()), "a", lambda *_: None)
         return [one._alone(frames) for frames in (1, 499, 500)]
 

@@ -153,7 +153,7 @@ class _Run:
     def _run_logs(self, writer: ResultWriter) -> None:
         devices = gpus() if self.options.backend == "jax" else ()
         asked = self.options.workers or max(1, cores() - bool(devices))
-        memory = Memory(self.options.memory, asked, len(devices))
+        memory = Memory(self.options.memory, asked, len(devices), apart=self.work.taken_over)
         if self.options.workers and memory.workers < asked:
             given = f"{memory.workers} of {asked} workers"
             self.say(f"{given}: {size_text(memory.total)} of memory have no room for more")

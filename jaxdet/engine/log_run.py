@@ -28,7 +28,7 @@ from jaxdet.engine.startup import start_up
 from jaxdet.engine.station import Slots
 from jaxdet.engine.unit import LogWork, save_work
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import CamerasError, JaxdetError, OutputError
+from jaxdet.errors import CamerasError, ChunkMemoryError, JaxdetError, OutputError
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
@@ -76,6 +76,8 @@ class LogRun:
     def __init__(self, run: Shared, files: "LogFiles", file_name: str, report: Report) -> None:
         self.run, self.files, self.file_name, self.report = run, files, file_name, report
         self.config, self.options, self.pool = run.config, run.options, run.pool
+        self.memory = run.memory
+        """Fewer workers have it where the log's chunks are large."""
         self.workers = 1
         """Processes that shared the frames."""
         self.batch = 0
@@ -132,19 +134,32 @@ class LogRun:
         elif plan.scan:
             options = replace(options, scan=True)
         try:
-            self._open_and_run(plan, options)
+            self._in_memory(options)
         except RescanError:
             if options.scan:
                 raise
             work.empty(self.folder)
-            self._open_and_run(None, replace(options, scan=True))
+            self._in_memory(replace(options, scan=True))
         work.write(self.folder / WHOLE, (self.about, self.workers, self.batch))
+
+    def _in_memory(self, options: "LogOptions") -> None:
+        """Opens the log and works it through, with fewer workers where its chunks are large."""
+        while True:
+            try:
+                self._open_and_run(self.run.work.read(self.folder / PLAN), options)
+                return
+            except ChunkMemoryError:
+                fewer = self.memory.with_fewer_workers()
+                if fewer is None:
+                    raise
+                self.memory = fewer
+                self.pool.resize(fewer.workers)
 
     def _open_and_run(self, plan: LogPlan | None, options: "LogOptions") -> None:
         self.about = about = self._new()
         camera = f", {options.camera}" if options.camera else ""
         self.report(about, f"{self.files.name}{camera}", 0, "opening")
-        with open_log(self.files, options, self.run.memory.reading) as log:
+        with open_log(self.files, options, self.memory.reading) as log:
             about.camera, about.file_name = log.camera, self._stem(log)
             self._run(log, plan, scan=options.scan)
 
@@ -153,7 +168,7 @@ class LogRun:
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         alone = self._alone(frames)
-        share = self._share(log, 1 if alone else self.run.memory.workers)
+        share = self._share(log, 1 if alone else self.memory.workers)
         alone = alone or (share.workers == 1 and not self._kept_apart)
         self.pool.resize(share.workers)
         self.workers = about.workers = share.workers
@@ -180,7 +195,7 @@ class LogRun:
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
         self._work_through(log, plan, share, alone=alone)
-        notes = join_parts(plan, about, self.run.memory.room)
+        notes = join_parts(plan, about, self.memory.room)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[len(log.description.warnings) :]
         about.warnings += filter(None, (about.depth_warning, about.floor_warning))
@@ -227,7 +242,7 @@ class LogRun:
         waiting = min(ROWS_PER_GROUP, self.run.summary.frames + len(log.frames))
         row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
         needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
-        return self.run.memory.share(needs, batch, workers, log.name)
+        return self.memory.share(needs, batch, workers, log.name)
 
     def _serve(self, log: "Log", share: Share) -> tuple[Slots, int]:
         return self.pool.serve(log, self.config, self.options.batch_size, share.batch)
@@ -263,13 +278,13 @@ class LogRun:
 
         So after a run that ended without a word: what ended it may be in the log.
         """
-        return bool(self.pool.devices) or self.run.work.taken_over
+        return bool(self.pool.devices) or self.memory.apart
 
     def _alone(self, frames: int) -> bool:
         """Whether this process does a log itself, as it has few frames."""
         if self._kept_apart:
             return False
-        one = self.run.memory.workers == 1
+        one = self.memory.workers == 1
         return one or not (
             self.options.workers or self.pool.started or frames >= FRAMES_WORTH_WORKERS
         )

@@ -72,6 +72,7 @@ class Memory:
         asked: What the user gave; None: a share of the machine.
         workers: Processes that would be of use.
         devices: GPUs.
+        apart: Logs are to be left to workers, be it one, where there is room for it.
 
     Attributes:
         total: Bytes.
@@ -79,13 +80,16 @@ class Memory:
         chunks: Bytes for chunks in each process.
         reading: What reading a log may take.
         room: Bytes beside what processes take at rest.
+        apart: One worker is beside this process, not in its place.
 
     Raises:
         ConfigError: The user gave too little.
     """
 
-    def __init__(self, asked: str | None, workers: int, devices: int = 0) -> None:
-        self._devices = devices
+    def __init__(
+        self, asked: str | None, workers: int, devices: int = 0, *, apart: bool = False
+    ) -> None:
+        self._asked, self._devices, self.apart = asked, devices, False
         least = self._fixed(1) + LEAST_CHUNKS + LEAST_IMAGES
         if asked is None:
             self.total = max(least, int(SHARE * machine_memory()))
@@ -94,6 +98,7 @@ class Memory:
         if self.total < least:
             remedy = f"give --memory {size_text(least)} or more"
             raise ConfigError(f"--memory {asked} is too little for any log", remedy=remedy)
+        self.apart = apart and self.total >= PARENT + WORKER + LEAST_CHUNKS + LEAST_IMAGES
         fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
         self.workers = max([1, *fitting])
         left = self._left(self.workers) - TABLES // self.workers
@@ -101,6 +106,12 @@ class Memory:
         self.room = self.total - self._fixed(self.workers)
         index = (self.total - self._fixed(1) - self.chunks) // 2
         self.reading = ReadMemory(self.chunks // 2, index)
+
+    def with_fewer_workers(self) -> "Memory | None":
+        """The same for half as many, who may read larger chunks; None: there is one."""
+        if self.workers == 1:
+            return None
+        return Memory(self._asked, self.workers // 2, self._devices, apart=self.apart)
 
     def share(self, needs: Needs, batch: int, workers: int, where: str) -> Share:
         """How a log is worked on, with the most of everything that there is room for.
@@ -137,4 +148,4 @@ class Memory:
     def _fixed(self, workers: int) -> int:
         if self._devices:
             return ON_GPUS + workers * READER
-        return ALONE if workers == 1 else PARENT + workers * WORKER
+        return ALONE if workers == 1 and not self.apart else PARENT + workers * WORKER

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
-from jaxdet.io.limits import ReadMemory, check_memory
+from jaxdet.io.limits import ReadMemory, check_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
@@ -121,10 +121,10 @@ class LogFile(ABC):
         """Makes sure that there is memory for a chunk of ``size`` bytes.
 
         Raises:
-            InputError: There isn't. One above ``max_bytes`` is refused whatever there is.
+            ChunkMemoryError: There isn't. One above ``max_bytes`` is refused whatever there is.
         """
         if size <= self.max_bytes:
-            check_memory(f"a chunk of {size} bytes", size, self.memory.chunk, str(self.path))
+            check_chunk(size, str(self.path), self.memory)
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:

@@ -90,7 +90,7 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
     Raises:
         DamageError: The index is missing, torn or wrong.
     """
-    store = ChunkStore([file], 1)
+    store = ChunkStore([file], 1, most_bytes=file.memory.chunk)
     topics = [
         topic
         for topic in _read_topics([file], builder)

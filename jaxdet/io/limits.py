@@ -8,7 +8,7 @@ of them is read in seconds and within a gigabyte. Chunks and messages have their
 
 from typing import NamedTuple
 
-from jaxdet.errors import InputError
+from jaxdet.errors import ChunkMemoryError, InputError
 from jaxdet.memory import size_text
 
 MAX_SCHEMA_BYTES = 1 << 20
@@ -55,21 +55,25 @@ def check_messages(count: int, file_bytes: int, path: str, memory: "ReadMemory")
         InputError: There are more.
     """
     _check("messages", count, _FREE_MESSAGES, _MESSAGE_BYTES, file_bytes, path)
-    check_memory(f"an index of {count} messages", count * _INDEX_BYTES, memory.messages, path)
+    what, index = f"an index of {count} messages", count * _INDEX_BYTES
+    _check_memory(InputError, what, index, memory.messages, path)
 
 
-def check_memory(what: str, nbytes: int, memory_bytes: int, path: str) -> None:
-    """Refuses what takes more memory than there is for it.
+def check_chunk(nbytes: int, path: str, memory: "ReadMemory") -> None:
+    """Refuses a chunk that takes more memory than there is for one.
 
     Raises:
-        InputError: It does.
+        ChunkMemoryError: It does.
     """
-    if nbytes > memory_bytes:
-        problem = f"{what} takes {size_text(nbytes)}, where {size_text(memory_bytes)} are allowed"
-        # A chunk gets a quarter of what there is for a worker, and the index half.
-        more = size_text(4 * (nbytes - memory_bytes))
-        remedy = f"give --memory {more} more for each worker, or fewer --workers"
-        raise InputError(problem, path=path, remedy=remedy)
+    _check_memory(ChunkMemoryError, f"a chunk of {nbytes} bytes", nbytes, memory.chunk, path)
+
+
+def _check_memory(kind: type[InputError], what: str, nbytes: int, most: int, path: str) -> None:
+    if nbytes > most:
+        problem = f"{what} takes {size_text(nbytes)}, where {size_text(most)} are allowed"
+        # A chunk gets a quarter of what there is for a process, and the index half.
+        remedy = f"give --memory {size_text(4 * (nbytes - most))} more"
+        raise kind(problem, path=path, remedy=remedy)
 
 
 def check_motions(count: int, file_bytes: int, path: str, topic: str) -> None:

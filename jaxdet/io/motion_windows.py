@@ -150,7 +150,11 @@ class MotionWindows:
         decoder = self._decoders[decoder_number]
         _, payload = read_message(self._store, self._messages, number)
         found = []
-        for item in decode_motions(decoder, payload):
+        try:
+            items = decode_motions(decoder, payload)
+        except FrameError as error:  # which a scan counts
+            raise self._odd(f"a message of {decoder.channel.topic} can't be decoded") from error
+        for item in items:
             if decoder.kind is not Kind.TRANSFORM:
                 found.append((decoder.channel.topic, item))
             elif not self._tree.agrees(item, decoder.is_static):
@@ -191,10 +195,11 @@ class MotionWindows:
 
 
 def decode_motions(decoder: MessageDecoder, payload: memoryview) -> tuple[TransformMessage, ...]:
-    """The transforms or poses in a message; none where it can't be decoded."""
-    try:
-        message = decoder.decode(payload)
-    except FrameError:
-        return ()
+    """The transforms or poses in a message.
+
+    Raises:
+        FrameError: It can't be decoded.
+    """
+    message = decoder.decode(payload)
     assert isinstance(message, tuple)
     return tuple(item for item in message if isinstance(item, TransformMessage))

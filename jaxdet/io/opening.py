@@ -1,10 +1,12 @@
 """Opens the files of a log and finds what is in them, by their indexes or by reading all."""
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.cores import cores
-from jaxdet.errors import InputError, printable
+from jaxdet.errors import ChunkMemoryError, InputError, printable
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.files import LogFiles, missing_splits, siblings
@@ -21,6 +23,8 @@ class OpenedFiles(NamedTuple):
 
     files: tuple[LogFile, ...]
     warnings: tuple[str, ...]
+    memory: ReadMemory
+    """What reading may take."""
 
     def close(self) -> None:
         """Closes the files."""
@@ -43,14 +47,19 @@ def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> Opened
     failures: list[InputError] = []
     for path in log.paths:
         try:
-            file = open_file(path, options.max_chunk_mib << 20)
-            file.memory = memory
-            files.append(file)
+            files.append(_open(path, options, memory))
         except InputError as error:
             failures.append(error)
     if not files:
         raise failures[0]
-    return OpenedFiles(tuple(files), tuple(f"{e}; the file is left out" for e in failures))
+    left_out = tuple(f"{error}; the file is left out" for error in failures)
+    return OpenedFiles(tuple(files), left_out, memory)
+
+
+def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
+    file = open_file(path, options.max_chunk_mib << 20)
+    file.memory = memory
+    return file
 
 
 def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogIndex:
@@ -81,25 +90,26 @@ def index_files(
 
 def _finish(index: LogIndex, opened: OpenedFiles, log: LogFiles, options: LogOptions) -> None:
     if options.tf and not index.tree.has_static:
-        _search_siblings(index, log, options)
+        _search_siblings(index, opened.memory, log, options)
     index.tree.settle()
     index.warnings += opened.warnings
     _note(index, log)
 
 
-def _search_siblings(index: LogIndex, log: LogFiles, options: LogOptions) -> None:
+def _search_siblings(
+    index: LogIndex, memory: ReadMemory, log: LogFiles, options: LogOptions
+) -> None:
     """Static transforms and calibration from the recording's other splits, first to last."""
     for path in siblings(log):
         try:
-            file = open_file(path, options.max_chunk_mib << 20)
-        except InputError:
-            continue
-        try:
-            builder = IndexBuilder(index, options.tf, images=False)
-            builder.next_file(file)
-            _search(file, builder)
-        finally:
-            file.close()
+            with closing(_open(path, options, memory)) as file:
+                builder = IndexBuilder(index, options.tf, images=False)
+                builder.next_file(file)
+                _search(file, builder)
+        except ChunkMemoryError:
+            raise  # else it would be for the memory to decide what is found
+        except InputError as error:
+            index.warnings.append(f"{error}; the split is not searched for static transforms")
         if index.tree.has_static:
             index.warnings.append(f"static transforms are taken from the split {path.name}")
             return
