@@ -13,6 +13,8 @@ from jaxdet.errors import ConfigError, InputError
 
 _TRIES = 100
 """To make the folder and the file; some file systems never let one."""
+_MOST_BYTES = 4096
+"""That a file says."""
 
 
 class Lock:
@@ -42,18 +44,30 @@ class Lock:
                 path=str(path.parent.parent),
                 remedy="work in another folder",
             )
-        with os.fdopen(os.dup(self._file), "r+", encoding="utf-8") as file:
-            self.before: str | None = _owner(file.read())
-            """The owner that ended without a word."""
-            file.seek(0)
-            file.truncate()
-            now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
-            json.dump(now, file)
+        now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
+        self._before = self._tell(json.dumps(now).encode())
+        self.before = _owner(self._before)
+        """The owner that ended without a word; None: nobody did."""
 
-    def release(self) -> None:
-        """Lets others in."""
-        self.path.unlink(missing_ok=True)
+    def release(self, *, unsaid: bool = False) -> None:
+        """Lets others in.
+
+        Args:
+            unsaid: The file stays, and says of the owner before what it said: that this one ended
+                without a word is for another to hear.
+        """
+        if unsaid and self.before:
+            self._tell(self._before)
+        else:
+            self.path.unlink(missing_ok=True)
         os.close(self._file)
+
+    def _tell(self, content: bytes) -> bytes:
+        """What the file says, which says something else then."""
+        before = os.pread(self._file, _MOST_BYTES, 0)
+        os.ftruncate(self._file, 0)
+        os.pwrite(self._file, content, 0)
+        return before
 
 
 def _locked(path: Path) -> int:
@@ -78,7 +92,7 @@ def _locked(path: Path) -> int:
         except FileNotFoundError:
             pass  # likewise
         except BlockingIOError:
-            owner = _owner(os.pread(file, 4096, 0).decode("utf-8", "replace"))
+            owner = _owner(os.pread(file, _MOST_BYTES, 0))
             os.close(file)
             raise ConfigError(
                 f"another run works here ({owner or 'just begun'})",
@@ -93,7 +107,7 @@ def _locked(path: Path) -> int:
         os.close(file)
 
 
-def _owner(text: str) -> str | None:
+def _owner(text: bytes) -> str | None:
     """Who a lock's file speaks of, in words."""
     try:
         found: dict[str, Any] = json.loads(text)

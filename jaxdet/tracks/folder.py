@@ -199,7 +199,8 @@ def _staging(folder: Path) -> Iterator[Path]:
     finally:
         if not (working / JOURNAL).exists():
             shutil.rmtree(staging, ignore_errors=True)
-        lock.release()
+        others = any(path != lock.path for path in working.iterdir())
+        lock.release(unsaid=others)  # a run that goes on there wants to know of one that died
         with suppress(OSError):
             working.rmdir()  # where nothing is in it
 
