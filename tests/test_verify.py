@@ -21,7 +21,7 @@ from jaxdet.results.manifest import changed_manifest
 from jaxdet.results.metadata import INPUTS_KEY, Inputs, table_metadata
 from jaxdet.results.writer import write_json
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.tracks import track_results
+from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.verify import Report, verify
 from jaxdet.verify.files import check_files
 from jaxdet.verify.logs import _OF_LOG
@@ -51,8 +51,8 @@ def results(whole: Path, tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def found(report: Report) -> list[str]:
-    return [str(finding) for finding in report.findings]
+def found(report: Report, but: str = "") -> list[str]:
+    return [str(finding) for finding in report.findings if finding.check != but]
 
 
 def sealed(folder: Path, *names: str) -> None:
@@ -182,7 +182,7 @@ def test_exchanged_units_are_found(results: Path) -> None:
 
 
 def test_exchanged_contents_are_found(results: Path) -> None:
-    """Rows with the right keys, and all checksums made to fit: only the reference can tell."""
+    """Rows with the right keys, and all checksums made to fit: the reference tells, and tracks."""
     tables = read(results)
     frames = tables["frames.parquet"]
     order = [*range(4, 8), *range(4), *range(8, frames.num_rows)]
@@ -204,8 +204,9 @@ def test_exchanged_contents_are_found(results: Path) -> None:
     }
     rewrite(results, spoiled)
     report = verify(results, sample=FRAMES)
-    assert {finding.check for finding in report.findings} == {"sample"}
-    numbers = [int(re.findall(r"a: frame (\d+): ", text)[0]) for text in found(report)]
+    assert {finding.check for finding in report.findings} == {"sample", "tracks"}
+    of_frames = found(report, but="tracks")
+    numbers = [int(re.findall(r"a: frame (\d+): ", text)[0]) for text in of_frames]
     assert {*numbers} == {*range(8)}
 
 
@@ -221,10 +222,10 @@ def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
         column, field, [pa.array(values, field.type)]
     )
     rewrite(results, tables)
-    assert found(verify(results, sample=2)) == [
+    assert found(verify(results, sample=2), but="tracks") == [
         "b: frame 11: distance_m of obstacles.parquet is not what the reference finds"
     ]
-    assert not verify(results, sample=0).findings
+    assert {finding.check for finding in verify(results, sample=0).findings} == {"tracks"}
 
 
 @pytest.mark.parametrize(
@@ -236,7 +237,7 @@ def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
 )
 def test_a_missing_frame_is_found(results: Path, frame: int, problem: str) -> None:
     rewrite(results, without(read(results), frame), inputs=True)
-    assert found(verify(results)) == [problem]
+    assert found(verify(results), but="tracks") == [problem]
 
 
 def test_the_figures_of_a_missing_frame_are_found(results: Path) -> None:
@@ -310,6 +311,54 @@ def test_tracks_are_results(results: Path) -> None:
     assert not verify(results, sample=0).findings
     (results / "tracks.parquet").unlink()
     assert found(verify(results, sample=0)) == ["tracks.parquet: is missing"]
+
+
+def test_tracks_are_linked_again(results: Path, capsys: Any) -> None:
+    """A byte that was changed is found, whoever made its checksum fit."""
+    report = verify(results, sample=0)
+    rows = pq.read_metadata(results / "track_links.parquet").num_rows
+    assert not report.findings and 0 < report.linked <= rows == report.obstacles
+    for name in ("tracks.parquet", "track_links.parquet", "tracks_a.png"):
+        content = (results / name).read_bytes()
+        for place in range(4, len(content), len(content) // 7):
+            spoiled = bytearray(content)
+            spoiled[place] ^= 1
+            (results / name).write_bytes(spoiled)
+            sealed(results, name)
+            problems = verify(results, sample=0).findings
+            assert problems and {(one.check, one.where) for one in problems} == {("tracks", name)}
+        (results / name).write_bytes(content)
+        sealed(results, name)
+    assert main(["verify", str(results), "--sample", "0"]) == 0
+    assert f"obstacles read, {report.linked} linked again" in capsys.readouterr().out
+
+
+def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> None:
+    """Those of the same results, linked by other rules, are right where they say so."""
+    track_results(results, TrackConfig(min_frames=2))
+    assert not verify(results, sample=0).findings
+    other = shutil.copytree(results, tmp_path / "other")
+    track_results(other, TrackConfig(min_frames=3))
+    shutil.copy(other / "track_links.parquet", results)
+    (results / "tracks_b.png").unlink()
+    write_json(results / "manifest.json", changed_manifest(results, ["tracks_b.png"], {}))
+    shutil.copy(results / "tracks_a.png", results / "tracks_c.png")
+    sealed(results, "track_links.parquet", "tracks_c.png")
+    assert found(verify(results, sample=0)) == [
+        "track_links.parquet: is not what linking the obstacles gives",
+        "tracks_b.png: is missing: linking the obstacles gives it",
+        "tracks_c.png: is no file that linking the obstacles gives",
+    ]
+
+
+def test_tracks_on_a_damaged_map_are_one_finding(results: Path) -> None:
+    content = (results / "map_a.npz").read_bytes()
+    for place in range(0, len(content), len(content) // 40):
+        spoiled = bytearray(content)
+        spoiled[place : place + 3] = b"\xff\xff\xff"
+        (results / "map_a.npz").write_bytes(spoiled)
+        sealed(results, "map_a.npz")
+        assert {finding.check for finding in verify(results, sample=0).findings} <= {"tracks"}
 
 
 def test_the_command(results: Path, capsys: Any) -> None:

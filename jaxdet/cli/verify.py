@@ -14,10 +14,11 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Checks results: every file against its checksum in manifest.json; the tables, which must be in
-order, belong together and have a row for every frame; stamps and poses of all frames against the
-logs; and of each log some frames, whose rows the NumPy reference must find again, byte for byte.
-The logs are looked for where the run found them. Says a line for each thing that is not as it
-should be, and ends with exit code 1 where there is one.
+order, belong together and have a row for every frame; tracks, which linking the obstacles once
+more must give again; stamps and poses of all frames against the logs; and of each log some frames,
+whose rows the NumPy reference must find again, byte for byte. The logs are looked for where the
+run found them. Says a line for each thing that is not as it should be, and ends with exit code 1
+where there is one.
 
 Examples:
   jaxdet verify results
@@ -62,6 +63,7 @@ def report_lines(report: "Report") -> list[str]:
     lines += [f"note: {note}" for note in report.notes]
     lines.append(
         f"{report.files} files, {report.frames} frames and {report.obstacles} obstacles read, "
+        f"{report.linked} linked again, "
         f"{report.frames_of_logs} frames compared with their logs, "
         f"{report.frames_again} computed again"
     )

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.errors import InputError
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.arrow import open_file
 from jaxdet.results.commit import JOURNAL, commit, settle
@@ -76,25 +76,51 @@ def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTr
         ConfigError: A run or another tracking works there.
         OutputError: The disk is full or broken.
     """
-    config, found = config or TrackConfig(), []
     with _staging(folder) as staging, Results(folder) as results:
-        metadata = _metadata(results, config)
-        with (
-            _Writer(staging / TRACKS, TRACKS_SCHEMA, metadata) as table,
-            _Writer(staging / LINKS, LINKS_SCHEMA, metadata) as links,
-        ):
-            for log in results.logs:
-                image, paths = results.map(log), []
-                with TrackRows(staging / "rows.arrow", log) as rows:
-                    found.append(_track_log(results, log, config, rows, links))
-                    for part in rows.ordered():
-                        table.write(part)
-                        paths += _paths(part) if image is not None else ()
-                if image is not None:
-                    picture = draw_map(image, log.label, paths)
-                    write_png(staging / f"tracks_{log.file_name}.png", picture)
+        found = write_tracks(results, config or TrackConfig(), staging)
         _commit(staging, folder)
     return found
+
+
+def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[LogTracks]:
+    """Writes the files of :func:`track_results` into a folder, and nothing else there."""
+    metadata, found = _metadata(results, config), []
+    with (
+        _Writer(folder / TRACKS, TRACKS_SCHEMA, metadata) as table,
+        _Writer(folder / LINKS, LINKS_SCHEMA, metadata) as links,
+    ):
+        for log in results.logs:
+            image, paths = results.map(log), []
+            with TrackRows(folder / "rows.arrow", log) as rows:
+                found.append(_track_log(results, log, config, rows, links))
+                for part in rows.ordered():
+                    table.write(part)
+                    paths += _paths(part) if image is not None else ()
+            if image is not None:
+                picture = draw_map(image, log.label, paths)
+                write_png(folder / f"tracks_{log.file_name}.png", picture)
+    return found
+
+
+def tracking(folder: Path) -> TrackConfig:
+    """What linked the obstacles of a results folder, as ``tracks.parquet`` says.
+
+    Raises:
+        InputError: It doesn't say.
+    """
+    path = folder / TRACKS
+    try:
+        with open_file(path, "rb") as file:
+            told = pq.read_schema(file).metadata[TRACKING_KEY.encode()]
+        return TrackConfig(**json.loads(told))
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException, ConfigError) as error:
+        problem = "doesn't say what linked the obstacles"
+        raise InputError(problem, path=str(path), remedy="run jaxdet track again") from error
+
+
+def is_track_file(name: str) -> bool:
+    """Whether a result of this name is of ``jaxdet track``."""
+    return name in (TRACKS, LINKS) or fnmatch(name, "tracks_*.png")
 
 
 def _track_log(
@@ -208,7 +234,7 @@ def _staging(folder: Path) -> Iterator[Path]:
 def _commit(staging: Path, folder: Path) -> None:
     """Makes the new files those of the folder."""
     known = read_manifest(folder)["files"]
-    old = [name for name in known if name in (TRACKS, LINKS) or fnmatch(name, "tracks_*.png")]
+    old = list(filter(is_track_file, known))
     new = {path.name: path for path in staging.iterdir()}
     new |= write_json(staging / MANIFEST, changed_manifest(folder, old, new))
     commit(staging.parent, new, (*old, MANIFEST), [staging.name])

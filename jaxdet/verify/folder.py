@@ -10,6 +10,7 @@ from jaxdet.verify.files import check_files
 from jaxdet.verify.logs import check_inputs, check_log
 from jaxdet.verify.report import Report
 from jaxdet.verify.tables import check_tables
+from jaxdet.verify.tracks import check_tracks
 
 SAMPLE = 8
 """Frames of each log that are computed again, unless it is asked for otherwise."""
@@ -19,7 +20,8 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
     """Checks that results are whole, unchanged, of their logs and right.
 
     Each file is compared with its checksum in the manifest. All rows are read: the tables must be
-    in order, belong together and agree with ``summary.json``, with a row for every frame. Where
+    in order, belong together and agree with ``summary.json``, with a row for every frame. Tracks
+    are made once more, and must be the same to the byte. Where
     the logs are found, their files must be those that were read, and stamps and poses of all
     frames the same. Some frames are computed again by the NumPy reference: their rows must be
     equal to the byte.
@@ -55,6 +57,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
         if any(finding.check == "tables" for finding in report.findings):
             report.notes.append("the logs were not looked at, as the tables are damaged")
             return report
+        check_tracks(results, manifest.get("files", ()), report)
         seen: set[str] = set()
         for log in results.logs:
             try:

@@ -8,7 +8,7 @@ class Finding(NamedTuple):
     """Something that is not as it should be."""
 
     check: str
-    """``files``, ``tables``, ``log`` or ``sample``."""
+    """``files``, ``tables``, ``tracks``, ``log`` or ``sample``."""
     where: str
     """A file of the results, a log or a file of it."""
     problem: str
@@ -30,6 +30,8 @@ class Report:
     """Rows of ``frames.parquet`` that were read."""
     obstacles: int = 0
     """Rows of ``obstacles.parquet`` that were read."""
+    linked: int = 0
+    """Obstacles that were linked again."""
     frames_of_logs: int = 0
     """Frames whose stamps and poses were compared with their log's."""
     frames_again: int = 0
