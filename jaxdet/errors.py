@@ -98,6 +98,21 @@ class ConfigError(JaxdetError):
     """A configuration value is out of its range or unknown."""
 
 
+class ResultsError(ConfigError):
+    """The output folder holds results already.
+
+    Args:
+        path: The folder.
+        file: One of them.
+        same: Whether they are what the run would make.
+    """
+
+    def __init__(self, path: str, file: str, *, same: bool) -> None:
+        remedy = "give another --output, or --overwrite to replace them"
+        super().__init__(f"holds results already ({file})", path=path, remedy=remedy)
+        self.same = same
+
+
 class RescanError(JaxdetError):
     """A log is not as its index lets expect; read as a whole (``--log.scan``) it can be used."""
 

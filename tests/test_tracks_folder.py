@@ -1,10 +1,13 @@
 """How tracks get into a results folder: one command at a time, all files or none."""
 
+import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +16,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet import engine
+from jaxdet.cli import main
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.results.lock import Lock
-from jaxdet.sim import SimConfig
+from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.tracks import folder as tracks_folder
 from jaxdet.verify import verify
 from tests.test_tracks import results
+from tests.test_workers import same_results
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -62,8 +67,9 @@ def test_one_at_a_time_works_in_a_folder(folder: Path, tmp_path: Path, monkeypat
             refused.append(name)
         return plain(*given)
 
-    monkeypatch.setattr(tracks_folder, "draw_map", draw_map)
-    track_results(copy)
+    with monkeypatch.context() as patch:
+        patch.setattr(tracks_folder, "draw_map", draw_map)
+        track_results(copy)
     assert refused == ["track", "run"] and not (copy / ".jaxdet").exists()
     assert not verify(copy, sample=0).findings
     lock = Lock(copy / ".jaxdet" / "lock")
@@ -118,6 +124,38 @@ def test_tracks_that_were_half_moved(folder: Path, tmp_path: Path, monkeypatch, 
     assert part.read_bytes() == b"of a run" and not (copy / ".jaxdet" / "commit").exists()
     shutil.rmtree(copy / ".jaxdet")
     assert not verify(copy, sample=0).findings
+
+
+def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatch, capsys):
+    """The results are whole by then; the same command links them, and says so when all is there."""
+    write_log(tmp_path / "log.mcap", SimConfig(frames=6, width=96, height=72))
+    command = ["run", str(tmp_path / "log.mcap"), "--backend", "reference", "--pictures", "0"]
+    command += ["--tracks", "--output"]
+
+    def run(name: str, *more: str) -> tuple[int, str, str]:
+        return main([*command, str(tmp_path / name), *more]), *capsys.readouterr()
+
+    assert run("whole", "--quiet") == (0, "", "")
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with monkeypatch.context() as patch:
+            stop = partial(signal.raise_signal, number)
+            patch.setattr(tracks_folder, "write_tracks", lambda *_, stop=stop: stop())
+            code, _, said = run("a", *["--quiet"] * (number == signal.SIGINT))
+        assert code == 128 + number
+        assert said.splitlines()[-1] == (
+            "jaxdet: error: interrupted while linking; the results are whole, "
+            "and the same command goes on"
+        )
+    there = f"jaxdet: {tmp_path / 'a'} holds the results of this command already\n"
+    code, out, said = run("a")
+    assert (code, said) == (0, there) and "obstacles are in one" in out
+    same_results(tmp_path / "a", tmp_path / "whole")
+    assert run("a") == (0, "", there)
+    assert run("a", "--quiet") == (0, "", "")
+    assert json.loads(run("a", "--json")[1])["frames"] == 6
+    code, _, said = run("a", "--quiet", "--ground.max-depth-m", "3")
+    assert code == 2 and "holds results already" in said
+    assert not verify(tmp_path / "a", sample=0).findings
 
 
 def test_the_lock_of_a_run_that_died_stays(folder: Path, tmp_path: Path):

@@ -1,5 +1,7 @@
 """``jaxdet run``: logs in, a results folder out."""
 
+import json
+import signal
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +12,7 @@ from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
+from jaxdet.errors import Interrupted, ResultsError
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -81,6 +84,16 @@ def main(args: list[str]) -> int:
     command = parse(args)
     if not (command.quiet or command.json):
         SPINNER.start("loading")
+    try:
+        return _run(command)
+    except ResultsError as error:
+        if not error.same:
+            raise
+        return _there(command)
+
+
+def _run(command: RunCommand) -> int:
+    """Makes the results."""
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import run
     from jaxdet.io import find_logs
@@ -105,14 +118,40 @@ def main(args: list[str]) -> int:
     errors += [lost for log in summary.whole for lost in log.lost]
     for error in errors:
         print(f"jaxdet: error: {error}", file=sys.stderr)
-    if command.tracks and len(summary.failed) < len(summary.logs):
-        from jaxdet.cli.track import track_lines
-        from jaxdet.tracks import track_results
-
-        found = track_results(command.run.output)
-        if not silent:
-            print("\n".join(track_lines(found)))
+    if command.tracks and summary.whole:
+        _link(command)
     return 1 if errors else 0
+
+
+def _there(command: RunCommand) -> int:
+    """The results that the command makes are there; whoever repeats it wants to know no more."""
+    text = (command.run.output / "summary.json").read_text(encoding="utf-8")
+    if command.json:
+        print(text, end="")
+    elif not command.quiet:
+        _say(f"{command.run.output} holds the results of this command already")
+    if command.tracks:
+        _link(command)
+    summary = json.loads(text)
+    return 1 if summary["failed_logs"] or summary["lost_units"] else 0
+
+
+def _link(command: RunCommand) -> None:
+    """Makes the tracks, if they are not there."""
+    from jaxdet.cli.track import track_lines
+    from jaxdet.engine.signals import stops_raised
+    from jaxdet.tracks import track_results
+
+    if (command.run.output / "tracks.parquet").exists():
+        return
+    try:
+        with stops_raised():
+            found = track_results(command.run.output)
+    except KeyboardInterrupt as stop:
+        text = "interrupted while linking; the results are whole, and the same command goes on"
+        raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
+    if not (command.quiet or command.json):
+        print("\n".join(track_lines(found)))
 
 
 def _say(text: str) -> None:

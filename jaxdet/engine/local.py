@@ -16,7 +16,7 @@ from jaxdet.engine.options import RunOptions
 from jaxdet.engine.plan import LogPlan, Observer
 from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.progress import ProgressCallback, reporter
-from jaxdet.engine.record import make_record
+from jaxdet.engine.record import digest, make_record
 from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, Interrupted, OutputError
@@ -61,9 +61,10 @@ def run(
         What is in ``summary.json``.
 
     Raises:
-        ConfigError: The output folder holds results already, or an unfinished run with other
-            inputs, configuration or versions; another run works there; or the backend has no
-            program for the configuration; or there is too little memory for any log.
+        ResultsError: The output folder holds results already.
+        ConfigError: It holds an unfinished run with other inputs, configuration or versions;
+            another run works there; or the backend has no program for the configuration; or
+            there is too little memory for any log.
         InputError: The output folder can't be written to.
         OutputError: The disk is full or broken; what is done is kept.
         Interrupted: A signal ended it; what is done is kept.
@@ -131,7 +132,8 @@ class _Run:
         self.files |= write_json(result / "config.json", config)
         self.files |= write_json(result / "summary.json", told)
         with writing(result):
-            manifest = make_manifest(record["about"], self.files)
+            about = {**record["about"], "run": digest(record)}
+            manifest = make_manifest(about, self.files)
         self.files |= write_json(result / MANIFEST, manifest)
         with stops_held_back(drop=True):
             self.work.commit(self.files, summary)

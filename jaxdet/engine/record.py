@@ -1,5 +1,6 @@
 """What decides a run's results: written before anything is worked on, and compared to go on."""
 
+import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -41,6 +42,11 @@ def make_record(
     observed = {name: {type(one).__name__: plain(vars(one))} for name, one in observers.items()}
     record = {"about": about, "config": chosen, "pictures": options.pictures, "observed": observed}
     return json.loads(json.dumps(record, default=lambda value: type(value).__name__))
+
+
+def digest(record: Mapping[str, Any]) -> str:
+    """A checksum of a record: two runs with the same one make the same results."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:

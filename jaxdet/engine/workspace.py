@@ -27,12 +27,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from jaxdet.engine.record import difference
-from jaxdet.errors import ConfigError
+from jaxdet.engine.record import difference, digest
+from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
-from jaxdet.results.manifest import WORKING, result_files
+from jaxdet.results.manifest import WORKING, made_by, result_files
 
 _LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
 """Working folders of older versions."""
@@ -52,8 +52,9 @@ class Workspace:
         say: Gets a line for each thing worth knowing.
 
     Raises:
-        ConfigError: The folder holds results and ``overwrite`` is off, or an unfinished run of
-            another record; another run works there; or it is a file.
+        ResultsError: The folder holds results and ``overwrite`` is off.
+        ConfigError: It holds an unfinished run of another record; another run works there; or it
+            is a file.
         InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
@@ -195,8 +196,5 @@ class Workspace:
     def _refuse_results(self) -> None:
         found = result_files(self.output)
         if found:
-            raise ConfigError(
-                f"holds results already ({found[0]})",
-                path=str(self.output),
-                remedy="give another --output, or --overwrite to replace them",
-            )
+            same = made_by(self.output) == digest(self.record)
+            raise ResultsError(str(self.output), found[0], same=same)

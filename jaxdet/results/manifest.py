@@ -100,6 +100,17 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return found
 
 
+def made_by(folder: Path) -> str | None:
+    """The ``run`` in the manifest of a folder that holds whole results; None: they are not whole.
+
+    It is a checksum of all that decides what a run makes.
+    """
+    try:
+        return read_manifest(folder).get("run")
+    except InputError:
+        return None
+
+
 def changed_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Path]) -> dict[str, Any]:
     """The manifest of a folder whose files change.
 
