@@ -111,14 +111,14 @@ def _run(command: RunCommand) -> int:
         summary = run(logs, command.method, *how, say=(lambda text: None) if silent else _say)
     if command.json:
         print(to_json(summary.to_dict()), end="")
-    elif not command.quiet:
+    elif not (command.quiet or command.run.share):
         print("\n".join(summary_lines(summary, command.run.output)))
     errors = [log.error for log in summary.failed]
     errors += [log.unusable for log in summary.whole if log.unusable]
     errors += [lost for log in summary.whole for lost in log.lost]
     for error in errors:
         print(f"jaxdet: error: {error}", file=sys.stderr)
-    if command.tracks and summary.whole:
+    if command.tracks and summary.whole and not command.run.share:
         _link(command)
     return 1 if errors else 0
 

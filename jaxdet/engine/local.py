@@ -13,10 +13,12 @@ from jaxdet.engine.join import WHOLE
 from jaxdet.engine.log_run import PLAN, LogRun, Shared
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
+from jaxdet.engine.part_store import PartStore
 from jaxdet.engine.plan import LogPlan, Observer
 from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.progress import ProgressCallback, reporter
 from jaxdet.engine.record import digest, make_record
+from jaxdet.engine.sharing import open_store
 from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, Interrupted, OutputError
@@ -74,11 +76,12 @@ def run(
     seen = observers or {}
     record = make_record(ordered, config, log_options, options, seen, preset)
     output, overwrite = options.output, options.overwrite
+    store = options.parts and open_store(options.parts, record, begin=options.share is not None)
     with Workspace(output, record, overwrite=overwrite, say=say) as work:
         if work.done:
             return work.done.told[1]
         whole = _Run(ordered, config, log_options, options, seen, work)
-        whole.progress, whole.say = progress, say
+        whole.progress, whole.say, whole.store = progress, say, store or None
         if there := whole.standing():
             say(f"continuing: {there} there")
         try:
@@ -111,6 +114,7 @@ class _Run:
         self.options, self.observers, self.work = options, observers, work
         self.progress: ProgressCallback | None = None
         self.say: Callable[[str], None] = print
+        self.store: PartStore | None = None
         self.summary = Summary(options.backend, options.batch_size or 0)
         self.files: dict[str, Path] = {}
         """Of the results, by their names."""
@@ -123,7 +127,7 @@ class _Run:
         with ResultWriter(result) as writer:
             self._run_logs(writer)
             summary.seconds = time.perf_counter() - self._start
-            if not summary.whole:
+            if not summary.whole or self.options.share:
                 self.work.drop(self.files)
                 return summary
             how = {"preset": None, "backend": None, "batch_size": summary.batch_size}
@@ -161,10 +165,10 @@ class _Run:
             self.say(f"{given}: {size_text(memory.total)} of memory have no room for more")
         with Pool(memory.workers, self.options.backend, devices) as pool:
             given = self.config, self.options, self.observers, self.work, self.summary, self.files
-            shared = Shared(*given, memory, pool, writer)
+            shared, fetched = Shared(*given, memory, pool, writer, self.store), 0
             for number, files in enumerate(self.logs):
                 report = reporter(self.progress, number, len(self.logs))
-                one = LogRun(shared, files, self._names[number], report)
+                one = LogRun(shared, files, self._names[number], report, number)
                 folder, options = self.work.log_folder(number), self.log_options
                 try:
                     found = [one.take(folder / "0", options)]
@@ -172,5 +176,13 @@ class _Run:
                     each = [replace(options, camera=camera) for camera in error.cameras]
                     found = [one.take(folder / f"{i + 1}", each[i]) for i in range(len(each))]
                 self.summary.logs += found
-                if not any(about.error for about in found):
+                fetched += one.fetched
+                if not (self.options.share or any(about.error for about in found)):
                     self.work.write(folder / WHOLE, None)
+        if self.options.share:
+            self.say(
+                f"share {self.options.share} is in {self.store}; without --share the command "
+                "joins them when all are there"
+            )
+        elif self.store:
+            self.say(f"{fetched} units were in {self.store}")

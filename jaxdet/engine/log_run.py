@@ -21,9 +21,11 @@ from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
 from jaxdet.engine.memory import BATCH, Memory, Needs, Share
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import Part, part_path
-from jaxdet.engine.plan import LogPlan, Observer, UnitSizes
+from jaxdet.engine.part_store import PartStore
+from jaxdet.engine.plan import LogPlan, Observer, Unit, UnitSizes
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.progress import Clock, Report
+from jaxdet.engine.sharing import SIZES, SharedLog, send
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.station import Slots
 from jaxdet.engine.unit import LogWork, save_work
@@ -32,7 +34,7 @@ from jaxdet.errors import CamerasError, ChunkMemoryError, JaxdetError, OutputErr
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
-from jaxdet.results.durable import flush, writing
+from jaxdet.results.durable import flush, read_checked, writing
 from jaxdet.results.fault import fault_text
 from jaxdet.results.names import camera_file_name
 from jaxdet.results.summary import LogSummary, Summary
@@ -68,13 +70,22 @@ class Shared(NamedTuple):
     memory: Memory
     pool: Pool
     writer: ResultWriter
+    store: PartStore | None
+    """Parts that other machines leave, or are left by this one for them."""
 
 
 class LogRun:
     """One log of a run, or one camera of it after the other."""
 
-    def __init__(self, run: Shared, files: "LogFiles", file_name: str, report: Report) -> None:
+    def __init__(
+        self, run: Shared, files: "LogFiles", file_name: str, report: Report, number: int = 0
+    ) -> None:
         self.run, self.files, self.file_name, self.report = run, files, file_name, report
+        self.number = number
+        self.shared: SharedLog | None = None
+        """Where its parts are shared with other machines, as the run's are."""
+        self.fetched = 0
+        """Units that another machine had done."""
         self.config, self.options, self.pool = run.config, run.options, run.pool
         self.memory = run.memory
         """Fewer workers have it where the log's chunks are large."""
@@ -98,10 +109,11 @@ class LogRun:
         files = self.run.files
         try:
             self._make_whole(log_options)
-            for part in parts_of(self.run.work.read(folder / PLAN)._replace(folder=folder)):
-                self.run.writer.add(part.rows)
-            files.update({name: folder / name for name in self.about.pictures})
-            files.update(map_files(self.about, folder))
+            if not self.options.share:
+                for part in parts_of(self.run.work.read(folder / PLAN)._replace(folder=folder)):
+                    self.run.writer.add(part.rows)
+                files.update({name: folder / name for name in self.about.pictures})
+                files.update(map_files(self.about, folder))
         except (OutputError, CamerasError):
             raise
         except Exception as error:
@@ -126,11 +138,12 @@ class LogRun:
         """All parts are on the disk, and the summary."""
         work = self.run.work
         plan: LogPlan | None = work.read(self.folder / PLAN)
-        if plan is None:
-            work.empty(self.folder)
-        elif found := work.read(self.folder / WHOLE):
+        found = None if self.options.share else work.read(self.folder / WHOLE)
+        if found and plan is not None:
             self.about, self.workers, self.batch = found
             return
+        if plan is None or (self.run.store and plan.sizes != SIZES):
+            work.empty(self.folder)
         elif plan.scan:
             options = replace(options, scan=True)
         try:
@@ -140,7 +153,8 @@ class LogRun:
                 raise
             work.empty(self.folder)
             self._in_memory(replace(options, scan=True))
-        work.write(self.folder / WHOLE, (self.about, self.workers, self.batch))
+        if not self.options.share:
+            work.write(self.folder / WHOLE, (self.about, self.workers, self.batch))
 
     def _in_memory(self, options: "LogOptions") -> None:
         """Opens the log and works it through, with fewer workers where its chunks are large."""
@@ -159,9 +173,13 @@ class LogRun:
         self.about = about = self._new()
         camera = f", {options.camera}" if options.camera else ""
         self.report(about, f"{self.files.name}{camera}", 0, "opening")
+        if self.run.store:
+            share = self.number, *self.options.share_numbers
+            self.shared = SharedLog(self.run.store, self.folder, share, scan=options.scan)
         with open_log(self.files, options, self.memory.reading) as log:
             about.camera, about.file_name = log.camera, self._stem(log)
-            self._run(log, plan, scan=options.scan)
+            if not self.options.share or self._left(log):
+                self._run(log, plan, scan=options.scan)
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
         about, frames = self.about, len(log.frames)
@@ -173,43 +191,72 @@ class LogRun:
         self.pool.resize(share.workers)
         self.workers = about.workers = share.workers
         about.devices = len(self.pool.devices)
+        self.batch = share.batch
+        plan = self._begin(log, begun, share, alone=alone, scan=scan)
+        about.ground = plan.planes.records
+        about.warnings += plan.planes.warnings
+        self._work_through(log, plan, share, alone=alone)
+        if self.options.share:
+            about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in self._left(log)]
+            return
+        notes = join_parts(plan, about, self.memory.room)
+        about.description = log.described(total(notes))
+        about.warnings += about.description.warnings[len(log.description.warnings) :]
+        about.warnings += filter(None, (about.depth_warning, about.floor_warning))
+
+    def _begin(
+        self, log: "Log", begun: LogPlan | None, share: Share, *, alone: bool, scan: bool
+    ) -> LogPlan:
+        """The plan, and whatever works on it started; with the parts that others have left."""
+        shared, shares = self.shared, self.options.share is not None
+        if begun is None and shared and (planes := shared.floors()):
+            begun = self._plan(log, self.batch, planes, scan=scan)
         if begun is None:
-            self.report(about, log.label, frames, "looking for the floor")
+            self.report(self.about, log.label, len(log.frames), "looking for the floor")
+            together = self._start(log, share, alone=alone)
+            here = alone or bool(self.pool.devices)  # else this process has no need of JAX
+            decide = decide_planes if here else partial(self.pool.call, decide_planes)
+            planes = decide(log, self.config, self.options.backend, None, self.batch)
+            begun = self._plan(log, together, planes, scan=scan)
+            if shared and shares:
+                shared.keep_floors(planes)
+        begun = begun._replace(folder=self.folder)
+        if shared and not shares:
+            self.fetched += shared.fetch(begun)
+            if all(read_checked(part_path(self.folder, unit)) for unit in begun.units()):
+                return begun
+        together = self._start(log, share, alone=alone)
+        store = shared.store if shared and shares else None
+        return begun._replace(batch_size=together, store=store)
+
+    def _start(self, log: "Log", share: Share, *, alone: bool) -> int:
+        """Starts what computes, if it isn't there; returns how many frames are read together."""
         if not alone:
             self.pool.start()
         elif self.options.backend == "jax":
             start_up()
         if self.pool.devices:
             slots, self.batch = self._serve(log, share)
-            together = slots.frames
-        else:
-            self.batch = share.batch
-            together = min(self.batch, max(1, frames))
-        if begun is None:
-            here = alone or bool(self.pool.devices)  # else this process has no need of JAX
-            decide = decide_planes if here else partial(self.pool.call, decide_planes)
-            planes = decide(log, self.config, self.options.backend, None, self.batch)
-            begun = self._plan(log, together, planes, scan=scan)
-            self.run.work.write(self.folder / PLAN, begun)
-        plan = begun._replace(batch_size=together, folder=self.folder)
-        about.ground = plan.planes.records
-        about.warnings += plan.planes.warnings
-        self._work_through(log, plan, share, alone=alone)
-        notes = join_parts(plan, about, self.memory.room)
-        about.description = log.described(total(notes))
-        about.warnings += about.description.warnings[len(log.description.warnings) :]
-        about.warnings += filter(None, (about.depth_warning, about.floor_warning))
+            return slots.frames
+        return min(self.batch, max(1, len(log.frames)))
+
+    def _left(self, log: "Log") -> list[Unit]:
+        """The units of this run's share that are not in the place for them."""
+        assert self.shared is not None
+        return self.shared.left(log.frames)
 
     def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> None:
         """Leaves the parts that are not there yet."""
         about, clock = self.about, Clock(self.about, self.workers)
         units = []
-        for unit in plan.units():
+        for unit in self._left(log) if plan.store else plan.units():
             part = Part.load(plan.folder, unit)
             if part is None:
                 units.append(unit)
             else:
                 about.add(part.counts)
+                if plan.store:
+                    send(plan.store, plan, unit)
         clock.before = about.frames
         self.report(about, log.label, len(log.frames), "starting")
         if alone:
@@ -253,9 +300,11 @@ class LogRun:
 
     def _plan(self, log: "Log", batch: int, planes: Planes, *, scan: bool) -> LogPlan:
         """How a log is worked through; ``batch`` frames at a time."""
-        count, config = self.options.pictures, self.config
+        count, config, sizes = self.options.pictures, self.config, SIZES
+        if self.shared is None:
+            sizes = _unit_sizes(len(log.frames), batch, self.workers, self.options.backend)
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
-        return LogPlan(
+        plan = LogPlan(
             self.files.name,
             log.camera,
             log.label,
@@ -263,7 +312,7 @@ class LogRun:
             config,
             self.options.backend,
             batch,
-            _unit_sizes(len(log.frames), batch, self.workers, self.options.backend),
+            sizes,
             planes,
             frozenset(drawn.tolist()),
             self.folder,
@@ -271,6 +320,8 @@ class LogRun:
             self.run.observers,
             scan,
         )
+        self.run.work.write(self.folder / PLAN, plan)
+        return plan
 
     @property
     def _kept_apart(self) -> bool:

@@ -67,4 +67,9 @@ def load_parts(folder: Path, units: Iterable[Unit]) -> Iterator[tuple[Unit, Part
 
 def part_path(folder: Path, unit: Unit) -> Path:
     """The file of a unit's part in the folder of its log."""
-    return folder / f"{unit.number:08d}.part"
+    return folder / part_name(unit)
+
+
+def part_name(unit: Unit) -> str:
+    """The name of that file."""
+    return f"{unit.number:08d}.part"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from jaxdet.config import Config
 from jaxdet.engine.floors import Planes
+from jaxdet.engine.part_store import PartStore
 from jaxdet.pipeline import BackendName
 from jaxdet.types import Detections
 
@@ -49,6 +50,16 @@ class UnitSizes(NamedTuple):
     """Frames of those."""
 
 
+def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
+    """The units that frames are shared out in, in order."""
+    count, (size, end_frames, end_size) = len(frames), sizes
+    whole = max(0, count - end_frames) // size * size
+    ends = [*range(0, whole, size), *range(whole, count, end_size), count]
+    for number, (first, last) in enumerate(pairwise(ends)):
+        part = frames[first:last]
+        yield Unit(number, part[0], part[-1] + 1)
+
+
 class LogPlan(NamedTuple):
     """What holds for all frames of a log. No unit's results depend on another's."""
 
@@ -75,15 +86,12 @@ class LogPlan(NamedTuple):
     observers: Mapping[str, Observer]
     scan: bool = False
     """The log is read as a whole, as its index isn't enough."""
+    store: PartStore | None = None
+    """Where parts go besides, for other machines."""
 
     def units(self) -> Iterator[Unit]:
         """The units, in the order of their frames."""
-        count, (size, end_frames, end_size) = len(self.frames), self.sizes
-        whole = max(0, count - end_frames) // size * size
-        ends = [*range(0, whole, size), *range(whole, count, end_size), count]
-        for number, (first, last) in enumerate(pairwise(ends)):
-            part = self.frames[first:last]
-            yield Unit(number, part[0], part[-1] + 1)
+        return units_of(self.frames, self.sizes)
 
     def where(self, unit: Unit) -> str:
         """The log and the frames of a unit."""

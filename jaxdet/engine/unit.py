@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.engine.device import Device, Found, OwnDevice
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
+from jaxdet.engine.sharing import send
 from jaxdet.engine.station import Piped, SharedDevice, Slots
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
@@ -110,6 +111,8 @@ class LogWork:
         if piece.numbers[-1] + 1 == piece.unit.stop:
             part: Part = self._timed("write", building.pop().whole)
             self._timed("write", part.save, self.plan.folder, piece.unit)
+            if self.plan.store:
+                self._timed("write", send, self.plan.store, self.plan, piece.unit)
             busy, self._busy = self._busy, Counter()
             part.counts.busy_s.update(busy)
             yield part.counts
@@ -206,6 +209,9 @@ def run_unit(
 ) -> Counts:
     """Leaves the part of a unit in the log's folder: a function of its arguments alone.
 
+    Where the plan has a :class:`jaxdet.engine.part_store.PartStore`, be it a bucket of objects, it
+    leaves it there too.
+
     Args:
         path: What :func:`save_work` wrote; the log of the last call stays open.
         unit: One of the plan's.
@@ -217,7 +223,7 @@ def run_unit(
 
     Raises:
         JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
-        OutputError: The disk is full or broken.
+        OutputError: The disk is full or broken, or the store can't be reached.
     """
     work = _opened(path, piped)
     work.batch_done = batch_done

@@ -47,17 +47,26 @@ def write_whole(path: Path, *content: bytes, wait: bool = True) -> None:
 
 def write_checked(path: Path, content: bytes, *, wait: bool = True) -> None:
     """:func:`write_whole` with a checksum before the content, for :func:`read_checked`."""
-    write_whole(path, hashlib.sha256(content).digest(), content, wait=wait)
+    write_whole(path, checksum(content), content, wait=wait)
 
 
 def read_checked(path: Path) -> memoryview | None:
     """What :func:`write_checked` wrote; None: it isn't there, or isn't as its checksum says."""
     try:
-        content = memoryview(path.read_bytes())
+        return checked(path.read_bytes())
     except OSError:
         return None
-    told, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    return content if hashlib.sha256(content).digest() == told else None
+
+
+def checksum(content: bytes | memoryview) -> bytes:
+    """What comes before a content, for :func:`checked`."""
+    return hashlib.sha256(content).digest()
+
+
+def checked(data: bytes) -> memoryview | None:
+    """The content after its checksum; None: it isn't as that says."""
+    told, content = data[:_DIGEST_BYTES], memoryview(data)[_DIGEST_BYTES:]
+    return content if checksum(content) == told else None
 
 
 def sha256(path: Path) -> str:
