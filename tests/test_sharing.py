@@ -34,7 +34,7 @@ def small_units() -> Iterator[None]:
     known: dict[Any, Any] = {}
 
     def remembered(frames: Any, config: Config, *, backend: str) -> Any:
-        planes = (*(np.asarray(part).tobytes() for part in frames.plane),)
+        planes = tuple(np.asarray(part).tobytes() for part in frames.plane)
         key = frames.depth.tobytes(), planes, config
         if key not in known:
             known[key] = detect(frames, config, backend=backend)
