@@ -65,10 +65,10 @@ def opened(files: LogFiles, options: LogOptions, memory: Any) -> Any:
 
 def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
     """Computes a batch once: the first run does, and what is forked from here has all of them."""
-    known: dict[tuple[int, ...], Any] = {}
+    known: dict[tuple[Any, ...], Any] = {}
 
     def found(frames: Any, config: Config, *, backend: str) -> Any:
-        key = tuple(frames.number.tolist())
+        key = *frames.number.tolist(), config
         if key not in known:
             known[key] = detect(frames, config, backend=backend)
         return known[key]

@@ -107,6 +107,9 @@ class FakeLog:
     def __enter__(self) -> "FakeLog":
         return self
 
+    def close(self) -> None:
+        """Nothing is open."""
+
     def __exit__(self, *_: object) -> None:
         assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())
 

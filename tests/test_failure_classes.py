@@ -179,6 +179,8 @@ CLASSES: dict[int, tuple[str, ...]] = {
     33: (
         "a unit that hangs",
         "workers worker_that_dies_or_stops",
+        "resume hangs_one_process",
+        "io_worst takes_a_bounded_time",
     ),
     34: (
         "more than buffers hold",
@@ -236,9 +238,10 @@ SEEN: dict[str, tuple[str, ...]] = {
     ),
     "one worker killed, crashed or stopped": (
         "workers worker_that_dies_or_stops frames_on_which_workers_die",
+        "resume hangs_one_process",
     ),
     "Ctrl-C, power cut, exception in log 49 of 50": (
-        "resume signals_keep bug_in_the_49th random_kills_change_nothing",
+        "resume signals_keep bug_in_the_49th crash_in_the_49th random_kills_change_nothing",
         "workers control_c_ends",
     ),
     "SIGTERM, SIGHUP, SIGKILL; folders that stay": (

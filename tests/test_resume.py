@@ -22,7 +22,7 @@ import pytest
 
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_run
+from jaxdet.engine import device, log_run, pool
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import ConfigError, InputError, Interrupted, JaxdetError, OutputError
@@ -33,19 +33,30 @@ from jaxdet.results.manifest import fingerprint, result_files, sha256
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import track_results
 from jaxdet.verify import verify
-from tests.killed_runs import named
+from tests.killed_runs import named, remembered
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
-from tests.test_workers import alive, descendants, same_results
+from tests.test_workers import Odd, alive, descendants, same_results
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+FIFTY = [LogFiles(f"{number:02d}", (Path(f"{number}.mcap"),)) for number in range(50)]
+
+
+COMPUTED = remembered(device.detect)
+"""All logs hold the same frames."""
+
+
+def opened(files: LogFiles, options: LogOptions, memory: Any) -> Any:
+    return named(files.name)
 
 
 @pytest.fixture
 def many(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
     """Fifty logs of ten frames."""
-    fake = lambda files, options, memory: named(files.name)  # noqa: E731
-    monkeypatch.setattr(log_run, "open_log", fake)
-    return [LogFiles(f"{number:02d}", (Path(f"{number}.mcap"),)) for number in range(50)]
+    monkeypatch.setattr(log_run, "open_log", opened)
+    monkeypatch.setattr(device, "detect", COMPUTED)
+    return FIFTY
 
 
 def run(logs: list[LogFiles], output: Path, **more: Any) -> engine.Summary:
@@ -155,6 +166,32 @@ def test_a_bug_in_the_49th_log_costs_that_log(many: list, tmp_path: Path, monkey
     assert rows == [f"{number:02d}" for number in range(50) if number != 48 for _ in range(10)]
     report = (tmp_path / "report_48.txt").read_text(encoding="utf-8")
     assert 'raise ZeroDivisionError("by nothing")' in report and "48.mcap" in report
+
+
+def crash_in_the_49th(output: Path) -> None:
+    """In a process of its own, which ends there."""
+    log_run.open_log, device.detect = opened, COMPUTED
+    run(FIFTY, output, progress=stop_at("48", lambda: os._exit(9)))
+
+
+def test_a_crash_in_the_49th_log_keeps_48(many: list, tmp_path: Path) -> None:
+    code = "import sys; from tests.test_resume import Path, crash_in_the_49th\n"
+    code += "crash_in_the_49th(Path(sys.argv[1]))"
+    child = [sys.executable, "-c", code, str(tmp_path / "a")]
+    assert subprocess.run(child, cwd=ROOT).returncode == 9
+    said: list[str] = []
+    opened: list[str] = []
+
+    def progress(now: engine.Progress) -> None:
+        opened.extend([now.log] * (now.doing == "opening"))
+
+    run(many, tmp_path / "a", workers=None, say=said.append, progress=progress)
+    owner, rest = said
+    assert "taken over from a run that ended without a word" in owner
+    assert rest == "continuing: 48 of 50 logs and 1 of 2 units of 48 are there"
+    assert opened == ["48", "49"]
+    run(many, tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
 
 
 def test_another_run_is_refused_with_the_reason(many: list, tmp_path: Path, monkeypatch) -> None:
@@ -436,6 +473,32 @@ def test_random_kills_change_nothing(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_many_random_kills_change_nothing(tmp_path: Path) -> None:
     killed_runs(tmp_path, 20)
+
+
+def run_that_hangs(folder: Path) -> engine.Summary:
+    """At frame 9, in batches of two."""
+    options = engine.RunOptions(folder / "out", "reference", 2, pictures=0)
+    logs = find_logs([str(folder / "a.mcap")])
+    return engine.run(logs, Config(), LogOptions(), options, observers={"odd": Odd("hang")})
+
+
+@pytest.mark.slow
+def test_a_log_that_hangs_one_process_is_left_to_a_worker(tmp_path: Path, monkeypatch) -> None:
+    """When that was killed: workers have a time limit."""
+    write_log(tmp_path / "a.mcap", SimConfig(frames=12, width=48, height=36))
+    code = "import sys; from tests.test_resume import Path, run_that_hangs\n"
+    code += "run_that_hangs(Path(sys.argv[1]))"
+    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)
+    while len(list(tmp_path.glob("out/.jaxdet/logs-*/*/*/*.part"))) < 4:
+        assert child.poll() is None
+        time.sleep(0.1)
+    child.kill()
+    child.wait()
+    monkeypatch.setattr(pool, "NO_PROGRESS_S", 2.0)
+    summary = run_that_hangs(tmp_path)
+    (lost,) = summary.logs[0].lost
+    assert lost.startswith("a, frames 8 to 9: timeout (a worker process made no progress for 2 s")
+    assert summary.logs[0].status == {"ok": 10, "timeout": 2}
 
 
 def test_the_workspace_ends_empty_when_nothing_is_done(tmp_path: Path) -> None:

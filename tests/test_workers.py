@@ -54,6 +54,8 @@ class Odd:
             raise RescanError("out of order", path="a.mcap")
         if self.way == "exit":
             os._exit(3)
+        if self.way == "hang":
+            time.sleep(3600)
 
     def summary(self, seen: Any) -> Any:
         return [numbers[0] for numbers in seen]
