@@ -11,7 +11,7 @@ import resource
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,12 +36,12 @@ def make(name: str, folder: Path) -> Subject:
 def work(
     name: str, core: int, seeds: range, until: float, corpus: Path, at: Any, ends: Any
 ) -> None:
-    """Tries some seeds until a time, on one core; says how each has ended."""
+    """Tries some seeds until a time, on one core; says how each has ended, and what it took."""
     os.sched_setaffinity(0, {core})
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with TemporaryDirectory(prefix="jaxdet-fuzz-", dir=memory) as folder:
-        subject = make(name, Path(folder))
-        limit = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 + MOST_BYTES
+        subject, plain = make(name, Path(folder)), _most_bytes()
+        limit = plain + MOST_BYTES
         resource.setrlimit(resource.RLIMIT_AS, (limit, resource.getrlimit(resource.RLIMIT_AS)[1]))
         for seed in seeds:
             if time.monotonic() > until:
@@ -52,7 +52,12 @@ def work(
             faulthandler.cancel_dump_traceback_later()
             if case.verdict.failed:
                 _keep(case, corpus)
-            ends.put(case.verdict.kind)
+            ends.put((case.title.partition(" ")[0], case.verdict.kind, _most_bytes() - plain))
+
+
+def _most_bytes() -> int:
+    """Resident memory of this process, at its most."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _keep(case: Case, corpus: Path) -> None:
@@ -78,6 +83,10 @@ class Crew:
 
     def __init__(self, name: str, seeds: range, until: float, corpus: Path) -> None:
         self.found: Counter[str] = Counter()
+        self.forms: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        """The same by the format of a log, or what else a title begins with."""
+        self.most_bytes = 0
+        """Memory above what a process takes that has tried nothing."""
         self._name, self._left, self._until, self._corpus = name, seeds, until, corpus
         self._lock, self._context = threading.Lock(), multiprocessing.get_context("spawn")
 
@@ -122,7 +131,10 @@ class Crew:
     def _count(self, ends: Any) -> None:
         with self._lock:
             while not ends.empty():
-                self.found[ends.get()] += 1
+                form, kind, most_bytes = ends.get()
+                self.found[kind] += 1
+                self.forms[form][kind] += 1
+                self.most_bytes = max(self.most_bytes, most_bytes)
 
 
 def main() -> int:
@@ -142,6 +154,9 @@ def main() -> int:
     print(
         f"{crew.found.total()} {given.subject} in {seconds:.0f} s: {dict(crew.found.most_common())}"
     )
+    for form, found in sorted(crew.forms.items()):
+        print(f"  {form}: {found.total()} {dict(found.most_common())}")
+    print(f"most memory above the plain process: {crew.most_bytes >> 20} MiB")
     return 1 if FAILURES & crew.found.keys() else 0
 
 
