@@ -2,9 +2,7 @@
 
 import itertools
 import os
-from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -269,8 +267,8 @@ class LogRun:
                 about.add(counts)
                 clock.tick()
                 self.report(about, log.label, len(log.frames), "")
-        with writing(self.folder), ThreadPoolExecutor() as disk:  # units did not wait for it
-            deque(disk.map(flush, (part_path(self.folder, unit) for unit in units)), 0)
+        with writing(self.folder):  # units did not wait for the disk
+            flush(*(part_path(self.folder, unit) for unit in units))
         about.seconds = clock.seconds
 
     def _save(self, log: "Log", share: Share, plan: LogPlan) -> Path:

@@ -139,8 +139,11 @@ class Workspace:
         return folder
 
     def write(self, place: str | Path, value: Any) -> None:
-        """Keeps a value in a file of the folder."""
-        write_checked(self.folder / place, pickle.dumps(value, 5))
+        """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
+
+        What a power cut takes of it is done again.
+        """
+        write_checked(self.folder / place, pickle.dumps(value, 5), wait=False)
 
     def read(self, place: str | Path) -> Any:
         """What :meth:`write` kept; None: it isn't there, or damaged."""

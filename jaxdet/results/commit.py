@@ -94,10 +94,7 @@ def _begin(
 ) -> None:
     """Writes the journal: from here on the results are the folder's."""
     with writing(working):
-        for folder in {working, *(path.parent for path in files.values())}:
-            flush(folder)
-        for path in files.values():
-            flush(path)
+        flush(working, *{path.parent for path in files.values()}, *files.values())
     places = {name: str(path.relative_to(working)) for name, path in files.items()}
     journal = Journal(old, places, rest, told)
     write_checked(working / JOURNAL, pickle.dumps(journal, 5))
@@ -117,11 +114,11 @@ def _carry_out(working: Path, journal: Journal) -> None:
         flush(output)
         for name in journal.new.keys() - {MANIFEST}:
             _arrive(working, journal, name)
-        for folder in {(output / name).parent for name in (*journal.old, *journal.new)}:
+        folders = {(output / name).parent for name in (*journal.old, *journal.new)}
+        for folder in folders:
             with suppress(OSError):
                 folder.rmdir()  # where nothing is in it
-            if folder.is_dir():
-                flush(folder)
+        flush(*filter(Path.is_dir, folders))
         _arrive(working, journal, MANIFEST)
         flush(output)
 

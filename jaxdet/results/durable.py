@@ -2,7 +2,9 @@
 
 import hashlib
 import os
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -75,8 +77,13 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def flush(path: Path) -> None:
-    """Waits until a file, or what a folder lists, is on the disk."""
+def flush(*paths: Path) -> None:
+    """Waits until files, or what folders list, are on the disk."""
+    with ThreadPoolExecutor() as disk:
+        deque(disk.map(_flush, paths), 0)
+
+
+def _flush(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
