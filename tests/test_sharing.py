@@ -1,7 +1,6 @@
 """A run that several machines share: whoever does what, the bytes are those of one machine."""
 
 import os
-import re
 import shutil
 import signal
 from collections.abc import Iterator
@@ -231,6 +230,7 @@ def test_logs_of_several_cameras_and_scans(tmp_path, monkeypatch):
         ({"parts": "", "share": None}, r"holds no parts of this run; do its shares first"),
         ({"parts": "x3://a/b"}, r"--parts x3://a/b: .*; give a folder, s3://BUCKET/PATH"),
         ({"parts": "s3:///a"}, r"--parts s3:///a: .*give a folder"),
+        ({"parts": "s3://me:secret@b c/d"}, r"--parts s3://b c/d: .*URI: 's3://b c/d'"),
         ({"share": "0/2"}, r"--share 0/2 is no share; give one from 1/4 to 4/4"),
         ({"share": "3/2"}, r"--share 3/2 is no share"),
         ({"share": "1"}, r"--share 1 is no share"),
@@ -253,6 +253,12 @@ def test_parts_of_another_run_are_refused(sim_logs, tmp_path):
         text = r"parts: holds parts of another run: pictures was 3 and is 2 now; give another"
         with pytest.raises(ConfigError, match=text):
             run(sim_logs, tmp_path / "out", parts=place, share=share, pictures=2)
+    for odd in (b"", b"[]", b'{"about": 3}', b"\xff"):
+        (tmp_path / "odd" / "a").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "odd" / "mine.txt").touch()
+        (tmp_path / "odd" / "a" / "run.json").write_bytes(odd)
+        with pytest.raises(ConfigError, match=r"another run: |holds no parts of this run"):
+            run(sim_logs, tmp_path / "out", parts=str(tmp_path / "odd"))
     logs = shutil.copytree(sim_logs, tmp_path / "logs")
     content = bytearray((logs / "a.mcap").read_bytes())
     content[9] ^= 1
@@ -268,8 +274,8 @@ def test_a_bucket(sim_logs, whole, tmp_path, objects):
         run(sim_logs, tmp_path / "out", parts=objects.url, **how)
     keys = [key for key in objects.puts if key.endswith(".part")]
     assert len(keys) == len(set(keys)) == 5 and keys[0].startswith("/bucket/some/place/")
-    shown = re.sub("name:secret@", "", objects.url)
-    assert joined(sim_logs, tmp_path / "out", objects.url) == f"5 units were in {shown}"
+    said = joined(sim_logs, tmp_path / "out", objects.url)
+    assert said == "5 units were in s3://bucket/some/place"
     same_results(tmp_path / "out", whole)
 
 

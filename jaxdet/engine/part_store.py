@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.results.durable import write_whole, writing
 
-_USER = re.compile(r"(?<=://)[^/@]*@")
+_SECRET = re.compile(r"(?<=://)[^@]*:[^@]*@|\?.*")
 
 
 class PartStore(NamedTuple):
@@ -22,8 +22,8 @@ class PartStore(NamedTuple):
     """In that place."""
 
     def __str__(self) -> str:
-        """The address without names and keys of users."""
-        return _USER.sub("", self.url)
+        """The address without keys."""
+        return _SECRET.sub("", self.url)
 
     def within(self, name: str) -> "PartStore":
         """A folder in this one."""
@@ -50,7 +50,7 @@ class PartStore(NamedTuple):
                 path = self._path(place, name)
                 with system.open_input_stream(path, compression=None) as file:
                     return file.read()
-            except FileNotFoundError:
+            except (FileNotFoundError, NotADirectoryError):
                 return None
 
     def put(self, name: str, content: bytes) -> None:
@@ -95,8 +95,9 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         found, path = FileSystem.from_uri(url if "://" in url else str(Path(url).absolute()))
     except (OSError, ValueError, pa.ArrowException) as error:
+        shown = str(PartStore(url))
         raise ConfigError(
-            f"--parts {_USER.sub('', url)}: {error}",
+            f"--parts {shown}: {str(error).replace(url, shown)}",
             remedy="give a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or abfs://CONTAINER/PATH",
-        ) from error
+        ) from None
     return found, path.rstrip("/")

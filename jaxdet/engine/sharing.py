@@ -52,18 +52,22 @@ def open_store(url: str, record: Mapping[str, Any], *, begin: bool) -> PartStore
     if own not in runs:
         for name in sorted(runs):
             if content := store.within(name).get(_RUN):
-                reason = difference(json.loads(content), record)
-                raise ConfigError(
-                    f"holds parts of another run: {reason}",
-                    path=str(store),
-                    remedy="give another --parts",
-                )
+                problem = f"holds parts of another run: {_reason(content, record)}"
+                raise ConfigError(problem, path=str(store), remedy="give another --parts")
         if not begin:
             remedy = "do its shares first, with --share 1/N to N/N"
             raise ConfigError("holds no parts of this run", path=str(store), remedy=remedy)
         content = json.dumps(record, indent=2).encode()
         store.within(own).put(_RUN, content)
     return store.within(own)
+
+
+def _reason(content: bytes, record: Mapping[str, Any]) -> str | None:
+    """What tells a run from the one that left this."""
+    try:
+        return difference(json.loads(content), record)
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return f"its {_RUN} can't be read"
 
 
 def _of_any_machine(record: Mapping[str, Any]) -> dict[str, Any]:
