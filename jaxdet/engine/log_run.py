@@ -246,8 +246,8 @@ class LogRun:
     def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> None:
         """Leaves the parts that are not there yet."""
         about, clock = self.about, Clock(self.about, self.workers)
-        units = []
-        for unit in self._left(log) if plan.store else plan.units():
+        units, mine = [], self._left(log) if plan.store else list(plan.units())
+        for unit in mine:
             part = Part.load(plan.folder, unit)
             if part is None:
                 units.append(unit)
@@ -256,7 +256,8 @@ class LogRun:
                 if plan.store:
                     send(plan.store, plan, unit)
         clock.before = about.frames
-        self.report(about, log.label, len(log.frames), "starting")
+        total = sum(len(range(unit.start, unit.stop, log.frames.step)) for unit in mine)
+        self.report(about, log.label, total, "starting")
         if alone:
             device = OwnDevice(self.config, self.options.backend, ahead=1)
             work = LogWork(log, plan, device).work_through(units, share.read_ahead)
@@ -266,7 +267,7 @@ class LogRun:
             for counts in work:
                 about.add(counts)
                 clock.tick()
-                self.report(about, log.label, len(log.frames), "")
+                self.report(about, log.label, total, "")
         with writing(self.folder):  # units did not wait for the disk
             flush(*(part_path(self.folder, unit) for unit in units))
         about.seconds = clock.seconds

@@ -23,7 +23,7 @@ class PartStore(NamedTuple):
 
     def __str__(self) -> str:
         """The address without keys."""
-        return _SECRET.sub("", self.url)
+        return _SECRET.sub("", self.url) if "://" in self.url else self.url
 
     def within(self, name: str) -> "PartStore":
         """A folder in this one."""
