@@ -56,7 +56,7 @@ class _Handler(BaseHTTPRequestHandler):
     objects: Objects
     protocol_version = "HTTP/1.1"
 
-    def log_message(self, *_: Any) -> None:
+    def log_message(self, format: str, *args: Any) -> None:
         pass
 
     def _answer(self, status: int, content: bytes = b"", **headers: Any) -> None:

@@ -77,8 +77,8 @@ def run(logs: Path, output: Path, **options: Any) -> engine.Summary:
     how = {"batch_size": 2, "pictures": 3, "workers": 1, **options}
     given = find_logs([str(logs)]), config, LogOptions()
     observers = {"odd": Odd()}
-    options = engine.RunOptions(output, "reference", **how)
-    return engine.run(*given, options, observers=observers, **own)
+    made = engine.RunOptions(output, "reference", **how)
+    return engine.run(*given, made, observers=observers, **own)
 
 
 def joined(logs: Path, output: Path, parts: str) -> str:
