@@ -28,11 +28,11 @@ class RunOptions:
     """Processes to share the frames; changes no result. By default one a core; on the CPU only for
     logs of 500 frames or more, else one."""
     memory: str | None = field(default=None, metadata={"takes": "SIZE"})
-    """Most memory of all processes together, such as 4GiB. Fewer workers, smaller batches and less
-    read ahead take less; changes no result. By default three quarters of the machine's, or of its
-    control group's."""
+    """Most memory of all processes together, 4GiB for instance. Fewer workers, smaller batches and
+    less read ahead take less; changes no result. By default three quarters of the machine's, or of
+    its control group's."""
     parts: str | None = field(default=None, metadata={"takes": "URL"})
-    """Place for the parts of a run that several machines share: a folder, or s3://BUCKET/PATH."""
+    """Where machines share a run's parts: a folder, or s3://BUCKET/PATH. See jaxdet help runs."""
     share: str | None = field(default=None, metadata={"takes": "K/N"})
     """Do the K-th of N shares alone and leave it in --parts; all of them are joined without."""
     pictures: int = 8
