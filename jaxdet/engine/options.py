@@ -32,7 +32,7 @@ class RunOptions:
     less read ahead take less; changes no result. By default three quarters of the machine's, or of
     its control group's."""
     parts: str | None = field(default=None, metadata={"takes": "URL"})
-    """Where machines share a run's parts: a folder, or s3://BUCKET/PATH. See jaxdet help runs."""
+    """Where machines share a run's parts: a folder (or s3://BUCKET/PATH). See jaxdet help runs."""
     share: str | None = field(default=None, metadata={"takes": "K/N"})
     """Do the K-th of N shares alone and leave it in --parts; all of them are joined without."""
     pictures: int = 8
