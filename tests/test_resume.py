@@ -426,7 +426,10 @@ class Hungry:
 
 
 def killed_runs(tmp_path: Path, count: int) -> None:
-    """The same command again and again, its main process, workers or both killed at random."""
+    """The same command again and again, its main process, workers or both killed at random.
+
+    What is there stays: twice is done at most what was worked on, a unit by each worker.
+    """
     chosen = random.Random(7)
     logs = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for seed, path in enumerate(logs):
@@ -434,14 +437,15 @@ def killed_runs(tmp_path: Path, count: int) -> None:
     output = tmp_path / "results"
     command = [sys.executable, "-m", "jaxdet", "run", *map(str, logs), "--output", str(output)]
     command += ["--backend", "reference", "--batch-size", "1", "--workers", "2", "--quiet"]
-    left = count
+    left, there = count, {}
+
+    def parts() -> list[Path]:
+        return list(output.glob(".jaxdet/logs-*/*/*/*.part"))
+
     while left:
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
-        begun = len(list(output.glob(".jaxdet/logs-*/*/*/*.part")))
-        wanted = begun + chosen.randrange(3)
-        while process.poll() is None:
-            if len(list(output.glob(".jaxdet/logs-*/*/*/*.part"))) >= wanted:
-                break
+        wanted = len(there) + chosen.randrange(3)
+        while process.poll() is None and len(parts()) < wanted:
             time.sleep(0.01)
         time.sleep(chosen.random() / 4)
         below = [int(pid) for pid in descendants(process.pid)][2:]
@@ -453,6 +457,9 @@ def killed_runs(tmp_path: Path, count: int) -> None:
         left -= 1
         errors = process.communicate()[1]
         assert not any(alive(pid) for pid in below)
+        # By their inodes, as one that is made anew has another.
+        before, there = there, {path: path.stat().st_ino for path in parts()}
+        assert before.items() <= there.items() or (output / "manifest.json").exists()
         if process.returncode == 0 or whom == "worker":
             assert (process.returncode, errors) == (0, "")
             if left:
