@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import secrets
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -37,7 +38,7 @@ def write_whole(path: Path, *content: bytes, wait: bool = True) -> None:
         wait: Until it is on the disk. Else only the system's failure, not this process's, can
             leave a file that is not whole.
     """
-    new = path.with_name(f"{path.name}.{os.getpid()}")
+    new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")  # containers have equal numbers
     with writing(path):
         with new.open("wb") as file:
             file.writelines(content)
