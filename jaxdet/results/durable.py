@@ -6,7 +6,7 @@ import secrets
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from jaxdet.errors import OutputError
@@ -40,12 +40,17 @@ def write_whole(path: Path, *content: bytes, wait: bool = True) -> None:
     """
     new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")  # containers have equal numbers
     with writing(path):
-        with new.open("wb") as file:
-            file.writelines(content)
-            file.flush()
-            if wait:
-                os.fsync(file.fileno())
-        new.replace(path)
+        try:
+            with new.open("wb") as file:
+                file.writelines(content)
+                file.flush()
+                if wait:
+                    os.fsync(file.fileno())
+            new.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                new.unlink()
+            raise
 
 
 def write_checked(path: Path, content: bytes, *, wait: bool = True) -> None:
