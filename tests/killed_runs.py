@@ -11,19 +11,30 @@ from typing import Any
 
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_run
+from jaxdet.engine import device, log_run, sharing
+from jaxdet.engine.plan import UnitSizes
 from jaxdet.errors import CamerasError
 from jaxdet.io import LogFiles, LogOptions
 from tests.killed import killed_at
 from tests.test_engine import FakeLog
 
+SIZES = UnitSizes(4, 0, 4)
 
-def run(output: Path) -> engine.Summary:
+
+def run(output: Path, **more: Any) -> engine.Summary:
     """Two logs of ten frames in units of four, one of two cameras; nothing is compiled."""
     logs = [LogFiles(name, (Path(f"{name}.mcap"),)) for name in "ab"]
     config = Config(GroundConfig(source="none"))
-    options = engine.RunOptions(output, "reference", batch_size=4, pictures=1, workers=1)
+    options = engine.RunOptions(output, "reference", batch_size=4, pictures=1, workers=1, **more)
     return engine.run(logs, config, LogOptions(), options)
+
+
+def run_shared(output: Path) -> None:
+    """By two machines that share it, one after the other, and a third."""
+    place = f"{output}.parts"
+    for number in (1, 2):
+        run(Path(f"{output}.{number}"), parts=place, share=f"{number}/2")
+    run(output, parts=place)
 
 
 def files(output: Path) -> dict[str, bytes]:
@@ -35,16 +46,16 @@ def files(output: Path) -> dict[str, bytes]:
     return {name: b"" if name in times else p.read_bytes() for name, p in found.items()}
 
 
-def main(folder: Path, every: int) -> None:
+def main(folder: Path, every: int, function: Callable[[Path], Any]) -> None:
     """Ends runs at every so many-th call, and what goes on with them at the same."""
-    log_run.open_log = opened
+    log_run.open_log, log_run.SIZES, sharing.SIZES = opened, SIZES, SIZES
     device.detect = remembered(device.detect)
     run(folder / "whole")
     want = files(folder / "whole")
     call, ended = 1, True
     while ended:
         output, tries = folder / f"{call}", 0
-        while killed_at(call + 3 * tries, partial(run, output)):
+        while killed_at(call + 3 * tries, partial(function, output)):
             tries += 1
             if (output / "manifest.json").exists() and not (output / ".jaxdet/commit").exists():
                 break  # it had ended, and only cleaned up
@@ -84,4 +95,4 @@ def named(name: str) -> Any:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), run_shared if "shared" in sys.argv else run)

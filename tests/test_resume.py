@@ -97,10 +97,10 @@ def test_whatever_system_call_is_the_last(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_every_system_call_of_a_run(tmp_path: Path) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "tests.killed_runs", str(tmp_path), "1"], cwd=ROOT, check=True
-    )
+@pytest.mark.parametrize("how", [("1",), ("7", "shared")])
+def test_every_system_call_of_a_run(tmp_path: Path, how: tuple[str, ...]) -> None:
+    ends = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), *how]
+    subprocess.run(ends, cwd=ROOT, check=True)
 
 
 @pytest.mark.parametrize(
