@@ -144,10 +144,11 @@ CLASSES: dict[int, tuple[str, ...]] = {
     26: (
         "configuration changed between runs",
         "resume another_run_is_refused",
+        "sharing parts_of_another_run",
     ),
     27: (
         "killed at any instant",
-        "resume whatever_system_call_is_the_last random_kills_change_nothing",
+        "resume whatever_system_call_is_the_last random_kills_change_nothing every_system_call",
         "tracks_folder whatever_system_call_is_the_last",
     ),
     28: (

@@ -156,6 +156,9 @@ def test_a_run_that_is_stopped_while_it_links_goes_on(tmp_path: Path, monkeypatc
     code, _, said = run("a", "--quiet", "--ground.max-depth-m", "3")
     assert code == 2 and "holds results already" in said
     assert not verify(tmp_path / "a", sample=0).findings
+    (tmp_path / "a" / "frames.parquet").unlink()
+    code, _, said = run("a", "--quiet")
+    assert code == 2 and "holds results already" in said
 
 
 def test_the_lock_of_a_run_that_died_stays(folder: Path, tmp_path: Path):

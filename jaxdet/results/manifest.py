@@ -103,12 +103,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def made_by(folder: Path) -> str | None:
     """The ``run`` in the manifest of a folder that holds whole results; None: they are not whole.
 
-    It is a checksum of all that decides what a run makes.
+    It is a checksum of all that decides what a run makes. Files are known by their sizes.
     """
     try:
-        return read_manifest(folder).get("run")
-    except InputError:
+        manifest = read_manifest(folder)
+        sizes = {name: (folder / name).stat().st_size for name in manifest["files"]}
+    except (InputError, OSError):
         return None
+    told = {name: about["size"] for name, about in manifest["files"].items()}
+    return manifest.get("run") if sizes == told else None
 
 
 def changed_manifest(folder: Path, gone: Iterable[str], come: Mapping[str, Path]) -> dict[str, Any]:
