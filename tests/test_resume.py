@@ -97,7 +97,7 @@ def test_whatever_system_call_is_the_last(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [("1",), ("7", "shared")])
+@pytest.mark.parametrize("how", [("1",), ("7", "shared")], ids=["alone", "shared"])
 def test_every_system_call_of_a_run(tmp_path: Path, how: tuple[str, ...]) -> None:
     ends = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), *how]
     subprocess.run(ends, cwd=ROOT, check=True)
