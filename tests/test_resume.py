@@ -508,6 +508,24 @@ def test_a_log_that_hangs_one_process_is_left_to_a_worker(tmp_path: Path, monkey
     assert summary.logs[0].status == {"ok": 10, "timeout": 2}
 
 
+def test_a_process_that_makes_no_progress_says_so(many: list, tmp_path: Path, monkeypatch) -> None:
+    """Once; and nothing where each batch takes less."""
+
+    def slow(frames: Any, config: Config, *, backend: str) -> Any:
+        time.sleep(1.0 if frames.number[0] == 5 else 0.0)
+        return COMPUTED(frames, config, backend=backend)
+
+    monkeypatch.setattr(device, "detect", slow)
+    monkeypatch.setattr(pool, "NO_PROGRESS_S", 0.4)
+    said: list[str] = []
+    run(many[:1], tmp_path, say=said.append)
+    (line,) = said
+    assert line.startswith(
+        "00: no frame was finished for 0.4 s; if that is not the disk, kill this"
+    )
+    assert f"kill -9 {os.getpid()}" in line
+
+
 def test_the_workspace_ends_empty_when_nothing_is_done(tmp_path: Path) -> None:
     with Workspace(tmp_path / "a", {"a": 1}, overwrite=False, say=print) as work:
         work.write("plan", pickle.dumps(1))

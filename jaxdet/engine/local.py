@@ -165,7 +165,7 @@ class _Run:
             self.say(f"{given}: {size_text(memory.total)} of memory have no room for more")
         with Pool(memory.workers, self.options.backend, devices) as pool:
             given = self.config, self.options, self.observers, self.work, self.summary, self.files
-            shared, fetched = Shared(*given, memory, pool, writer, self.store), 0
+            shared, fetched = Shared(*given, memory, pool, writer, self.store, self.say), 0
             for number, files in enumerate(self.logs):
                 report = reporter(self.progress, number, len(self.logs))
                 one = LogRun(shared, files, self._names[number], report, number)

@@ -2,8 +2,8 @@
 
 import itertools
 import os
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from math import prod
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine import pool
 from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
@@ -27,6 +28,7 @@ from jaxdet.engine.sharing import SIZES, SharedLog, send
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.station import Slots
 from jaxdet.engine.unit import LogWork, save_work
+from jaxdet.engine.watch import Watch
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, ChunkMemoryError, JaxdetError, OutputError
 from jaxdet.io import RescanError, open_log
@@ -70,6 +72,8 @@ class Shared(NamedTuple):
     writer: ResultWriter
     store: PartStore | None
     """Parts that other machines leave, or are left by this one for them."""
+    say: Callable[[str], None]
+    """Gets what is worth knowing."""
 
 
 class LogRun:
@@ -258,12 +262,16 @@ class LogRun:
         clock.before = about.frames
         total = sum(len(range(unit.start, unit.stop, log.frames.step)) for unit in mine)
         self.report(about, log.label, total, "starting")
-        if alone:
-            device = OwnDevice(self.config, self.options.backend, ahead=1)
-            work = LogWork(log, plan, device).work_through(units, share.read_ahead)
-        else:
-            work = self.pool.work_through(plan, units, partial(self._save, log, share))
-        with closing(work):
+        with ExitStack() as ends:
+            if alone:
+                device = OwnDevice(self.config, self.options.backend, ahead=1)
+                own = LogWork(log, plan, device)
+                late = partial(self._say_late, log.label)
+                own.batch_done = ends.enter_context(Watch(pool.NO_PROGRESS_S, late)).alive
+                work = own.work_through(units, share.read_ahead)
+            else:
+                work = self.pool.work_through(plan, units, partial(self._save, log, share))
+            ends.enter_context(closing(work))
             for counts in work:
                 about.add(counts)
                 clock.tick()
@@ -271,6 +279,14 @@ class LogRun:
         with writing(self.folder):  # units did not wait for the disk
             flush(*(part_path(self.folder, unit) for unit in units))
         about.seconds = clock.seconds
+
+    def _say_late(self, label: str) -> None:
+        """What a user can do whose run hangs, but wait."""
+        self.run.say(
+            f"{label}: no frame was finished for {pool.NO_PROGRESS_S:g} s; if that is not the "
+            f"disk, kill this process (kill -9 {os.getpid()}) and repeat the command: workers, "
+            "which have a time limit, do the log then"
+        )
 
     def _save(self, log: "Log", share: Share, plan: LogPlan) -> Path:
         """What workers need, in a file of its own."""
