@@ -402,7 +402,8 @@ def test_video_is_refused_by_name(tmp_path):
         open_log(str(tmp_path / "x.mcap"))
 
 
-def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch):
+@pytest.mark.parametrize("bad", [(20, 30), (1, 30)], ids=["later", "looked_at"])
+def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch, bad):
     """Be it beyond those that opening looks at: the log is scanned then."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
     monkeypatch.setattr(indexed, "_FIRST_MOTIONS", 4)
@@ -413,11 +414,13 @@ def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch):
         write_calibration(log)
         for number, at in enumerate(scene.color_ns.tolist()):
             log.ros("/tf", ros_tf(("odom", "color_optical", (1, 0, 0), (0, 0, 0, 1))), at)
-            if number in (20, 30):
+            if number in bad:
                 kind = "tf2_msgs/msg/TFMessage", "ros2msg", text
                 log.raw("/tf", "cdr", kind, b"\0\1\0\0\xff\xff\xff\x0f", at)
         write_images(log, scene)
-    with open_log(str(path)) as log, pytest.raises(RescanError, match="of /tf can't be decoded"):
-        list(log.batches(8))
-    with open_log(str(path), LogOptions(scan=True)) as log:
+    if bad[0] > 4:
+        text = "of /tf can't be decoded"
+        with open_log(str(path)) as log, pytest.raises(RescanError, match=text):
+            list(log.batches(8))
+    with open_log(str(path), LogOptions(scan=bad[0] > 4)) as log:
         assert any("/tf: 2 messages can't be decoded" in text for text in log.description.warnings)

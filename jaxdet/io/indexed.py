@@ -63,12 +63,11 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     delays = _Delays()
     for topic, number, location, payload in _read_messages(store, probes):
         _add_message(builder, topic, number, location, payload)
+        if index.topics[topic.topic].undecodable:
+            problem = "one of the first messages can't be decoded"
+            raise RescanError(problem, path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
             delays.see(topic, number, payload)
-    for name, item in index.topics.items():
-        if item.undecodable:
-            problem = "one of the first messages can't be decoded"
-            raise RescanError(problem, path=path, topic=name)
     for topic in topics:
         known = index.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
