@@ -3,6 +3,7 @@
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -124,15 +125,17 @@ class _Run:
     def run(self, record: Mapping[str, Any]) -> Summary:
         """All logs are in the results, but those that have failed."""
         summary, result = self.summary, self.work.result
-        with ResultWriter(result) as writer:
-            self._run_logs(writer)
-            summary.seconds = time.perf_counter() - self._start
-            if not summary.whole or self.options.share:
-                self.work.drop(self.files)
-                return summary
-            how = {"preset": None, "backend": None, "batch_size": summary.batch_size}
-            config, told = {**how, **record["config"]}, summary.to_dict()
-            self.files |= writer.close(config, told)
+        with ResultWriter(result) as writer, ThreadPoolExecutor(1, "jaxdet-tables") as thread:
+            with self._pool() as pool:
+                self._run_logs(pool, writer)
+                summary.seconds = time.perf_counter() - self._start
+                if not summary.whole or self.options.share:
+                    self.work.drop(self.files)
+                    return summary
+                how = {"preset": None, "backend": None, "batch_size": summary.batch_size}
+                config, told = {**how, **record["config"]}, summary.to_dict()
+                tables = thread.submit(writer.close, config, told)  # while the processes end
+            self.files |= tables.result()
         self.files |= write_json(result / "config.json", config)
         self.files |= write_json(result / "summary.json", told)
         with writing(result):
@@ -156,29 +159,35 @@ class _Run:
                 return f"{text} are"
         return f"{text} are" if done else ""
 
-    def _run_logs(self, writer: ResultWriter) -> None:
+    def _pool(self) -> Pool:
+        """The processes that share the work, of which none is there yet."""
         devices = gpus() if self.options.backend == "jax" else ()
         asked = self.options.workers or max(1, cores() - bool(devices))
-        memory = Memory(self.options.memory, asked, len(devices), apart=self.work.taken_over)
-        if self.options.workers and memory.workers < asked:
-            given = f"{memory.workers} of {asked} workers"
-            self.say(f"{given}: {size_text(memory.total)} of memory have no room for more")
-        with Pool(memory.workers, self.options.backend, devices) as pool:
-            given = self.config, self.options, self.observers, self.work, self.summary, self.files
-            shared, fetched = Shared(*given, memory, pool, writer, self.store, self.say), 0
-            for number, files in enumerate(self.logs):
-                report = reporter(self.progress, number, len(self.logs))
-                one = LogRun(shared, files, self._names[number], report, number)
-                folder, options = self.work.log_folder(number), self.log_options
-                try:
-                    found = [one.take(folder / "0", options)]
-                except CamerasError as error:
-                    each = [replace(options, camera=camera) for camera in error.cameras]
-                    found = [one.take(folder / f"{i + 1}", each[i]) for i in range(len(each))]
-                self.summary.logs += found
-                fetched += one.fetched
-                if not (self.options.share or any(about.error for about in found)):
-                    self.work.write(folder / WHOLE, None)
+        apart = self.work.taken_over
+        self.memory = Memory(self.options.memory, asked, len(devices), apart=apart)
+        workers = self.memory.workers
+        if self.options.workers and workers < asked:
+            room = f"{size_text(self.memory.total)} of memory have no room for more"
+            self.say(f"{workers} of {asked} workers: {room}")
+        return Pool(workers, self.options.backend, devices)
+
+    def _run_logs(self, pool: Pool, writer: ResultWriter) -> None:
+        given = self.config, self.options, self.observers, self.work, self.summary, self.files
+        shared = Shared(*given, self.memory, pool, writer, self.store, self.say)
+        fetched = 0
+        for number, files in enumerate(self.logs):
+            report = reporter(self.progress, number, len(self.logs))
+            one = LogRun(shared, files, self._names[number], report, number)
+            folder, options = self.work.log_folder(number), self.log_options
+            try:
+                found = [one.take(folder / "0", options)]
+            except CamerasError as error:
+                each = [replace(options, camera=camera) for camera in error.cameras]
+                found = [one.take(folder / f"{i + 1}", each[i]) for i in range(len(each))]
+            self.summary.logs += found
+            fetched += one.fetched
+            if not (self.options.share or any(about.error for about in found)):
+                self.work.write(folder / WHOLE, None)
         if self.options.share:
             self.say(
                 f"share {self.options.share} is in {self.store}; without --share the command "

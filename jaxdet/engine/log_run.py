@@ -3,6 +3,7 @@
 import itertools
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
@@ -197,11 +198,19 @@ class LogRun:
         plan = self._begin(log, begun, share, alone=alone, scan=scan)
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
-        self._work_through(log, plan, share, alone=alone)
-        if self.options.share:
-            about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in self._left(log)]
+        parts = self._work_through(log, plan, share, alone=alone)
+        with ThreadPoolExecutor(1) as disk:  # units did not wait for it
+            flushed = disk.submit(flush, *parts)
+            if self.options.share:
+                left = self._left(log)
+                about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in left]
+                notes = None
+            else:
+                notes = join_parts(plan, about, self.memory.room)
+            with writing(self.folder):
+                flushed.result()
+        if notes is None:
             return
-        notes = join_parts(plan, about, self.memory.room)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[len(log.description.warnings) :]
         about.warnings += filter(None, (about.depth_warning, about.floor_warning))
@@ -247,8 +256,8 @@ class LogRun:
         assert self.shared is not None
         return self.shared.left(log.frames)
 
-    def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> None:
-        """Leaves the parts that are not there yet."""
+    def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> list[Path]:
+        """Leaves the parts that are not there yet; these may not be on the disk so far."""
         about, clock = self.about, Clock(self.about, self.workers)
         units, mine = [], self._left(log) if plan.store else list(plan.units())
         for unit in mine:
@@ -276,9 +285,8 @@ class LogRun:
                 about.add(counts)
                 clock.tick()
                 self.report(about, log.label, total, "")
-        with writing(self.folder):  # units did not wait for the disk
-            flush(*(part_path(self.folder, unit) for unit in units))
         about.seconds = clock.seconds
+        return [part_path(self.folder, unit) for unit in units]
 
     def _say_late(self, label: str) -> None:
         """What a user can do whose run hangs, but wait."""

@@ -34,9 +34,10 @@ WAITING = 2
 """Units that a worker has been given: the one it works on, and the next."""
 NO_PROGRESS_S = 600.0
 """A worker that finishes no batch for so long hangs; the first one may have to be compiled."""
-LOADED = ["jaxdet.engine.pool", "jaxdet.io.log"]
+LOADED = ["jaxdet.engine.pool", "jaxdet.io.log", "numpy.ma", "jaxdet_kernels.decode"]
 LOADED_TO_COMPUTE = ["jaxdet.stages"]
-"""What the fork server loads once for all workers; none of it may start a thread."""
+"""What the fork server loads once for all workers, with what pyarrow and decoders would load in
+each of them; none of it may start a thread, or Warp."""
 _LOOK_S = 1.0
 """So often workers are looked after."""
 _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
