@@ -73,12 +73,16 @@ int corners(Image& image) {
 int corners(Image& image) {
     const int height = image.height, width = image.width;
     const CornerSettings& given = image.given;
-    unsigned *allowed = image.rows(0), *weak = image.rows(1), *strong = image.rows(2);
-    unsigned *edges = image.rows(3), *blocked = image.rows(4);
+    unsigned *allowed = image.rows(0), *edges = image.rows(3), *blocked = image.rows(4);
     const Team team(0, 0);
     MaskBits{team, height, width, (const bool*)image.mask.data(), allowed}.run();
-    CannySuppress{image.color.data(), height, width, given.low(), given.high(), weak, strong}.run();
-    Hysteresis{team, height, width, weak, strong, edges}.run();
+    std::vector<unsigned long long> memory[2];
+    for (auto& words : memory) words.assign(Hysteresis::spaced(height, width), ~0ull);
+    auto *weak = Hysteresis::rows(memory[0].data(), height, width);
+    auto *strong = Hysteresis::rows(memory[1].data(), height, width);
+    CannySuppress{image.color.data(), height, width, given.low(), given.high(),
+                  2 * Hysteresis::stride(width), (unsigned*)weak, (unsigned*)strong}.run();
+    Hysteresis{height, width, weak, strong, edges}.run();
     std::vector<unsigned long long> list(image.pixels()), other(image.pixels());
     const int count = CornerMaxima{edges, allowed, given.everywhere(), height, width,
                                    given.quality(), list.data()}.run();

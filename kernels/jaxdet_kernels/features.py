@@ -36,8 +36,9 @@ def row_words(width: int) -> int:
 
 
 def features_scratch(height: int, width: int) -> int:
-    """32-bit words of scratch memory that :func:`features_frames` takes."""
-    return 4 * height * width + 4 * height * row_words(width)
+    """32-bit words of scratch memory that :func:`features_frames` takes, see ``native/corners.h``."""
+    spaced = 2 * (height * (row_words(width) // 16 * 8 + 8) + 16)
+    return 4 * height * width + 2 * spaced + 2 * height * row_words(width)
 
 
 @native_kernel(
@@ -131,14 +132,17 @@ def canny_suppress(
 
 
 @native_kernel(
+    "vectors.h",
     "pixel_bits.h",
     "hysteresis.h",
     body="""
+#if defined(__CUDA_ARCH__)
     const Team team(tid, 0);
     const int height = weak.shape[1];
     const size_t bits = (size_t)team.index * height * weak.shape[2];
     Hysteresis{team, height, width, weak.data + bits, strong.data + bits,
                edges_out.data + bits}.run();
+#endif
 """,
     launch_bounds=(HYSTERESIS_THREADS, 3),
 )

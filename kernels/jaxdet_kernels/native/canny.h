@@ -21,11 +21,20 @@ struct CannySuppress {
     const unsigned char* color;     // (height, width, 3), RGB.
     int height, width;
     int low, high;                  // From -1 to 2047: thresholds of |dx| + |dy|.
-    unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width))
+    int stride;                     // At least PixelBits::words(width).
+    unsigned *weak_out, *strong_out;  // (height, stride)
 
     // Rings of rows; column x is at BEFORE + x, and what is outside the image is at both ends.
     struct Rows {
         short grey[3][RING], magnitude[3][RING], dx[2][RING], dy[2][RING];
+        // Magnitudes above the lower bound, a bit a pixel, and which words have some.
+        unsigned above[2][MAX_SIZE / STEP];
+        unsigned long long some[2][MAX_SIZE / STEP / 64];
+    };
+
+    // What a column's three pixels add to the gradients of its neighbours.
+    struct Column {
+        Shorts smooth, change;
     };
 
     void run() const {
@@ -33,9 +42,11 @@ struct CannySuppress {
         const int words = PixelBits::words(width);
         for (int i = 0; i < RING; ++i)
             rows.magnitude[0][i] = rows.magnitude[1][i] = rows.magnitude[2][i] = 0;
-        // Columns beyond the image's last vector are read but decide nothing.
-        for (int k = 0; k < 3; ++k)
+        // Columns beyond the image's vectors are read but decide nothing.
+        for (int k = 0; k < 3; ++k) {
+            for (int i = 0; i < BEFORE; ++i) rows.grey[k][i] = 0;
             for (int i = width + BEFORE; i < RING; ++i) rows.grey[k][i] = 0;
+        }
         read(rows, 0);
         for (int y = 0; y <= height; ++y) {
             if (y < height) {
@@ -44,7 +55,7 @@ struct CannySuppress {
             }
             short* beyond = rows.magnitude[y % 3] + BEFORE;
             for (int x = y < height ? width : 0; x < words * 32 + 1; ++x) beyond[x] = 0;
-            if (y > 0) suppress(rows, y - 1, words);
+            if (y > 0) suppress(rows, y - 1);
         }
     }
 
@@ -98,56 +109,84 @@ struct CannySuppress {
         const short* a = rows.grey[(y > 0 ? y - 1 : 0) % 3] + BEFORE;
         const short* g = rows.grey[y % 3] + BEFORE;
         const short* c = rows.grey[(y + 1 < height ? y + 1 : y) % 3] + BEFORE;
+        unsigned long long* some = rows.some[y % 2];
+        some[0] = some[1] = 0;
+        Column before = column(a, g, c, -STEP), own = column(a, g, c, 0);
         for (int x = 0; x < width; x += STEP) {
-            const Shorts al = at(a, x - 1), ar = at(a, x + 1), cl = at(c, x - 1);
-            const Shorts cr = at(c, x + 1), gl = at(g, x - 1), gr = at(g, x + 1);
-            const Shorts dx = (ar - al) + (cr - cl) + (gr - gl) * 2;
-            const Shorts dy = (cl - al) + (cr - ar) + (at(c, x) - at(a, x)) * 2;
+            const Column after = column(a, g, c, x + STEP);
+            Shorts left, right;
+            beside(before.smooth, own.smooth, after.smooth, &left, &right);
+            const Shorts dx = right - left;
+            beside(before.change, own.change, after.change, &left, &right);
+            const Shorts dy = left + own.change * 2 + right;
+            const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
             put(rows.dx[y % 2], x, dx);
             put(rows.dy[y % 2], x, dy);
-            put(rows.magnitude[y % 3], x, (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy));
+            put(rows.magnitude[y % 3], x, size);
+            unsigned above = Vectors::bits(size > (short)low);
+            if (width - x < STEP) above &= (1u << (width - x)) - 1;
+            const int w = x / STEP;
+            rows.above[y % 2][w] = above;
+            some[w / 64] |= (unsigned long long)(above != 0) << w % 64;
+            before = own;
+            own = after;
         }
     }
 
+    static Column column(const short* a, const short* g, const short* c, int x) {
+        return {at(a, x) + at(g, x) * 2 + at(c, x), at(c, x) - at(a, x)};
+    }
+
+    // Values of the columns left and right of each.
+    static void beside(const Shorts& before, const Shorts& own, const Shorts& after, Shorts* left,
+                       Shorts* right) {
+        *left = __builtin_shufflevector(
+            before, own, 31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 48, 49,
+            50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62);
+        *right = __builtin_shufflevector(
+            own, after, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21,
+            22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32);
+    }
+
     // Row y, whose neighbours' magnitudes are known.
-    void suppress(const Rows& rows, int y, int words) const {
+    void suppress(const Rows& rows, int y) const {
+        unsigned* weak = weak_out + (size_t)y * stride;
+        unsigned* strong = strong_out + (size_t)y * stride;
+        for (int w = 0; w < stride; ++w) weak[w] = strong[w] = 0;
+        for (int half = 0; half < 2; ++half)
+            for (unsigned long long left = rows.some[y % 2][half]; left; left &= left - 1) {
+                const int w = half * 64 + __builtin_ctzll(left), x = w * STEP;
+                weak[w] = rows.above[y % 2][w] & maxima(rows, y, x);
+                const short* own = rows.magnitude[y % 3] + BEFORE;
+                strong[w] = weak[w] & Vectors::bits(at(own, x) > (short)high);
+            }
+    }
+
+    // Those of row y's pixels from column x on that are larger than both beside them along the
+    // gradient.
+    static unsigned maxima(const Rows& rows, int y, int x) {
         const short* up = rows.magnitude[(y + 2) % 3] + BEFORE;
         const short* own = rows.magnitude[y % 3] + BEFORE;
         const short* down = rows.magnitude[(y + 1) % 3] + BEFORE;
-        const short* across = rows.dx[y % 2] + BEFORE;
-        const short* along = rows.dy[y % 2] + BEFORE;
-        unsigned* weak = weak_out + (size_t)y * words;
-        unsigned* strong = strong_out + (size_t)y * words;
-        for (int w = 0; w < words; ++w) {
-            const int x = w * STEP;
-            const Shorts m = at(own, x);
-            unsigned keep = Vectors::bits(m > (short)low);
-            weak[w] = strong[w] = 0;
-            if (!keep) continue;
-            const Shorts dx = at(across, x), dy = at(along, x);
-            const Shorts ax = dx < 0 ? -dx : dx, ay = dy < 0 ? -dy : dy;
-            // dy 2^15 < 13573 dx exactly where dy <= floor(13573 dx / 2^15) and dx is not 0, and
-            // above tan 67.5 dx = (tan 22.5 + 2) dx likewise.
-            const Vectors::Wide product =
-                __builtin_convertvector(ax, Vectors::Wide) * (2 * CannyWeights::TAN22) >> 16;
-            const Shorts tan22 = __builtin_convertvector(product, Shorts);
-            const unsigned flat = Vectors::bits(ay <= tan22) & Vectors::bits(ax != 0);
-            const unsigned steep = Vectors::bits(ay > tan22 + ax * 2);
-            const unsigned rises = Vectors::bits((dx ^ dy) < 0);
-            const unsigned horizontal =
-                Vectors::bits(m > at(own, x - 1)) & Vectors::bits(m >= at(own, x + 1));
-            const unsigned vertical =
-                Vectors::bits(m > at(up, x)) & Vectors::bits(m >= at(down, x));
-            const unsigned falling =
-                Vectors::bits(m > at(up, x - 1)) & Vectors::bits(m > at(down, x + 1));
-            const unsigned rising =
-                Vectors::bits(m > at(up, x + 1)) & Vectors::bits(m > at(down, x - 1));
-            const unsigned diagonal = (rises & rising) | (~rises & falling);
-            keep &= (flat & horizontal) | (steep & vertical) | (~(flat | steep) & diagonal);
-            if (width - x < STEP) keep &= width > x ? (1u << (width - x)) - 1 : 0u;
-            weak[w] = keep;
-            strong[w] = keep & Vectors::bits(m > (short)high);
-        }
+        const Shorts dx = at(rows.dx[y % 2] + BEFORE, x), dy = at(rows.dy[y % 2] + BEFORE, x);
+        const Shorts ax = dx < 0 ? -dx : dx, ay = dy < 0 ? -dy : dy, m = at(own, x);
+        // dy 2^15 < 13573 dx exactly where dy <= floor(13573 dx / 2^15) and dx is not 0, and
+        // above tan 67.5 dx = (tan 22.5 + 2) dx likewise.
+        const Vectors::Wide product =
+            __builtin_convertvector(ax, Vectors::Wide) * (2 * CannyWeights::TAN22) >> 16;
+        const Shorts tan22 = __builtin_convertvector(product, Shorts);
+        const unsigned flat = Vectors::bits(ay <= tan22) & Vectors::bits(ax != 0);
+        const unsigned steep = Vectors::bits(ay > tan22 + ax * 2);
+        const unsigned rises = Vectors::bits((dx ^ dy) < 0);
+        const unsigned horizontal =
+            Vectors::bits(m > at(own, x - 1)) & Vectors::bits(m >= at(own, x + 1));
+        const unsigned vertical = Vectors::bits(m > at(up, x)) & Vectors::bits(m >= at(down, x));
+        const unsigned falling =
+            Vectors::bits(m > at(up, x - 1)) & Vectors::bits(m > at(down, x + 1));
+        const unsigned rising =
+            Vectors::bits(m > at(up, x + 1)) & Vectors::bits(m > at(down, x - 1));
+        const unsigned diagonal = (rises & rising) | (~rises & falling);
+        return (flat & horizontal) | (steep & vertical) | (~(flat | steep) & diagonal);
     }
 
     static const Shorts& at(const short* row, int x) { return *(const Shorts*)(row + x); }

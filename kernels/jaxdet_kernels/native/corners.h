@@ -17,17 +17,22 @@ struct Corners {
     CornerSettings given;
     int slots;
     int *u_out, *v_out;          // (slots), zero where there is no corner.
-    unsigned* scratch;           // Two lists of keys, as long as the image, and four images of bits.
+    // Two lists of keys, as long as the image, two images of bits for the hysteresis and two more.
+    unsigned* scratch;
 
     // How many corners there are, at most one more than slots.
     int run() const {
         const size_t bits = (size_t)height * PixelBits::words(width);
         const size_t pixels = (size_t)height * width;
         Key *list = (Key*)scratch, *other = list + pixels;
-        unsigned *weak = (unsigned*)(other + pixels), *strong = weak + bits;
-        unsigned *edges = strong + bits, *blocked = edges + bits;
-        CannySuppress{color, height, width, given.low(), given.high(), weak, strong}.run();
-        Hysteresis{Team(0, 0), height, width, weak, strong, edges}.run();
+        const int stride = 2 * Hysteresis::stride(width);
+        const size_t spaced = Hysteresis::spaced(height, width);
+        Key* weak = Hysteresis::rows(other + pixels, height, width);
+        Key* strong = Hysteresis::rows(other + pixels + spaced, height, width);
+        unsigned *edges = (unsigned*)(other + pixels + 2 * spaced), *blocked = edges + bits;
+        CannySuppress{color, height, width, given.low(), given.high(), stride,
+                      (unsigned*)weak, (unsigned*)strong}.run();
+        Hysteresis{height, width, weak, strong, edges}.run();
         const int count = CornerMaxima{edges, allowed, given.everywhere(), height, width,
                                        given.quality(), list}.run();
         return CornerSelection{height, width, CornerDisk{given.limit()}, slots, list, other, count,

@@ -2,10 +2,96 @@
 // `_connected_to` in jaxdet/reference/_canny.py. Images of bits, see pixel_bits.h.
 #pragma once
 #include "pixel_bits.h"
+#include "vectors.h"
 
+#if !defined(__CUDA_ARCH__)
+// A frame on the CPU. Images of bits are spaced: rows have room beyond the image, so that a vector of
+// words ends in its row and a row in a word without pixels, which is next to the first word of the
+// row below. A vector of zeros is before the first row and behind the last one.
 struct Hysteresis {
     typedef unsigned long long Word;
-    enum { MAX_HEIGHT = 4096 };
+    typedef Vectors::Longs Longs;
+    enum { MAX_HEIGHT = 4096, VECTOR = Vectors::LONGS };
+
+    int height, width;
+    // Spaced (height, stride(width)): weak pixels and strong ones, which become the weak ones that
+    // are not reached, and the reached ones.
+    Word *open, *reached;
+    unsigned* edges_out;  // (height, PixelBits::words(width))
+
+    // Words of a spaced row, and of an image with the zeros around it.
+    static int stride(int width) { return (width + 63) / 64 / VECTOR * VECTOR + VECTOR; }
+    static size_t spaced(int height, int width) {
+        return (size_t)height * stride(width) + 2 * VECTOR;
+    }
+
+    // The first row of an image in this memory; writes the zeros.
+    static Word* rows(Word* memory, int height, int width) {
+        Word *first = memory + VECTOR, *end = first + (size_t)height * stride(width);
+        for (int i = 0; i < VECTOR; ++i) memory[i] = end[i] = 0;
+        return first;
+    }
+
+    void run() const {
+        const int n = stride(width), words = PixelBits::words(width) / 2;
+        for (int i = 0; i < height * n; ++i) open[i] &= ~reached[i];
+        // A stack of rows that are looked at, at first from top to bottom; what a row reaches is
+        // told to its neighbours first.
+        int stack[MAX_HEIGHT], count = height;
+        bool waits[MAX_HEIGHT];
+        for (int y = 0; y < height; ++y) {
+            stack[height - 1 - y] = y;
+            waits[y] = true;
+        }
+        while (count > 0) {
+            const int y = stack[--count];
+            waits[y] = false;
+            if (!grow(y)) continue;
+            for (int near = y < height - 1 ? y + 1 : y; near >= y - 1 && near >= 0; --near) {
+                if (waits[near]) continue;
+                waits[near] = true;
+                stack[count++] = near;
+            }
+        }
+        for (int y = 0; y < height; ++y)
+            for (int w = 0; w < words; ++w)
+                ((Word*)edges_out)[(size_t)y * words + w] = reached[(size_t)y * n + w];
+    }
+
+    // Reaches the runs of a row's open pixels that touch reached ones, in this row or beside it.
+    bool grow(int y) const {
+        const int n = stride(width);
+        const Word* own = reached + (size_t)y * n;
+        const Word *up = y > 0 ? own - n : own, *down = y + 1 < height ? own + n : own;
+        bool grown = false;
+        for (int w = 0; w < n; w += VECTOR) {
+            const Longs here = at(up, w) | at(own, w) | at(down, w);
+            const Longs left = at(up, w - 1) | at(own, w - 1) | at(down, w - 1);
+            const Longs right = at(up, w + 1) | at(own, w + 1) | at(down, w + 1);
+            const Longs near = here | here << 1 | here >> 1 | left >> 63 | right << 63;
+            Longs& free = (Longs&)open[(size_t)y * n + w];
+            Longs now = near & free;
+            if (!Vectors::any(now)) continue;
+            grown = true;
+            // A seed added to its run of ones carries to the run's end.
+            Longs run = free;
+            now |= run & ~(run + now);
+            for (int step = 1; step < 64; step *= 2) {
+                now |= run & now >> step;
+                run &= run >> step;
+            }
+            free &= ~now;
+            (Longs&)reached[(size_t)y * n + w] |= now;
+        }
+        return grown;
+    }
+
+    static const Longs& at(const Word* row, int w) { return *(const Longs*)(row + w); }
+};
+#else
+// A frame on CUDA, by a team.
+struct Hysteresis {
+    typedef unsigned long long Word;
 
     Team team;
     int height, width;
@@ -14,76 +100,6 @@ struct Hysteresis {
 
     int row_words() const { return PixelBits::words(width) / 2; }
 
-#if !defined(__CUDA_ARCH__)
-    void run() const {
-        const int n = row_words();
-        Word* reached = (Word*)edges_out;
-        for (int i = 0; i < height * n; ++i) reached[i] = ((const Word*)strong)[i];
-        for (int y = 0; y < height; ++y) fill(y);
-        // Rows that have not told the next one, below and above, what they reach.
-        unsigned char tells[2][MAX_HEIGHT];
-        for (int y = 0; y < height; ++y) tells[0][y] = tells[1][y] = 1;
-        for (bool told = true; told;) {
-            told = false;
-            for (int up = 0; up < 2; ++up)
-                for (int k = 0; k + 1 < height; ++k) {
-                    const int from = up ? height - 1 - k : k, y = up ? from - 1 : from + 1;
-                    if (!tells[up][from]) continue;
-                    tells[up][from] = 0;
-                    if (!spread(from, y)) continue;
-                    fill(y);
-                    tells[0][y] = tells[1][y] = 1;
-                    told = true;
-                }
-        }
-    }
-
-    // Fills the runs of weak pixels in a row that hold a reached one.
-    void fill(int y) const {
-        const int n = row_words();
-        const Word* c = (const Word*)weak + (size_t)y * n;
-        Word* r = (Word*)edges_out + (size_t)y * n;
-        Word carry = 0;
-        for (int w = 0; w < n; ++w) {
-            Word now = r[w] | (carry & c[w]);
-            // A seed added to its run of ones carries to the run's end.
-            if (now && (c[w] & ~now)) now |= c[w] & ~(c[w] + now);
-            r[w] = now;
-            carry = now >> 63;
-        }
-        carry = 0;
-        for (int w = n - 1; w >= 0; --w) {
-            Word now = r[w] | ((carry << 63) & c[w]);
-            if (now && (c[w] & ~now)) {
-                Word run = c[w];
-                for (int step = 1; step < 64; step *= 2) {
-                    now |= run & (now >> step);
-                    run &= run >> step;
-                }
-            }
-            r[w] = now;
-            carry = now & 1;
-        }
-    }
-
-    // What a row reaches in the next one.
-    bool spread(int from, int y) const {
-        const int n = row_words();
-        const Word* f = (const Word*)edges_out + (size_t)from * n;
-        const Word* c = (const Word*)weak + (size_t)y * n;
-        Word* r = (Word*)edges_out + (size_t)y * n;
-        Word any = 0;
-        for (int w = 0; w < n; ++w) {
-            Word near = f[w] | (f[w] << 1) | (f[w] >> 1);
-            if (w > 0) near |= f[w - 1] >> 63;
-            if (w + 1 < n) near |= f[w + 1] << 63;
-            const Word fresh = near & c[w] & ~r[w];
-            r[w] |= fresh;
-            any |= fresh;
-        }
-        return any != 0;
-    }
-#else
     // Reached pixels of images up to this many words lie in shared memory: 640 x 480, and a little
     // more. Those of larger images lie in the output.
     enum { SHARED = 4864, WARP = 32 };
@@ -184,5 +200,5 @@ struct Hysteresis {
             if (!__any_sync(0xffffffffu, now != full)) return now;
         }
     }
-#endif
 };
+#endif

@@ -5,13 +5,14 @@
 
 #if !defined(__CUDA_ARCH__)
 struct Vectors {
-    enum { SHORTS = 32, FLOATS = 16, BYTES = 64 };
+    enum { SHORTS = 32, FLOATS = 16, BYTES = 64, LONGS = 8 };
     typedef unsigned char Bytes __attribute__((vector_size(64), aligned(1), may_alias));
     typedef short Shorts __attribute__((vector_size(64), aligned(2), may_alias));
     typedef unsigned short Words __attribute__((vector_size(64), aligned(2), may_alias));
     typedef int Wide __attribute__((vector_size(128), aligned(4), may_alias));
     typedef int Ints __attribute__((vector_size(64), aligned(4), may_alias));
     typedef unsigned Unsigned __attribute__((vector_size(64), aligned(4), may_alias));
+    typedef unsigned long long Longs __attribute__((vector_size(64), aligned(8), may_alias));
     typedef float Floats __attribute__((vector_size(64), aligned(4), may_alias));
     typedef float WideFloats __attribute__((vector_size(128), aligned(4), may_alias));
     typedef double Doubles __attribute__((vector_size(128), aligned(8), may_alias));
@@ -55,6 +56,16 @@ struct Vectors {
         for (int i = 0; i < BYTES; ++i) word |= (unsigned long long)(values[i] != 0) << i;
 #endif
         return word;
+    }
+
+    static bool any(const Longs& values) {
+#if defined(__clang__)
+        return __builtin_reduce_or(values) != 0;
+#else
+        unsigned long long all = 0;
+        for (int i = 0; i < LONGS; ++i) all |= values[i];
+        return all != 0;
+#endif
     }
 
     // `yes` in the lanes of these bits and 0 in the others.
