@@ -8,8 +8,8 @@
 #include "vectors.h"
 
 #if !defined(__CUDA_ARCH__)
-// A frame on the CPU, row by row, in vectors. A vector has 16 columns, from one left of a block of
-// 14 to one right of it, so that sums over three columns need nothing of other blocks.
+// A frame on the CPU, row by row, in vectors. A vector has 16 columns: a block of 12, and two more at
+// both sides, so that strengths and whether they are maxima need nothing of other blocks.
 struct CornerMaxima {
     typedef unsigned long long Word;
     typedef Vectors::Floats Floats;
@@ -17,10 +17,8 @@ struct CornerMaxima {
     typedef Vectors::Unsigned Unsigned;
     enum {
         MAX_SIZE = 4096,
-        LANES = Vectors::FLOATS, BLOCK = LANES - 2,
-        BEFORE = LANES,                  // Column x of a row of strengths is at BEFORE + x.
-        ROW = MAX_SIZE + 3 * LANES,
-        BLOCKS = MAX_SIZE / BLOCK + 1, BLOCK_WORDS = BLOCKS / 64 + 1,
+        LANES = Vectors::FLOATS, SIDE = 2, BLOCK = LANES - 2 * SIDE,
+        BLOCKS = MAX_SIZE / BLOCK + 1,
         WORDS = MAX_SIZE / 64,
         EXACT = 4,                       // Rows whose exact sums are kept.
     };
@@ -32,12 +30,13 @@ struct CornerMaxima {
     double quality;           // Share of the strongest allowed strength that a corner exceeds.
     Word* list_out;           // (height * width), strength << 32 | place, by place.
 
-    // What is known of some rows; row y is at y % 3. All but exact sums are 0 where nothing is near.
+    // What is known of some rows; row y is at y % 3.
     struct Rows {
         int sums[3][3][BLOCKS * LANES];    // Of xx, xy and yy over three columns, of a block's.
-        Word summed[3][BLOCK_WORDS];       // The blocks that have them.
-        float most[3][ROW], least[3][ROW]; // The strengths' intervals.
-        Word blocks[3][BLOCK_WORDS];       // The blocks that have strengths.
+        bool summed[3][BLOCKS];            // The blocks that have them.
+        // The strengths' intervals, of a block and of a column beside it; 0 where nothing is near.
+        float most[3][BLOCKS * LANES], least[3][BLOCKS * LANES];
+        int list[3][BLOCKS], count[3];     // The blocks that have strengths.
         // Rows of bits, word w at w + 1: the mask, edges, and where edges left and right differ.
         Word mask[WORDS + 2], edge[4][WORDS + 2], sides[4][WORDS + 2], none[WORDS + 2];
         // Where dx and dy may not be 0, and the mask, each a pixel wider left and right.
@@ -47,36 +46,40 @@ struct CornerMaxima {
     };
 
     int words() const { return PixelBits::words(width) / 2; }
+    int blocks() const { return width / BLOCK + 1; }
     const Word* edge_row(int y) const { return (const Word*)edges + (size_t)y * words(); }
     Word may(int y, int w) const {
         return ((const Word*)allowed)[(size_t)y * words() + w] | everywhere;
     }
     float share(float strength) const { return (float)((double)strength * quality); }
 
+    // Whether a row has an allowed pixel.
+    bool asks(int y) const {
+        Word any = 0;
+        for (int w = 0; w < words(); ++w) any |= may(y, w);
+        return any != 0;
+    }
+
     // Lists the allowed maxima above the share of the strongest allowed pixel; how many there are.
     int run() const {
+        int top = 0, bottom = height - 1;
+        while (top < height && !asks(top)) ++top;
+        while (bottom > top && !asks(bottom)) --bottom;
         Rows rows;
-        const int n = words();
-        for (int k = 0; k < 3; ++k) {
-            for (int i = 0; i < BLOCK_WORDS; ++i) rows.summed[k][i] = rows.blocks[k][i] = 0;
-            for (int i = 0; i < n * 64 + 3 * LANES && i < ROW; ++i)
-                rows.most[k][i] = rows.least[k][i] = 0.0f;
-        }
-        for (int w = 0; w < n + 2; ++w) rows.none[w] = rows.mask[w] = 0;
-        for (int k = 0; k < 4; ++k)
-            rows.edge[k][0] = rows.edge[k][n + 1] = rows.sides[k][0] = rows.sides[k][n + 1] = 0;
-        for (int x = 0; x < width; ++x) rows.exact[x].row = -1;
-        for (int y = 0; y < 2; ++y) read(rows, y);
-        look(rows, 0);
+        clear(rows);
+        // Rows from one above the first of them on, and what these need of rows above.
+        const int from = top > 0 ? top - 1 : 0, to = bottom + 1 < height ? bottom + 1 : bottom;
+        for (int y = from > 1 ? from - 2 : 0; y <= from + 1 && y < height; ++y) read(rows, y);
+        for (int y = from > 0 ? from - 1 : 0; y <= from && y < height; ++y) look(rows, y);
         float strongest = 0.0f;
         int count = 0;
-        for (int y = 0; y <= height; ++y) {
-            if (y < height) {
+        for (int y = from; y <= to + 1; ++y) {
+            if (y <= to) {
                 if (y + 2 < height) read(rows, y + 2);
                 if (y + 1 < height) look(rows, y + 1);
                 measure(rows, y, &strongest);
             }
-            if (y > 1 && y < height) count = search(rows, y - 1, share(strongest), count);
+            if (y > 1 && y > from && y < height) count = search(rows, y - 1, share(strongest), count);
         }
         // Most were above the share of what was the strongest then.
         const float limit = share(strongest);
@@ -84,6 +87,19 @@ struct CornerMaxima {
         for (int i = 0; i < count; ++i)
             if (strength_of(list_out[i]) > limit) list_out[kept++] = list_out[i];
         return kept;
+    }
+
+    void clear(Rows& rows) const {
+        const int n = words();
+        for (int k = 0; k < 3; ++k) {
+            rows.count[k] = 0;
+            for (int i = 0; i < blocks(); ++i) rows.summed[k][i] = false;
+            for (int i = 0; i < blocks() * LANES; ++i) rows.most[k][i] = rows.least[k][i] = 0.0f;
+        }
+        for (int w = 0; w < n + 2; ++w) rows.none[w] = rows.mask[w] = 0;
+        for (int k = 0; k < 4; ++k)
+            rows.edge[k][0] = rows.edge[k][n + 1] = rows.sides[k][0] = rows.sides[k][n + 1] = 0;
+        for (int x = 0; x < width; ++x) rows.exact[x].row = -1;
     }
 
     static float strength_of(Word key) {
@@ -131,50 +147,75 @@ struct CornerMaxima {
         return own | own << 1 | own >> 1 | left >> 63 | right << 63;
     }
 
-    // The strengths of row y, in the blocks that may have one above 0 next to an allowed pixel.
+    // The strengths of row y, in the blocks that may have one above 0 next to an allowed pixel. One
+    // step follows the other for all blocks, so that the processor works on several at once.
     void measure(Rows& rows, int y, float* strongest) const {
-        const int slot = y % 3, n = words();
+        const int slot = y % 3;
+        int* list = rows.list[slot];
+        for (int i = 0; i < rows.count[slot]; ++i)
+            at(rows.most[slot], list[i]) = at(rows.least[slot], list[i]) = (Floats){};
+        const int count = rows.count[slot] = find(rows, y, list);
         // Rows y - 1 .. y + 1 have sums, or get them where needed; y + 1 takes the place of y - 2.
-        Word* fresh = rows.summed[(y + 1) % 3];
-        if (y == 0) {
-            for (int k = 0; k < 3; ++k) clear(rows.summed[k]);
-        } else if (y + 1 < height) {
-            clear(fresh);
-        }
-        for (int i = 0; i < BLOCK_WORDS; ++i)
-            for (Word left = rows.blocks[slot][i]; left; left &= left - 1) {
-                const int first = BEFORE + (i * 64 + __builtin_ctzll(left)) * BLOCK;
-                for (int k = first; k < first + BLOCK; ++k)
-                    rows.most[slot][k] = rows.least[slot][k] = 0.0f;
+        if (y > 0 && y + 1 < height)
+            for (int i = 0; i < blocks(); ++i) rows.summed[(y + 1) % 3][i] = false;
+        for (int k = -1; k <= 1; ++k) {
+            const int row = PixelBits::mirrored(y + k, height);
+            int missing[BLOCKS], n = 0;
+            for (int i = 0; i < count; ++i) {
+                missing[n] = list[i];
+                n += !rows.summed[row % 3][list[i]];
+                rows.summed[row % 3][list[i]] = true;
             }
-        clear(rows.blocks[slot]);
-        const int up = y > 0 ? y - 1 : y, down = y + 1 < height ? y + 1 : y;
-        const Word *x0 = rows.across[up % 3], *x1 = rows.across[slot], *x2 = rows.across[down % 3];
-        const Word *y0 = rows.along[up % 3], *y1 = rows.along[slot], *y2 = rows.along[down % 3];
-        const Word *m0 = rows.wide[up % 3], *m1 = rows.wide[slot], *m2 = rows.wide[down % 3];
-        int done = 0;  // Blocks up to here.
+            for (int i = 0; i < n; ++i) sum(rows, row, missing[i]);
+        }
+        for (int i = 0; i < count; ++i) strengths(rows, y, list[i]);
+        for (int i = 0; i < count; ++i) {
+            const Ints stronger = (Ints)(at(rows.most[slot], list[i]) > *strongest);
+            unsigned left = Vectors::bits(stronger) >> SIDE & own(y, list[i]);
+            for (; left; left &= left - 1) {
+                const int x = list[i] * BLOCK + __builtin_ctz(left);
+                if (rows.most[slot][place(x)] <= *strongest) continue;
+                const float strength = exactly(rows, x, y, place(x));
+                if (strength > *strongest) *strongest = strength;
+            }
+        }
+    }
+
+    // The blocks that row y's strengths are needed of.
+    int find(const Rows& rows, int y, int* list) const {
+        const int n = words(), slot = y % 3;
+        const int up = (y > 0 ? y - 1 : y) % 3, down = (y + 1 < height ? y + 1 : y) % 3;
+        const Word *x0 = rows.across[up], *x1 = rows.across[slot], *x2 = rows.across[down];
+        const Word *y0 = rows.along[up], *y1 = rows.along[slot], *y2 = rows.along[down];
+        const Word *m0 = rows.wide[up], *m1 = rows.wide[slot], *m2 = rows.wide[down];
+        int count = 0, done = 0;  // Columns up to here.
         for (int w = 0; w < n; ++w) {
             Word here = (x0[w] | x1[w] | x2[w]) & (y0[w] | y1[w] | y2[w]) & (m0[w] | m1[w] | m2[w]);
             if (w == n - 1 && width % 64) here &= (1ull << width % 64) - 1;
-            while (true) {
-                // What is left of the word, but for columns of blocks that are done.
-                const int from = done * BLOCK - w * 64;
-                if (from >= 64) break;
-                if (from > 0) here &= ~0ull << from;
+            // What is left of the word, but for columns of blocks that are done.
+            while (done < (w + 1) * 64) {
+                if (done > w * 64) here &= ~0ull << (done - w * 64);
                 if (!here) break;
-                const int block = (w * 64 + __builtin_ctzll(here)) / BLOCK;
-                strengths(rows, y, block, strongest);
-                rows.blocks[slot][block / 64] |= 1ull << block % 64;
-                done = block + 1;
+                list[count] = (w * 64 + __builtin_ctzll(here)) / BLOCK;
+                done = (list[count++] + 1) * BLOCK;
             }
         }
+        return count;
     }
 
-    static void clear(Word* blocks) {
-        for (int i = 0; i < BLOCK_WORDS; ++i) blocks[i] = 0;
+    // Where a block's vector is, and where a column is that is of its block.
+    static Floats& at(float* row, int block) { return *(Floats*)(row + block * LANES); }
+    static int place(int x) { return x / BLOCK * LANES + x % BLOCK + SIDE; }
+
+    // A block's allowed columns.
+    unsigned own(int y, int block) const {
+        const int from = block * BLOCK, end = width - from;
+        unsigned bits = bits_from((const Word*)allowed + (size_t)y * words(), words(), from)
+            | (unsigned)everywhere;
+        return bits & ((1u << (end < BLOCK ? end : (int)BLOCK)) - 1);
     }
 
-    // Bits from column `from` of a row on, at least -2; those left of the image are 0.
+    // Bits from column `from` of a row on, at least -3; those left of the image are 0.
     static unsigned bits_from(const Word* row, int n, int from) {
         if (from < 0) return (unsigned)(row[0] << -from);
         const int w = from / 64, shift = from % 64;
@@ -183,12 +224,12 @@ struct CornerMaxima {
         return (unsigned)bits;
     }
 
-    // The columns left of a block to right of it, and one more at both sides, of a row of edges;
-    // mirrored beside the image.
+    // The columns of a block's vector, and one more at both sides, of a row of edges; mirrored
+    // beside the image.
     unsigned window(int y, int block) const {
-        const int from = block * BLOCK - 2, end = width - from;
+        const int from = block * BLOCK - SIDE - 1, end = width - from;
         unsigned bits = bits_from(edge_row(PixelBits::mirrored(y, height)), words(), from);
-        if (from < 0) bits |= (bits >> 2 & 2);          // Column -1, as column 1.
+        if (from < 0) bits |= (bits >> 2 & 4);          // Column -1, as column 1.
         if (end < 32) bits |= (bits >> (end - 2) & 1) << end;
         return bits;
     }
@@ -219,8 +260,8 @@ struct CornerMaxima {
 
     void put(Rows& rows, int y, int block, int which, Ints product) const {
         // Products beside the image are those inside, mirrored.
-        const int end = width - (block * BLOCK - 1);
-        if (block == 0) product[0] = product[2];
+        const int end = width - (block * BLOCK - SIDE);
+        if (block == 0) product[SIDE - 1] = product[SIDE + 1];
         if (end < LANES) product[end] = product[end - 2];
         const Ints left = __builtin_shufflevector(product, product, 15, 0, 1, 2, 3, 4, 5, 6, 7, 8,
                                                   9, 10, 11, 12, 13, 14);
@@ -229,15 +270,12 @@ struct CornerMaxima {
         *(Ints*)(rows.sums[y % 3][which] + block * LANES) = left + product + right;
     }
 
-    void strengths(Rows& rows, int y, int block, float* strongest) const {
+    void strengths(Rows& rows, int y, int block) const {
         Ints total[3] = {};
         for (int k = -1; k <= 1; ++k) {
-            const int row = PixelBits::mirrored(y + k, height);
-            Word* summed = &rows.summed[row % 3][block / 64];
-            if (!(*summed >> block % 64 & 1)) sum(rows, row, block);
-            *summed |= 1ull << block % 64;
+            const int row = PixelBits::mirrored(y + k, height) % 3;
             for (int q = 0; q < 3; ++q)
-                total[q] += *(const Ints*)(rows.sums[row % 3][q] + block * LANES);
+                total[q] += *(const Ints*)(rows.sums[row][q] + block * LANES);
         }
         const float unit = CornerStrength::unit();
         const Floats a = 0.5f * (__builtin_convertvector((Unsigned)total[0], Floats) * unit);
@@ -248,40 +286,20 @@ struct CornerMaxima {
         Floats low = __builtin_convertvector(exact - 0.25, Floats) * unit;
         low = low < 0.0f ? (Floats){} : low;
         const Floats high = __builtin_convertvector(exact + 0.25, Floats) * unit;
-        Floats root;
-        Vectors::root(t * t + low * low, &root);
-        Floats most = (a + c) - root;
-        Vectors::root(t * t + high * high, &root);
-        Floats least = (a + c) - root;
-        // Only the block's columns are known.
-        const int first = block * BLOCK, end = width - first + 1;
+        Floats most, least;
+        Vectors::root(t * t + low * low, &most);
+        Vectors::root(t * t + high * high, &least);
+        // Of columns of the image, but for the first and the last lane.
+        const int before = block == 0 ? SIDE - 1 : 0, end = width - (block * BLOCK - SIDE);
         const Ints lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-        const Ints known = (lane >= 1) & (lane <= (end <= BLOCK ? end - 1 : (int)BLOCK));
-        float* to_most = rows.most[y % 3] + BEFORE + first - 1;
-        float* to_least = rows.least[y % 3] + BEFORE + first - 1;
-        most = known ? most : *(const Floats*)to_most;
-        least = known ? least : *(const Floats*)to_least;
-        *(Floats*)to_most = most;
-        *(Floats*)to_least = least;
-        unsigned left = may_from(y, first - 1)
-            & Vectors::bits((Ints)(most > *strongest)) & Vectors::bits(known);
-        for (; left; left &= left - 1) {
-            const int x = first - 1 + __builtin_ctz(left);
-            if (rows.most[y % 3][BEFORE + x] <= *strongest) continue;
-            const float strength = exactly(rows, x, y);
-            if (strength > *strongest) *strongest = strength;
-        }
+        const Ints known = (lane > before) & (lane < (end < LANES ? end : LANES - 1));
+        at(rows.most[y % 3], block) = known ? (a + c) - most : (Floats){};
+        at(rows.least[y % 3], block) = known ? (a + c) - least : (Floats){};
     }
 
-    // Of the mask, from column `from` on.
-    unsigned may_from(int y, int from) const {
-        return bits_from((const Word*)allowed + (size_t)y * words(), words(), from)
-            | (unsigned)everywhere;
-    }
-
-    // The strength of a pixel whose interval is known.
-    float exactly(Rows& rows, int x, int y) const {
-        const float least = rows.least[y % 3][BEFORE + x], most = rows.most[y % 3][BEFORE + x];
+    // The strength of a pixel whose interval is known, at this place.
+    float exactly(Rows& rows, int x, int y, int place) const {
+        const float least = rows.least[y % 3][place], most = rows.most[y % 3][place];
         if (least == most) return least;
         const CornerColumn column = {edges, height, width, x};
         CornerColumn::State& state = rows.exact[x];
@@ -293,41 +311,59 @@ struct CornerMaxima {
         return column.strength(y, rows.exact_sums[y % EXACT][x]);
     }
 
-    // Lists the maxima of row y that are above the limit, behind `count` others.
+    // Lists the maxima of row y that are above the limit, behind `count` others. The image's border
+    // has none.
     int search(Rows& rows, int y, float limit, int count) const {
         const int slot = y % 3;
-        for (int i = 0; i < BLOCK_WORDS; ++i)
-            for (Word blocks = rows.blocks[slot][i]; blocks; blocks &= blocks - 1) {
-                const int first = (i * 64 + __builtin_ctzll(blocks)) * BLOCK;
-                // The 14 lanes of the block and two more; the image's border has no corners.
-                unsigned left = may_from(y, first) & ((1u << BLOCK) - 1);
-                if (first == 0) left &= ~1u;
-                if (width - 1 - first < BLOCK) left &= (1u << (width - 1 - first)) - 1;
-                if (!left) continue;
-                const Floats most = *(const Floats*)(rows.most[slot] + BEFORE + first);
-                Ints maximum = (Ints)(most > limit);
-                for (int k = 0; k < 3; ++k) {
-                    const float* near = rows.least[k] + BEFORE + first;
-                    for (int side = -1; side <= 1; ++side)
-                        maximum &= (Ints)(most >= *(const Floats*)(near + side));
-                }
-                for (left &= Vectors::bits(maximum); left; left &= left - 1) {
-                    const int x = first + __builtin_ctz(left);
-                    const float strength = exactly(rows, x, y);
-                    if (!(strength > limit) || !is_maximum(rows, x, y, strength)) continue;
-                    unsigned bits;
-                    __builtin_memcpy(&bits, &strength, sizeof bits);
-                    list_out[count++] = (Word)bits << 32 | (unsigned)(y * width + x);
-                }
+        for (int i = 0; i < rows.count[slot]; ++i) {
+            const int block = rows.list[slot][i], first = block * BLOCK;
+            unsigned left = own(y, block);
+            if (first == 0) left &= ~1u;
+            if (width - 1 - first < BLOCK) left &= (1u << (width - 1 - first)) - 1;
+            const Floats most = at(rows.most[slot], block), least = at(rows.least[slot], block);
+            Floats highest = most, lowest = least;
+            for (int k = 0; k < 3; ++k) {
+                raise(&highest, at(rows.most[k], block));
+                raise(&lowest, at(rows.least[k], block));
             }
+            widen(&highest);
+            widen(&lowest);
+            const Ints maximum = (Ints)(most > limit) & (Ints)(most >= lowest);
+            const unsigned sure =
+                Vectors::bits((Ints)(most == least) & (Ints)(most >= highest)) >> SIDE;
+            for (left &= Vectors::bits(maximum) >> SIDE; left; left &= left - 1) {
+                const int lane = __builtin_ctz(left), x = first + lane;
+                const int place = block * LANES + lane + SIDE;
+                const float strength = exactly(rows, x, y, place);
+                if (!(sure >> lane & 1) &&
+                    (!(strength > limit) || !is_maximum(rows, x, y, place, strength)))
+                    continue;
+                unsigned bits;
+                __builtin_memcpy(&bits, &strength, sizeof bits);
+                list_out[count++] = (Word)bits << 32 | (unsigned)(y * width + x);
+            }
+        }
         return count;
     }
 
-    bool is_maximum(Rows& rows, int x, int y, float strength) const {
+    static void raise(Floats* values, const Floats& others) {
+        *values = others > *values ? others : *values;
+    }
+
+    // Each becomes the largest of itself and those beside it.
+    static void widen(Floats* values) {
+        const Floats own = *values;
+        raise(values, __builtin_shufflevector(own, own, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12,
+                                              13, 14));
+        raise(values, __builtin_shufflevector(own, own, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13,
+                                              14, 15, 15));
+    }
+
+    bool is_maximum(Rows& rows, int x, int y, int place, float strength) const {
         for (int row = y - 1; row <= y + 1; ++row)
-            for (int u = x - 1; u <= x + 1; ++u) {
-                if (rows.most[row % 3][BEFORE + u] <= strength) continue;
-                if (exactly(rows, u, row) > strength) return false;
+            for (int side = -1; side <= 1; ++side) {
+                if (rows.most[row % 3][place + side] <= strength) continue;
+                if (exactly(rows, x + side, row, place + side) > strength) return false;
             }
         return true;
     }
