@@ -17,9 +17,10 @@ struct CornerMaxima {
     typedef Vectors::Unsigned Unsigned;
     enum {
         MAX_SIZE = 4096,
-        LANES = Vectors::FLOATS, SIDE = 2, BLOCK = LANES - 2 * SIDE,
+        LANES = Vectors::FLOATS, SIDE = 2, BLOCK = LANES - 2 * SIDE, ALL = (1 << BLOCK) - 1,
         BLOCKS = MAX_SIZE / BLOCK + 1,
-        WORDS = MAX_SIZE / 64,
+        WORDS = MAX_SIZE / 64 + 2,       // With one at both sides of a row.
+        RING = 5,                        // Rows of edges that are kept.
         EXACT = 4,                       // Rows whose exact sums are kept.
     };
 
@@ -37,8 +38,9 @@ struct CornerMaxima {
         // The strengths' intervals, of a block and of a column beside it; 0 where nothing is near.
         float most[3][BLOCKS * LANES], least[3][BLOCKS * LANES];
         int list[3][BLOCKS], count[3];     // The blocks that have strengths.
-        // Rows of bits, word w at w + 1: the mask, edges, and where edges left and right differ.
-        Word mask[WORDS + 2], edge[4][WORDS + 2], sides[4][WORDS + 2], none[WORDS + 2];
+        // Rows of bits, word w at w + 1: edges, mirrored beside the image, row y at y % RING; where
+        // those left and right differ; the mask; and where there are strengths.
+        Word edge[RING][WORDS], sides[RING][WORDS], mask[3][WORDS], none[WORDS], here[WORDS];
         // Where dx and dy may not be 0, and the mask, each a pixel wider left and right.
         Word across[3][WORDS], along[3][WORDS], wide[3][WORDS];
         CornerColumn::State exact[MAX_SIZE];
@@ -47,7 +49,6 @@ struct CornerMaxima {
 
     int words() const { return PixelBits::words(width) / 2; }
     int blocks() const { return width / BLOCK + 1; }
-    const Word* edge_row(int y) const { return (const Word*)edges + (size_t)y * words(); }
     Word may(int y, int w) const {
         return ((const Word*)allowed)[(size_t)y * words() + w] | everywhere;
     }
@@ -96,9 +97,9 @@ struct CornerMaxima {
             for (int i = 0; i < blocks(); ++i) rows.summed[k][i] = false;
             for (int i = 0; i < blocks() * LANES; ++i) rows.most[k][i] = rows.least[k][i] = 0.0f;
         }
-        for (int w = 0; w < n + 2; ++w) rows.none[w] = rows.mask[w] = 0;
-        for (int k = 0; k < 4; ++k)
-            rows.edge[k][0] = rows.edge[k][n + 1] = rows.sides[k][0] = rows.sides[k][n + 1] = 0;
+        for (int w = 0; w < n + 2; ++w) rows.none[w] = rows.here[w] = 0;
+        for (int k = 0; k < RING; ++k) rows.sides[k][0] = rows.sides[k][n + 1] = 0;
+        for (int k = 0; k < 3; ++k) rows.mask[k][0] = rows.mask[k][n + 1] = 0;
         for (int x = 0; x < width; ++x) rows.exact[x].row = -1;
     }
 
@@ -110,37 +111,41 @@ struct CornerMaxima {
     }
 
     void read(Rows& rows, int y) const {
-        const int n = words();
-        Word* __restrict__ edge = rows.edge[y % 4];
-        Word* __restrict__ sides = rows.sides[y % 4];
-        for (int w = 0; w < n; ++w) edge[w + 1] = edge_row(y)[w];
+        const int n = words(), end = width + 64, inside = end - 2;
+        Word* __restrict__ edge = rows.edge[y % RING];
+        Word* __restrict__ sides = rows.sides[y % RING];
+        for (int w = 0; w < n; ++w) edge[w + 1] = ((const Word*)edges)[(size_t)y * n + w];
+        edge[0] = edge[1] << 62;
+        edge[n + 1] = 0;
+        edge[end / 64] |= (edge[inside / 64] >> inside % 64 & 1) << end % 64;
         for (int w = 1; w <= n; ++w)
             sides[w] = (edge[w] << 1 | edge[w - 1] >> 63) ^ (edge[w] >> 1 | edge[w + 1] << 63);
     }
 
     // Finds where row y may have a corner: pixels of an edge differ in both directions near it.
-    // Beside the image they do not, as it is mirrored there, but it does no harm to say so.
     void look(Rows& rows, int y) const {
         const int n = words(), up = y > 0 ? y - 1 : y, down = y + 1 < height ? y + 1 : y;
-        const Word *a = rows.sides[up % 4], *o = rows.sides[y % 4], *b = rows.sides[down % 4];
-        const Word* above = y > 0 ? rows.edge[up % 4] : rows.none;
-        const Word* below = y + 1 < height ? rows.edge[down % 4] : rows.none;
-        for (int w = 0; w < n; ++w) rows.mask[w + 1] = may(y, w);
+        const Word *a = rows.sides[up % RING], *o = rows.sides[y % RING];
+        const Word* b = rows.sides[down % RING];
+        const Word* above = y > 0 ? rows.edge[up % RING] : rows.none;
+        const Word* below = y + 1 < height ? rows.edge[down % RING] : rows.none;
+        Word* __restrict__ mask = rows.mask[y % 3];
+        for (int w = 0; w < n; ++w) mask[w + 1] = may(y, w);
+        if (width % 64) mask[n] &= (1ull << width % 64) - 1;
         Word* __restrict__ across = rows.across[y % 3];
         Word* __restrict__ along = rows.along[y % 3];
         Word* __restrict__ wide = rows.wide[y % 3];
         for (int w = 1; w <= n; ++w) {
             const Word left = a[w - 1] | o[w - 1] | b[w - 1], right = a[w + 1] | o[w + 1] | b[w + 1];
-            across[w - 1] = wider(left, a[w] | o[w] | b[w], right);
+            across[w] = wider(left, a[w] | o[w] | b[w], right);
         }
         // A window has three columns.
         for (int w = 1; w <= n; ++w) {
             const Word left = above[w - 1] ^ below[w - 1], right = above[w + 1] ^ below[w + 1];
             const Word own = above[w] ^ below[w];
-            along[w - 1] = wider(left, own, right) | own << 2 | own >> 2 | left >> 62 | right << 62;
+            along[w] = wider(left, own, right) | own << 2 | own >> 2 | left >> 62 | right << 62;
         }
-        for (int w = 1; w <= n; ++w)
-            wide[w - 1] = wider(rows.mask[w - 1], rows.mask[w], rows.mask[w + 1]);
+        for (int w = 1; w <= n; ++w) wide[w] = wider(mask[w - 1], mask[w], mask[w + 1]);
     }
 
     static Word wider(Word left, Word own, Word right) {
@@ -154,7 +159,7 @@ struct CornerMaxima {
         int* list = rows.list[slot];
         for (int i = 0; i < rows.count[slot]; ++i)
             at(rows.most[slot], list[i]) = at(rows.least[slot], list[i]) = (Floats){};
-        const int count = rows.count[slot] = find(rows, y, list);
+        const int count = rows.count[slot] = find(rows, y);
         // Rows y - 1 .. y + 1 have sums, or get them where needed; y + 1 takes the place of y - 2.
         if (y > 0 && y + 1 < height)
             for (int i = 0; i < blocks(); ++i) rows.summed[(y + 1) % 3][i] = false;
@@ -171,7 +176,7 @@ struct CornerMaxima {
         for (int i = 0; i < count; ++i) strengths(rows, y, list[i]);
         for (int i = 0; i < count; ++i) {
             const Ints stronger = (Ints)(at(rows.most[slot], list[i]) > *strongest);
-            unsigned left = Vectors::bits(stronger) >> SIDE & own(y, list[i]);
+            unsigned left = Vectors::bits(stronger) >> SIDE & own(rows, y, list[i]);
             for (; left; left &= left - 1) {
                 const int x = list[i] * BLOCK + __builtin_ctz(left);
                 if (rows.most[slot][place(x)] <= *strongest) continue;
@@ -181,24 +186,23 @@ struct CornerMaxima {
         }
     }
 
-    // The blocks that row y's strengths are needed of.
-    int find(const Rows& rows, int y, int* list) const {
+    // Lists the blocks that row y's strengths are needed of; how many there are.
+    int find(Rows& rows, int y) const {
         const int n = words(), slot = y % 3;
         const int up = (y > 0 ? y - 1 : y) % 3, down = (y + 1 < height ? y + 1 : y) % 3;
         const Word *x0 = rows.across[up], *x1 = rows.across[slot], *x2 = rows.across[down];
         const Word *y0 = rows.along[up], *y1 = rows.along[slot], *y2 = rows.along[down];
         const Word *m0 = rows.wide[up], *m1 = rows.wide[slot], *m2 = rows.wide[down];
-        int count = 0, done = 0;  // Columns up to here.
-        for (int w = 0; w < n; ++w) {
-            Word here = (x0[w] | x1[w] | x2[w]) & (y0[w] | y1[w] | y2[w]) & (m0[w] | m1[w] | m2[w]);
-            if (w == n - 1 && width % 64) here &= (1ull << width % 64) - 1;
-            // What is left of the word, but for columns of blocks that are done.
-            while (done < (w + 1) * 64) {
-                if (done > w * 64) here &= ~0ull << (done - w * 64);
-                if (!here) break;
-                list[count] = (w * 64 + __builtin_ctzll(here)) / BLOCK;
-                done = (list[count++] + 1) * BLOCK;
-            }
+        Word* __restrict__ here = rows.here;
+        for (int w = 1; w <= n; ++w)
+            here[w] =
+                (x0[w] | x1[w] | x2[w]) & (y0[w] | y1[w] | y2[w]) & (m0[w] | m1[w] | m2[w]);
+        if (width % 64) here[n] &= (1ull << width % 64) - 1;
+        int* __restrict__ list = rows.list[slot];
+        int count = 0;
+        for (int block = 0; block < blocks(); ++block) {
+            list[count] = block;
+            count += (bits_from(here, block * BLOCK) & ALL) != 0;
         }
         return count;
     }
@@ -208,35 +212,27 @@ struct CornerMaxima {
     static int place(int x) { return x / BLOCK * LANES + x % BLOCK + SIDE; }
 
     // A block's allowed columns.
-    unsigned own(int y, int block) const {
-        const int from = block * BLOCK, end = width - from;
-        unsigned bits = bits_from((const Word*)allowed + (size_t)y * words(), words(), from)
-            | (unsigned)everywhere;
-        return bits & ((1u << (end < BLOCK ? end : (int)BLOCK)) - 1);
+    static unsigned own(const Rows& rows, int y, int block) {
+        return bits_from(rows.mask[y % 3], block * BLOCK) & ALL;
     }
 
-    // Bits from column `from` of a row on, at least -3; those left of the image are 0.
-    static unsigned bits_from(const Word* row, int n, int from) {
-        if (from < 0) return (unsigned)(row[0] << -from);
-        const int w = from / 64, shift = from % 64;
-        Word bits = row[w] >> shift;
-        if (shift > 32 && w + 1 < n) bits |= row[w + 1] << (64 - shift);
-        return (unsigned)bits;
+    // Bits from column `from` of a row on; a word of them begins at any byte.
+    static unsigned bits_from(const Word* row, int from) {
+        Word bits;
+        __builtin_memcpy(&bits, (const char*)row + (from + 64) / 8, sizeof bits);
+        return (unsigned)(bits >> (from + 64) % 8);
     }
 
-    // The columns of a block's vector, and one more at both sides, of a row of edges; mirrored
-    // beside the image.
-    unsigned window(int y, int block) const {
-        const int from = block * BLOCK - SIDE - 1, end = width - from;
-        unsigned bits = bits_from(edge_row(PixelBits::mirrored(y, height)), words(), from);
-        if (from < 0) bits |= (bits >> 2 & 4);          // Column -1, as column 1.
-        if (end < 32) bits |= (bits >> (end - 2) & 1) << end;
-        return bits;
+    // The columns of a block's vector, and one more at both sides, of a row of edges.
+    unsigned window(const Rows& rows, int y, int block) const {
+        const int row = PixelBits::mirrored(y, height);
+        return bits_from(rows.edge[row % RING], block * BLOCK - SIDE - 1);
     }
 
     // Sums of products over three columns in row y, from the second lane to the last but one.
     void sum(Rows& rows, int y, int block) const {
-        const unsigned a = window(y - 1, block), o = window(y, block), b = window(y + 1, block);
+        const unsigned a = window(rows, y - 1, block), o = window(rows, y, block);
+        const unsigned b = window(rows, y + 1, block);
         Floats left, right, above, below, own, middle;
         Vectors::pick(a, 1.0f, &left);
         Vectors::pick(a >> 2, 1.0f, &right);
@@ -311,15 +307,14 @@ struct CornerMaxima {
         return column.strength(y, rows.exact_sums[y % EXACT][x]);
     }
 
-    // Lists the maxima of row y that are above the limit, behind `count` others. The image's border
-    // has none.
+    // Lists the maxima of row y that are above the limit, behind `count` others.
     int search(Rows& rows, int y, float limit, int count) const {
         const int slot = y % 3;
+        // Blocks that have some, and which of these are for sure.
+        int list[BLOCKS], n = 0;
+        unsigned may_be[BLOCKS], are[BLOCKS];
         for (int i = 0; i < rows.count[slot]; ++i) {
-            const int block = rows.list[slot][i], first = block * BLOCK;
-            unsigned left = own(y, block);
-            if (first == 0) left &= ~1u;
-            if (width - 1 - first < BLOCK) left &= (1u << (width - 1 - first)) - 1;
+            const int block = rows.list[slot][i];
             const Floats most = at(rows.most[slot], block), least = at(rows.least[slot], block);
             Floats highest = most, lowest = least;
             for (int k = 0; k < 3; ++k) {
@@ -329,20 +324,23 @@ struct CornerMaxima {
             widen(&highest);
             widen(&lowest);
             const Ints maximum = (Ints)(most > limit) & (Ints)(most >= lowest);
-            const unsigned sure =
-                Vectors::bits((Ints)(most == least) & (Ints)(most >= highest)) >> SIDE;
-            for (left &= Vectors::bits(maximum) >> SIDE; left; left &= left - 1) {
-                const int lane = __builtin_ctz(left), x = first + lane;
-                const int place = block * LANES + lane + SIDE;
-                const float strength = exactly(rows, x, y, place);
-                if (!(sure >> lane & 1) &&
-                    (!(strength > limit) || !is_maximum(rows, x, y, place, strength)))
+            list[n] = block;
+            are[n] = Vectors::bits((Ints)(most == least) & (Ints)(most >= highest)) >> SIDE;
+            may_be[n] = Vectors::bits(maximum) >> SIDE & own(rows, y, block);
+            n += may_be[n] != 0;
+        }
+        for (int i = 0; i < n; ++i)
+            for (unsigned left = may_be[i]; left; left &= left - 1) {
+                const int lane = __builtin_ctz(left), x = list[i] * BLOCK + lane, at = place(x);
+                if (x == 0 || x == width - 1) continue;  // The image's border has none.
+                const float strength = exactly(rows, x, y, at);
+                if (!(are[i] >> lane & 1) &&
+                    (!(strength > limit) || !is_maximum(rows, x, y, at, strength)))
                     continue;
                 unsigned bits;
                 __builtin_memcpy(&bits, &strength, sizeof bits);
                 list_out[count++] = (Word)bits << 32 | (unsigned)(y * width + x);
             }
-        }
         return count;
     }
 
