@@ -39,7 +39,6 @@ struct CannySuppress {
 
     void run() const {
         Rows rows;
-        const int words = PixelBits::words(width);
         for (int i = 0; i < RING; ++i)
             rows.magnitude[0][i] = rows.magnitude[1][i] = rows.magnitude[2][i] = 0;
         // Columns beyond the image's vectors are read but decide nothing.
@@ -53,8 +52,9 @@ struct CannySuppress {
                 if (y + 1 < height) read(rows, y + 1);
                 differentiate(rows, y);
             }
-            short* beyond = rows.magnitude[y % 3] + BEFORE;
-            for (int x = y < height ? width : 0; x < words * 32 + 1; ++x) beyond[x] = 0;
+            // Beside the image and below it there are no gradients.
+            for (int x = y < height ? width : 0; x <= width; x += STEP)
+                put(rows.magnitude[y % 3], x, (Shorts){});
             if (y > 0) suppress(rows, y - 1);
         }
     }
@@ -109,27 +109,29 @@ struct CannySuppress {
         const short* a = rows.grey[(y > 0 ? y - 1 : 0) % 3] + BEFORE;
         const short* g = rows.grey[y % 3] + BEFORE;
         const short* c = rows.grey[(y + 1 < height ? y + 1 : y) % 3] + BEFORE;
-        unsigned long long* some = rows.some[y % 2];
-        some[0] = some[1] = 0;
         Column before = column(a, g, c, -STEP), own = column(a, g, c, 0);
-        for (int x = 0; x < width; x += STEP) {
-            const Column after = column(a, g, c, x + STEP);
-            Shorts left, right;
-            beside(before.smooth, own.smooth, after.smooth, &left, &right);
-            const Shorts dx = right - left;
-            beside(before.change, own.change, after.change, &left, &right);
-            const Shorts dy = left + own.change * 2 + right;
-            const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
-            put(rows.dx[y % 2], x, dx);
-            put(rows.dy[y % 2], x, dy);
-            put(rows.magnitude[y % 3], x, size);
-            unsigned above = Vectors::bits(size > (short)low);
-            if (width - x < STEP) above &= (1u << (width - x)) - 1;
-            const int w = x / STEP;
-            rows.above[y % 2][w] = above;
-            some[w / 64] |= (unsigned long long)(above != 0) << w % 64;
-            before = own;
-            own = after;
+        for (int half = 0; half < 2; ++half) {
+            const int first = half * 64 * STEP, end = half ? width : 64 * STEP;
+            unsigned long long some = 0;  // A local word, as the others are written at once.
+            for (int x = first; x < end && x < width; x += STEP) {
+                const Column after = column(a, g, c, x + STEP);
+                Shorts left, right;
+                beside(before.smooth, own.smooth, after.smooth, &left, &right);
+                const Shorts dx = right - left;
+                beside(before.change, own.change, after.change, &left, &right);
+                const Shorts dy = left + own.change * 2 + right;
+                const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
+                put(rows.dx[y % 2], x, dx);
+                put(rows.dy[y % 2], x, dy);
+                put(rows.magnitude[y % 3], x, size);
+                unsigned above = Vectors::bits(size > (short)low);
+                if (width - x < STEP) above &= (1u << (width - x)) - 1;
+                rows.above[y % 2][x / STEP] = above;
+                some |= (unsigned long long)(above != 0) << (x - first) / STEP;
+                before = own;
+                own = after;
+            }
+            rows.some[y % 2][half] = some;
         }
     }
 
