@@ -5,7 +5,7 @@ Compiled without fused multiply-add, so that every operation is rounded on its o
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import native_kernel
 
 wp.set_module_options(
     {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
@@ -29,41 +29,24 @@ def lines_words(height: int, width: int) -> int:
     return height * width + SPARE + 4 * (width + SPARE)
 
 
-@wp.func_native(
-    native(
-        "projection.h",
-        "alignment.h",
-        body="""
+@native_kernel(
+    "projection.h",
+    "image_tile.h",
+    "alignment.h",
+    body="""
 #if !defined(__CUDA_ARCH__)
     const int rows = depth.shape[1], columns = depth.shape[2];
     const int height = depth_out.shape[1], width = depth_out.shape[2];
     unsigned* keys = scratch_out.data + (size_t)share * scratch_out.shape[1];
-    unsigned* lines = keys + (size_t)height * width + Alignment::SPARE;
-    const size_t at = (size_t)b * height * width;
-    Alignment{depth.data + (size_t)b * rows * columns, rows, columns, corner_x.data, corner_y.data,
+    const size_t b = share + shares * tid, at = b * height * width;
+    Alignment{depth.data + b * rows * columns, rows, columns, corner_x.data, corner_y.data,
               {parameters.data, model}, fills, height, width, keys}
-        .run(lines, depth_out.data + at, z_out.data + at);
+        .run(keys + (size_t)height * width + Alignment::SPARE, depth_out.data + at, z_out.data + at);
 #endif
 """,
-    )
 )
-def _lines(
-    b: int,
-    share: int,
-    depth: wp.array3d[wp.uint16],
-    corner_x: wp.array2d[wp.float32],
-    corner_y: wp.array2d[wp.float32],
-    parameters: wp.array[wp.float32],
-    model: int,
-    fills: int,
-    depth_out: wp.array3d[wp.uint16],
-    z_out: wp.array3d[wp.uint16],
-    scratch_out: wp.array2d[wp.uint32],
-): ...
-
-
-@wp.kernel
 def align_lines(
+    tid: int,
     share: int,
     shares: int,
     depth: wp.array3d[wp.uint16],
@@ -79,6 +62,7 @@ def align_lines(
     """A thread a frame, ``share + shares * i``; for the CPU.
 
     Args:
+        tid: Of the launch.
         share: The first frame of the launch.
         shares: How many launches there are.
         depth: ``(B, Hd, Wd)`` [depth units], 0 = no measurement.
@@ -91,47 +75,27 @@ def align_lines(
         z_out: Likewise, in the colour camera.
         scratch_out: ``(shares, lines_words(H, W))``.
     """
-    b = share + shares * wp.tid()
-    _lines(
-        b, share, depth, corner_x, corner_y, parameters, model, fills, depth_out, z_out,
-        scratch_out,
-    )  # fmt: skip
 
 
-@wp.func_native(
-    native(
-        "projection.h",
-        "alignment.h",
-        body="""
+@native_kernel(
+    "projection.h",
+    "image_tile.h",
+    "alignment.h",
+    body="""
 #if defined(__CUDA_ARCH__)
-    const Team team(0, tile);
+    const Team team(0, blockIdx.x);  // of large batches tid has more than 31 bits
     const int rows = depth.shape[1], columns = depth.shape[2];
     const int height = keys_out.shape[1], width = keys_out.shape[2];
-    const int down = (rows + Alignment::TILE_ROWS - 1) / Alignment::TILE_ROWS;
-    const int across = (columns + Alignment::TILE_COLUMNS - 1) / Alignment::TILE_COLUMNS;
-    const int b = team.index / (down * across);
-    Alignment{depth.data + (size_t)b * rows * columns, rows, columns, corner_x.data, corner_y.data,
-              {parameters.data, model}, fills, height, width,
-              keys_out.data + (size_t)b * height * width}
-        .lower_by_tile(team, team.index % (down * across));
+    const ImageTile at(team, Alignment::TILE_ROWS, Alignment::TILE_COLUMNS, rows, columns);
+    Alignment{depth.data + (size_t)at.image * rows * columns, rows, columns, corner_x.data,
+              corner_y.data, {parameters.data, model}, fills, height, width,
+              keys_out.data + (size_t)at.image * height * width}.lower_by_tile(team, at);
 #endif
 """,
-    )
+    launch_bounds=(TILE_BLOCK, 1),
 )
-def _tile(
-    tile: int,
-    depth: wp.array3d[wp.uint16],
-    corner_x: wp.array2d[wp.float32],
-    corner_y: wp.array2d[wp.float32],
-    parameters: wp.array[wp.float32],
-    model: int,
-    fills: int,
-    keys_out: wp.array3d[wp.uint32],
-): ...
-
-
-@wp.kernel
 def align_tiles(
+    tid: int,
     depth: wp.array3d[wp.uint16],
     corner_x: wp.array2d[wp.float32],
     corner_y: wp.array2d[wp.float32],
@@ -145,5 +109,3 @@ def align_tiles(
     The arguments are those of :func:`align_lines`, but ``keys_out`` ``(B, H, W)`` comes with all
     bits set and is lowered to ``depth << 16 | z``.
     """
-    tile, _ = wp.tid()
-    _tile(tile, depth, corner_x, corner_y, parameters, model, fills, keys_out)

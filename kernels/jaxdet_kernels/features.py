@@ -94,21 +94,19 @@ def features_frames(
 @native_kernel(
     "vectors.h",
     "pixel_bits.h",
+    "image_tile.h",
     "canny.h",
     "corner_settings.h",
     body="""
 #if defined(__CUDA_ARCH__)
-    const int block = tid / 256, thread = tid % 256;
+    typedef CannySuppressTile Tile;
+    const Team team(tid, 0);
     const int height = color.shape[1], width = color.shape[2];
-    const int across = CannySuppressTile::tiles_across(width);
-    const int tiles = across * CannySuppressTile::tiles_down(height);
-    const int b = block / tiles, tile = block - b * tiles;
-    const size_t bits = (size_t)b * height * PixelBits::words(width);
+    const ImageTile at(team, Tile::ROWS, Tile::COLUMNS, height, width);
+    const size_t pixels = (size_t)at.image * height, bits = pixels * PixelBits::words(width);
     const CornerSettings given{settings.data};
-    CannySuppressTile{thread, color.data + 3 * (size_t)b * height * width, height, width,
-                      tile / across * CannySuppressTile::ROWS,
-                      tile % across * CannySuppressTile::COLUMNS, given.low(), given.high(),
-                      weak_out.data + bits, strong_out.data + bits}.run();
+    Tile{team.rank, color.data + 3 * pixels * width, height, width, at.top, at.left, given.low(),
+         given.high(), weak_out.data + bits, strong_out.data + bits}.run();
 #endif
 """,
     launch_bounds=(SUPPRESS_THREADS, 4),
@@ -167,22 +165,20 @@ def canny_hysteresis(
 @native_kernel(
     "vectors.h",
     "pixel_bits.h",
+    "image_tile.h",
     "corner_settings.h",
     "corner_strength.h",
     "corner_maxima.h",
     body="""
 #if defined(__CUDA_ARCH__)
-    const int block = tid / 128, thread = tid % 128;
+    typedef CornerTile Tile;
+    const Team team(tid, 0);
     const int height = strength_out.shape[1], width = strength_out.shape[2];
-    const int across = CornerTile::tiles_across(width);
-    const int tiles = across * CornerTile::tiles_down(height);
-    const int b = block / tiles, tile = block - b * tiles;
-    const size_t bits = (size_t)b * height * PixelBits::words(width);
-    const CornerSettings given{settings.data};
-    CornerTile{thread, edges.data + bits, mask.data + bits, given.everywhere(), height, width,
-               tile / across * CornerTile::ROWS, tile % across * CornerTile::COLUMNS,
-               strength_out.data + (size_t)b * height * width, maxima_out.data + bits,
-               strongest_out.data + b}.run();
+    const ImageTile at(team, Tile::ROWS, Tile::COLUMNS, height, width);
+    const size_t pixels = (size_t)at.image * height, bits = pixels * PixelBits::words(width);
+    Tile{team.rank, edges.data + bits, mask.data + bits, CornerSettings{settings.data}.everywhere(),
+         height, width, at.top, at.left, strength_out.data + pixels * width, maxima_out.data + bits,
+         strongest_out.data + at.image}.run();
 #endif
 """,
     launch_bounds=(MAXIMA_THREADS, 6),
@@ -215,17 +211,15 @@ def corners_maxima(
     "corner_selection.h",
     body="""
 #if defined(__CUDA_ARCH__)
-    const int block = tid / 1024, thread = tid % 1024;
+    const Team team(tid, 0);
     const int height = strength.shape[1], width = strength.shape[2], slots = u_out.shape[1];
-    const size_t bits = (size_t)block * height * PixelBits::words(width);
-    const size_t out = (size_t)block * slots;
+    const size_t b = team.index, bits = b * height * PixelBits::words(width), out = b * slots;
     const CornerSettings given{settings.data};
-    CornerSelection{thread, height, width, CornerDisk{given.limit()}, given.quality(),
-                    __int_as_float(strongest.data[block]),
-                    strength.data + (size_t)block * height * width, maxima_out.data + bits,
-                    open_out.data + bits, taken_out.data + bits,
-                    (unsigned long long*)(keys_out.data + (size_t)block * keys_out.shape[1]),
-                    slots, u_out.data + out, v_out.data + out, found_out.data + block}.run();
+    CornerSelection{team.rank, height, width, CornerDisk{given.limit()}, given.quality(),
+                    __int_as_float(strongest.data[b]), strength.data + b * height * width,
+                    maxima_out.data + bits, open_out.data + bits, taken_out.data + bits,
+                    (unsigned long long*)(keys_out.data + b * keys_out.shape[1]), slots,
+                    u_out.data + out, v_out.data + out, found_out.data + b}.run();
 #endif
 """,
     launch_bounds=(SELECT_THREADS, 1),

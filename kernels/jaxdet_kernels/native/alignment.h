@@ -6,6 +6,7 @@
 // equals NOTHING.
 #pragma once
 #include "team.h"
+#include "image_tile.h"
 #include "projection.h"
 
 struct Alignment {
@@ -47,13 +48,12 @@ struct Alignment {
     // they spread too far, straight in the image.
     enum { TILE_ROWS = 16, TILE_COLUMNS = 32, PIXELS = 2, THREADS = 256, CAPACITY = 8192 };
 
-    void lower_by_tile(const Team& team, int tile) const {
+    void lower_by_tile(const Team& team, const ImageTile& tile) const {
         __shared__ uint4 shared[CAPACITY / 4];
         __shared__ int bounds[4];
         unsigned* hits = (unsigned*)shared;
-        const int across = (columns + TILE_COLUMNS - 1) / TILE_COLUMNS;
-        const int v = tile / across * TILE_ROWS + team.rank / TILE_COLUMNS;
-        const int u = tile % across * TILE_COLUMNS + team.rank % TILE_COLUMNS;
+        const int v = tile.top + team.rank / TILE_COLUMNS;
+        const int u = tile.left + team.rank % TILE_COLUMNS;
         const bool bends = projection.model != Projection::PINHOLE;
         Box boxes[PIXELS];
         int left = 1 << 30, top = 1 << 30, right = -1, bottom = -1;

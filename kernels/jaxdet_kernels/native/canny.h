@@ -213,9 +213,6 @@ struct CannySuppressTile {
     int low, high;                    // From -1 to 2047: thresholds of |dx| + |dy|.
     unsigned *weak_out, *strong_out;  // (height, PixelBits::words(width))
 
-    static int tiles_down(int height) { return (height + ROWS - 1) / ROWS; }
-    static int tiles_across(int width) { return (width + COLUMNS - 1) / COLUMNS; }
-
     // The same value for both of two columns, 16 bits each.
     static unsigned both(unsigned value) { return value * 0x00010001u; }
 

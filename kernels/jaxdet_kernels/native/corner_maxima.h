@@ -456,9 +456,6 @@ struct CornerTile {
     unsigned* maxima_out;     // (height, words), zero before: allowed 3x3 maxima above 0.
     int* strongest_out;       // The strongest allowed pixel's bits, 0 before.
 
-    static int tiles_across(int width) { return (width + COLUMNS - 1) / COLUMNS; }
-    static int tiles_down(int height) { return (height + ROWS - 1) / ROWS; }
-
     // Where a strength lies.
     struct alignas(8) Interval {
         float most, least;
