@@ -37,11 +37,11 @@ def lines_words(height: int, width: int) -> int:
 #if !defined(__CUDA_ARCH__)
     const int rows = depth.shape[1], columns = depth.shape[2];
     const int height = depth_out.shape[1], width = depth_out.shape[2];
+    const size_t size = (size_t)height * width, b = share + shares * tid;
     unsigned* keys = scratch_out.data + (size_t)share * scratch_out.shape[1];
-    const size_t b = share + shares * tid, at = b * height * width;
     Alignment{depth.data + b * rows * columns, rows, columns, corner_x.data, corner_y.data,
               {parameters.data, model}, fills, height, width, keys}
-        .run(keys + (size_t)height * width + Alignment::SPARE, depth_out.data + at, z_out.data + at);
+        .run(keys + size + Alignment::SPARE, depth_out.data + b * size, z_out.data + b * size);
 #endif
 """,
 )

@@ -36,7 +36,7 @@ def row_words(width: int) -> int:
 
 
 def features_scratch(height: int, width: int) -> int:
-    """32-bit words of scratch memory that :func:`features_frames` takes, see ``native/corners.h``."""
+    """32-bit words of scratch memory of :func:`features_frames`, see ``native/corners.h``."""
     spaced = 2 * (height * (row_words(width) // 16 * 8 + 8) + 16)
     return 4 * height * width + 2 * spaced + 2 * height * row_words(width)
 
