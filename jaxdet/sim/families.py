@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxdet.sim import indoors, terrain
+from jaxdet.sim.apart import apart
 from jaxdet.sim.draft import Draft
 from jaxdet.sim.looks import POST, Texture, pick
 from jaxdet.sim.moving import moving
@@ -163,11 +164,16 @@ FAMILIES = tuple(_FAMILIES)
 
 
 def make_scene(family: str, seed: int, distance_m: float = 2.0) -> Scene:
-    """Draw a scene.
+    """Draw a scene in which no two solid things are in each other.
 
     Args:
         family: One of ``FAMILIES``.
         seed: Draws it.
         distance_m: Of the obstacle of ``cylinder`` and ``approach`` [m].
     """
+    return apart(draw_scene(family, seed, distance_m), seed)
+
+
+def draw_scene(family: str, seed: int, distance_m: float = 2.0) -> Scene:
+    """The same before :func:`jaxdet.sim.apart.apart`: things may be in each other."""
     return _FAMILIES[family](Draft(seed, family), distance_m)

@@ -186,6 +186,10 @@ class Model:
         return self.name or self.kind
 
 
+Thing = Box | Cylinder | Model | Wall
+"""What stands on the floor."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """A world; the obstacle number of an object is its place in ``boxes + cylinders + models +
@@ -211,7 +215,7 @@ class Scene:
             )
 
     @property
-    def objects(self) -> tuple[Box | Cylinder | Model | Wall, ...]:
+    def objects(self) -> tuple[Thing, ...]:
         """All that stands on the floor; object ``i`` has the number ``i + 1``."""
         return (*self.boxes, *self.cylinders, *self.models, *self.walls)
 

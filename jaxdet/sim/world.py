@@ -3,7 +3,6 @@
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
-import cv2
 import numpy as np
 
 from jaxdet.sim import shapes
@@ -11,7 +10,8 @@ from jaxdet.sim.ground import floor_mesh, standing
 from jaxdet.sim.mesh import Mesh, join, shift
 from jaxdet.sim.models import STRIDE_M, build_model
 from jaxdet.sim.robot import pose_at
-from jaxdet.sim.scene import Box, Cylinder, Model, Path, Scene, Wall
+from jaxdet.sim.scene import Box, Cylinder, Ground, Model, Path, Scene, Thing, Wall
+from jaxdet.sim.solid import hull_between
 
 OUTLINE_CORNERS = 64
 """Slots for the corners of a footprint."""
@@ -57,9 +57,12 @@ def _world(scene: Scene, time_s: float) -> World:
 
 def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
     """The mesh of object ``j`` (from 0) in the world at a time."""
-    thing = scene.objects[j]
+    return thing_mesh(scene.objects[j], scene.ground, time_s)
+
+
+def thing_mesh(thing: Thing, ground: Ground, time_s: float = 0.0) -> Mesh:
+    """The mesh of a thing on some ground at a time."""
     if isinstance(thing, Wall):
-        ground = scene.ground
         foot = _WALL_FOOT_M if ground.slope_rad or ground.bump_m or ground.drop_m else 0.0
         return _box(thing.box, foot + ground.drop_m * ground.drop_steps)
     if isinstance(thing, Box):
@@ -70,7 +73,7 @@ def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
         mesh = mesh.moved(shift(x, y, thing.base))
     else:
         mesh, x, y = _model(thing, time_s)
-    return mesh.moved(standing(scene.ground, x, y))
+    return mesh.moved(standing(ground, x, y))
 
 
 def _box(box: Box, foot: float) -> Mesh:
@@ -116,28 +119,15 @@ def outline(mesh: Mesh, floor_z: float = 0.0) -> np.ndarray:
         ``(n, 2)`` float64, counter-clockwise, n at most OUTLINE_CORNERS [m]; of more corners those
         that matter least are left out, which moves the outline by less than 1 mm.
     """
-    a, b = mesh.corners, np.roll(mesh.corners, -1, axis=1)
-    points = mesh.corners.reshape(-1, 3)
     step, reach = floor_z + STEP_M, floor_z + REACH_M
-    if points[:, 2].max() <= step:
+    if mesh.corners[..., 2].max() <= step:
         step = -np.inf
-    low = [points[(points[:, 2] >= step) & (points[:, 2] <= reach)]]
-    for level in (step, reach):
-        crosses = (a[..., 2] - level) * (b[..., 2] - level) < 0
-        share = (level - a[crosses, 2]) / (b[crosses, 2] - a[crosses, 2])
-        low.append(a[crosses] + share[:, None] * (b[crosses] - a[crosses]))
-    low = np.concatenate(low)
-    # Small numbers keep OpenCV's float32 exact to a tenth of a micrometre.
-    middle = low[:, :2].mean(0)
-    hull = cv2.convexHull((low[:, :2] - middle).astype(np.float32), returnPoints=False)
-    points = low[hull.ravel(), :2]
+    points = hull_between(mesh.corners, step, reach)
     while len(points) > OUTLINE_CORNERS:
         before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
         a, b = points - before, after - before
         points = np.delete(points, np.argmin(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), axis=0)
-    x, y = points.T
-    turn = (x * np.roll(y, -1) - np.roll(x, -1) * y).sum()
-    return points if turn > 0 else points[::-1]
+    return points
 
 
 def bounds(mesh: Mesh, yaw: float = 0.0) -> np.ndarray:

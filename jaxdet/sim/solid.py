@@ -1,0 +1,120 @@
+"""The room that things take up: level slices of their parts, and whether two share any."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxdet.sim.mesh import Mesh
+
+SLICE_M = 0.15
+"""Largest height of a slice [m]; of a slanted part, each is as wide as all of it in between."""
+TOUCH_M = 0.002
+"""Things that are in each other by less than this only touch [m]."""
+
+
+class Solid(NamedTuple):
+    """A thing as ``S`` level slices of its connected parts, each as its convex hull from above.
+
+    A table is a top and four legs, so that a chair may stand under it.
+    """
+
+    box: np.ndarray
+    """``(S, 2, 3)`` float64, smallest and largest x, y, z of each slice [m]."""
+    outlines: tuple[np.ndarray, ...]
+    """``(n, 2)`` float64 each, a convex polygon [m]."""
+
+
+def solid_of(mesh: Mesh) -> Solid:
+    """The room that a thing takes up; panes and lids without a volume take none."""
+    boxes, outlines = [], []
+    for part in _parts(mesh.corners):
+        bottom, top = part[..., 2].min(), part[..., 2].max()
+        levels = np.linspace(bottom, top, int(np.ceil((top - bottom) / SLICE_M)) + 1)
+        for low, high in pairwise(levels.tolist()):
+            outline = hull_between(part, low, high)
+            if len(outline) > 2:
+                boxes.append([[*outline.min(0), low], [*outline.max(0), high]])
+                outlines.append(outline)
+    return Solid(np.array(boxes).reshape(-1, 2, 3), tuple(outlines))
+
+
+def swept(meshes: list[Mesh]) -> Solid:
+    """The room that a thing takes up on a straight way, by where it is from end to end of it."""
+    corners = np.concatenate([mesh.corners for mesh in meshes])
+    low, high = corners[..., 2].min(), corners[..., 2].max()
+    outline = hull_between(corners, low, high)
+    return Solid(np.array([[[*outline.min(0), low], [*outline.max(0), high]]]), (outline,))
+
+
+def intersect(one: Solid, other: Solid, clear_m: float = -TOUCH_M) -> bool:
+    """Whether two things are less than ``clear_m`` apart sideways where both are as high [m]."""
+    if not len(one.outlines) or not len(other.outlines):
+        return False
+    low = np.maximum(one.box[:, None, 0], other.box[None, :, 0])
+    high = np.minimum(one.box[:, None, 1], other.box[None, :, 1])
+    near = (high - low > (-clear_m, -clear_m, TOUCH_M)).all(axis=-1)
+    pairs = np.argwhere(near).tolist()
+    return any(gap(one.outlines[i], other.outlines[j]) < clear_m for i, j in pairs)
+
+
+def gap(one: np.ndarray, other: np.ndarray) -> float:
+    """How far apart two convex polygons are, by the best of the lines along their edges.
+
+    Separating axes: never more than their distance, and below 0 exactly where they overlap.
+
+    Args:
+        one: ``(n, 2)``, counter-clockwise [m].
+        other: Likewise.
+    """
+    best = -np.inf
+    for a, b in ((one, other), (other, one)):
+        edge = np.roll(a, -1, axis=0) - a
+        outward = np.stack([edge[:, 1], -edge[:, 0]]) / np.hypot(*edge.T)
+        ahead = (b @ outward).min(axis=0) - (a * outward.T).sum(axis=1)
+        best = max(best, float(ahead.max()))
+    return best
+
+
+def hull_between(corners: np.ndarray, low: float, high: float) -> np.ndarray:
+    """The convex hull, seen from above, of what of some triangles is between two heights.
+
+    Args:
+        corners: ``(F, 3, 3)`` [m].
+        low: Height of the lower level [m].
+        high: Of the upper one [m].
+
+    Returns:
+        ``(n, 2)`` float64, counter-clockwise [m].
+    """
+    a, b = corners, np.roll(corners, -1, axis=1)
+    points = corners.reshape(-1, 3)
+    found = [points[(points[:, 2] >= low) & (points[:, 2] <= high)]]
+    for level in (low, high):
+        crosses = (a[..., 2] - level) * (b[..., 2] - level) < 0
+        share = (level - a[crosses, 2]) / (b[crosses, 2] - a[crosses, 2])
+        found.append(a[crosses] + share[:, None] * (b[crosses] - a[crosses]))
+    between = np.concatenate(found)[:, :2]
+    # Small numbers keep OpenCV's float32 exact to a tenth of a micrometre.
+    middle = between.mean(0)
+    hull = cv2.convexHull((between - middle).astype(np.float32), returnPoints=False)
+    return between[hull.ravel()]
+
+
+def _parts(corners: np.ndarray) -> Iterator[np.ndarray]:
+    """The triangles of each connected part of a mesh: those that share corners."""
+    places = np.rint(corners * 1e5).astype(np.int64)  # alike within 21 m if as one number
+    _, face = np.unique(places @ (1, 1 << 21, 1 << 42), return_inverse=True)
+    part = np.arange(face.max() + 1)
+    while True:
+        least = part[face].min(axis=1)
+        before = part.copy()
+        np.minimum.at(part, face, least[:, None])
+        part = part[part]
+        if (part == before).all():
+            break
+    own = part[face[:, 0]]
+    for one in np.unique(own):
+        yield corners[own == one]
