@@ -76,7 +76,7 @@ def test_a_box_claims_no_floor_but_its_margin(box):
     assert 0 < claim_of(shot, found, CONFIG).share < 0.02
 
 
-def test_what_is_in_another_thing_and_what_is_hardly_measured():
+def test_what_is_under_another_thing_and_what_is_hardly_measured():
     size, config = (0.3, 0.3, 0.3), eval_config(CONFIG)
     boxes = [Box((1.65, y), size) for y in (-0.5, 0.1, 0.35)]
     shot, _ = shot_and_frame(Scene(boxes=tuple(boxes)))

@@ -1,4 +1,4 @@
-"""Which things ours misses: those apart, those in other things, those hardly measured."""
+"""Which things ours misses: those apart, those under others, those hardly measured."""
 
 from itertools import product
 from pathlib import Path
@@ -16,7 +16,7 @@ from jaxdet import reference
 from jaxdet.eval import EvalConfig, evaluate_frames
 from jaxdet.eval.polygon import overlap
 
-CLASSES = ("apart", "in another thing", "hardly measured")
+CLASSES = ("apart", "under or over another", "hardly measured")
 
 
 class Asked(NamedTuple):
@@ -30,9 +30,8 @@ def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
     """The place in ``CLASSES`` of each thing of a frame, ``(J,)`` int64.
 
     Hardly measured is what the depth camera measures on fewer colour pixels than it must show
-    (beside nearer things, or beyond the edge of the depth image). In another thing is what has a
-    footprint that overlaps a wall's or another thing's: some scenes are drawn with solid things
-    in each other.
+    (beside nearer things, or beyond the edge of the depth image). Under or over another thing is
+    what has a footprint that overlaps another thing's, as a chair's that stands under a table.
     """
     truth, calibration = shot.truth, shot.calibration
     assert truth.footprint is not None and truth.depth_m is not None
@@ -66,10 +65,9 @@ def run(lab: Lab) -> Section:
     section = Section("missed", "What is missed (ours)")
     section.say(
         "Things asked for in the scenes in normal light, as above, in three classes, found of "
-        "asked. Apart: measured, and in nothing else. In another thing: its footprint overlaps "
-        "another's or a wall's, as a chair's under a table; the simulator also draws solid things "
-        "in each other, as a person in a vehicle. Hardly measured: of the pixels that the colour "
-        "camera sees, 400 or more, the depth camera measures fewer than 400."
+        "asked. Apart: measured, and no other footprint overlaps its own. Under or over another: "
+        "one does, as a table's does that of a chair under it. Hardly measured: of the pixels that "
+        "the colour camera sees, 400 or more, the depth camera measures fewer than 400."
     )
     specs = {name: lab.test_specs(name, "normal") for name in SCENES}
     for family, error in product(FAMILIES, ERRORS):
