@@ -9,13 +9,17 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
+import duckdb
+import pyarrow as pa
 import pytest
 
 from jaxdet.cli import main
 from jaxdet.cli.help import FIRST, pages, title_of
 from jaxdet.engine import log_run
 from jaxdet.errors import FrameStatus
+from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
+from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}
@@ -58,6 +62,8 @@ def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
             for program, *args in commands(block):
                 assert program == "jaxdet"
                 assert main(args) == 0, (args, capsys.readouterr().err)
+        elif language == "sql":
+            assert duckdb.sql(block).fetchall()
         elif language == "python":
             if name != "README":
                 exec(compile(block, f"{name}.md", "exec"), names)
@@ -104,6 +110,49 @@ def test_flags_that_are_named_are_there(capsys, monkeypatch):
     known = {*re.findall(flag, capsys.readouterr().out), *OTHERS}
     for path in DOCUMENTS.values():
         assert {*re.findall(flag, path.read_text(encoding="utf-8"))} <= known, path.name
+
+
+SCHEMAS = {
+    "frames": FRAMES_SCHEMA,
+    "obstacles": OBSTACLES_SCHEMA,
+    "tracks": TRACKS_SCHEMA,
+    "track_links": LINKS_SCHEMA,
+}
+
+
+def rows(name: str, section: str) -> list[list[str]]:
+    """The cells of the table in a section of a page, without its head."""
+    text = DOCUMENTS[name].read_text(encoding="utf-8")
+    (found,) = re.findall(rf"^## {section}\n(.*?)(?=^## |\Z)", text, re.S | re.M)
+    lines = [line for line in found.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def type_name(field: pa.Field) -> str:
+    """A type as the page calls it."""
+    kind, null = field.type, ", nullable" if field.nullable else ""
+    many = ""
+    if pa.types.is_fixed_size_list(kind):
+        many, kind = f"{kind.list_size} ", kind.value_type
+    elif pa.types.is_list(kind):
+        many, kind = "list of ", kind.value_type
+    return many + str(kind).replace("float", "float32").replace("double", "float64") + null
+
+
+@pytest.mark.parametrize("table", SCHEMAS)
+def test_every_column_is_explained(table):
+    named = [(re.findall(r"`(\w+)`", cells[0]), cells[1]) for cells in rows("tables", table)]
+    explained = {name: kind for names, kind in named for name in names}
+    assert sum(len(names) for names, _ in named) == len(explained)
+    assert explained == {field.name: type_name(field) for field in SCHEMAS[table]}
+
+
+def test_columns_that_the_readme_names_are_there():
+    named = {
+        *re.findall(r"`(\w+)`", " ".join(cells[0] for cells in rows("README", "What you get")))
+    }
+    assert "distance_m" in named
+    assert named <= {*OBSTACLES_SCHEMA.names}
 
 
 def test_each_status_is_explained():

@@ -6,7 +6,10 @@ from importlib.resources import files
 from jaxdet.config_file import meant
 from jaxdet.errors import ConfigError
 
-FIRST = ("logs", "runs", "calibration", "tuning", "recipes", "queries", "exports", "tracks", "api")
+FIRST = (
+    *("logs", "calibration", "tuning", "tables", "queries", "exports", "tracks", "runs", "recipes"),
+    "api",
+)
 """Pages in the order in which one needs them; the others follow by name."""
 
 
