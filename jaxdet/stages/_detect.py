@@ -15,6 +15,7 @@ from jaxdet.floor.units import FloorFit, Scale, floor_fit, prior_units
 from jaxdet.stages import _cells, _features, _floor, _free, _obstacles, _outlines, _spread
 from jaxdet.stages import _surfaces as surface_stage
 from jaxdet.stages._chain import by_device, frame_by_frame
+from jaxdet.stages._compile import compile_method
 from jaxdet.stages._cover import CellFeatures, features_on_cells
 from jaxdet.stages._points import clusters
 from jaxdet.types import (
@@ -127,6 +128,8 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
     """The arrays on the device, and what is compiled for."""
+    if jax.default_backend() == "cpu":
+        compile_method()
     unit = calibration.depth_unit
     cells, static = _cells.tables(calibration, config.surface)
     rows, columns = cells.rays.shape[1:]

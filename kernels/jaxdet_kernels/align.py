@@ -5,11 +5,9 @@ Compiled without fused multiply-add, so that every operation is rounded on its o
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
 
-wp.set_module_options(
-    {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
-)
+wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = 0, 1, 2, 3
 """Lens models, by number."""

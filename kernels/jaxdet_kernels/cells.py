@@ -5,11 +5,9 @@ Twin of ``jaxdet/reference/_cells.py``. Compiled without fused multiply-add, as 
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
 
-wp.set_module_options(
-    {"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": "-march=native"}
-)
+wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 
 @native_kernel(

@@ -5,9 +5,9 @@ Bits are laid out as ``native/pixel_bits.h`` says: ``words`` 32-bit words a row,
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 
 TILE = 8

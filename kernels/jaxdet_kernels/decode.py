@@ -6,9 +6,9 @@ decoded side by side because a launch does not hold Python's lock. Arrays are co
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native
+from jaxdet_kernels.native_source import CPU_FLAGS, native
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": "-march=native"})
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 
 @wp.func_native(

@@ -7,9 +7,9 @@ by tiles, and the selection by frames. Images of bits are laid out as ``native/p
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
 
-wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 MAX_SIZE = 4096
 """Most columns and rows of a colour image."""

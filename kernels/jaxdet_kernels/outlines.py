@@ -5,9 +5,9 @@ Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside i
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 DIRECTIONS = 90
 PARTS = 4
