@@ -78,6 +78,8 @@ def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
         assert (frame["status"], frame["count"]) == (row.status, row.num_obstacles)
         assert frame["stamp"] == str(START_NS + frame["frame"] * STEP_NS) == str(row.stamp_ns)
         assert [one[0] for one in frame["rows"]] == rows.obstacle.tolist()
+        outlines = [pytest.approx(corners, abs=0.006) for corners in rows.corners_ground]
+        assert frame["outlines"] == outlines
         assert frame["nearest"] == (
             None if rows.empty else pytest.approx(rows.distance_m.min(), abs=1e-3)
         )
@@ -193,6 +195,10 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
         return page.locator(".card").count()
 
     assert cards() == len(data["frames"])
+    found = [frame for frame in data["frames"] if frame["status"] == "ok"]
+    assert page.locator(".card .plan").count() == len(found)  # as nothing has a picture
+    outlines = sum(len(frame["rows"]) for frame in found)
+    assert page.locator(".card .plan polygon").count() == outlines > len(found)
     for kind, name in (("lost", "Without a result"), ("overflow", "Overflow")):
         page.get_by_role("radio", name=name).click()
         assert cards() == sum(kind in frame["kinds"] for frame in data["frames"]) > 0

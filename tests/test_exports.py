@@ -17,6 +17,7 @@ from jaxdet.io import LogOptions
 from jaxdet.results.reading import Results
 from tests.camera_logs import join_cameras
 from tests.export_results import run, sim_log
+from tests.made_results import make_results
 
 LATE_NS = 3_600_123_456_789
 """The recorder's clock is so much ahead of the camera's."""
@@ -129,9 +130,7 @@ import resource, sys
 from pathlib import Path
 from jaxdet.export import export
 from jaxdet.results.reading import Results
-from tests.made_results import make_results
-folder, to, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
-make_results(folder / "results", {"a": count})
+folder, to = Path(sys.argv[1]), sys.argv[2]
 with Results(folder / "results") as results:
     export(results, to, folder / "out", {})
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -144,7 +143,9 @@ def test_memory_has_a_bound(to: str, tmp_path: Path) -> None:
     """100,000 frames take no more than 33,000 do, which fill the tables' row groups."""
     peaks = []
     for count in (33_000, 100_000):
-        command = [sys.executable, "-c", _PEAK, str(tmp_path / str(count)), to, str(count)]
+        folder = tmp_path / str(count)
+        make_results(folder / "results", {"a": count})
+        command = [sys.executable, "-c", _PEAK, str(folder), to]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         peaks.append(int(done.stdout) / 1024)
     assert peaks[1] < peaks[0] + 30, peaks

@@ -224,6 +224,7 @@ def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> d
         "source": row["floor_source"],
         "refused": row["floor_refused"],
         "rows": [_obstacle(part) for part in parts],
+        "outlines": [[round(value, 2) for value in part["corners_ground"]] for part in parts],
         "picture": None,
         "size": None,
     }

@@ -375,10 +375,32 @@
     for (const i of showing) card(node, i);
   }
 
+  // Outlines from above, for frames without a picture: right and forward of the camera.
+  const begins = data.frames.flatMap((f) => f.outlines.map((o) => Math.min(o[1], o[3], o[5], o[7])));
+  const reach = Math.min(8, Math.max(2, ...begins.map((m) => Math.ceil(m + 0.5))));
+  function plan(parent, f) {
+    const per = 240 / (reach + 0.2), X = (x) => 258 + x * per, Y = (y) => 244 - y * per;
+    const svg = add(parent, "svg", { class: "plan", viewBox: "0 0 516 248", role: "img", "aria-label": `Outlines of the obstacles in ${where(f)}, from above` });
+    for (let m = 1; m <= reach; m++) {
+      add(svg, "circle", { cx: X(0), cy: Y(0), r: m * per });
+      add(svg, "text", { x: X(0) + 3, y: Y(m) - 3 }, `${m} m`);
+    }
+    add(svg, "path", { class: "eye", d: "M250 248L254 236H262L266 248Z" });
+    f.outlines.forEach((o, i) => {
+      const color = data.palette[f.rows[i][0] % data.palette.length];
+      const points = [0, 2, 4, 6].map((k) => `${X(o[k]).toFixed(1)},${Y(o[k + 1]).toFixed(1)}`);
+      add(svg, "polygon", { points: points.join(" "), fill: color, stroke: color });
+    });
+  }
+  function look(parent, f) {
+    if (f.picture) add(parent, "img", { src: f.picture, alt: `Obstacles found in ${where(f)}`, width: f.size[0], height: f.size[1] });
+    else if (f.status === "ok") plan(parent, f);
+  }
+
   function card(parent, index) {
     const f = data.frames[index];
     const node = add(parent, "button", { type: "button", class: "card", "data-frame": index });
-    if (f.picture) add(node, "img", { src: f.picture, alt: `Obstacles found in ${where(f)}`, width: f.size[0], height: f.size[1] });
+    look(node, f);
     const text = add(node, "span", { class: "text" });
     add(text, "strong", {}, where(f));
     add(text, "span", { class: f.status === "ok" ? "faint" : "bad" }, `${secondsOf(f)} · ${line(f)}`);
@@ -396,7 +418,7 @@
     current = index;
     $("frame-title").textContent = `${log.log} · frame ${f.frame}`;
     const body = clear($("frame-body"));
-    if (f.picture) add(body, "img", { src: f.picture, alt: `Obstacles found in frame ${f.frame} of ${log.log}` });
+    look(body, f);
     const list = add(body, "dl", { class: "numbers" });
     const item = (name, value) => { if (value === null || value === "") return; const d = add(list, "div"); add(d, "dt", {}, name); add(d, "dd", {}, value); };
     item("time", secondsOf(f));
