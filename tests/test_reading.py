@@ -159,6 +159,12 @@ def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) 
         Results(tmp_path / "missing")
 
 
+def test_a_log_is_no_folder_of_results(tmp_path: Path) -> None:
+    (tmp_path / "drive.mcap").touch()
+    with pytest.raises(InputError, match="a file, not a folder of results; name the folder"):
+        Results(tmp_path / "drive.mcap")
+
+
 def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
     torn = copied(folder, tmp_path / "torn")
     data = bytearray((torn / "obstacles.parquet").read_bytes())

@@ -33,6 +33,7 @@ REPRODUCTIONS = {
         "cli help_and_version_load",
     ),
     "nothing is shown while programs are compiled": ("reproductions commands_show_that",),
+    "the first start compiles one kernel after another": ("compile another_process_compiles",),
     # Messages
     "unknown command, page, preset, section, key, range": ("cli errors_are_one_line bad_files",),
     "mistyped flag, wrong type, missing value": ("cli errors_are_one_line nearest",),
@@ -70,6 +71,8 @@ REPRODUCTIONS = {
     # Results
     "distance, height, join to pictures": ("queries three_engines_agree answers_are",),
     "units, version and configuration in the files": ("queries the_schema_is_printed",),
+    "the order of corners, units of columns": ("help_pages every_column_is_explained",),
+    "a log where results are meant": ("reading a_log_is_no_folder",),
     "num_features is num_kept": ("engine_surfaces each_frame_is_as_alone",),
     "free and unknown in maps": ("export_grid nav2_loads",),
     "exports that Foxglove, Rerun, ROS 2 open": (

@@ -27,7 +27,7 @@ COMMANDS = {
 HELP = """\
 usage: jaxdet COMMAND [ARGUMENTS]
 
-Finds obstacles in recorded logs (MCAP) of depth cameras.
+Finds obstacles in recorded logs of depth cameras: MCAP, ROS bags, folders of images.
 
 commands:
 {commands}

@@ -14,20 +14,23 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
     text: list[str] = []
     for log in summary.logs:
         if log.error:
-            text.append(f"{_label(log)}: failed after {log.frames} frames")
+            text.append(f"{_label(log)}: failed after {_many(log.frames, 'frame')}")
             continue
         text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
     rate = (
         f"{summary.frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
     )
-    text.append(
-        f"{summary.frames} frames, {summary.obstacles} obstacles in {summary.seconds:.1f} s"
-    )
+    found = f"{_many(summary.frames, 'frame')}, {_many(summary.obstacles, 'obstacle')}"
+    text.append(f"{found} in {summary.seconds:.1f} s")
     text[-1] += f" ({rate})" if rate else ""
     if failed := len(summary.failed):
         text[-1] += f"; {failed} of {len(summary.logs)} logs failed"
     nothing = failed == len(summary.logs)
     return [*text, "nothing was written" if nothing else f"results: {output}"]
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _label(log: "LogSummary") -> str:
@@ -47,7 +50,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
     if log.floor_sources["frame"] or log.floor_refused:
         text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
-        frames = f"{log.overflow_frames} frames"
+        frames = _many(log.overflow_frames, "frame")
         what = "had more corners, surfaces or obstacles than slots, see jaxdet help tuning"
         text.append(f"overflow   {frames} {what}")
     if score := log.observed.get("score"):
@@ -63,7 +66,9 @@ def _floor_text(log: "LogSummary") -> str:
         for name, count in sorted(log.floor_sources.items())
         if count and name != "frame"
     ]
-    text = ", ".join([f"{log.floor_sources['frame']} frames show their own", *others])
+    own = log.floor_sources["frame"]
+    shows = "1 frame shows its own" if own == 1 else f"{own} frames show their own"
+    text = ", ".join([shows, *others])
     reasons = ", ".join(f"{count} {name}" for name, count in log.floor_refused.most_common())
     return f"{text} (refused: {reasons})" if reasons else text
 

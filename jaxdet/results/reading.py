@@ -112,6 +112,18 @@ class Frame(NamedTuple):
         return self.row.get("tracks", ())
 
 
+def check_folder(folder: Path) -> None:
+    """Raises an error where there is no folder that could hold results.
+
+    Raises:
+        InputError: There is none, or a file.
+    """
+    if not folder.is_dir():
+        problem = "a file, not a folder of results" if folder.exists() else "no such folder"
+        remedy = "name the folder that jaxdet run --output wrote"
+        raise InputError(problem, path=str(folder), remedy=remedy)
+
+
 class Results:
     """What a run wrote; opening it reads no rows.
 
@@ -133,8 +145,7 @@ class Results:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        if not folder.is_dir():
-            raise InputError("no such folder", path=str(folder), remedy=_AGAIN)
+        check_folder(folder)
         manifest = self._json(MANIFEST)  # the last file to arrive, and the first to leave
         self.summary = self._json("summary.json")
         self.config = self._json("config.json")

@@ -19,14 +19,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.arrow import open_file
 from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import writing
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest, read_manifest
-from jaxdet.results.reading import Chunk, ResultLog, Results
+from jaxdet.results.reading import Chunk, ResultLog, Results, check_folder
 from jaxdet.results.writer import write_json
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.rows import TrackRows
@@ -212,8 +211,7 @@ def _staging(folder: Path) -> Iterator[Path]:
 
     What another process left half moved is in its place then. An unfinished run stays.
     """
-    if not folder.is_dir():
-        raise InputError("no such folder", path=str(folder))
+    check_folder(folder)
     working = folder.absolute() / WORKING
     staging, lock = working / "tracks", Lock(working / "lock")
     try:
