@@ -50,7 +50,7 @@ def compile_method() -> None:
 
 def _is_kept(module: ModuleType) -> bool:
     name = wp.get_module(module.__name__).get_module_identifier(1)
-    return any(Path(wp.config.kernel_cache_dir, name).glob("*.o"))
+    return any(Path(str(wp.config.kernel_cache_dir), name).glob("*.o"))
 
 
 def _have_compiled(left: Iterator[ModuleType]) -> None:
@@ -59,7 +59,7 @@ def _have_compiled(left: Iterator[ModuleType]) -> None:
     Args:
         left: Modules; several threads take from it.
     """
-    command = [sys.executable, "-P", "-m", "jaxdet_kernels", wp.config.kernel_cache_dir]
+    command = [sys.executable, "-P", "-m", "jaxdet_kernels", str(wp.config.kernel_cache_dir)]
     own = {"PYTHONPATH": os.pathsep.join(sys.path), "CUDA_VISIBLE_DEVICES": ""}
     with (
         suppress(OSError),
@@ -67,6 +67,7 @@ def _have_compiled(left: Iterator[ModuleType]) -> None:
             command, stdin=PIPE, stdout=PIPE, stderr=DEVNULL, env={**os.environ, **own}, text=True
         ) as process,
     ):
+        assert process.stdout
         for module in left:
             print(module.__name__, file=process.stdin, flush=True)
             if not process.stdout.readline():
