@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.arrow import open_file
 from jaxdet.results.commit import JOURNAL, commit, settle
