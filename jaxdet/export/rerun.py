@@ -47,6 +47,8 @@ from jaxdet.types import Detections
 
 FLOOR, CAMERA = "world/floor", "world/floor/camera"
 COLOR, DEPTH = f"{CAMERA}/color", f"{CAMERA}/depth"
+FLUSH_FRAMES = 1024
+"""So many frames wait to be written at most."""
 QUALITY = 85
 """Of the JPEG images."""
 PNG_LEVEL = 1
@@ -111,15 +113,17 @@ class _Recording:
         self._start()
         for chunk in self.results.chunks(self.log):
             _series(self.stream, chunk)
-            for frame in chunk.each():
+            for number, frame in enumerate(chunk.each(), 1):
                 self._at(frame.row)
                 self._frame(frame)
+                if number % FLUSH_FRAMES == 0:
+                    self.stream.flush()  # else what waits to be written has no bound
         if files is not None:
             for seen in look_again(self.results, self.log, files, with_cells=True):
                 for b, row in enumerate(seen.chunk.frames.to_pylist()):
                     self._at(row)
                     self._images(seen, b, row)
-                self.stream.flush()  # else what waits to be written has no bound
+                self.stream.flush()
         self._tracks()
         image = self.results.map(self.log)
         if image is not None:
