@@ -27,8 +27,8 @@ from jaxdet_kernels import (
     surfaces,
 )
 
-_MODULES = obstacles, surfaces, cells, floor, outlines, features, cover, free_floor
-"""Those that take longest first."""
+_MODULES = obstacles, surfaces, cells, floor, outlines, cover, free_floor, features
+"""Those that take longest first; the last has flags that stay set in the process."""
 
 
 def compile_method() -> None:
