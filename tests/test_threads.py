@@ -71,10 +71,10 @@ def test_each_core_has_a_thread_of_its_own(threads, monkeypatch):
     together, names = threading.Barrier(threads, timeout=30.0), set()
     run = _chain._Lane.run
 
-    def waits(self: Any, frames: Iterator[int]) -> None:
+    def waits(self: Any) -> None:
         names.add(threading.get_ident())
         together.wait()
-        run(self, frames)
+        run(self)
 
     monkeypatch.setattr(_chain._Lane, "run", waits)
     depth = noise_depth(5, small().depth)
@@ -89,10 +89,10 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
     depth = noise_depth(4, small().depth)
     run = _chain._Lane.run
 
-    def fails(self: Any, frames: Iterator[int]) -> None:
+    def fails(self: Any) -> None:
         if threading.current_thread().name.startswith("jaxdet-kernel"):
             raise ArithmeticError("in a thread")
-        run(self, frames)
+        run(self)
 
     with monkeypatch.context() as patch:
         patch.setattr(_chain._Lane, "run", fails)

@@ -1,14 +1,15 @@
 """CPU kernels frame by frame: a thread runs all kernels of a program on a frame, then on another.
 
 Warp runs a CPU kernel's threads one after the other, but a launch does not hold Python's lock. So
-each core takes the batch's next frame when it is done with one. What a kernel hands to the next is
-memory of one frame, which the core's cache holds and the process keeps; only what the program
-returns is there for the whole batch.
+each core takes the batch's next frame when it is done with one, in a loop that is a kernel itself:
+after a launch Python would wait for its lock, which threads that read the next batch hold. What a
+kernel hands to the next is memory of one frame, which the core's cache holds and the process keeps;
+only what the program returns is there for the whole batch.
 """
 
 import ctypes
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import partial
@@ -22,6 +23,7 @@ import numpy as np
 import warp as wp
 
 from jaxdet.stages import _threads, _xla
+from jaxdet_kernels.chain import frame_loop
 
 _LINE = 64
 """Bytes of a cache line, at which all memory begins."""
@@ -190,6 +192,8 @@ class _Program:
     results: list[tuple[int, str]]
     lanes: list["_Lane"] = field(default_factory=list)
     """One for each thread, once they are prepared."""
+    next: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int32))
+    """The first frame of a call that no thread has taken."""
 
     @property
     def number(self) -> int:
@@ -210,10 +214,10 @@ class _Program:
         if len(self.lanes) < count:
             recorded = self._recorded()
             self.lanes.extend(_Lane(self, recorded, i) for i in range(len(self.lanes), count))
-        left = iter(range(self.frames))
+        self.next[0] = 0
         for lane in self.lanes[:count]:
             lane.place(addresses)
-        _threads.on_all_cores([partial(lane.run, left) for lane in self.lanes[:count]])
+        _threads.on_all_cores([lane.run for lane in self.lanes[:count]])
 
     def _recorded(self) -> list[Any]:
         """The launches of all steps, by Warp."""
@@ -226,31 +230,35 @@ class _Program:
                 for name, of in step.kernel.types.items()
             }
             given = [0, self.frames, *values.values()]
-            launches.append(wp.launch(step.kernel.kernel, 1, given, device="cpu", record_cmd=True))
+            launches.append(_launch(step.kernel.kernel, given))
         return launches
+
+
+def _launch(kernel: Any, given: Sequence[Any]) -> Any:
+    """A launch of one thread, recorded by Warp."""
+    return wp.launch(kernel, 1, given, device="cpu", record_cmd=True)
 
 
 class _Lane:
     """A thread's launches, with arguments that stay in place.
 
-    The arguments of all launches are words of 64 bits that follow each other, so that a frame's are
-    written at once: a kernel's first word is the number of the frame and of all frames, others are
-    addresses. To these a kernel adds the rows of the frames before, so the address of memory that
-    has room for one frame is given as by so much less.
+    The arguments of all launches are words of 64 bits that follow each other: a kernel's first word
+    is the number of the frame and of all frames, others are addresses. To these a kernel adds the
+    rows of the frames before, so the address of memory that has room for one frame is given as by
+    so much less. ``native/frame_loop.h`` writes both and calls the kernels.
     """
 
     def __init__(self, program: _Program, recorded: Sequence[Any], thread: int) -> None:
-        self._recorded, self._thread = recorded, thread  # which the compiled code belongs to
+        self._thread = thread
         layouts = [_layout(launch.params[1:]) for launch in recorded]
-        self._words = np.frombuffer(b"".join(map(bytes, layouts)), np.int64).copy()
+        self._words = np.frombuffer(b"".join(map(bytes, layouts)), np.uint64).copy()
         lengths = [ctypes.sizeof(layout) // 8 for layout in layouts]
-        starts = np.cumsum([0, *lengths[:-1]])
+        starts = np.cumsum([0, *lengths[:-1]]).tolist()
         begin = self._words.ctypes.data
-        self._launches = [
-            (launch.hooks.forward, ctypes.byref(launch.params[0]), ctypes.c_void_p(begin + 8 * at))
-            for launch, at in zip(recorded, starts.tolist(), strict=True)
+        launches = [
+            (_address(launch.hooks.forward), ctypes.addressof(launch.params[0]), begin + 8 * at, at)
+            for launch, at in zip(recorded, starts, strict=True)
         ]
-        self._shares = starts  # each kernel's first two arguments
         self._room = _Room(program)
         given, kept = [], []
         for number, (step, layout) in enumerate(zip(program.steps, layouts, strict=True)):
@@ -264,21 +272,33 @@ class _Lane:
                 else:
                     given.append((word, program.place(source)))
         self._given, self._number = np.array(given).T
-        self._kept, self._offset, self._row = np.array(kept).T
+        self._rooms = np.array(kept, np.uint64)
+        self._offset = self._rooms[:, 1].copy()
+        tables = np.array(launches, np.uint64), self._words, self._rooms, program.next
+        self._loop = _launch(frame_loop, [*map(_shared, tables), program.frames])
+        self._arguments = _layout(self._loop.params[1:])
+        self._held = recorded, tables  # whose addresses it has
 
     def place(self, addresses: Sequence[int]) -> None:
         """Takes the addresses of a call's arrays."""
-        self._words[self._given] = np.array(addresses, np.int64)[self._number]
-        self._begin = _memory(self._thread, self._room.size) + self._offset
+        self._words[self._given] = np.array(addresses, np.uint64)[self._number]
+        self._rooms[:, 1] = self._offset + np.uint64(_memory(self._thread, self._room.size))
 
-    def run(self, frames: Iterator[int]) -> None:
+    def run(self) -> None:
         """Takes frames until there are no more."""
-        shares = self._words[self._shares] & ~0xFFFFFFFF
-        for frame in frames:
-            self._words[self._shares] = shares + frame
-            self._words[self._kept] = self._begin - frame * self._row
-            for forward, bounds, arguments in self._launches:
-                forward(bounds, arguments)
+        bounds, arguments = ctypes.byref(self._loop.params[0]), ctypes.byref(self._arguments)
+        self._loop.hooks.forward(bounds, arguments)
+
+
+def _shared(table: np.ndarray) -> Any:
+    """The same memory for Warp."""
+    dtype = wp.dtype_from_numpy(table.dtype)
+    return wp.array(ptr=table.ctypes.data, dtype=dtype, shape=table.shape, device="cpu")
+
+
+def _address(function: Any) -> int:
+    """Of compiled code."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 class _Room:

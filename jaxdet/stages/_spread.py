@@ -134,7 +134,7 @@ def run(
     """
     among = devices_for(color)
     if len(among) == 1:
-        return program(jax.device_put(color), jax.device_put(depth), tables, *static)
+        return program(color, depth, tables, *static)
     rows = rows_over(among)
     color, depth = jax.device_put((color, depth), rows)
     return _spread(program, specs, among, static)(color, depth, _placed(tables, specs, among))

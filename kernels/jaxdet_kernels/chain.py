@@ -1,0 +1,37 @@
+"""Calls other kernels on the CPU, frame by frame."""
+
+import warp as wp
+
+from jaxdet_kernels.native_source import native_kernel
+
+wp.set_module_options({"enable_backward": False})
+
+
+@native_kernel(
+    "frame_loop.h",
+    body="""
+#if !defined(__CUDA_ARCH__)
+    typedef unsigned long long Address;
+    FrameLoop{(const Address*)kernels.data, kernels.shape[0], (Address*)words.data,
+              (const Address*)rooms.data, rooms.shape[0], next.data, frames}.run();
+#endif
+""",
+)
+def frame_loop(
+    tid: int,
+    kernels: wp.array2d[wp.uint64],
+    words: wp.array[wp.uint64],
+    rooms: wp.array2d[wp.uint64],
+    next: wp.array[wp.int32],
+    frames: int,
+):
+    """Takes frames until there are no more; for the CPU.
+
+    Args:
+        tid: Of the launch.
+        kernels: ``(K, 4)``, see ``native/frame_loop.h``.
+        words: The arguments of all of them.
+        rooms: ``(M, 3)``, memory with room for one frame, likewise.
+        next: ``(1,)``, the first frame that no thread has taken.
+        frames: ``B``.
+    """
