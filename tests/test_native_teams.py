@@ -40,7 +40,7 @@ class Launch(NamedTuple):
 def launched(program: Any) -> dict[str, Launch]:
     """Copies of what the kernels of a program had and made, when it has run on one frame."""
     lane, found = program.lanes[0], {}
-    starts = lane._shares.tolist()
+    starts = lane._kernels[:, 3].tolist()
     for step, launch, start in zip(program.steps, lane._recorded, starts, strict=True):
         layout, arrays = type(_chain._layout(launch.params[1:])), {}
         for i, (name, of) in enumerate(step.kernel.types.items()):

@@ -249,7 +249,7 @@ class _Lane:
     """
 
     def __init__(self, program: _Program, recorded: Sequence[Any], thread: int) -> None:
-        self._thread = thread
+        self._recorded, self._thread = recorded, thread  # which the compiled code belongs to
         layouts = [_layout(launch.params[1:]) for launch in recorded]
         self._words = np.frombuffer(b"".join(map(bytes, layouts)), np.uint64).copy()
         lengths = [ctypes.sizeof(layout) // 8 for layout in layouts]
@@ -274,10 +274,10 @@ class _Lane:
         self._given, self._number = np.array(given).T
         self._rooms = np.array(kept, np.uint64)
         self._offset = self._rooms[:, 1].copy()
-        tables = np.array(launches, np.uint64), self._words, self._rooms, program.next
+        self._kernels = np.array(launches, np.uint64)
+        tables = self._kernels, self._words, self._rooms, program.next
         self._loop = _launch(frame_loop, [*map(_shared, tables), program.frames])
         self._arguments = _layout(self._loop.params[1:])
-        self._held = recorded, tables  # whose addresses it has
 
     def place(self, addresses: Sequence[int]) -> None:
         """Takes the addresses of a call's arrays."""
