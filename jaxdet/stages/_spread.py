@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -71,7 +71,8 @@ def in_parts(
     """
     count, parts = len(images[0]), len(devices_for(images[0]))
     most = _part_size(images, parts, STAGED_PART_BYTES if staged else PART_BYTES)
-    found, end = [], 0
+    joined: Any = None
+    end = 0
     while end < count:
         size = _next_part(count - end, most, parts)
         rows = slice(end, end := end + size)
@@ -85,10 +86,17 @@ def in_parts(
         part = run(some, planes)
         if missing:
             part = jax.tree.map(lambda values, number=number: values[:number], part)
-        if size < count:
-            part = jax.tree.map(np.asarray, part)  # and its memory is free for the next
-        found.append(part)
-    return found[0] if len(found) == 1 else jax.tree.map(lambda *a: np.concatenate(a), *found)
+        if size == count:
+            return part
+        if joined is None:
+            joined = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), part)
+        jax.tree.map(partial(_put, rows), joined, part)
+        del part  # so that the next finds its memory
+    return joined
+
+
+def _put(rows: slice, whole: np.ndarray, part: jax.Array) -> None:
+    whole[rows] = part
 
 
 def _part_size(images: tuple[Any, ...], parts: int, part_bytes: int) -> int:
