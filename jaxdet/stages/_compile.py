@@ -18,6 +18,7 @@ import warp as wp
 from jaxdet.stages._threads import threads
 from jaxdet_kernels import (
     cells,
+    chain,
     cover,
     features,
     floor,
@@ -27,7 +28,7 @@ from jaxdet_kernels import (
     surfaces,
 )
 
-_MODULES = obstacles, surfaces, cells, floor, outlines, cover, free_floor, features
+_MODULES = obstacles, surfaces, cells, floor, outlines, cover, free_floor, chain, features
 """Those that take longest first; the last has flags that stay set in the process."""
 
 
