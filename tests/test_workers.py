@@ -286,6 +286,7 @@ def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     monkeypatch.setattr(_upload, "wp", stand_in)
     lock = SimpleNamespace(unlock=lambda: None)
     monkeypatch.setattr(_upload, "PageLock", lambda memory, device: lock)
+    monkeypatch.setattr(_upload, "wait_asleep", lambda device: None)
     monkeypatch.setattr(local, "gpus", lambda: (jax.devices("cpu")[0],))
     return copies
 
@@ -355,11 +356,11 @@ def test_a_device_without_memory_computes_smaller_batches(
     on_this_machine(monkeypatch)
     sizes = []
 
-    def start(lane: Any, pieces: list) -> Any:
+    def start(lane: Any, *given: Any) -> Any:
         sizes.append(lane.rows)
         if lane.rows > 4:
             raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
-        return real(lane, pieces)
+        return real(lane, *given)
 
     real = station._Lane.start
     monkeypatch.setattr(station._Lane, "start", start)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.config import Config
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.signals import STOPS, stops_held_back
-from jaxdet.engine.startup import start_up
+from jaxdet.engine.startup import start_cuda, start_up
 from jaxdet.engine.station import Slots, Station
 from jaxdet.engine.unit import lose_unit
 from jaxdet.engine.worker import Failure, Worker, work_on
@@ -49,6 +49,7 @@ def gpus() -> tuple[Any, ...]:
         return ()
     if next(Path("/dev").glob("nvidia[0-9]*"), None):  # while JAX looks for them
         _start_server(LOADED)
+        start_cuda()
     start_up()
     from jaxdet.stages._device import on_cuda
     from jaxdet.stages._spread import devices_for

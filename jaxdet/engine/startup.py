@@ -3,6 +3,7 @@
 import ctypes
 import os
 import platform
+import threading
 import warnings
 import zlib
 from contextlib import suppress
@@ -97,6 +98,26 @@ def _check_platforms() -> None:
     if not found or (alone and found == "cpu"):
         problem = f"JAX has no device for JAX_PLATFORMS={asked}"
         raise ConfigError(problem, remedy="unset JAX_PLATFORMS, or set it to cpu")
+
+
+def start_cuda() -> None:
+    """Begins to load the driver's part of CUDA in a thread, while this one imports what uses it.
+
+    It takes a quarter of a second, without Python's lock. What goes wrong is said by who uses it.
+    """
+    threading.Thread(target=_make_contexts, name="jaxdet-cuda", daemon=True).start()
+
+
+def _make_contexts() -> None:
+    """Makes the primary context of each device, which libraries share."""
+    with suppress(OSError, AttributeError):  # no driver
+        cuda = ctypes.CDLL("libcuda.so.1")
+        cuda.cuInit(0)
+        count, device = ctypes.c_int(), ctypes.c_int()
+        cuda.cuDeviceGetCount(ctypes.byref(count))
+        for ordinal in range(count.value):
+            cuda.cuDeviceGet(ctypes.byref(device), ordinal)
+            cuda.cuDevicePrimaryCtxRetain(ctypes.byref(ctypes.c_void_p()), device)
 
 
 def start_reading() -> None:

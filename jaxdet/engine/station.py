@@ -8,6 +8,7 @@ depends on another, so no result depends on who shares a batch.
 
 import mmap
 import os
+import pickle
 import queue
 import threading
 import time
@@ -33,8 +34,9 @@ from jaxdet.types import Calibration, Detections, Frames, GroundPlane
 if TYPE_CHECKING:
     from jaxdet.io import Batch, Log
 
-SLOTS = 3
-"""Of each worker: one that it decodes to, and two that are computed or wait for it."""
+SLOTS = 4
+"""Of each worker: one that it decodes to, and three that are copied, computed, sent back or wait
+for it."""
 PIECE_FRAMES, PIECE_BYTES = 16, 24 << 20
 """Frames of a slot: so many, or as many as take so much memory, but one."""
 BATCH_PIECES = 16
@@ -152,7 +154,8 @@ class Reply(NamedTuple):
     """Its results are there, or why not."""
 
     slot: int
-    packing: Packing | None
+    packing: bytes
+    """:class:`Packing`, pickled: all replies have the same one."""
     whole: Detections | None
     error: Exception | None
     busy_s: Mapping[str, float]
@@ -236,6 +239,14 @@ class _Served(NamedTuple):
     config: Config
 
 
+class _Batch(NamedTuple):
+    """Pieces that are computed together."""
+
+    pieces: list[Piece]
+    state: Any
+    """What their lane knows them by: of the last step that is done."""
+
+
 class _LogStation:
     """What serves a log, and the next one if it is of the same kind."""
 
@@ -247,6 +258,8 @@ class _LogStation:
         self.results: _Results | None = None
         self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
         self.lock = threading.Lock()
+        self.sending = threading.Lock()
+        """Two devices may have results for one worker."""
         self.locked: dict[str, Any] = {}
         """Page locks by the path of the memory."""
         self.threads: list[threading.Thread] = []
@@ -288,30 +301,35 @@ class _LogStation:
                     pipes.remove(end)
 
     def _compute(self, device: Any) -> None:
-        """Computes batches on one device, the next one copied while the last is computed."""
+        """Computes batches on one device, while the next one is copied to it."""
         lane = _FittingLane(self, device)
         with suppress(Exception):  # said of each batch
             lane.open()  # compiled while workers read
-        flying: tuple[list[Piece], Any] | None = None
+        copying: _Batch | None = None
+        computing: _Batch | None = None
         more = True
-        while more or flying:
-            pieces, more = self._collect(block=flying is None) if more else ([], False)
-            started = None
-            if pieces:
-                try:
-                    started = pieces, lane.start(pieces)
-                except Exception as error:
-                    self._refuse(pieces, error)
-            if flying:
-                try:
-                    replies = lane.finish(*flying)
-                except Exception as error:
-                    self._refuse(flying[0], error)
-                else:
-                    for piece, reply in zip(flying[0], replies, strict=True):
-                        self._send(piece, reply)
-            flying = started
+        while more or copying or computing:
+            idle = not (copying or computing)
+            pieces, more = self._collect(block=idle) if more else ([], False)
+            copied = self._next(_Batch(pieces, None) if pieces else None, lane.copy)
+            started = self._next(copying, lane.start)
+            done = self._next(computing, lane.finish)
+            if done:
+                for piece, reply in zip(*done, strict=True):
+                    self._send(piece, reply)
+            copying, computing = copied, started
         lane.close()
+
+    def _next(self, batch: "_Batch | None", step: Callable[..., Any]) -> "_Batch | None":
+        """A batch after the next step; None: it has failed, or there is none."""
+        if batch is None:
+            return None
+        try:
+            return _Batch(batch.pieces, step(*batch))
+        except Exception as error:
+            for piece in batch.pieces:
+                self._send(piece, Reply(piece.slot, b"", None, error, {}))
+            return None
 
     def _collect(self, *, block: bool) -> tuple[list[Piece], bool]:
         """The pieces that wait, at most a batch, and whether more may come."""
@@ -344,15 +362,11 @@ class _LogStation:
                 memory = _Memory(size)
                 packing = Packing(memory.path, leaves)
                 rows = packing.view(memory.map, self.slots)
-                self.results = _Results(memory, packing, rows)
+                self.results = _Results(memory, pickle.dumps(packing), rows)
             return self.results
 
-    def _refuse(self, pieces: list[Piece], error: Exception) -> None:
-        for piece in pieces:
-            self._send(piece, Reply(piece.slot, None, None, error, {}))
-
     def _send(self, piece: Piece, reply: Reply) -> None:
-        with suppress(OSError):  # the worker has died, which its pool says
+        with self.sending, suppress(OSError):  # the worker has died, which its pool says
             self.pipes[piece.worker].send(reply)
 
 
@@ -372,7 +386,7 @@ class _FittingLane:
             try:
                 with _warming:
                     self._lane = _Lane(self.log, self.device, self.pieces)
-                    self._lane.finish([], self._lane.start([]))
+                    self._lane.finish([], self._lane.start([], self._lane.copied([])))
             except Exception as error:
                 self._broken = error
                 self._halve(error)
@@ -384,28 +398,32 @@ class _FittingLane:
         if self._lane:
             self._lane.close()
 
-    def start(self, pieces: list[Piece]) -> "tuple[_Lane, Any] | None":
-        """Starts a batch; None: there is no memory for all of it."""
+    def copy(self, pieces: list[Piece], _: None = None) -> "_Copying | None":
+        """Begins to copy a batch; None: there is no memory for all of it."""
         lane = self.open()
-        if len(pieces) > self.pieces:
+        return _Copying(lane, lane.copy(pieces)) if len(pieces) <= self.pieces else None
+
+    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Computing | None":
+        """Waits until a batch is copied and starts to compute it; None: there is no memory."""
+        if copying is None or copying.lane is not self._lane:
             return None
         try:
-            return lane, lane.start(pieces)
+            return _Computing(copying.lane, copying.lane.start(pieces, copying.copied.result()))
         except Exception as error:
             self._halve(error)
             return None
 
-    def finish(self, pieces: list[Piece], started: "tuple[_Lane, Any] | None") -> list[Reply]:
+    def finish(self, pieces: list[Piece], computing: "_Computing | None") -> list[Reply]:
         """Waits for a batch; one that was too large is computed in parts."""
-        if started:
+        if computing:
             try:
-                return started[0].finish(pieces, started[1])
+                return computing.lane.finish(pieces, computing.started)
             except Exception as error:
                 self._halve(error)
         replies: list[Reply] = []
         while len(replies) < len(pieces):
             part = pieces[len(replies) :][: self.pieces]
-            replies += self.finish(part, self.start(part))
+            replies += self.finish(part, self.start(part, self.copy(part)))
         return replies
 
     def _halve(self, error: Exception) -> None:
@@ -418,9 +436,18 @@ class _FittingLane:
 
 class _Results(NamedTuple):
     memory: "_Memory"
-    packing: Packing
+    packing: bytes
+    """See :class:`Reply`."""
     rows: np.ndarray
     """See :meth:`Packing.view`."""
+
+
+class _Copied(NamedTuple):
+    """Images of a batch on a device."""
+
+    images: Any
+    seconds: float
+    """How long copying took [s]."""
 
 
 class _Started(NamedTuple):
@@ -429,20 +456,35 @@ class _Started(NamedTuple):
     found: Detections
     inputs: RowInputs
     packed: Any
-    copied: float
-    """Time when its images were there, by ``time.perf_counter`` [s]."""
+    begin: float
+    """Time when it was started, by ``time.perf_counter`` [s]."""
     copying_s: float
-    """How long that took [s]."""
+    """How long its images were copied [s]."""
     ready: "Future[float]"
     """Time when it is computed."""
 
 
+class _Copying(NamedTuple):
+    """A batch on its way to a lane's device."""
+
+    lane: "_Lane"
+    copied: "Future[_Copied]"
+
+
+class _Computing(NamedTuple):
+    """A batch that a lane's device computes."""
+
+    lane: "_Lane"
+    started: _Started
+
+
 class _Lane:
-    """One device and what belongs to it."""
+    """One device and what belongs to it: a batch is copied to it while one is computed."""
 
     def __init__(self, log: _LogStation, device: Any, pieces: int) -> None:
-        from jaxdet.stages._upload import Uploader
+        from jaxdet.stages._upload import Uploader, wait_asleep
 
+        wait_asleep(device)  # cores are for the workers
         slots = log.slots
         self.log, self.device, self.rows = log, device, pieces * slots.frames
         shapes = (self.rows, *slots.color), (self.rows, *slots.depth)
@@ -451,30 +493,39 @@ class _Lane:
         self._ready = 0.0
         """Time when the last batch was computed."""
         # Pages of a gigabyte are made and locked while the program is traced and loaded.
-        self._lock = ThreadPoolExecutor(1, "jaxdet-lock")
-        self._locked = self._lock.submit(log.page_lock, log.memory, device)
+        self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
+        self._locked = self._copier.submit(log.page_lock, log.memory, device)
 
     def close(self) -> None:
         """Ends its threads."""
-        self._lock.shutdown()
+        self._copier.shutdown()
         self._watch.shutdown()
 
-    def start(self, pieces: list[Piece]) -> _Started:
-        """Copies the pieces and starts to compute them."""
+    def copy(self, pieces: list[Piece]) -> "Future[_Copied]":
+        """Begins to copy the pieces to the device."""
+        return self._copier.submit(self.copied, pieces)
+
+    def copied(self, pieces: list[Piece]) -> _Copied:
+        """Copies the pieces to the device."""
         if pieces:
             self._locked.result()
+        begin = time.perf_counter()
+        images = self.uploader.upload([self.log.images[piece.slot] for piece in pieces])
+        return _Copied(images, time.perf_counter() - begin)
+
+    def start(self, pieces: list[Piece], copied: _Copied) -> _Started:
+        """Starts to compute the pieces."""
         log, begin = self.log, time.perf_counter()
-        images: Any = self.uploader.upload([log.images[piece.slot] for piece in pieces])
-        copied = time.perf_counter()
         nothing = np.zeros(self.rows, np.int64)
         missing = self.rows - len(pieces) * log.slots.frames
         plane = _joined([*(piece.plane for piece in pieces), unknown_plane(missing)])
         known = nothing, nothing, nothing, nothing > 0
-        frames = Frames(images[0], images[1], log.served.calibration, *known, plane=plane)
+        color, depth = copied.images
+        frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
         found = detect(frames, log.served.config)
         inputs, packed = _pack()(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(found, inputs, packed, copied, copied - begin, ready)
+        return _Started(found, inputs, packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Waits for the results and copies them to the slots."""
@@ -484,7 +535,7 @@ class _Lane:
         self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
         copying_s = started.copying_s + time.perf_counter() - begin
         # A batch is computed after the one before.
-        computing_s = ready - max(self._ready, started.copied)
+        computing_s = ready - max(self._ready, started.begin)
         self._ready = ready
         times = {"transfer": copying_s, "compute": computing_s}
         busy_s = {what: taken / max(1, len(pieces)) for what, taken in times.items()}
@@ -544,7 +595,7 @@ class SharedDevice:
         self._views = slots.views(_attached(slots.path))
         self._turn = 0
         self._replies: dict[int, Reply] = {}
-        self._results: tuple[Packing, np.ndarray] | None = None
+        self._results: tuple[bytes, Packing, np.ndarray] | None = None
 
     def images(self) -> tuple[np.ndarray, np.ndarray]:
         """The memory for the next batch."""
@@ -562,13 +613,14 @@ class SharedDevice:
         while started not in self._replies:
             reply: Reply = self._piped.pipe.recv()
             self._replies[reply.slot] = reply
-        _, packing, whole, error, busy_s = self._replies.pop(started)
+        _, told, whole, error, busy_s = self._replies.pop(started)
         if error:
             raise error
-        assert packing
-        if self._results is None or self._results[0].path != packing.path:
-            self._results = packing, packing.view(_attached(packing.path), self._slots)
-        return Found(packing.unpacked(self._results[1][started]), whole, busy_s)
+        if self._results is None or self._results[0] != told:
+            packing: Packing = pickle.loads(told)
+            self._results = told, packing, packing.view(_attached(packing.path), self._slots)
+        _, packing, rows = self._results
+        return Found(packing.unpacked(rows[started]), whole, busy_s)
 
 
 class _Memory:

@@ -18,6 +18,8 @@ Images = tuple[np.ndarray, np.ndarray]
 
 _PORTABLE = 1
 """CU_MEMHOSTREGISTER_PORTABLE: page-locked for all devices."""
+_BLOCKING_SYNC = 4
+"""CU_CTX_SCHED_BLOCKING_SYNC: a thread that waits for the device sleeps."""
 
 
 def pin(color: np.ndarray, depth: np.ndarray) -> Images:
@@ -37,10 +39,11 @@ def pin(color: np.ndarray, depth: np.ndarray) -> Images:
 
 
 class Uploader:
-    """A ring of device buffers, filled on a stream of its own, and the way back.
+    """A ring of device buffers, filled on a stream of its own, and the way back on another.
 
     A buffer is filled again ``depth`` uploads later; by then the results computed from it must be
-    ready, so wait for the batch before the last before uploading the next.
+    ready, so wait for the batch before the last before uploading the next. One thread may upload
+    while another downloads.
 
     Args:
         color_shape: ``(B, H, W, 3)``.
@@ -57,7 +60,7 @@ class Uploader:
         depth: int = 3,
     ) -> None:
         self.device = wp.device_from_jax(device)
-        self.stream = wp.Stream(self.device)
+        self.stream, self.back = wp.Stream(self.device), wp.Stream(self.device)
         self.ring = [
             (
                 wp.zeros(color_shape, dtype=UINT8, device=self.device),
@@ -94,9 +97,9 @@ class Uploader:
         source, start = wp.from_jax(jax.block_until_ready(found)), 0
         for piece in rows:
             to = _on_host(piece, INT32)
-            wp.copy(to, source, src_offset=start, count=to.size, stream=self.stream)
+            wp.copy(to, source, src_offset=start, count=to.size, stream=self.back)
             start += to.size
-        wp.synchronize_stream(self.stream)
+        wp.synchronize_stream(self.back)
 
 
 def _on_host(array: np.ndarray, kind: Any) -> wp.array:
@@ -118,15 +121,28 @@ class PageLock:
     def __init__(self, memory: mmap.mmap, device: Any) -> None:
         self._device = wp.device_from_jax(device)
         self._address = ctypes.c_void_p(ctypes.addressof(ctypes.c_char.from_buffer(memory)))
-        size = ctypes.c_size_t(len(memory))
-        self._call("cuMemHostRegister_v2", self._address, size, ctypes.c_uint(_PORTABLE))
+        size, portable = ctypes.c_size_t(len(memory)), ctypes.c_uint(_PORTABLE)
+        _call(self._device, "cuMemHostRegister_v2", self._address, size, portable)
 
     def unlock(self) -> None:
         """Makes it usual memory again."""
-        self._call("cuMemHostUnregister", self._address)
+        _call(self._device, "cuMemHostUnregister", self._address)
 
-    def _call(self, name: str, *arguments: Any) -> None:
-        with self._device.context_guard:
-            code = getattr(ctypes.CDLL("libcuda.so.1"), name)(*arguments)
-        if code:
-            raise OSError(f"{name} failed with error {code}")
+
+def wait_asleep(device: Any) -> None:
+    """Makes threads that wait for a device sleep: by default each keeps a core busy.
+
+    Raises:
+        OSError: CUDA refuses it.
+    """
+    of, number = wp.device_from_jax(device), ctypes.c_int()
+    _call(of, "cuCtxGetDevice", ctypes.byref(number))
+    _call(of, "cuDevicePrimaryCtxSetFlags_v2", number, ctypes.c_uint(_BLOCKING_SYNC))
+
+
+def _call(device: wp.Device, name: str, *arguments: Any) -> None:
+    """Calls CUDA's driver."""
+    with device.context_guard:
+        code = getattr(ctypes.CDLL("libcuda.so.1"), name)(*arguments)
+    if code:
+        raise OSError(f"{name} failed with error {code}")
