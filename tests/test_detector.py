@@ -1,5 +1,6 @@
 """Detector: the rows of ``jaxdet run``, whatever frames come as; what can't be meant is refused."""
 
+import inspect
 import subprocess
 import sys
 from dataclasses import replace
@@ -163,6 +164,25 @@ def test_a_log_is_a_sequence_of_frames(sim_log):
         assert len(log) == 3 and [frame.number for frame in log[1:]] == [3, 6]
         found = list(Detector.from_log(log).run(log))
         assert [one.number for one in found] == [0, 3, 6]
+
+
+def test_what_a_notebook_shows_is_a_line(sim_log):
+    with jaxdet.open_log(sim_log) as log:
+        detector = Detector.from_log(log)
+        found = next(detector.run(log))
+        shown = [repr(one) for one in (log, log[0], log[:2], detector, found, found[0])]
+        assert log.name in shown[0] and log.name in shown[3] and "fx " in shown[3]
+    assert all("\n" not in text and "array" not in text and len(text) < 160 for text in shown)
+    assert shown[5].startswith(f"<Obstacle 0: {found[0].distance_m:.2f} m away")
+    assert "ArrayLike" in str(inspect.signature(Detector))
+
+
+def test_the_nearest_obstacle_is_told_by_its_distance(shared_data):
+    with jaxdet.open_log(shared_data / "aims_slam" / "aims_slam_18frames.mcap") as log:
+        frames = list(Detector.from_log(log).run(log))
+    nearest = [min(found, key=lambda one: one.distance_m) for found in frames]
+    assert [one.distance_m for one in nearest] == [found.nearest_m for found in frames]
+    assert any(one.label != 0 for one in nearest)  # so no page may call 0 the nearest
 
 
 CALIBRATION = small(160, 120)

@@ -81,6 +81,13 @@ class Cameras:
         depth, motion = calibration.depth, calibration.color_from_depth
         return cls(calibration.color, depth, motion, calibration.depth_unit)
 
+    def __str__(self) -> str:
+        """Of which cameras, in a few words."""
+        camera = self._color
+        fx, fy, cx, cy = camera[2:6] if isinstance(camera, Intrinsics) else camera
+        focal = f"fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g}"
+        return f"{focal}, depth {'on its own pixels' if self._depth else 'aligned to colour'}"
+
     def calibration(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:
         """The calibration of images of these shapes ``(B, H, W, ...)``.
 

@@ -1,5 +1,8 @@
 """The detector: a calibration and a configuration, ready for frames."""
 
+# So that help() shows ArrayLike, not the union that it stands for.
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
@@ -98,10 +101,14 @@ class Detector:
         if backend == "jax":
             _prepare()
 
+    def __repr__(self) -> str:
+        of = f" of {self._log[0]}" if self._log else ""
+        return f"<Detector{of}: {self._cameras}, {self._backend}>"
+
     @classmethod
     def from_log(
         cls,
-        log: "Log",
+        log: Log,
         *,
         config: Config | str | PathLike[str] = "wheeled",
         backend: BackendName = "jax",
@@ -152,7 +159,7 @@ class Detector:
                 for :attr:`Obstacle.corners_world`.
 
         Returns:
-            The obstacles, nearest first. The images can be written to again.
+            The obstacles, in the order of their labels. The images can be written to again.
 
         Raises:
             InputError: The images are no such arrays.
@@ -215,7 +222,7 @@ class Detector:
         batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
         return self._found(batch, plane, sources)
 
-    def run(self, log: "Log", batch_size: int = RUN_BATCH) -> Iterator[FrameResult]:
+    def run(self, log: Log, batch_size: int = RUN_BATCH) -> Iterator[FrameResult]:
         """Finds the obstacles in every frame of the log that the detector was made from.
 
         The results are what ``jaxdet run`` writes, frame by frame; frames that can't be used have
@@ -260,7 +267,7 @@ class Detector:
         plane = floor_of(frames, self.config, backend=self._backend)
         return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
 
-    def _found(self, batch: "Batch", plane: GroundPlane, sources: list[str]) -> BatchResult:
+    def _found(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:
         from jaxdet.engine.signals import stops_held_back
 
         frames = batch.frames._replace(plane=plane)

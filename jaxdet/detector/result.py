@@ -1,7 +1,7 @@
 """What was found, as objects: a batch, its frames, their obstacles."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
@@ -35,13 +35,13 @@ class FreeFloorLine(NamedTuple):
     """``(C,)`` int8, what ends it, see :class:`jaxdet.types.FreeEnd`."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Obstacle:
     """One obstacle. The values are those of its row in ``obstacles.parquet``.
 
     Attributes:
-        label: Number in its frame, from the nearest; the value of its pixels in
-            :attr:`FrameResult.labels`.
+        label: Number in its frame, by the least depth that the depth camera measured of it: 0 is not
+            always the nearest. The value of its pixels in :attr:`FrameResult.labels`.
         distance_m: From the camera's foot on the floor to its nearest point [m].
         box: First column and row, last column and row of it in the colour image [pixel].
         xyz_min: ``(3,)`` float32, least x, y and z in the colour optical frame [m].
@@ -64,11 +64,15 @@ class Obstacle:
     centroid: np.ndarray
     bottom_m: float | None
     top_m: float | None
-    contour: np.ndarray | None = field(repr=False)
-    corners: np.ndarray = field(repr=False)
-    corners_world: np.ndarray | None = field(repr=False)
+    contour: np.ndarray | None
+    corners: np.ndarray
+    corners_world: np.ndarray | None
     num_points: int
-    frame: "FrameResult" = field(repr=False)
+    frame: "FrameResult"
+
+    def __repr__(self) -> str:
+        high = "" if self.top_m is None else f", {self.bottom_m:.2f} to {self.top_m:.2f} m high"
+        return f"<Obstacle {self.label}: {self.distance_m:.2f} m away{high}, box {self.box}>"
 
     @property
     def points(self) -> np.ndarray:
@@ -81,7 +85,7 @@ class Obstacle:
 
 
 class FrameResult(Sequence[Obstacle]):
-    """What was found in a frame: a sequence of its obstacles, nearest first.
+    """What was found in a frame: a sequence of its obstacles, in the order of their labels.
 
     Use it while its arrays are of use: it keeps those of its batch, some 0.7 MB a frame.
     """
@@ -126,7 +130,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The obstacles, nearest first."""
+        """The obstacles, in the order of their labels."""
         return tuple(self._batch.obstacles_of(self, self._row))
 
     @property
@@ -272,6 +276,9 @@ class BatchResult(Sequence[FrameResult]):
 
     def __len__(self) -> int:
         return len(self.counts)
+
+    def __repr__(self) -> str:
+        return f"<BatchResult: {len(self)} frames, {sum(self.counts)} obstacles>"
 
     @overload
     def __getitem__(self, index: int) -> FrameResult: ...

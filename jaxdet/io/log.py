@@ -194,6 +194,11 @@ class Log:
         """Frames of the part that is read."""
         return len(self.frames)
 
+    def __repr__(self) -> str:
+        (height, width, _), (high, wide) = self.image_shapes
+        sizes = f"colour {width}x{height}, depth {wide}x{high}"
+        return f"<Log {self.label}: {len(self)} frames, {sizes}>"
+
     def __iter__(self) -> Iterator[LogFrame]:
         """The frames of the part that is read, one by one; some are read at a time."""
         for batch in self.batches(self._at_once):

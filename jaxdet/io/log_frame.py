@@ -29,6 +29,11 @@ class LogFrame(NamedTuple):
     T_world_camera: np.ndarray | None
     """``(4, 4)`` float64, colour optical frame to world, NaN where unknown; None: no poses."""
 
+    def __repr__(self) -> str:
+        (height, width), (high, wide) = self.color.shape[:2], self.depth.shape
+        sizes = f"colour {width}x{height}, depth {wide}x{high}"
+        return f"<LogFrame {self.number}: {self.status}, {sizes}, {self.stamp_ns} ns>"
+
 
 def one_by_one(
     frames: Frames, statuses: Sequence[FrameStatus], errors: Sequence[str]

@@ -84,7 +84,12 @@ OBSTACLES_SCHEMA = _schema(
     _Column("camera", _STRING, "", "name of the camera"),
     _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
     _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
-    _Column("obstacle", _I32, "", "label in the frame, numbered from the nearest, from 0"),
+    _Column(
+        "obstacle",
+        _I32,
+        "",
+        "label in the frame from 0, by least depth as the depth camera measured it",
+    ),
     _Column("num_points", _I32, "", "its cells in the colour image, or its corners"),
     _Column("u_min", _I32, "pixel", "first column of its box in the colour image"),
     _Column("u_max", _I32, "pixel", "last column"),
