@@ -1,10 +1,11 @@
 """What a run says while it goes on: the step that others wait for, and the rate of each."""
 
+import re
 from collections import Counter
 
 import pytest
 
-from jaxdet.cli.progress import _text, _thousands
+from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands
 from jaxdet.engine import LogSummary, Progress
 
 
@@ -36,10 +37,24 @@ def test_line() -> None:
     found = about(16, 1, read=1.2, decode=19.2, transfer=0.02, compute=0.01, write=1.2, wait=9.0)
     state = found.bottleneck, found.rates
     now = Progress("a", 0, 1, 1200, 4000, 0, 950.04, *state)
-    assert _text(now) == (
-        "1200/4000 frames, 950.0 frames/s, slowest: decode 1.0k/s "
+    assert _text(now, _slowest) == "1200/4000 frames, 950/s, slowest: decode"
+    assert _text(now, _steps) == (
+        "1200/4000 frames, 950/s, slowest: decode 1.0k/s "
         "(read 16k, transfer 60k, compute 120k, write 16k)"
     )
+
+
+def test_a_terminal_of_80_columns_shows_all_of_a_bar(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    found = about(16, 1, read=1.2, decode=19.2, compute=0.01, write=1.2)
+    for name in ("drive", "rosbag2_2026_11_03-14_22_07_0_front_left"):
+        with _bars() as show:
+            show(Progress(name, 1, 12, 1200, 4000, 17, 11_400.0, found.bottleneck, found.rates))
+        plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+        assert f"[2/12] {name[:7]}" in plain
+        assert "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 10.0
 MAX_BARS = 6
 """Logs shown at a time."""
+MAX_NAME = 20
+"""Columns for a log's name, so that all fits in 80."""
 
 
 @contextmanager
@@ -32,14 +34,16 @@ def reporting(silent: bool) -> Iterator["ProgressCallback | None"]:
 def _bars() -> Iterator["ProgressCallback"]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.table import Column
 
+    name = Column(no_wrap=True, overflow="ellipsis", max_width=MAX_NAME)
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.fields[text]}", markup=False),
-        TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False, table_column=name),
+        BarColumn(bar_width=None, table_column=Column(ratio=1)),  # what the others leave
+        TextColumn("{task.fields[text]}", markup=False, table_column=Column(no_wrap=True)),
+        TimeRemainingColumn(compact=True),
     )
-    bars = Progress(*columns, console=Console(stderr=True))
+    bars = Progress(*columns, console=Console(stderr=True), expand=True)
     known: list[tuple[int, str]] = []
     """Number and name of the log of each bar; the last one is moving."""
 
@@ -56,7 +60,7 @@ def _bars() -> Iterator["ProgressCallback"]:
                     bars.update(task.id, visible=False)
                 bars.add_task("", total=None, text="")
                 known.append(which)
-        state = {"total": now.total or None, "completed": now.done, "text": _text(now)}
+        state = {"total": now.total or None, "completed": now.done, "text": _text(now, _slowest)}
         bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
 
     try:
@@ -75,32 +79,37 @@ class _Lines:
         if now.doing or (now.done < now.total and time.monotonic() - self.last < LINE_EVERY_S):
             return
         self.last = time.monotonic()
-        print(f"{_which(now)}{now.log}: {_text(now)}", file=sys.stderr, flush=True)
+        print(f"{_which(now)}{now.log}: {_text(now, _steps)}", file=sys.stderr, flush=True)
 
 
 def _which(now: "Progress") -> str:
     return f"[{now.log_number + 1}/{now.num_logs}] " if now.num_logs > 1 else ""
 
 
-def _text(now: "Progress") -> str:
+def _text(now: "Progress", steps: Callable[["Progress"], str]) -> str:
     """Frames, rate, which step is the slowest, and frames that are not ok."""
     if now.doing:
         return now.doing
     parts = [
         f"{now.done}/{now.total} frames",
-        f"{now.frames_per_s:.1f} frames/s" if now.frames_per_s else "",
-        _steps_text(now) if now.bottleneck else "",
+        f"{_thousands(now.frames_per_s)}/s" if now.frames_per_s else "",
+        steps(now) if now.bottleneck else "",
         f"{now.bad} not ok" if now.bad else "",
     ]
     return ", ".join(part for part in parts if part)
 
 
-def _steps_text(now: "Progress") -> str:
-    """The step that the others wait for, and how fast each would be alone."""
+def _slowest(now: "Progress") -> str:
+    """The step that the others wait for."""
+    return f"slowest: {now.bottleneck}"
+
+
+def _steps(now: "Progress") -> str:
+    """That step, and how many frames a second each would do alone."""
     others = [
         f"{what} {_thousands(rate)}" for what, rate in now.rates.items() if what != now.bottleneck
     ]
-    slowest = f"slowest: {now.bottleneck} {_thousands(now.rates[now.bottleneck])}/s"
+    slowest = f"{_slowest(now)} {_thousands(now.rates[now.bottleneck])}/s"
     return f"{slowest} ({', '.join(others)})" if others else slowest
 
 

@@ -40,8 +40,8 @@ class Obstacle:
     """One obstacle. The values are those of its row in ``obstacles.parquet``.
 
     Attributes:
-        label: Number in its frame, by the least depth that the depth camera measured of it: 0 is not
-            always the nearest. The value of its pixels in :attr:`FrameResult.labels`.
+        label: Number in its frame, by the least depth that the depth camera measured of it: 0 is
+            not always the nearest. The value of its pixels in :attr:`FrameResult.labels`.
         distance_m: From the camera's foot on the floor to its nearest point [m].
         box: First column and row, last column and row of it in the colour image [pixel].
         xyz_min: ``(3,)`` float32, least x, y and z in the colour optical frame [m].

@@ -88,7 +88,7 @@ OBSTACLES_SCHEMA = _schema(
         "obstacle",
         _I32,
         "",
-        "label in the frame from 0, by least depth as the depth camera measured it",
+        "label in the frame from 0, by its least measured depth",
     ),
     _Column("num_points", _I32, "", "its cells in the colour image, or its corners"),
     _Column("u_min", _I32, "pixel", "first column of its box in the colour image"),
