@@ -13,6 +13,7 @@ import pytest
 
 from jaxdet import engine
 from jaxdet.cli import main
+from jaxdet.cli.verify import report_lines
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions
 from jaxdet.errors import InputError
@@ -25,6 +26,7 @@ from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.verify import Report, verify
 from jaxdet.verify.files import check_files
 from jaxdet.verify.logs import _OF_LOG
+from tests.test_io_image_folder import write_open3d
 
 FRAMES = 12
 TABLES = ("frames.parquet", "obstacles.parquet")
@@ -294,6 +296,14 @@ def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
         verify(whole, [str(tmp_path / "c.mcap")])
 
 
+def test_a_folder_of_images_is_found_where_it_was(tmp_path: Path) -> None:
+    logs = find_logs([str(write_open3d(tmp_path / "drive"))])
+    how = RunOptions(tmp_path / "out", backend="reference", pictures=0)
+    engine.run(logs, Config(), LogOptions(), how)
+    report = verify(tmp_path / "out", sample=1)
+    assert report.findings == report.notes == [] and report.frames_of_logs == report.frames == 3
+
+
 def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(whole.parent, tmp_path / "all")
     summary = tmp_path / "all" / "out" / "summary.json"
@@ -302,6 +312,10 @@ def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None
     report = verify(summary.parent)
     assert not report.findings and not report.frames_of_logs
     assert report.notes[0].startswith("a was not compared: /gone/a.mcap: the log isn't where")
+    assert report.notes[0].endswith("name it with --against")
+    assert report_lines(report)[-1] == (
+        f"nothing wrong, but {2 * FRAMES} frames were not compared with their logs"
+    )
     report = verify(summary.parent, [str(tmp_path / "all" / "*.mcap")], sample=1)
     assert report.findings == report.notes == [] and report.frames_of_logs == 2 * FRAMES
 

@@ -67,5 +67,8 @@ def report_lines(report: "Report") -> list[str]:
         f"{report.frames_of_logs} frames compared with their logs, "
         f"{report.frames_again} computed again"
     )
-    count = len(report.findings)
-    return [*lines, f"{count} finding{'s' * (count > 1)}" if count else "all as it should be"]
+    if count := len(report.findings):
+        return [*lines, f"{count} finding{'s' * (count > 1)}"]
+    if left := report.frames - report.frames_of_logs:
+        return [*lines, f"nothing wrong, but {left} frames were not compared with their logs"]
+    return [*lines, "all as it should be"]

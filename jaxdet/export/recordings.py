@@ -1,14 +1,15 @@
 """The logs that results are of, read and looked at again where a format shows images or points."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.errors import FrameStatus, InputError, RescanError
-from jaxdet.io import Batch, LogFiles, LogOptions, find_logs, open_log
+from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
+from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.rows import to_host
@@ -55,16 +56,20 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     return {log.name: log for log in logs}
 
 
-def recorded(log: ResultLog) -> LogFiles:
+def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:
     """Where a log was when the results were made.
+
+    Args:
+        log: One of the results.
+        flag: What names it where it is now.
 
     Raises:
         InputError: It isn't there any more.
     """
     for path in log.paths:
-        if not path.is_file():
+        if not path.exists():  # a file, or a folder of images
             problem = "the log isn't where it was when the results were made"
-            raise InputError(problem, path=str(path), remedy="name it with --log")
+            raise InputError(problem, path=str(path), remedy=f"name it with {flag}")
     return LogFiles(log.name, log.paths)
 
 
@@ -86,7 +91,7 @@ def images(
     waiting = next(chunks, None)
     for options in ways(results, log):
         try:
-            with open_log(files, options) as opened:
+            with _opened(log, files, options) as opened:
                 while waiting is not None:
                     numbers = waiting.frames["frame"].to_numpy()
                     if numbers.max() >= opened.num_frames:
@@ -155,10 +160,10 @@ def _planes(results: Results, log: ResultLog, files: LogFiles) -> Planes:
     """The floor that the run gave each frame."""
     by_index, whole = ways(results, log)
     try:
-        with open_log(files, by_index) as opened:
+        with _opened(log, files, by_index) as opened:
             return decide_planes(opened, results.method, "jax")
     except RescanError:
-        with open_log(files, whole) as opened:
+        with _opened(log, files, whole) as opened:
             return decide_planes(opened, results.method, "jax")
 
 
@@ -167,6 +172,17 @@ def ways(results: Results, log: ResultLog) -> Iterator[LogOptions]:
     options = results.options_of(log)
     yield options
     yield replace(options, scan=True)
+
+
+@contextmanager
+def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Log]:
+    """The log, opened as the run opened it; what lacks its topics is another one."""
+    try:
+        opened = open_log(files, options)
+    except (TopicError, CalibrationError) as error:
+        raise _other(log, files) from error
+    with opened:
+        yield opened
 
 
 def _other(log: ResultLog, files: LogFiles) -> InputError:

@@ -61,7 +61,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
         seen: set[str] = set()
         for log in results.logs:
             try:
-                files = given.get(log.name) or recorded(log)
+                files = given.get(log.name) or recorded(log, "--against")
             except InputError as error:
                 report.notes.append(f"{log.label} was not compared: {error}")
                 continue
