@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -133,13 +134,21 @@ def test_page_stays_small(tmp_path: Path) -> None:
 
 
 def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
-    without = page_of(drive / "out", tmp_path / "page.html")
-    assert sum(f["picture"] is not None for f in without["frames"]) == 2
-    assert without["logs"][0]["map"]["picture"].startswith("data:image/webp;base64,")
-    log = str(drive / "drive.mcap")
-    drawn = page_of(drive / "out", tmp_path / "drawn.html", (log,))
-    assert len(drawn["frames"]) == 5
+    drawn = page_of(drive / "out", tmp_path / "page.html")  # where the run found it
+    assert len(drawn["frames"]) == 5 and not drawn["undrawn"]
     assert all(f["picture"] and f["size"][0] <= 1024 for f in drawn["frames"])
+    moved = tmp_path / "moved"
+    shutil.copytree(drive / "out", moved)
+    summary = (moved / "summary.json").read_text("utf-8")
+    (moved / "summary.json").write_text(summary.replace(str(drive), "/gone"), "utf-8")
+    without = page_of(moved, tmp_path / "without.html")
+    assert sum(f["picture"] is not None for f in without["frames"]) == 2
+    (line,) = without["undrawn"]
+    assert line.startswith("/gone/drive.mcap: the log isn't where it was")
+    assert line.endswith("name it with --log")
+    assert without["logs"][0]["map"]["picture"].startswith("data:image/webp;base64,")
+    given = page_of(moved, tmp_path / "given.html", (str(drive / "drive.mcap"),))
+    assert given["frames"] == drawn["frames"]
 
 
 def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
@@ -199,6 +208,8 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
     assert page.locator(".card .plan").count() == len(found)  # as nothing has a picture
     outlines = sum(len(frame["rows"]) for frame in found)
     assert page.locator(".card .plan polygon").count() == outlines > len(found)
+    shown = page.locator("#shown").inner_text()
+    assert re.search(r"; no pictures of some: /nowhere/.*with --log, and 1 further log$", shown)
     for kind, name in (("lost", "Without a result"), ("overflow", "Overflow")):
         page.get_by_role("radio", name=name).click()
         assert cards() == sum(kind in frame["kinds"] for frame in data["frames"]) > 0
@@ -218,7 +229,7 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
 
 
 def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None:
-    data = page_of(drive / "out", tmp_path / "page.html", (str(drive / "drive.mcap"),))
+    data = page_of(drive / "out", tmp_path / "page.html")
     opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
     page, dialog = opened.page, opened.page.locator("dialog")
     line = page.locator(".timeline svg")
@@ -254,6 +265,20 @@ def test_browser_opens_frames(drive: Path, tmp_path: Path, browser: Any) -> None
     opened.check()
 
 
+def test_browser_shows_round_numbers_on_axes(drive: Path, tmp_path: Path, browser: Any) -> None:
+    data = page_of(drive / "out", tmp_path / "page.html")
+    opened = Opened(browser, tmp_path / "page.html", viewport={"width": 1280, "height": 900})
+    line = opened.page.locator(".timeline svg")
+    texts = line.locator("text").all_text_contents()
+    times = [float(text.removesuffix(" s")) for text in texts if text.endswith(" s")]
+    steps = {round(after - before, 6) for before, after in pairwise(times)}
+    assert len(steps) == 1 and steps < {0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0} and times[0] == 0
+    far = [float(text.removesuffix(" m")) for text in texts if text.endswith(" m")]
+    nearest = max(frame["nearest"] for frame in data["frames"])
+    assert nearest <= far[-1] < nearest + 1
+    opened.check()
+
+
 def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) -> None:
     page_of(drive / "out", tmp_path / "page.html")
     grounds = set()
@@ -262,6 +287,8 @@ def test_browser_narrow_dark_print(drive: Path, tmp_path: Path, browser: Any) ->
         opened = Opened(browser, tmp_path / "page.html", **how)
         page = opened.page
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
+        name = page.locator("#logs tbody td").first  # words are not broken letter by letter
+        assert name.inner_text() == "drive" and name.bounding_box()["width"] > 36
         grounds.add(page.evaluate("getComputedStyle(document.body).backgroundColor"))
         page.emulate_media(media="print")
         assert not page.locator("#kinds").is_visible() and page.locator(".card").first.is_visible()

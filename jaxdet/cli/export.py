@@ -17,9 +17,9 @@ Writes the results of jaxdet run for another program.
 
 Examples:
   jaxdet export results --to foxglove --output scenes
-  jaxdet export results --to ros2 --output bags --log drive.mcap
+  jaxdet export results --to rerun --output recordings --log drive.mcap
   jaxdet export results --to nav2 --output maps
-  jaxdet export results --to html --output report.html --log drive.mcap
+  jaxdet export results --to html --output report.html
 """
 
 

@@ -39,7 +39,7 @@ FORMATS = {
     "nav2": Format("a folder: a map of each log as nav2's map_server loads it (PGM and YAML)"),
     "html": Format(
         "a file: a page with figures, timelines, maps, pictures",
-        "pictures of the gallery's frames",
+        "the logs, if they were moved: it draws frames of them",
     ),
     "rerun": Format(
         "a folder: a recording (.rrd) of each log for the Rerun viewer",
@@ -48,7 +48,7 @@ FORMATS = {
     ),
     "coco": Format(
         "a folder: images, and their boxes and masks as COCO has them",
-        "the logs; without it they are read from where the run found them",
+        "the logs, if they were moved",
     ),
 }
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxdet.errors import FrameStatus
+from jaxdet.errors import FrameStatus, JaxdetError
 from jaxdet.export.html.choice import Key, choose
 from jaxdet.export.html.collect import LogFigures, collect
 from jaxdet.export.html.images import frame_picture, read_picture
@@ -55,8 +55,8 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     Args:
         results: The results.
         output: The file.
-        recordings: Logs of the results, of which the frames in the gallery are drawn that have no
-            picture.
+        recordings: Where logs of the results are; the others are looked for where the run found
+            them. The frames in the gallery that have no picture are drawn from them.
     """
     figures = collect(results, results.method.ground.max_depth_m)
     pictures = {
@@ -70,7 +70,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     for key, frame in shown.items():
         if key in pictures:
             frame |= frame_picture(read_picture(pictures[key]))
-    _draw(results, shown, recordings)
+    undrawn = _draw(results, shown, recordings)
     entries = [_log(results, log, one) for log, one in zip(results.logs, figures, strict=True)]
     for log, entry in zip(results.logs, entries, strict=True):
         if log.label in _mapped(results):
@@ -88,7 +88,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         "reasons": REASONS,
         "sources": SOURCES,
         "palette": ["#" + bytes(color).hex() for color in PALETTE],
-        "no_picture": "with --log the export draws those without a picture",
+        "undrawn": undrawn,
         "preset": results.config.get("preset") or "wheeled",
         "settings": settings + given_options(results.log_options, LogOptions()),
         "run": run_lines(results.summary),
@@ -102,20 +102,33 @@ def _draw(
     results: "Results",
     shown: Mapping[Key, dict[str, Any]],
     recordings: Mapping[str, "LogFiles"],
-) -> None:
-    """Draws the frames that have a result but no picture, of the logs that are given."""
+) -> list[str]:
+    """Draws the frames that have a result but no picture.
+
+    Returns:
+        A line for each log that was not given, and can't be read where the run found it.
+    """
+    undrawn = []
     for log in results.logs:
-        files = recordings.get(log.name)
         wanted = [
             number
             for (label, number), frame in shown.items()
             if label == log.label and frame["status"] == FrameStatus.OK and not frame["picture"]
         ]
-        if files and wanted:
-            from jaxdet.export.html.drawing import draw_again  # which loads JAX
+        if not wanted:
+            continue
+        from jaxdet.export.html.drawing import draw_again  # which loads JAX
+        from jaxdet.export.recordings import recorded
 
+        try:
+            files = recordings.get(log.name) or recorded(log)
             for number, picture in draw_again(results, log, files, wanted):
                 shown[log.label, number].update(frame_picture(picture))
+        except JaxdetError as error:
+            if log.name in recordings:
+                raise
+            undrawn.append(str(error))
+    return undrawn
 
 
 def _mapped(results: "Results") -> set[str]:

@@ -122,6 +122,10 @@
   }, true);
 
   const byFrame = new Map(data.frames.map((f, i) => [`${f.log} ${f.frame}`, i]));
+  // One scale for all logs, as far as anything was found.
+  const far = data.logs.reduce((m, l) => (l.bins ? l.bins.nearest.reduce((a, d) => Math.max(a, d || 0), m) : m), 0);
+  const reach = Math.max(1, Math.min(data.range, Math.ceil(far)));
+  const TICKS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200];
   const STEP = 10; // timelines drawn at first, and with each press of the button
   let drawn = STEP;
 
@@ -141,7 +145,6 @@
     const log = data.logs[index], { nearest, frame, time, lost, most } = log.bins, n = nearest.length;
     const W = Math.max(320, Math.min(1140, parent.clientWidth)), H = W < 560 ? 132 : 150;
     const left = 38, right = W - 8, top = 8, bottom = H - 24;
-    const reach = Math.max(data.range, 0.5);
     // By time where the stamps go forward, else by number.
     const begin = time[0], span = time[n - 1] - begin;
     const forward = span > 0 && time.every((t, b) => !b || t >= time[b - 1]);
@@ -158,17 +161,23 @@
     const least = log.nearest ? `nearest ${metres(log.nearest[0])} in frame ${log.nearest[1]}` : "no obstacle";
     const svg = add(box, "svg", { viewBox: `0 0 ${W} ${H}`, tabindex: "0", role: "application", "aria-roledescription": "timeline",
       "aria-label": `Distance to the nearest obstacle in ${log.log}: ${many(log.frames, "frame")}, ${least}. Arrow keys move, Enter opens a frame.` });
-    const steps = reach > 8 ? 4 : reach > 3 ? 2 : reach > 1.2 ? 1 : 0.25;
+    const steps = reach > 12 ? 4 : reach > 4 ? 2 : reach > 2 ? 1 : 0.5;
     for (let d = 0; d <= reach + 1e-9; d += steps) {
       add(svg, "line", { class: "rule", x1: left, x2: right, y1: y(d), y2: y(d) });
       add(svg, "text", { x: left - 6, y: y(d) + 4, "text-anchor": "end" }, `${d} m`);
     }
-    const ticks = Math.max(2, Math.round((right - left) / 160));
-    for (let t = 0; t <= ticks; t++) {
-      if (t && n < 2) break;
-      const b = Math.round((t / ticks) * (n - 1)), at = forward ? begin + (t / ticks) * span : time[b];
-      const px = left + pad + (t / ticks) * (right - left - 2 * pad);
-      add(svg, "text", { x: px, y: H - 8, "text-anchor": t === 0 ? "start" : t === ticks ? "end" : "middle" }, seconds(at));
+    for (const [px, text] of forward ? timeTicks() : frameTicks()) {
+      add(svg, "text", { x: px, y: H - 8, "text-anchor": px < left + 20 ? "start" : px > right - 30 ? "end" : "middle" }, text);
+    }
+    function timeTicks() {
+      const most = Math.max(2, (right - left) / 90), step = TICKS.find((s) => span / s <= most) || 86400;
+      const first = Math.ceil(begin / step), last = Math.floor((begin + span) / step + 1e-9);
+      const ticks = Array.from({ length: last - first + 1 }, (_, i) => (first + i) * step);
+      return ticks.map((t) => [left + pad + ((t - begin) / span) * (right - left - 2 * pad), t < 60 ? `${+t.toFixed(2)} s` : seconds(t)]);
+    }
+    function frameTicks() {
+      const most = n > 1 ? Math.max(2, Math.round((right - left) / 160)) : 0;
+      return Array.from({ length: most + 1 }, (_, i) => Math.round((i / (most || 1)) * (n - 1))).map((b) => [x(b), seconds(time[b])]);
     }
     // Stretches with an obstacle as areas and lines; gaps are frames without any.
     let run = [];
@@ -336,7 +345,7 @@
   }
 
   // ---- tracks
-  let followed = "moving";
+  let followed = data.logs.some((l) => l.tracks && l.tracks.moving) ? "moving" : "all";
   const shownTracks = (log) => (log.tracks ? log.tracks.rows.filter((t) => followed === "all" || t[1] === (followed === "moving")) : []);
   function drawTracks() {
     $("track-section").hidden = !data.logs.some((l) => l.tracks);
@@ -344,9 +353,12 @@
       ...(data.logs.length > 1 ? [l.log] : []), String(t[0]), t[1] ? "moves" : "stands", seconds(t[2]), seconds(t[3]),
       t[1] ? `${t[4].toFixed(2)} m/s` : "–", t[1] ? `${t[5].toFixed(2)} m/s` : "–", `${t[6].toFixed(2)} × ${t[7].toFixed(2)} m`,
     ]));
-    table($("tracks"), [...(data.logs.length > 1 ? ["Log"] : []), "#Track", "It", "#From", "#Seen for", "#Mean speed", "#Greatest", "#Size"], rows);
+    table($("tracks"), [...(data.logs.length > 1 ? ["Log"] : []), "#Track", "Motion", "#Seen from", "#Seen for", "#Mean speed", "#Top speed", "#Size"], rows);
     const every = sum((l) => (l.tracks ? (followed === "standing" ? 0 : l.tracks.moving) + (followed === "moving" ? 0 : l.tracks.standing) : 0));
-    $("tracks-left").textContent = rows.length < every ? `${many(every - rows.length, "further track")} in tracks.parquet.` : rows.length ? "" : "None.";
+    const notes = rows.length ? [] : ["None."];
+    if (rows.length < every) notes.push(`${many(every - rows.length, "further track")} in tracks.parquet.`);
+    if (picked().some((l) => shownTracks(l).some((t) => !t[8]))) notes.push("Without poses motion is that seen from the camera, its own included.");
+    $("tracks-left").textContent = notes.join(" ");
   }
 
   // ---- gallery
@@ -362,6 +374,11 @@
   }
   const where = (f) => `${data.logs.length > 1 ? data.logs[f.log].log + " · " : ""}frame ${f.frame}`;
 
+  const undrawn = () => {
+    const [first, ...others] = data.undrawn;
+    return `no pictures of some: ${first}${others.length ? `, and ${many(others.length, "further log")}` : ""}`;
+  };
+
   function drawGallery() {
     const far = (v) => (v === null ? Infinity : v);
     const sorts = { time: (a, b) => a - b, nearest: (a, b) => far(data.frames[a].nearest) - far(data.frames[b].nearest) || a - b,
@@ -370,18 +387,18 @@
       .filter((i) => (only < 0 || data.frames[i].log === only) && (kind === "all" || data.frames[i].kinds.includes(kind)))
       .sort(sorts[order]);
     const node = clear($("cards"));
-    const bare = showing.some((i) => data.frames[i].status === "ok" && !data.frames[i].picture);
-    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + data.no_picture : ""}` : "No frame of this kind.";
+    const bare = data.undrawn.length && showing.some((i) => data.frames[i].status === "ok" && !data.frames[i].picture);
+    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + undrawn() : ""}` : "No frame of this kind.";
     for (const i of showing) card(node, i);
   }
 
   // Outlines from above, for frames without a picture: right and forward of the camera.
   const begins = data.frames.flatMap((f) => f.outlines.map((o) => Math.min(o[1], o[3], o[5], o[7])));
-  const reach = Math.min(8, Math.max(2, ...begins.map((m) => Math.ceil(m + 0.5))));
+  const radius = Math.min(8, Math.max(2, ...begins.map((m) => Math.ceil(m + 0.5))));
   function plan(parent, f) {
-    const per = 240 / (reach + 0.2), X = (x) => 258 + x * per, Y = (y) => 244 - y * per;
+    const per = 240 / (radius + 0.2), X = (x) => 258 + x * per, Y = (y) => 244 - y * per;
     const svg = add(parent, "svg", { class: "plan", viewBox: "0 0 516 248", role: "img", "aria-label": `Outlines of the obstacles in ${where(f)}, from above` });
-    for (let m = 1; m <= reach; m++) {
+    for (let m = 1; m <= radius; m++) {
       add(svg, "circle", { cx: X(0), cy: Y(0), r: m * per });
       add(svg, "text", { x: X(0) + 3, y: Y(m) - 3 }, `${m} m`);
     }
