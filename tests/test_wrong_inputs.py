@@ -85,6 +85,30 @@ def test_fields_are_where_the_schema_of_the_log_says(little):
     assert bytes(found.data) == make_scene(1).color[0].tobytes()
 
 
+def test_frames_without_a_depth_image_are_warned_of(tmp_path, capsys):
+    """Depth at half the rate is half of the frames, and another clock all of them."""
+    for late_s, every, paired in ((0, 1, 4), (0, 2, 2), (5, 1, 0)):
+        scene, path = make_scene(4), tmp_path / f"{late_s}_{every}.mcap"
+        with LogFile(path) as log:
+            write_calibration(log)
+            stamps = scene.color_ns.tolist()
+            for n, (color, depth, at) in enumerate(
+                zip(scene.color, scene.depth, stamps, strict=True)
+            ):
+                log.ros(COLOR, ros_image(color, "rgb8", at, COLOR_FRAME), at)
+                if n % every == 0:
+                    late = at + late_s * 1_000_000_000
+                    log.ros(DEPTH, ros_image(depth, "16UC1", late, DEPTH_FRAME), at)
+        run = ["run", str(path), "--output", str(tmp_path / path.stem), "--backend", "reference"]
+        assert main([*run, "--pictures", "0"]) == (paired == 0)
+        said = capsys.readouterr()
+        warned = f"{4 - paired} of 4 colour frames have no depth image of their own" in said.out
+        assert warned == (paired < 4)
+        assert main(["info", str(path), "--check"]) == 0
+        assert ("(median" in capsys.readouterr().out) == (paired > 0)
+    assert "frame 0: no depth image of its own within 0.15 s" in said.err
+
+
 @pytest.mark.parametrize("form", ["millimetres in floats", "tenths of them"])
 def test_a_depth_unit_that_is_wrong_is_suspected(tmp_path, capsys, form):
     scene, path = make_scene(4), tmp_path / "x.mcap"

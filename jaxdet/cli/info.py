@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.report import ground_text
+from jaxdet.cli.report import ground_text, many
 from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.config import Config, GroundConfig
@@ -121,7 +121,7 @@ def describe(
 
 
 def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[str]:
-    yield f"{label}: {about.num_frames} colour frames in {about.duration_s:.2f} s"
+    yield f"{label}: {many(about.num_frames, 'colour frame')} in {about.duration_s:.2f} s"
     files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
     yield from _section("files", files)
     yield from _section("topics", _topics(about.topics))
@@ -169,8 +169,11 @@ def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
 
 
 def _pairing(pairing: "PairingDescription") -> str:
+    apart = (
+        f" (median {pairing.median_dt_s * 1000:.1f} ms, at most {pairing.max_dt_s * 1000:.1f} ms)"
+    )
     return (
-        f"{pairing.num_paired} within {pairing.tolerance_s:g} s "
-        f"(median {pairing.median_dt_s * 1000:.1f} ms, at most {pairing.max_dt_s * 1000:.1f} ms), "
+        f"{pairing.num_paired} within {pairing.tolerance_s:g} s"
+        f"{apart if pairing.num_paired else ''}, "
         f"{pairing.num_unpaired_color} colour and {pairing.num_unpaired_depth} depth frames alone"
     )

@@ -14,22 +14,27 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
     text: list[str] = []
     for log in summary.logs:
         if log.error:
-            text.append(f"{_label(log)}: failed after {_many(log.frames, 'frame')}")
+            if log.frames or len(summary.logs) > 1:  # else there is no more than the error
+                text.append(f"{_label(log)}: failed after {many(log.frames, 'frame')}")
             continue
         text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
+    failed = len(summary.failed)
+    some = f"{failed} of {many(len(summary.logs), 'log')} failed"
+    if failed == len(summary.logs) and not summary.frames:
+        return [*text, f"{some}; nothing was written" if failed > 1 else "nothing was written"]
     rate = (
         f"{summary.frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
     )
-    found = f"{_many(summary.frames, 'frame')}, {_many(summary.obstacles, 'obstacle')}"
+    found = f"{many(summary.frames, 'frame')}, {many(summary.obstacles, 'obstacle')}"
     text.append(f"{found} in {summary.seconds:.1f} s")
     text[-1] += f" ({rate})" if rate else ""
-    if failed := len(summary.failed):
-        text[-1] += f"; {failed} of {len(summary.logs)} logs failed"
+    text[-1] += f"; {some}" if failed else ""
     nothing = failed == len(summary.logs)
     return [*text, "nothing was written" if nothing else f"results: {output}"]
 
 
-def _many(count: int, what: str) -> str:
+def many(count: int, what: str) -> str:
+    """A count of things."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
@@ -50,7 +55,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
     if log.floor_sources["frame"] or log.floor_refused:
         text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
-        frames = _many(log.overflow_frames, "frame")
+        frames = many(log.overflow_frames, "frame")
         what = "had more corners, surfaces or obstacles than slots, see jaxdet help tuning"
         text.append(f"overflow   {frames} {what}")
     if score := log.observed.get("score"):
@@ -61,8 +66,12 @@ def _log_lines(log: "LogSummary") -> list[str]:
 
 def _floor_text(log: "LogSummary") -> str:
     """Which frames show their floor themselves, and whose floor the others have."""
+
+    def whose(name: str) -> str:
+        return "none" if name == "none" else f"that of {name}"
+
     others = [
-        f"{count} have none" if name == "none" else f"{count} have that of {name}"
+        f"{count} {'has' if count == 1 else 'have'} {whose(name)}"
         for name, count in sorted(log.floor_sources.items())
         if count and name != "frame"
     ]

@@ -213,7 +213,9 @@ class LogRun:
             return
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[len(log.description.warnings) :]
-        about.warnings += filter(None, (about.depth_warning, about.floor_warning))
+        about.warnings += filter(
+            None, (about.pairs_warning, about.depth_warning, about.floor_warning)
+        )
 
     def _begin(
         self, log: "Log", begun: LogPlan | None, share: Share, *, alone: bool, scan: bool

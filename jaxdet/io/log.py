@@ -397,7 +397,7 @@ class Log:
         for failure, paired in zip(failures, (depth_stamps >= 0).tolist(), strict=True):
             before = FrameStatus.OK if paired else FrameStatus.UNPAIRED
             status.append(failure.status if failure else before)
-            unpaired = "" if paired else f"no depth frame within {self._tolerance_s:g} s"
+            unpaired = "" if paired else f"no depth image of its own within {self._tolerance_s:g} s"
             errors.append(" ".join((str(failure) if failure else unpaired).split()))
         valid = np.zeros(size, bool)
         valid[:count] = [item is FrameStatus.OK for item in status]

@@ -140,6 +140,17 @@ class LogSummary(Counts):
         )
 
     @property
+    def pairs_warning(self) -> str | None:
+        """A line where half of the colour frames or more have no depth image."""
+        alone = self.status[FrameStatus.UNPAIRED]
+        if not alone or 2 * alone < self.frames:
+            return None
+        return (
+            f"{alone} of {self.frames} colour frames have no depth image of their own: see the "
+            "rates in jaxdet info; where the cameras' clocks differ, --log.pair-tolerance-s"
+        )
+
+    @property
     def rates(self) -> dict[str, float]:
         """Frames a second of each step, if all that do it did nothing else."""
         return {
