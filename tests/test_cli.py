@@ -67,6 +67,47 @@ def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
         assert [flag for flag in flags if flag not in whole] == []
 
 
+def test_help_shows_angles_in_degrees(capsys: Captured) -> None:
+    main(["sim", "--help"])
+    text = capsys.readouterr().out
+    assert "[10deg]" in text and "rad]" not in text
+
+
+def test_help_shows_a_command_as_well_as_a_page(capsys: Captured) -> None:
+    assert main(["track", "--help"]) == 0
+    want = capsys.readouterr().out
+    assert main(["help", "track"]) == 0
+    assert capsys.readouterr().out == want
+    assert main(["help"]) == 0
+    listed = capsys.readouterr().out
+    assert all(f"\n  {name} " in listed for name in ("logs", "api", "run", "doctor"))
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("jaxdet ", {"run", "export", "--version"}),
+        ("jaxdet in", {"info"}),
+        ("jaxdet export results --to f", {"foxglove"}),
+        ("jaxdet run drive.mcap --preset ", {"wheeled", "d435", "zed"}),
+        ("jaxdet run drive.mcap --ground.camera-p", {"--ground.camera-pitch"}),
+        ("jaxdet run drive.mcap --output ", set()),
+        ("jaxdet run ", set()),
+        ("jaxdet help cal", {"calibration"}),
+        ("jaxdet fly --", set()),
+    ],
+)
+def test_a_shell_is_told_what_a_word_may_become(
+    line: str, offered: set[str], capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COMP_LINE", line + " --quiet")
+    monkeypatch.setenv("COMP_POINT", str(len(line)))
+    assert main(["complete", "jaxdet", "", ""]) == 0
+    found = capsys.readouterr().out.splitlines()
+    assert offered <= set(found) and bool(found) == bool(offered)
+    assert all(word.startswith(line.rpartition(" ")[2]) for word in found)
+
+
 @pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])
 def test_angles_have_units(flag: str, tmp_path: Path, capsys: Captured) -> None:
     def pitch(*words: str) -> float | None:

@@ -24,7 +24,7 @@ from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {path.stem: path for path in sorted((ROOT / "jaxdet/help").glob("*.md"))}
 DOCUMENTS["README"] = ROOT / "README.md"
-CONSOLE = ("pip ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
+CONSOLE = ("pip ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv/bin/")
 """What a block that is not run may hold: installing, and other programs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 """Flags of other programs."""
@@ -99,7 +99,7 @@ def test_flags_that_are_named_are_there(capsys, monkeypatch):
     flag = r"(?<![\w-])--[a-z](?:[\w.-]*\w)?"
     for command in (
         "run --help-all",
-        "track -h",
+        "track --help-all",
         "export -h",
         "verify -h",
         "info -h",

@@ -1,8 +1,11 @@
 """``jaxdet help``: pages about jaxdet, which are in the package."""
 
 import sys
+from collections.abc import Callable
+from importlib import import_module
 from importlib.resources import files
 
+from jaxdet.cli.main import COMMANDS
 from jaxdet.config_file import meant
 from jaxdet.errors import ConfigError
 
@@ -14,20 +17,25 @@ FIRST = (
 
 
 def main(args: list[str]) -> int:
-    """Shows a page, or lists them; returns the exit code.
+    """Shows a page, or a command's options, or lists them; returns the exit code.
 
     Raises:
         ConfigError: There is no such page.
     """
     texts = pages()
+    if args and args[0] in COMMANDS and args[0] not in texts:
+        command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
+        return command(["--help"])
     if not args or args[0] in ("-h", "--help"):
-        print("usage: jaxdet help PAGE\n\npages:")
+        print("usage: jaxdet help PAGE or COMMAND\n\npages:")
         print("\n".join(f"  {name:<12} {title_of(text)}" for name, text in texts.items()))
+        print("\ncommands:")
+        print("\n".join(f"  {name:<12} {text}" for name, text in COMMANDS.items()))
         return 0
     if args[0] not in texts:
         known = ", ".join(texts)
         problem = f"no page {args[0]!r}"
-        raise ConfigError(problem, remedy=f"{meant(args[0], texts)}there are {known}")
+        raise ConfigError(problem, remedy=f"{meant(args[0], [*texts, *COMMANDS])}there are {known}")
     show(texts[args[0]])
     return 0
 

@@ -43,6 +43,9 @@ options:
   -h, --help   this text
   --version    the version
 
+tab completion, for bash and for zsh after bashcompinit:
+  complete -o default -C 'jaxdet complete' jaxdet
+
 exit codes: 0 all fine, 1 some inputs failed, 2 bad usage, 130 interrupted (143 by SIGTERM)
 """
 
@@ -75,7 +78,7 @@ def _do(args: list[str]) -> int:
     if args[0] in ("--version", "-V"):
         print(f"jaxdet {jaxdet.__version__}")
         return 0
-    if args[0] not in COMMANDS:
+    if args[0] not in (*COMMANDS, "complete"):
         near = difflib.get_close_matches(args[0], COMMANDS, 1)
         meant = f"did you mean {near[0]}? " if near else ""
         known = ", ".join(COMMANDS)

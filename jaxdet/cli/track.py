@@ -23,6 +23,10 @@ Example:
 """
 
 
+COMMON = tuple(f"track.{name}" for name in ("max_speed_mps", "max_gap_s", "min_frames", "moving_m"))
+"""What ``--help`` shows of the settings."""
+
+
 @dataclass(frozen=True)
 class TrackCommand:
     """What ``jaxdet track`` takes."""
@@ -36,7 +40,7 @@ class TrackCommand:
 
 def main(args: list[str]) -> int:
     """Runs the command; returns the exit code."""
-    command = parse_flags(TrackCommand, args, "jaxdet track", DESCRIPTION)
+    command = parse_flags(TrackCommand, args, "jaxdet track", DESCRIPTION, COMMON)
     with SPINNER.shown("linking"):
         from jaxdet.tracks import track_results
 

@@ -1,5 +1,6 @@
 """The help of a command: its options in a line or two, or all of them in full."""
 
+import math
 import re
 import textwrap
 import typing
@@ -86,13 +87,14 @@ def _flags(option: Option) -> str:
 def _said(option: Option, *, whole: bool = False) -> str:
     """What the docstring says, or its first sentence, and the default."""
     text = re.sub(r" \(:\w+:`[^`]*`\)| \[rad\]|`", "", option.text)
+    text = text.removesuffix(".")
     if not whole:
-        text = re.split(r"(?<=[a-z0-9\])])[.;]\s|\.$", text, maxsplit=1)[0]
+        text = re.split(r"(?<=[a-z0-9\])])[.;]\s", text, maxsplit=1)[0]
     default = option.default
     if default is MISSING or default is None or isinstance(default, (bool, tuple)):
         return text
     if option.angle:
-        return f"{text}  [{default:g}rad]" if default else text
+        return f"{text}  [{round(math.degrees(default), 2):g}deg]" if default else text
     return f"{text}  [{f'{default:g}' if isinstance(default, float) else default}]"
 
 

@@ -1,0 +1,60 @@
+"""``jaxdet complete``: what a shell offers at TAB; ``complete -C 'jaxdet complete' jaxdet``.
+
+Bash, and zsh with bashcompinit, call it with the line in ``COMP_LINE`` and the place of the cursor
+in ``COMP_POINT``, and read a candidate a line.
+"""
+
+import os
+import typing
+from importlib import import_module
+
+from jaxdet.cli.fields import Option, options_of
+from jaxdet.cli.help import pages
+from jaxdet.cli.main import COMMANDS
+from jaxdet.presets import PRESETS
+
+
+def main(args: list[str]) -> int:
+    """Prints the candidates; returns 0."""
+    line = os.environ.get("COMP_LINE", "")
+    *before, begun = line[: int(os.environ.get("COMP_POINT", len(line)))].split(" ")
+    for word in candidates([word for word in before if word], begun):
+        print(word)
+    return 0
+
+
+def candidates(before: list[str], begun: str) -> list[str]:
+    """What the word that was begun may become; nothing where it is a file or a value.
+
+    Args:
+        before: The words before it, from ``jaxdet`` on.
+        begun: Its first letters, or none.
+    """
+    match before:
+        case [] | [_]:
+            known = [*COMMANDS, "--help", "--version"]
+        case [_, "help"]:
+            known = [*pages(), *COMMANDS]
+        case [_, command, *_] if command in COMMANDS and command != "help":
+            known = _of_command(command, before[-1], begun)
+        case _:
+            known = []
+    return [word for word in known if word.startswith(begun)]
+
+
+def _of_command(command: str, last: str, begun: str) -> list[str]:
+    """Values of the flag before, else flags where one was begun."""
+    kind = getattr(import_module(f"jaxdet.cli.{command}"), f"{command.capitalize()}Command")
+    options = list(options_of(kind, {}))
+    for option in options:
+        if last == option.flag and not option.switches:
+            return list(map(str, _values(option)))
+    flags = [flag for option in options for flag in option.switches or [option.flag]]
+    return [*filter(None, flags), "--help", "--help-all"] if begun.startswith("-") else []
+
+
+def _values(option: Option) -> tuple[object, ...]:
+    """All that an option may be, where these are a few names."""
+    if option.flag == "--preset":
+        return tuple(PRESETS)
+    return typing.get_args(option.kind) if typing.get_origin(option.kind) is typing.Literal else ()
