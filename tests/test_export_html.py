@@ -143,6 +143,7 @@ def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
     (moved / "summary.json").write_text(summary.replace(str(drive), "/gone"), "utf-8")
     without = page_of(moved, tmp_path / "without.html")
     assert sum(f["picture"] is not None for f in without["frames"]) == 2
+    assert without["logs"][0]["floor"] == "its own depth (5)"
     (line,) = without["undrawn"]
     assert line.startswith("/gone/drive.mcap: the log isn't where it was")
     assert line.endswith("name it with --log")

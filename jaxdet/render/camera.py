@@ -64,10 +64,11 @@ def _draw_points(image: np.ndarray, found: Detections, row: int, scale: float) -
     uv = (np.stack([features.u[row], features.v[row]], axis=1) + 0.5) * scale - 0.5
     valid, kept = features.valid[row], features.kept[row]
     labels = np.where(valid, found.labels.labels[row], -1)
+    # Small enough that one sees the thing that they lie on.
     canvas.dots(image, uv[valid & ~kept], canvas.DROPPED, 1.6)
     canvas.dots(image, uv[valid & kept & (labels < 0)], canvas.LOOSE, 2.0)
     for label in reversed(range(int(found.labels.num_obstacles[row]))):
-        canvas.dots(image, uv[labels == label], canvas.color_of(label), 2.6)
+        canvas.dots(image, uv[labels == label], canvas.color_of(label), 2.0, rim=0.5)
 
 
 def _boxes(found: Detections, row: int, scale: float) -> list[Box]:

@@ -71,11 +71,13 @@ def polygon(
         cv2.polylines(image, [fixed(points)], True, color, width, cv2.LINE_AA, _SHIFT)
 
 
-def dots(image: np.ndarray, points: np.ndarray, color: Color, radius: float) -> None:
+def dots(
+    image: np.ndarray, points: np.ndarray, color: Color, radius: float, rim: float = 1.0
+) -> None:
     """Filled discs at ``points`` ``(P, 2)`` pixels, with a thin dark rim."""
-    r = round(radius * (1 << _SHIFT))
+    r, edge = (round(size * (1 << _SHIFT)) for size in (radius, rim))
     for center in fixed(points).tolist():
-        cv2.circle(image, center, r + (1 << _SHIFT), (0, 0, 0), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(image, center, r + edge, (0, 0, 0), -1, cv2.LINE_AA, _SHIFT)
     for center in fixed(points).tolist():
         cv2.circle(image, center, r, color, -1, cv2.LINE_AA, _SHIFT)
 

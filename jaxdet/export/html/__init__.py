@@ -166,7 +166,11 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         },
         "per_frame": figures.per_frame.tolist(),
         "per_obstacle": figures.per_obstacle.tolist(),
-        "floor": ", ".join(f"{name} {n:,}" for name, n in summary["floor_sources"].items() if n),
+        "floor": ", ".join(
+            f"{SOURCES.get(name, name)} ({n:,})"
+            for name, n in summary["floor_sources"].items()
+            if n
+        ),
         "warnings": summary["warnings"],
         "errors": summary["frame_errors"],
         "map": None,
