@@ -1,17 +1,22 @@
 """Damaged files: what is whole is used, what is lost is said, nothing else gets out."""
 
+import os
 import struct
+import tracemalloc
 import zlib
+from contextlib import closing
 
 import numpy as np
 import pytest
 import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
 from jaxdet import io
 from jaxdet.errors import InputError, JaxdetError, TopicError
 from jaxdet.io import LogOptions, RescanError, open_log, walk
-from jaxdet.io.chunks import ChunkHead, DamageError, chunk_records, decompress
+from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, chunk_records, decompress
+from jaxdet.io.container import MAGIC, McapFile
 from tests.io_both_ways import is_indexed
 from tests.io_helpers import COLOR_FRAME, LogFile, assert_holds, make_scene, ros_image, write_log
 
@@ -177,16 +182,34 @@ def head(data: bytes, size: int, compression: str = "", crc: int = 0) -> ChunkHe
 def test_chunks_that_lie_are_rejected():
     bomb = zstandard.compress(b"\0" * (1 << 26))
     with pytest.raises(DamageError, match="another size"):
-        decompress(head(bomb, 100, "zstd"), bomb, 1 << 20)
-    with pytest.raises(DamageError, match="max-chunk-mib"):
-        decompress(head(bomb, 1 << 33, "zstd"), bomb, 1 << 20)
+        decompress(head(bomb, 100, "zstd"), bomb)
     with pytest.raises(DamageError, match="unknown"):
-        decompress(head(b"x", 1, "bz2"), b"x", 1 << 20)
+        decompress(head(b"x", 1, "bz2"), b"x")
     for compression in ("zstd", "lz4"):
         with pytest.raises(DamageError, match="decompressed"):
-            decompress(head(b"junkjunk", 8, compression), b"junkjunk", 1 << 20)
+            decompress(head(b"junkjunk", 8, compression), b"junkjunk")
     good = b"abc"
-    assert decompress(head(good, 3, crc=zlib.crc32(good)), good, 1 << 20) == good
+    assert decompress(head(good, 3, crc=zlib.crc32(good)), good) == good
+
+
+@pytest.mark.parametrize("sizes", [(1 << 33, 8), (8, 1 << 25)])
+def test_chunks_that_are_too_large_are_not_read(tmp_path, sizes):
+    """Whether it is their records or what they are packed to."""
+    size, packed = sizes
+    content = struct.pack("<QQQII4sQ", 0, 0, size, 0, 4, b"zstd", packed)
+    record = struct.pack("<BQ", Opcode.CHUNK, len(content) + packed) + content
+    path, place = tmp_path / "x.mcap", len(MAGIC) + RECORD_HEAD.size
+    path.write_bytes(MAGIC + record)
+    os.truncate(path, place + len(content) + packed)
+    with closing(McapFile(path, 1 << 20)) as file:
+        assert file.chunk_bytes(place) == 1 << 20
+        tracemalloc.start()
+        try:
+            with pytest.raises(DamageError, match=r"larger than --log\.max-chunk-mib"):
+                file.chunk(place)
+            assert tracemalloc.get_traced_memory()[1] < 100_000
+        finally:
+            tracemalloc.stop()
 
 
 def test_records_that_overrun_their_chunk_are_rejected_and_those_before_are_kept():

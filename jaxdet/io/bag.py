@@ -124,8 +124,6 @@ class BagFile(LogFile):
         """
         head = self.chunk_head(position)
         self.check_memory(max(head.uncompressed_size, head.data_size))
-        if max(head.uncompressed_size, head.data_size) > self.max_bytes:
-            raise DamageError("chunk is larger than --log.max-chunk-mib")
         data = _decompress(head, self.read(position + head.data_offset, head.data_size))
         found = bytearray(len(data))
         view = memoryview(data)

@@ -70,8 +70,7 @@ def _read_end(file: BagFile) -> dict[int, dict[int, int]]:
     start = head.number(b"index_pos", 8) if head.op == BAG else 0
     if not head.end <= start < file.size:
         raise DamageError("no index: the bag was not closed")
-    if file.size - start > file.max_bytes:
-        raise DamageError("index is larger than --log.max-chunk-mib")
+    file.check_size(file.size - start, "index")
     data = file.read(start, file.size - start)
     found: dict[int, dict[int, int]] = {}
     for record in records(data):

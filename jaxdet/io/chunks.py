@@ -80,18 +80,15 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
     return ChunkHead(start, end, size, crc, name, offset, data_size, length)
 
 
-def decompress(head: ChunkHead, data: bytes | memoryview, max_bytes: int) -> bytes | memoryview:
-    """The records of a chunk, at most ``max_bytes``, checked against its CRC where it has one.
+def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
+    """The records of a chunk, checked against its CRC where it has one.
 
     Those of a packed chunk are in memory of their own, others are ``data``.
 
     Raises:
         DamageError: Unknown compression, a size other than declared, or a wrong CRC.
     """
-    size = head.uncompressed_size
-    if max(size, head.data_size) > max_bytes:
-        raise DamageError("chunk is larger than --log.max-chunk-mib")
-    records = data
+    size, records = head.uncompressed_size, data
     if not head.is_plain:
         if head.compression not in ("lz4", "zstd"):
             raise DamageError(f"chunk compression {head.compression!a} is unknown")

@@ -117,14 +117,24 @@ class LogFile(ABC):
             remedy = "read it again when nothing writes to it"
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
-    def check_memory(self, size: int) -> None:
-        """Makes sure that there is memory for a chunk of ``size`` bytes.
+    def check_size(self, size: int, what: str = "chunk") -> None:
+        """Makes sure that a chunk, or what else is read at once, has at most ``max_bytes``.
 
         Raises:
-            ChunkMemoryError: There isn't. One above ``max_bytes`` is refused whatever there is.
+            DamageError: It is larger.
         """
-        if size <= self.max_bytes:
-            check_chunk(size, str(self.path), self.memory)
+        if size > self.max_bytes:
+            raise DamageError(f"{what} is larger than --log.max-chunk-mib")
+
+    def check_memory(self, size: int, what: str = "chunk") -> None:
+        """Makes sure that it has at most ``max_bytes``, and that there is memory for it.
+
+        Raises:
+            DamageError: It is larger.
+            ChunkMemoryError: There isn't.
+        """
+        self.check_size(size, what)
+        check_chunk(size, str(self.path), self.memory)
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
@@ -143,11 +153,12 @@ class LogFile(ABC):
         """
 
     def chunk_bytes(self, position: int) -> int:
-        """How much :meth:`chunk` may return there; 0 where no chunk can be."""
+        """How much memory :meth:`chunk` may take there; 0 where no chunk can be."""
         try:
-            return min(self.chunk_head(position).uncompressed_size, self.max_bytes)
+            head = self.chunk_head(position)
         except DamageError:
             return 0
+        return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
     def read(self, position: int, size: int) -> bytes:
         """Exactly ``size`` bytes at ``position``.
@@ -223,12 +234,12 @@ class McapFile(LogFile):
         """
         head = self.chunk_head(position)
         self.check_memory(max(head.uncompressed_size, head.data_size))
-        start, size = position + head.data_offset, min(head.data_size, self.max_bytes + 1)
+        start = position + head.data_offset
         if head.is_plain:
-            return decompress(head, self.read(start, size), self.max_bytes)
-        data = _packed_memory(size)
+            return decompress(head, self.read(start, head.data_size))
+        data = _packed_memory(head.data_size)
         self.read_into(start, [data])
-        return decompress(head, data, self.max_bytes)
+        return decompress(head, data)
 
 
 def _packed_memory(size: int) -> memoryview:

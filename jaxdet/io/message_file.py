@@ -99,8 +99,6 @@ class MessageFile(LogFile):
             DamageError: It can't be read.
         """
         head = self.chunk_head(position)
-        if head.uncompressed_size > self.max_bytes:
-            raise DamageError("chunk is larger than --log.max-chunk-mib")
         self.check_memory(head.uncompressed_size)
         return self.read(position, head.uncompressed_size)
 

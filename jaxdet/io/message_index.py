@@ -91,8 +91,7 @@ def _check(file: McapFile, summary: Summary) -> None:
     end = chunks.start + chunks.length + chunks.index_length
     if (end > beyond).any() or (chunks.stored > chunks.length).any():
         raise DamageError("chunks overlap")
-    if (chunks.size > file.max_bytes).any():
-        raise DamageError("chunk is larger than --log.max-chunk-mib")
+    file.check_size(int(chunks.size.max(initial=0)))
     if (chunks.first_ns > chunks.last_ns).any():
         raise DamageError("chunk ends before it begins")
     count = int(chunks.index_length.sum()) // _ENTRY_BYTES

@@ -177,8 +177,7 @@ class ImageReader:
         start, size = chunk.position + head.data_offset, head.uncompressed_size
         if head.data_size != size:
             raise DamageError("chunk has another size than declared")
-        if size > file.max_bytes:
-            raise DamageError("chunk is larger than --log.max-chunk-mib")
+        file.check_size(size)
         spans = [self._span(chunk, item, (depth if item.depth else color)) for item in requests]
         if not head.crc or chunk in self._store.checked:
             payloads: list[memoryview | None] = []

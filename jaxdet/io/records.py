@@ -118,8 +118,7 @@ def read_message(
         raise DamageError("message is longer than its chunk")
     wanted = size if most is None else min(size, most)
     if wanted > len(known) - _HEAD:
-        if wanted > store.files[place.file].max_bytes:
-            raise DamageError("message is larger than --log.max-chunk-mib")
+        store.files[place.file].check_size(wanted, "message")
         known = store.peek(place, offset, _HEAD + wanted)
     payload = known[_HEAD : _HEAD + wanted]
     if len(payload) < wanted:

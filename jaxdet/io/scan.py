@@ -106,9 +106,7 @@ class _Scan:
         elif opcode == Opcode.MESSAGE_INDEX:
             self._count_indexed(position, length)
         elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
-            if length > self.file.max_bytes:
-                raise DamageError("record is larger than --log.max-chunk-mib")
-            self.file.check_memory(length)
+            self.file.check_memory(length, "record")
             content = memoryview(self.file.read(position, length))
             self._content(opcode, content, _TOP_LEVEL, position)
 

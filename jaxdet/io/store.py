@@ -190,7 +190,7 @@ class ChunkStore:
         """
         if place.position < 0:
             file = self.files[place.file]
-            file.check_memory(size)
+            file.check_memory(size, "message")
             return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
