@@ -1,5 +1,6 @@
 """Runs that were stopped go on, and end with the bytes of an unbroken run; nothing is mixed."""
 
+import errno
 import json
 import os
 import pickle
@@ -315,6 +316,28 @@ def test_a_lock_goes_with_its_folder(tmp_path: Path) -> None:
     assert lock.before is None
     lock.release()
     assert list((tmp_path / ".jaxdet").iterdir()) == []
+
+
+def test_a_lock_on_a_full_disk(tmp_path: Path, monkeypatch) -> None:
+    """What the last owner said stays; where nobody was there nothing is left."""
+
+    def full(*_: Any) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path, said = tmp_path / ".jaxdet" / "lock", b'{"pid": 7, "host": "h", "since": 0}'
+    for before in (b"", said):
+        if before:
+            path.parent.mkdir()
+            path.write_bytes(before)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "pwrite", full)
+            with pytest.raises(InputError, match=r"can't be written to \(No space left"):
+                Lock(path)
+        assert before == (path.read_bytes() if path.parent.exists() else b"")
+    lock = Lock(path)
+    assert lock.before is not None and lock.before.startswith("process 7 on h")
+    lock.release(unsaid=True)
+    assert path.read_bytes() == said
 
 
 def test_work_of_another_user_is_not_trusted(many: list, tmp_path: Path, monkeypatch) -> None:

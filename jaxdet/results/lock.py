@@ -5,6 +5,7 @@ import json
 import os
 import socket
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -44,10 +45,18 @@ class Lock:
                 path=str(path.parent.parent),
                 remedy="work in another folder",
             )
-        now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
-        self._before = self._tell(json.dumps(now).encode())
+        self._before = os.pread(self._file, _MOST_BYTES, 0)
         self.before = _owner(self._before)
         """The owner that ended without a word; None: nobody did."""
+        now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
+        try:
+            self._tell(json.dumps(now).encode())
+        except OSError as error:
+            self.release(unsaid=True)
+            with suppress(OSError):
+                path.parent.rmdir()  # where nothing else is in it
+            problem = f"can't be written to ({error.strerror})"
+            raise InputError(problem, path=str(path.parent.parent), remedy="make room") from error
 
     def release(self, *, unsaid: bool = False) -> None:
         """Lets others in.
@@ -56,18 +65,19 @@ class Lock:
             unsaid: The file stays, and says of the owner before what it said: that this one ended
                 without a word is for another to hear.
         """
-        if unsaid and self.before:
-            self._tell(self._before)
-        else:
-            self.path.unlink(missing_ok=True)
-        os.close(self._file)
+        try:
+            if unsaid and self.before:
+                with suppress(OSError):  # then it says that this one ended so
+                    self._tell(self._before)
+            else:
+                self.path.unlink(missing_ok=True)
+        finally:
+            os.close(self._file)
 
-    def _tell(self, content: bytes) -> bytes:
-        """What the file says, which says something else then."""
-        before = os.pread(self._file, _MOST_BYTES, 0)
-        os.ftruncate(self._file, 0)
+    def _tell(self, content: bytes) -> None:
+        """Makes the file say something else; where the disk is full it says what it said."""
         os.pwrite(self._file, content, 0)
-        return before
+        os.ftruncate(self._file, len(content))
 
 
 def _locked(path: Path) -> int:
