@@ -3,8 +3,10 @@
 import json
 import signal
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
@@ -113,14 +115,10 @@ def _run(command: RunCommand) -> int:
         print(to_json(summary.to_dict()), end="")
     elif not (command.quiet or command.run.share):
         print("\n".join(summary_lines(summary, command.run.output)))
-    errors = [log.error for log in summary.failed]
-    errors += [log.unusable for log in summary.whole if log.unusable]
-    errors += [lost for log in summary.whole for lost in log.lost]
-    for error in errors:
-        print(f"jaxdet: error: {error}", file=sys.stderr)
+    code = _exit_code(summary.to_dict())
     if command.tracks and summary.whole and not command.run.share:
         _link(command)
-    return 1 if errors else 0
+    return code
 
 
 def _there(command: RunCommand) -> int:
@@ -130,10 +128,20 @@ def _there(command: RunCommand) -> int:
         print(text, end="")
     elif not command.quiet:
         _say(f"{command.run.output} holds the results of this command already")
+    code = _exit_code(json.loads(text))
     if command.tracks:
         _link(command)
-    summary = json.loads(text)
-    return 1 if summary["failed_logs"] or summary["lost_units"] else 0
+    return code
+
+
+def _exit_code(told: Mapping[str, Any]) -> int:
+    """Says what went wrong in a run, whose summary this is."""
+    from jaxdet.results.summary import problems
+
+    errors = problems(told)
+    for error in errors:
+        print(f"jaxdet: error: {error}", file=sys.stderr)
+    return 1 if errors else 0
 
 
 def _link(command: RunCommand) -> None:

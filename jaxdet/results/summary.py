@@ -177,15 +177,6 @@ class LogSummary(Counts):
         return self.devices if self.devices and what in ON_DEVICES else self.workers
 
     @property
-    def unusable(self) -> str:
-        """A line where none of the log's frames could be used, else empty."""
-        if not self.frames or self.num_bad < self.frames:
-            return ""
-        states = ", ".join(f"{count} {status}" for status, count in self.status.most_common())
-        first = f"; {self.frame_errors[0]}" if self.frame_errors else ""
-        return f"{self.log}: none of its {self.frames} frames could be used ({states}){first}"
-
-    @property
     def num_bad(self) -> int:
         """Frames that are not ok."""
         return self.frames - self.status[FrameStatus.OK]
@@ -242,6 +233,28 @@ class Summary:
             "logs": [log.to_dict() for log in self.logs],
             "versions": versions(),
         }
+
+
+def problems(told: Mapping[str, Any]) -> list[str]:
+    """What a run ends with an error for, a line each.
+
+    Args:
+        told: The content of ``summary.json``.
+    """
+    whole = [log for log in told["logs"] if not log["error"]]
+    found = [log["error"] for log in told["logs"] if log["error"]]
+    found += [_unusable(log) for log in whole if log["frames"] and not _good(log)]
+    return [*found, *(lost for log in whole for lost in log["lost"])]
+
+
+def _good(log: Mapping[str, Any]) -> int:
+    return log["status"].get(FrameStatus.OK, 0)
+
+
+def _unusable(log: Mapping[str, Any]) -> str:
+    states = ", ".join(f"{n} {status}" for status, n in Counter(log["status"]).most_common())
+    text = f"{log['log']}: none of its {log['frames']} frames could be used ({states})"
+    return "; ".join([text, *log["frame_errors"][:1]])
 
 
 def to_json(value: Mapping[str, Any]) -> str:
