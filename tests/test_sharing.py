@@ -183,9 +183,10 @@ def test_units_without_results_are_left_to_others(sim_logs, tmp_path, monkeypatc
     whole_part = unit._NewPart.whole
     with monkeypatch.context() as patch:
         patch.setattr(unit._NewPart, "whole", lost)
-        summary = run(sim_logs, tmp_path / "out", parts=str(tmp_path / "parts"), share="1/4")
+        said, how = [], {"parts": str(tmp_path / "parts"), "share": "1/4"}
+        summary = run(sim_logs, tmp_path / "out", say=said.append, **how)
     assert summary.logs[0].lost == [f"a, frames 0 to 3: not in {tmp_path / 'parts'}"]
-    assert not parts_in(tmp_path / "parts")
+    assert not parts_in(tmp_path / "parts") and not said
 
 
 def test_logs_of_several_cameras_and_scans(tmp_path, monkeypatch):

@@ -189,9 +189,10 @@ class _Run:
             if not (self.options.share or any(about.error for about in found)):
                 self.work.write(folder / WHOLE, None)
         if self.options.share:
-            self.say(
-                f"share {self.options.share} is in {self.store}; without --share the command "
-                "joins them when all are there"
-            )
+            if not any(about.error or about.lost for about in self.summary.logs):
+                self.say(
+                    f"share {self.options.share} is in {self.store}; without --share the command "
+                    "joins them when all are there"
+                )
         elif self.store:
             self.say(f"{fetched} units were in {self.store}")
