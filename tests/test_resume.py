@@ -253,6 +253,32 @@ def test_results_of_older_versions_are_known(tmp_path: Path) -> None:
     assert set(result_files(tmp_path)) == want
 
 
+def test_files_of_others_are_not_replaced(many: list, tmp_path: Path) -> None:
+    """The folder may hold what it likes, but nothing of a result's name."""
+    (tmp_path / "mine").mkdir()
+    for name in ("mine/map_a.png", "readme.txt", "data.parquet"):
+        (tmp_path / name).write_text("mine", encoding="utf-8")
+    for name, problem in {
+        "manifest.json": r"holds results already \(manifest\.json\)",
+        "map_00.npz": r"holds map_00\.npz, which is named as results are; give another --output",
+        "pictures/a.png": r"holds pictures/a\.png, which is named",
+    }.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("{}", encoding="utf-8")
+        with pytest.raises(ConfigError, match=problem):
+            run(many[:1], tmp_path)
+        assert (tmp_path / name).read_text(encoding="utf-8") == "{}"
+        assert not (tmp_path / ".jaxdet").exists()
+        run(many[:1], tmp_path, overwrite=True)
+        for path in tmp_path.glob("*.*"):
+            if path.name not in ("readme.txt", "data.parquet"):
+                path.unlink()
+        (tmp_path / name).unlink(missing_ok=True)
+    run(many[:1], tmp_path)
+    for name in ("mine/map_a.png", "readme.txt", "data.parquet"):
+        assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
+
+
 def test_a_damaged_part_is_done_again(many: list, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
         run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))

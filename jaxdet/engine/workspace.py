@@ -32,7 +32,7 @@ from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
-from jaxdet.results.manifest import WORKING, made_by, result_files
+from jaxdet.results.manifest import WORKING, files_like_results, made_by, result_files
 
 _LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
 """Working folders of older versions."""
@@ -53,8 +53,8 @@ class Workspace:
 
     Raises:
         ResultsError: The folder holds results and ``overwrite`` is off.
-        ConfigError: It holds an unfinished run of another record; another run works there; or it
-            is a file.
+        ConfigError: It holds an unfinished run of another record, or files named as results are;
+            another run works there; or it is a file.
         InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
@@ -201,3 +201,9 @@ class Workspace:
         if found:
             same = made_by(self.output) == digest(self.record)
             raise ResultsError(str(self.output), found[0], same=same)
+        if found := files_like_results(self.output):
+            raise ConfigError(
+                f"holds {found[0]}, which is named as results are",
+                path=str(self.output),
+                remedy="give another --output, or --overwrite to replace files of their names",
+            )

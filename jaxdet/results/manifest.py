@@ -153,15 +153,28 @@ def result_files(folder: Path) -> tuple[str, ...]:
     They are in the manifest, or of older versions, which wrote none, in the summary.
     """
     names: Iterable[str] = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
+    names = (*names, MANIFEST)
     known, logs = _read(folder / MANIFEST).get("files"), _read(folder / "summary.json").get("logs")
     if isinstance(known, dict):
-        names = (*names, *known, MANIFEST)
+        names = (*names, *known)
     else:
         names = (*names, *(name for log in logs or () for name in _of_log(log)))
     pictures = (f"tracks_{log.get('file_name')}.png" for log in logs or ())
     names = (*names, "tracks.parquet", "track_links.parquet", *pictures)  # of jaxdet track
     inside = (name for name in dict.fromkeys(names) if not _leaves(name))
     return tuple(name for name in inside if (folder / name).is_file())
+
+
+def is_like_result(name: str) -> bool:
+    """Whether a file's name in the folder is one that maps, pictures and tracks have."""
+    return name.startswith(("map_", "tracks_", "pictures/"))
+
+
+def files_like_results(folder: Path) -> tuple[str, ...]:
+    """The names of the files in a folder that are named so, whoever made them."""
+    found = (path.relative_to(folder).as_posix() for path in folder.glob("*"))
+    inside = (path.relative_to(folder).as_posix() for path in folder.glob("pictures/*"))
+    return tuple(sorted(name for name in (*found, *inside) if is_like_result(name)))
 
 
 def _of_log(log: Mapping[str, Any]) -> list[str]:

@@ -6,10 +6,8 @@ from typing import Any
 from jaxdet.errors import InputError, printable
 from jaxdet.results.commit import JOURNAL
 from jaxdet.results.durable import sha256
-from jaxdet.results.manifest import MANIFEST, WORKING, read_manifest
+from jaxdet.results.manifest import MANIFEST, WORKING, is_like_result, read_manifest
 from jaxdet.verify.report import Report
-
-_RESULTS = ("map_", "tracks_", "pictures/")
 
 
 def check_files(folder: Path, report: Report) -> dict[str, Any]:
@@ -35,7 +33,7 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
     for name, about in manifest["files"].items():
         _check_file(folder, name, about, report)
     for name in _files(folder) - manifest["files"].keys() - {MANIFEST}:
-        if name.endswith(".parquet") or name.startswith(_RESULTS):
+        if name.endswith(".parquet") or is_like_result(name):
             report.add("files", printable(name), "is not in the manifest")
         else:
             report.notes.append(f"{printable(name)} is no file of the results")
