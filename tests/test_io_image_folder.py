@@ -1,15 +1,19 @@
 """Folders of colour and depth images as logs, as TUM's benchmark and Open3D lay them out."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from jaxdet.errors import CalibrationError, FrameStatus, InputError
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions, run
+from jaxdet.errors import CalibrationError, ConfigError, FrameStatus, InputError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.manifest import fingerprint
+from jaxdet.verify import verify
 
 SIZE = (40, 30)
 K = (50.0, 51.0, 20.5, 14.5)
@@ -136,6 +140,34 @@ def test_folder_that_changes_is_said(tmp_path):
         with pytest.raises(InputError, match="changed while it was read"):
             list(log.batches(3))
     assert fingerprint(folder) != before and "size" in before
+
+
+def test_results_of_a_folder(tmp_path):
+    """Their log is found where it was; a copy is the same log; no results are written into it."""
+    folder = write_tum(tmp_path / "room")
+
+    def results(output: Path) -> Path:
+        how = RunOptions(output, backend="reference", pictures=0)
+        run(find_logs([str(folder)]), Config(), GIVEN, how)
+        return output
+
+    found = verify(results(tmp_path / "out"))
+    assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
+    (tmp_path / "copy").mkdir()
+    copy = shutil.copytree(folder, tmp_path / "copy" / "room", copy_function=shutil.copyfile)
+    told, known = fingerprint(copy), fingerprint(folder)
+    assert {**told, "path": 0, "mtime_ns": 0} == {**known, "path": 0, "mtime_ns": 0}
+    assert told["mtime_ns"] != known["mtime_ns"]
+    shutil.rmtree(folder)
+    found = verify(tmp_path / "out", [str(copy)])
+    assert not (found.findings or found.notes) and found.frames_of_logs == len(STAMPS)
+    [note] = verify(tmp_path / "out").notes
+    assert note.endswith("when the results were made; name it with --against")
+    write_tum(folder)
+    for inside in (folder, folder / "out"):
+        with pytest.raises(ConfigError, match=r"is in the log .*; give an --output beside it"):
+            results(inside)
+    assert not (folder / ".jaxdet").exists()
 
 
 def test_recordings_go_before_images_beside_them(tmp_path):

@@ -22,7 +22,7 @@ from jaxdet.engine.record import digest, make_record
 from jaxdet.engine.sharing import open_store
 from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import CamerasError, Interrupted, OutputError
+from jaxdet.errors import CamerasError, ConfigError, Interrupted, OutputError
 from jaxdet.memory import size_text
 from jaxdet.results.durable import writing
 from jaxdet.results.manifest import MANIFEST, make_manifest
@@ -66,8 +66,8 @@ def run(
     Raises:
         ResultsError: The output folder holds results already.
         ConfigError: It holds an unfinished run with other inputs, configuration or versions;
-            another run works there; or the backend has no program for the configuration; or
-            there is too little memory for any log.
+            another run works there; it is in a log that is a folder; or the backend has no program
+            for the configuration; or there is too little memory for any log.
         InputError: The output folder can't be written to.
         OutputError: The disk is full or broken; what is done is kept.
         Interrupted: A signal ended it; what is done is kept.
@@ -75,8 +75,9 @@ def run(
     Memory(options.memory, 1)  # too little is said before anything is touched
     ordered = sorted(logs, key=lambda log: log.name)
     seen = observers or {}
-    record = make_record(ordered, config, log_options, options, seen, preset)
     output, overwrite = options.output, options.overwrite
+    _check_outside(output, ordered)
+    record = make_record(ordered, config, log_options, options, seen, preset)
     store = options.parts and open_store(options.parts, record, begin=options.share is not None)
     with Workspace(output, record, overwrite=overwrite, say=say) as work:
         if work.done:
@@ -97,6 +98,15 @@ def run(
             if there := whole.standing():
                 error.add_remedy(f"the same command goes on: {there} done")
             raise
+
+
+def _check_outside(output: Path, logs: Sequence["LogFiles"]) -> None:
+    """Makes sure that results don't change a log that is a folder."""
+    place = output.resolve()
+    for folder in (path for log in logs for path in log.paths if path.is_dir()):
+        if place.is_relative_to(folder.resolve()):
+            problem, remedy = f"is in the log {folder}", "give an --output beside it"
+            raise ConfigError(problem, path=str(output), remedy=remedy)
 
 
 class _Run:

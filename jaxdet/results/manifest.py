@@ -29,7 +29,7 @@ def fingerprint(path: Path) -> dict[str, Any]:
     first messages, chunk index and statistics. It sees another recording, a file cut or gone on
     with, and chunks that moved. Bytes changed in the middle it does not see: those the time of
     the last change may tell, and the chunks' own checksums. Of a folder of images it is that of
-    its files' names, sizes and times of change.
+    its files' names and sizes.
 
     Args:
         path: The file or folder.
@@ -61,8 +61,10 @@ def _folder(path: Path) -> dict[str, Any]:
     """Bytes, latest change and checksum of a folder's files and those of the folders in it."""
     hashed, size, latest = hashlib.sha256(), 0, 0
     for file in sorted([*path.glob("*"), *path.glob("*/*")]):
+        if not file.is_file():
+            continue
         about = file.stat()
-        line = f"{file.relative_to(path)} {about.st_size} {about.st_mtime_ns}\n"
+        line = f"{file.relative_to(path)} {about.st_size}\n"
         hashed.update(line.encode("utf-8", "surrogateescape"))
         size, latest = size + about.st_size, max(latest, about.st_mtime_ns)
     return {"size": size, "mtime_ns": latest, "fingerprint": hashed.hexdigest()}

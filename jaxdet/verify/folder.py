@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxdet.errors import InputError
 from jaxdet.export.recordings import find, recorded
-from jaxdet.results.reading import Results
+from jaxdet.results.reading import Results, check_folder
 from jaxdet.verify.files import check_files
 from jaxdet.verify.logs import check_inputs, check_log
 from jaxdet.verify.report import Report
@@ -38,8 +38,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
     Raises:
         InputError: There is no such folder, or ``against`` names something else than its logs.
     """
-    if not folder.is_dir():
-        raise InputError("no such folder", path=str(folder))
+    check_folder(folder)
     report = Report()
     manifest = check_files(folder, report)
     inputs = manifest.get("inputs")
@@ -63,7 +62,8 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
             try:
                 files = given.get(log.name) or recorded(log, "--against")
             except InputError as error:
-                report.notes.append(f"{log.label} was not compared: {error}")
+                text = f"{error.path}: {error.problem}; name it with --against"
+                report.notes.append(f"{log.label} was not compared: {text}")
                 continue
             if log.name not in seen and inputs is not None:
                 check_inputs(files, inputs[log.name], report)
