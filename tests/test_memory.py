@@ -146,6 +146,16 @@ def test_larger_chunks_take_fewer_workers():
     assert chunks == sorted(set(chunks)) and chunks[0] == 32 * MIB
 
 
+def test_as_large_a_chunk_as_the_user_allows():
+    """Where there is room for it; more memory is of use until then."""
+    for largest in (1 * MIB, 256 * MIB, 1024 * MIB):
+        memory = Memory("64GiB", 2, largest=largest)
+        assert memory.reading.chunk == max(largest, 32 * MIB)
+        assert memory.with_fewer_workers().reading.chunk == memory.reading.chunk
+    little, more = (Memory(size, 1, largest=1024 * MIB) for size in ("4GiB", "5GiB"))
+    assert 256 * MIB < little.reading.chunk < more.reading.chunk
+
+
 def test_a_worker_beside_this_process_is_counted():
     """After a run that ended without a word, where there is room for one."""
     whole, apart = Memory("1GiB", 1), Memory("1GiB", 1, apart=True)

@@ -173,8 +173,8 @@ class _Run:
         """The processes that share the work, of which none is there yet."""
         devices = gpus() if self.options.backend == "jax" else ()
         asked = self.options.workers or max(1, cores() - bool(devices))
-        apart = self.work.taken_over
-        self.memory = Memory(self.options.memory, asked, len(devices), apart=apart)
+        how = {"apart": self.work.taken_over, "largest": self.log_options.max_chunk_mib << 20}
+        self.memory = Memory(self.options.memory, asked, len(devices), **how)
         workers = self.memory.workers
         if self.options.workers and workers < asked:
             room = f"{size_text(self.memory.total)} of memory have no room for more"

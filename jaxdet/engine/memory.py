@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.io.limits import ReadMemory
+from jaxdet.io.options import LogOptions
 from jaxdet.memory import machine_memory, parse_size, size_text
 
 MIB = 1 << 20
@@ -31,7 +32,7 @@ READER = 160 * MIB
 """A worker that reads for it."""
 TABLES = 640 * MIB
 """The rows of 65,536 frames of 640x480, which wait for each other and are packed together."""
-LEAST_CHUNKS, MOST_CHUNKS = 64 * MIB, 512 * MIB
+LEAST_CHUNKS = 64 * MIB
 """For chunks in a process, of which the largest may take half, as it is there packed too."""
 LEAST_IMAGES = 32 * MIB
 """For images in a process; four frames of 1920x1080."""
@@ -73,6 +74,7 @@ class Memory:
         workers: Processes that would be of use.
         devices: GPUs.
         apart: Logs are to be left to workers, be it one, where there is room for it.
+        largest: Bytes of the largest chunk that a log may have.
 
     Attributes:
         total: Bytes.
@@ -87,9 +89,16 @@ class Memory:
     """
 
     def __init__(
-        self, asked: str | None, workers: int, devices: int = 0, *, apart: bool = False
+        self,
+        asked: str | None,
+        workers: int,
+        devices: int = 0,
+        *,
+        apart: bool = False,
+        largest: int = LogOptions.max_chunk_mib * MIB,
     ) -> None:
         self._asked, self._devices, self.apart = asked, devices, False
+        self._largest = largest
         least = self._fixed(1) + LEAST_CHUNKS + LEAST_IMAGES
         if asked is None:
             self.total = max(least, int(SHARE * machine_memory()))
@@ -102,7 +111,7 @@ class Memory:
         fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
         self.workers = max([1, *fitting])
         left = self._left(self.workers) - TABLES // self.workers
-        self.chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, left // 2))
+        self.chunks = max(LEAST_CHUNKS, min(2 * largest, left // 2))
         self.room = self.total - self._fixed(self.workers)
         index = (self.total - self._fixed(1) - self.chunks) // 2
         self.reading = ReadMemory(self.chunks // 2, index)
@@ -111,7 +120,8 @@ class Memory:
         """The same for half as many, who may read larger chunks; None: there is one."""
         if self.workers == 1:
             return None
-        return Memory(self._asked, self.workers // 2, self._devices, apart=self.apart)
+        given = self._asked, self.workers // 2, self._devices
+        return Memory(*given, apart=self.apart, largest=self._largest)
 
     def share(self, needs: Needs, batch: int, workers: int, where: str) -> Share:
         """How a log is worked on, with the most of everything that there is room for.
@@ -136,7 +146,7 @@ class Memory:
                         return Share(count, size, waiting)
                 size //= 2
         rest = _IN_HAND * needs.frame + 2 * needs.known + needs.rows
-        chunks = max(LEAST_CHUNKS, min(MOST_CHUNKS, rest))  # which get half of what is left
+        chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # which get half of what is left
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"
         raise InputError(problem, path=where, remedy=f"give --memory {least} or more")
