@@ -19,6 +19,7 @@ from jaxdet.results.names import camera_file_name, file_names
 from jaxdet.results.reading import Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
+from tests.made_results import make_results
 
 CONFIG = Config(ground=GroundConfig(max_depth_m=3.5))
 OPTIONS = LogOptions(pair_tolerance_s=0.1, color_intrinsics=(150.0, 150.0, 79.5, 59.5))
@@ -40,6 +41,16 @@ def write_results(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_results(tmp_path_factory.mktemp("reading"))
+
+
+def test_reading_holds_one_row_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are."""
+    monkeypatch.setattr(writer, "ROWS_PER_GROUP", 1024)
+    with Results(make_results(tmp_path / "out", {"a": 40 * 1024})) as results:
+        before = pa.total_allocated_bytes()
+        chunks = results.chunks(None, ["frame", "stamp_ns"], ["distance_m"], 1024)
+        held = [pa.total_allocated_bytes() - before for _ in chunks]
+    assert len(held) == 40 and max(held) < 500_000
 
 
 def copied(folder: Path, to: Path) -> Path:

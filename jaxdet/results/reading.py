@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -411,7 +411,9 @@ class _Rows:
         groups = list(range(group, len(sizes)))
         names = file.schema_arrow.names if named is None else named
         self.schema = pa.schema([file.schema_arrow.field(name) for name in names])
-        self._batches = file.iter_batches(row_groups=groups, columns=named) if groups else iter(())
+        # One reader of them all would keep some of what it has read of each.
+        parts = (file.iter_batches(row_groups=[one], columns=named) for one in groups)
+        self._batches = chain.from_iterable(parts)
         self._waiting: list[pa.RecordBatch] = []
         self._skip = start - int(ends[group - 1]) if group else start
 
