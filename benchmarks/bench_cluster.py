@@ -1,4 +1,4 @@
-"""Clusters of points, against a NumPy loop, scikit-learn, SciPy, RSC (our reading) and Open3D."""
+"""Clusters of points, against a NumPy loop, scikit-learn, SciPy and RSC (our reading)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -24,8 +24,6 @@ PEER_FRAMES = 4
 UNIT = camera().depth_unit
 PEERS = {
     "ward": "hierarchical_ward",
-    "complete": "hierarchical_complete",
-    "average": "hierarchical_average",
     "single": "hierarchical_single",
     "dbscan": "dbscan",
     "hdbscan": "hdbscan",
@@ -33,7 +31,6 @@ PEERS = {
     "rsc": "rsc",
 }
 """Cases ``vs_<name>`` and the baselines they stand for, at their default parameters."""
-OPEN3D_REMEDY = "an environment of its own, see benchmarks/README.md"
 
 
 def cases() -> list[Case | Missing]:
@@ -63,8 +60,6 @@ def cases() -> list[Case | Missing]:
         make = partial(_with_baseline, slow, f"vs_{name}", baseline, clouds)
         remedy = "install the extra bench"
         found.append(with_peer(f"vs_{name}", "benchmarks.baselines", remedy, make))
-    make = partial(_with_open3d, slow, clouds)
-    found.append(with_peer("vs_open3d", "open3d", OPEN3D_REMEDY, make))
     return found
 
 
@@ -104,11 +99,3 @@ def _with_baseline(
         chosen["min_points"] = PAPER.cluster.min_points
     flat = [cloud[:, [0, 2]] for cloud in clouds]
     return case._replace(name=name, peer=partial(_each, method.run, flat, **chosen))
-
-
-def _with_open3d(case: Case, clouds: list[np.ndarray], open3d: Any) -> Case:
-    def dbscan(cloud: np.ndarray) -> np.ndarray:
-        points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud))
-        return np.asarray(points.cluster_dbscan(eps=0.15, min_points=5))
-
-    return case._replace(name="vs_open3d", peer=partial(_each, dbscan, clouds))

@@ -1,4 +1,4 @@
 """The paper's experiments on simulated scenes, beside the paper's figures: one report.
 
-``python -m benchmarks.paper --quick`` runs all of them; each is one function in its own file.
+``python -m benchmarks.paper`` runs all of them; each is one function in its own file.
 """

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.paper --quick``: all experiments, one report."""
+"""``python -m benchmarks.paper``: all experiments, one report."""
 
 import os
 import sys

@@ -131,11 +131,11 @@ def run(lab: Lab) -> Section:
     header = ["Pitch [°]", "Roll [°]", "Ramp [°]"]
     names = [f"{part} kept, {source}" for source in SOURCES for part in ("floor", "obstacle")]
     section.table([*header, *names], rows)
-    _pixels(section, every)
+    _pixels(section)
     return section
 
 
-def _pixels(section: Section, every: dict[Key, list[Tally]]) -> None:
+def _pixels(section: Section) -> None:
     """The same of all pixels, by what they show."""
     values = {figure.key: figure.value for figure in section.figures}
     rows = []

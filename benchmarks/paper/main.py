@@ -80,10 +80,8 @@ BENCH_PACKAGES = ("scikit-learn", "scipy", "chameleon-cluster", "matplotlib")
 class Options:
     """The paper's experiments on simulated scenes, beside its figures."""
 
-    quick: bool = False
-    """About 20 minutes on two cores; this is the default."""
     full: bool = False
-    """Larger counts, for narrower intervals."""
+    """Larger counts, for narrower intervals; else it takes about 20 minutes on two cores."""
     rehearsal: bool = False
     """Draws by other seeds than the test's, for work on the method: nothing may be tuned on the
     test seeds."""
@@ -104,9 +102,6 @@ class Options:
 
 def main(options: Options) -> int:
     """Runs what is asked for and writes the report; returns the exit code."""
-    if options.quick and options.full:
-        print("--quick or --full, not both", file=sys.stderr)
-        return 2
     unknown = [name for name in options.only if name not in (*EXPERIMENTS, RECORDINGS)]
     if unknown:
         names = ", ".join(EXPERIMENTS)

@@ -54,7 +54,7 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
         report.obstacles += chunk.obstacles.num_rows
     for problem in sorted(problems):
         report.add("tables", log.label, problem)
-    if problem := _gap(results, log, np.concatenate([*numbers, np.zeros(0, np.int64)])):
+    if problem := _gap(results, np.concatenate([*numbers, np.zeros(0, np.int64)])):
         report.add("tables", log.label, problem)
     for part in fields(Counts):
         found, told = getattr(counts, part.name), log.summary[part.name]
@@ -88,7 +88,7 @@ def _problems(chunk: Chunk) -> set[str]:
     return found
 
 
-def _gap(results: Results, log: ResultLog, numbers: np.ndarray) -> str:
+def _gap(results: Results, numbers: np.ndarray) -> str:
     """Where a frame is missing, comes twice or is out of order; empty: nowhere."""
     options = results.log_options
     if not numbers.size:

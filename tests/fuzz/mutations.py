@@ -211,7 +211,6 @@ def _packed(name: str, data: bytes) -> bytes:
     return lz4.frame.compress(data) if name == "lz4" else data
 
 
-_ROWS = ("id", "topic_id", "timestamp", "data")
 _VALUES = (None, "text", b"", b"\0" * 9, -1, 0, 3, 99, 1 << 40, (1 << 63) - 1, 1.5, float("inf"))
 
 
