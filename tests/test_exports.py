@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, OutputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.recordings import find, look_again
 from jaxdet.io import LogOptions
@@ -123,6 +124,48 @@ def test_a_log_that_is_not_looked_at_is_refused(to: str, parts: Path, tmp_path: 
     ):
         export(results, to, tmp_path / "out", find(results, [str(parts / "both.mcap")]))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("to", ["foxglove", "html"])
+def test_a_full_disk_is_said_and_leaves_nothing(to: str, tmp_path: Path) -> None:
+    make_results(tmp_path / "results", {"a": 200})
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with Results(tmp_path / "results") as results:
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (64, limits[1]))
+            with pytest.raises(OutputError, match=r"out: can't be written \(.*make room or give"):
+                export(results, to, tmp_path / "out", {})
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+_STOPPED = """
+import signal, sys
+from jaxdet.cli import main
+from jaxdet.export import html
+from jaxdet.tracks import folder
+
+def stop(path):
+    path.touch()
+    signal.raise_signal(signal.SIGTERM)
+
+html.export = lambda results, output, recordings: stop(output)
+folder.write_tracks = lambda results, config, staging: stop(staging / "half")
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("command", ["export --to html --output", "track"])
+def test_a_signal_leaves_nothing_half(command: str, tmp_path: Path) -> None:
+    make_results(tmp_path / "results", {"a": 20})
+    name, *more = command.split()
+    given = [str(tmp_path / "results"), *more, *[str(tmp_path / "out")] * bool(more)]
+    before = sorted(tmp_path.rglob("*"))
+    code = [sys.executable, "-c", _STOPPED, name, *given]
+    done = subprocess.run(code, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (143, "jaxdet: error: interrupted\n")
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 _PEAK = """

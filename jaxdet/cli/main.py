@@ -10,6 +10,7 @@ from tempfile import NamedTemporaryFile
 
 import jaxdet
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.engine.signals import stops_raised
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, printable
 from jaxdet.results.fault import fault_text
 
@@ -64,7 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):  # whatever a terminal or a pipe can show
             stream.reconfigure(errors="backslashreplace")
     try:
-        return _guarded(_do, args)
+        with stops_raised():  # so that what a command has begun to write is removed
+            return _guarded(_do, args)
     finally:
         SPINNER.stop()
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxdet.errors import ConfigError, InputError
+from jaxdet.results.durable import writing
 
 if TYPE_CHECKING:
     from jaxdet.io import LogFiles
@@ -65,7 +66,9 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
     Raises:
         ConfigError: The output is there already, a package is missing, or the format shows nothing
             of the logs that are given.
-        InputError: The output can't be written, or what the format shows is not in the results.
+        InputError: The output's folder can't be written to, or what the format shows is not in the
+            results.
+        OutputError: The disk is full or broken.
     """
     if recordings and not FORMATS[to].of_logs:
         problem = f"--to {to} shows nothing of the logs themselves"
@@ -83,12 +86,13 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
         raise ConfigError(f"--to {to} needs the package {package}", remedy=remedy) from error
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".jaxdet-", dir=output.parent))
+        staging = Path(tempfile.mkdtemp(prefix=".jaxdet-export-", dir=output.parent))
     except OSError as error:
         reason = f"can't be written to ({error.strerror})"
         raise InputError(reason, path=str(output.parent)) from error
     try:
-        write(results, staging / "output", recordings)
+        with writing(output):
+            write(results, staging / "output", recordings)
         if output.is_dir():
             output.rmdir()
         (staging / "output").rename(output)

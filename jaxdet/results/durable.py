@@ -15,8 +15,12 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path, remedy: str = "make room or give another --output") -> Iterator[None]:
     """What the system says against writing becomes an error that ends the run, not its log.
+
+    Args:
+        path: What is written to, where the system doesn't say it.
+        remedy: What the user can do.
 
     Raises:
         OutputError: The disk is full, read-only or broken.
@@ -25,7 +29,6 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         problem = f"can't be written ({error.strerror or error})"
-        remedy = "make room or give another --output"
         raise OutputError(problem, path=str(error.filename or path), remedy=remedy) from error
 
 

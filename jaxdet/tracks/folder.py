@@ -77,7 +77,8 @@ def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTr
         OutputError: The disk is full or broken.
     """
     with _staging(folder) as staging, Results(folder) as results:
-        found = write_tracks(results, config or TrackConfig(), staging)
+        with writing(folder, "make room"):
+            found = write_tracks(results, config or TrackConfig(), staging)
         _commit(staging, folder)
     return found
 
