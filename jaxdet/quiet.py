@@ -6,12 +6,16 @@ import re
 import shutil
 import struct
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 _ELF = struct.Struct("<40xQ10xHH")
 """Of the head: where the table of sections is, the size of an entry, and their number."""
 _BEING_MADE = re.compile(r".*_p\d+_t\d+")
 """Folders that a process writes a module into, before Warp gives them their name."""
+_MAKING_S = 3600.0
+"""Longer ones were left by processes that were killed."""
 
 
 def quiet_warp() -> None:
@@ -37,15 +41,18 @@ def quiet_warp() -> None:
 
 def remove_torn(cache: Path) -> list[Path]:
     """Removes the modules of ours in a cache of Warp's that are not whole; returns them."""
-    torn = [
-        folder
-        for folder in cache.glob("wp_jaxdet_kernels.*")
-        if not _BEING_MADE.fullmatch(folder.name)
-        and not all(_is_whole(file) for file in folder.glob("*"))
-    ]
+    torn = [folder for folder in cache.glob("wp_jaxdet_kernels.*") if _is_torn(folder)]
     for folder in torn:
         shutil.rmtree(folder, ignore_errors=True)
     return torn
+
+
+def _is_torn(folder: Path) -> bool:
+    if _BEING_MADE.fullmatch(folder.name):
+        with suppress(FileNotFoundError):  # it has its name now
+            return time.time() - folder.stat().st_mtime > _MAKING_S
+        return False
+    return not all(_is_whole(file) for file in folder.glob("*"))
 
 
 def _is_whole(file: Path) -> bool:

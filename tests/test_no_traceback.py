@@ -240,7 +240,9 @@ def test_torn_kernels_are_removed_from_the_cache(tmp_path):
     ]
     others = module("of_somebody_else", b"")
     written = module("jaxdet_kernels.e_1_p4147_t140302211824512", b"")  # by another process now
-    assert sorted(remove_torn(tmp_path)) == torn
+    left = module("jaxdet_kernels.f_1_p4148_t140302211824512", b"")  # by one that was killed
+    os.utime(left, (0, 0))
+    assert sorted(remove_torn(tmp_path)) == [*torn, left]
     assert sorted(tmp_path.iterdir()) == sorted([whole, others, written])
 
 
