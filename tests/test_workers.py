@@ -8,11 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import jax
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import warp as wp
@@ -370,6 +372,50 @@ def test_a_device_without_memory_computes_smaller_batches(
     assert not summary.failed and not summary.logs[0].lost and sizes[:3] == [16, 8, 4]
     for name in ("frames.parquet", "obstacles.parquet", "map_a.npz"):
         assert (tmp_path / "a" / name).read_bytes() == (plain_run / name).read_bytes()
+
+
+class RingLane:
+    """A device with three buffers, and no memory for more than four pieces together."""
+
+    def __init__(self, log: Any, device: Any, pieces: int) -> None:
+        self.ring: list[list[int]] = []
+
+    def copied(self, pieces: list[int]) -> int:
+        self.ring.append(pieces)
+        return len(self.ring) - 1
+
+    def copy(self, pieces: list[int]) -> Future[int]:
+        done: Future[int] = Future()
+        done.set_result(self.copied(pieces))
+        return done
+
+    def start(self, pieces: list[int], copied: int) -> list[int]:
+        if len(pieces) > 4:
+            raise MemoryError
+        return self.ring[copied::3][-1]  # the last that was copied to this buffer
+
+    def finish(self, pieces: list[int], started: list[int]) -> list[int]:
+        return started
+
+    def close(self) -> None:
+        pass
+
+
+def test_what_is_copied_is_not_overwritten_by_parts_of_others(monkeypatch):
+    """Batches go through a lane as `_LogStation._compute` leads them; some don't fit."""
+    monkeypatch.setattr(station, "_Lane", RingLane)
+    log: Any = SimpleNamespace(served=SimpleNamespace(pieces=16))
+    lane: Any = station._FittingLane(log, None)
+    sizes, found = [16, 16, 2, 2, 3, 16, 4, 1], []
+    ends = np.cumsum(sizes).tolist()
+    batches = [list(range(end - size, end)) for size, end in zip(sizes, ends, strict=True)]
+    copying = computing = None
+    for pieces in [*batches, None, None]:
+        copied = pieces and (pieces, lane.copy(pieces))
+        started = copying and (copying[0], lane.start(*copying))
+        found += lane.finish(*computing) if computing else []
+        copying, computing = copied, started
+    assert found == list(range(ends[-1]))
 
 
 def test_a_worker_of_a_device_that_dies_costs_nothing(sim_logs, plain_run, tmp_path, monkeypatch):

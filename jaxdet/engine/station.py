@@ -377,6 +377,8 @@ class _FittingLane:
         self.log, self.device, self.pieces = log, device, log.served.pieces
         self._lane: _Lane | None = None
         self._broken: Exception | None = None
+        self._divided = 0
+        """Batches that were computed in parts, which take the buffers of what was copied before."""
 
     def open(self) -> "_Lane":
         """The lane, compiled."""
@@ -401,11 +403,13 @@ class _FittingLane:
     def copy(self, pieces: list[Piece], _: None = None) -> "_Copying | None":
         """Begins to copy a batch; None: there is no memory for all of it."""
         lane = self.open()
-        return _Copying(lane, lane.copy(pieces)) if len(pieces) <= self.pieces else None
+        if len(pieces) > self.pieces:
+            return None
+        return _Copying(lane, self._divided, lane.copy(pieces))
 
     def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Computing | None":
-        """Waits until a batch is copied and starts to compute it; None: there is no memory."""
-        if copying is None or copying.lane is not self._lane:
+        """Waits until a batch is copied and starts to compute it; None: it is not on the device."""
+        if copying is None or copying[:2] != (self._lane, self._divided):
             return None
         try:
             return _Computing(copying.lane, copying.lane.start(pieces, copying.copied.result()))
@@ -414,13 +418,14 @@ class _FittingLane:
             return None
 
     def finish(self, pieces: list[Piece], computing: "_Computing | None") -> list[Reply]:
-        """Waits for a batch; one that was too large is computed in parts."""
+        """Waits for a batch; one that was not started is copied again, and computed in parts."""
         if computing:
             try:
                 return computing.lane.finish(pieces, computing.started)
             except Exception as error:
                 self._halve(error)
         replies: list[Reply] = []
+        self._divided += 1
         while len(replies) < len(pieces):
             part = pieces[len(replies) :][: self.pieces]
             replies += self.finish(part, self.start(part, self.copy(part)))
@@ -468,6 +473,8 @@ class _Copying(NamedTuple):
     """A batch on its way to a lane's device."""
 
     lane: "_Lane"
+    divided: int
+    """See :class:`_FittingLane`."""
     copied: "Future[_Copied]"
 
 
