@@ -171,7 +171,10 @@ def test_a_run_that_one_machine_began_alone(sim_logs, whole, tmp_path):
     stop = lambda now: now.done and signal.raise_signal(signal.SIGINT)  # noqa: E731
     with pytest.raises(Interrupted):
         run(sim_logs, tmp_path / "out", progress=stop)
-    run(sim_logs, tmp_path / "out", parts=str(tmp_path / "parts"), share="1/1")
+    said: list[str] = []
+    run(sim_logs, tmp_path / "out", parts=str(tmp_path / "parts"), share="1/1", say=said.append)
+    again = "a is done again: parts that machines share are of other frames"
+    assert [text for text in said if "again" in text] == [again]
     assert joined(sim_logs, tmp_path / "out", str(tmp_path / "parts")).startswith("5 units")
     same_results(tmp_path / "out", whole)
 

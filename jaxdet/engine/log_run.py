@@ -145,7 +145,11 @@ class LogRun:
         if found and plan is not None:
             self.about, self.workers, self.batch = found
             return
-        if plan is None or (self.run.store and plan.sizes != SIZES):
+        if plan and self.run.store and plan.sizes != SIZES:
+            text = "is done again: parts that machines share are of other frames"
+            self.run.say(f"{plan.label} {text}")
+            plan = None
+        if plan is None:
             work.empty(self.folder)
         elif plan.scan:
             options = replace(options, scan=True)
