@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-_HELPED = '''
+_MODULES = """
 import sys, time
 import warp as wp
 from jaxdet.quiet import quiet_warp
@@ -14,8 +14,8 @@ from jaxdet.stages import _compile
 from jaxdet_kernels import cover, free_floor
 _compile._MODULES = cover, free_floor
 _compile.threads = lambda: 2
-
-
+"""
+_HELPED = '''
 def load_module(module, device):
     """This process compiles nothing, and is as long at it as the other."""
     until = time.monotonic() + 60
@@ -25,14 +25,40 @@ def load_module(module, device):
 
 wp.load_module = load_module
 _compile.compile_method()
-print(*(module.__name__ for module in _compile._MODULES if _compile._is_kept(module)))
 '''
+_STOPPED = """
+from pathlib import Path
+
+
+def load_module(module, device):
+    # Stopped when the other process has begun to compile.
+    while not list(Path(sys.argv[1]).glob("*_p*_t*/*.cpp")):
+        time.sleep(0.01)
+    raise KeyboardInterrupt
+
+
+wp.load_module = load_module
+try:
+    _compile.compile_method()
+except KeyboardInterrupt:
+    pass
+"""
+_KEPT = """
+print(*(module.__name__ for module in _compile._MODULES if _compile._is_kept(module)))
+"""
+
+
+def kept(code: str, cache: Path) -> list[str]:
+    """The modules in a cache after some code."""
+    command = [sys.executable, "-c", _MODULES + code + _KEPT, str(cache)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 
 
 def test_another_process_compiles_what_this_one_looks_for(tmp_path: Path) -> None:
     """Both see the same name for the same code; the rest is compiled when it is called."""
-    command = [sys.executable, "-c", _HELPED, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    kept = done.stdout.split()
-    assert len(kept) == 1 and kept[0].startswith("jaxdet_kernels."), done.stdout
-    assert len(list(tmp_path.glob("*/*.o"))) == 1
+    (module,) = kept(_HELPED, tmp_path)
+    assert module.startswith("jaxdet_kernels.") and len(list(tmp_path.glob("*/*.o"))) == 1
+
+
+def test_a_compilation_that_is_stopped_waits_for_nobody(tmp_path: Path) -> None:
+    assert not kept(_STOPPED, tmp_path) and not list(tmp_path.glob("*/*.o"))

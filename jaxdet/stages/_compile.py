@@ -39,14 +39,18 @@ def compile_method() -> None:
     if count < 1:
         return  # Warp compiles a module when it is first called
     left = iter(missing)
+    helpers: list[Popen[str]] = []
     with ThreadPoolExecutor(count) as crew:
         for _ in range(count):
-            crew.submit(_have_compiled, left)
+            crew.submit(_have_compiled, left, helpers)
         try:
             for module in left:
                 wp.load_module(module, device="cpu")
-        finally:
-            list(left)  # of a compilation that was stopped the others take no more
+        except BaseException:  # a Ctrl-C, which nobody else should make wait
+            list(left)
+            for helper in helpers:
+                helper.kill()
+            raise
 
 
 def _is_kept(module: ModuleType) -> bool:
@@ -54,11 +58,12 @@ def _is_kept(module: ModuleType) -> bool:
     return any(Path(str(wp.config.kernel_cache_dir), name).glob("*.o"))
 
 
-def _have_compiled(left: Iterator[ModuleType]) -> None:
+def _have_compiled(left: Iterator[ModuleType], helpers: list[Popen[str]]) -> None:
     """Has modules compiled by another process; if it fails they are compiled when they are called.
 
     Args:
         left: Modules; several threads take from it.
+        helpers: Gets the process.
     """
     command = [sys.executable, "-P", "-m", "jaxdet_kernels", str(wp.config.kernel_cache_dir)]
     own = {"PYTHONPATH": os.pathsep.join(sys.path), "CUDA_VISIBLE_DEVICES": ""}
@@ -68,6 +73,7 @@ def _have_compiled(left: Iterator[ModuleType]) -> None:
             command, stdin=PIPE, stdout=PIPE, stderr=DEVNULL, env={**os.environ, **own}, text=True
         ) as process,
     ):
+        helpers.append(process)
         assert process.stdout
         for module in left:
             print(module.__name__, file=process.stdin, flush=True)
