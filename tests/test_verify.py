@@ -296,10 +296,14 @@ def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
         verify(whole, [str(tmp_path / "c.mcap")])
 
 
-def test_a_folder_of_images_is_found_where_it_was(tmp_path: Path) -> None:
-    logs = find_logs([str(write_open3d(tmp_path / "drive"))])
+def test_a_folder_of_images_is_found_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    logs = find_logs([str(write_open3d(Path("drive")))])
     how = RunOptions(tmp_path / "out", backend="reference", pictures=0)
     engine.run(logs, Config(), LogOptions(), how)
+    monkeypatch.chdir("/")
     report = verify(tmp_path / "out", sample=1)
     assert report.findings == report.notes == [] and report.frames_of_logs == report.frames == 3
 

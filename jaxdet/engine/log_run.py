@@ -135,7 +135,8 @@ class LogRun:
         return self.about
 
     def _new(self) -> LogSummary:
-        return LogSummary(self.files.name, tuple(map(str, self.files.paths)))
+        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
+        return LogSummary(self.files.name, tuple(paths))
 
     def _make_whole(self, options: "LogOptions") -> None:
         """All parts are on the disk, and the summary."""
