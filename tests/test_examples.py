@@ -93,10 +93,17 @@ def test_a_ros2_node(encoding, aligned_log, monkeypatch):
     with jaxdet.open_log(aligned_log) as log:
         frame, K = log[0], log.calibration.color.K
     color = frame.color if encoding == "rgb8" else np.ascontiguousarray(frame.color[..., ::-1])
-    info = SimpleNamespace(k=K.ravel())
+    info = SimpleNamespace(
+        k=K.ravel(), width=320, height=240, d=[0.0] * 5, distortion_model="plumb_bob"
+    )
     node.frames.callback(image(color, encoding, 8), image(frame.depth, "16UC1", 4), info)
     want = jaxdet.Detector(K)(frame.color, frame.depth)
     assert node.published == [want.nearest_m]
     assert node.said == [f"{len(want)} obstacles, nearest {want.nearest_m:.2f} m"]
     node.on_frame(image(color, encoding, 0), image(0 * frame.depth, "16UC1", 0), info)
     assert node.published[-1] == float("inf")
+    node.detector, info.d = None, [0.1, -0.05, 0.0, 0.0, 0.0]
+    node.on_frame(image(color, encoding, 0), image(frame.depth, "16UC1", 0), info)
+    lens = jaxdet.Intrinsics.from_matrix(K, 320, 240, info.d, "plumb_bob")
+    assert str(node.detector) == str(jaxdet.Detector(lens)) and "plumb_bob" in str(node.detector)
+    assert node.published[-1] == jaxdet.Detector(lens)(frame.color, frame.depth).nearest_m

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from jaxdet.arguments import numbers
 from jaxdet.checks import MAX_FRAMES, check_calibration, is_rotation
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
-from jaxdet.types import Calibration, Extrinsics, Intrinsics, focal_and_center
+from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, focal_and_center
 
 ColorOrder = Literal["rgb", "bgr"]
 Pinhole = tuple[float, float, float, float]
@@ -86,6 +86,8 @@ class Cameras:
         camera = self._color
         fx, fy, cx, cy = camera[2:6] if isinstance(camera, Intrinsics) else camera
         focal = f"fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g}"
+        if isinstance(camera, Intrinsics) and camera.distortion is not Distortion.NONE:
+            focal += f" {camera.distortion}"
         return f"{focal}, depth {'on its own pixels' if self._depth else 'aligned to colour'}"
 
     def calibration(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:

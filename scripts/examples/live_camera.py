@@ -1,6 +1,6 @@
 """Obstacles of a live RGB-D camera.
 
-The source is any iterator of colour (BGR) and depth images (uint16 millimetres, aligned to colour).
+The source is any iterator of colour (BGR) and depth images (uint16, aligned to colour).
 ``realsense`` is one for Intel's cameras: pip install pyrealsense2.
 """
 
@@ -25,8 +25,8 @@ def watch(source: Iterable[Frame], detector: jaxdet.Detector, stop_at_m: float =
         print(f"frame {number}: {len(found)} obstacles, {near}, {ms:.1f} ms{'  STOP' * stop}")
 
 
-def realsense() -> tuple[np.ndarray, Iterator[Frame]]:
-    """The camera matrix, and frames for ever."""
+def realsense() -> tuple[np.ndarray, float, Iterator[Frame]]:
+    """The camera matrix, metres in a unit of depth, and frames for ever."""
     import pyrealsense2 as rs
 
     pipeline, config = rs.pipeline(), rs.config()
@@ -34,6 +34,7 @@ def realsense() -> tuple[np.ndarray, Iterator[Frame]]:
     config.enable_stream(rs.stream.depth, 640, 480, rs.format.z16, 30)
     profile = pipeline.start(config)
     camera = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+    unit = profile.get_device().first_depth_sensor().get_depth_scale()  # a D405 has 0.0001
     K = np.array([[camera.fx, 0, camera.ppx], [0, camera.fy, camera.ppy], [0, 0, 1]])
 
     def frames() -> Iterator[Frame]:
@@ -43,9 +44,10 @@ def realsense() -> tuple[np.ndarray, Iterator[Frame]]:
             color, depth = both.get_color_frame(), both.get_depth_frame()
             yield np.asanyarray(color.get_data()), np.asanyarray(depth.get_data())
 
-    return K, frames()
+    return K, unit, frames()
 
 
 if __name__ == "__main__":
-    matrix, source = realsense()
-    watch(source, jaxdet.Detector(matrix, color_order="bgr", config="d435"))
+    matrix, unit, source = realsense()
+    detector = jaxdet.Detector(matrix, depth_unit_m=unit, color_order="bgr", config="d435")
+    watch(source, detector)

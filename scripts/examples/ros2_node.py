@@ -38,7 +38,9 @@ class Obstacles(Node):
         """Finds the obstacles of a frame."""
         if self.detector is None:
             K, order = np.reshape(info.k, (3, 3)), color.encoding.removesuffix("8")
-            self.detector = jaxdet.Detector(K, color_order=order)  # "rgb" or "bgr"
+            lens = (info.d, info.distortion_model) if any(info.d) else ()  # zeros: no distortion
+            camera = jaxdet.Intrinsics.from_matrix(K, info.width, info.height, *lens)
+            self.detector = jaxdet.Detector(camera, color_order=order)  # "rgb" or "bgr"
         found = self.detector(pixels(color), pixels(depth))
         nearest = found.nearest_m if found.nearest_m is not None else float("inf")
         self.nearest.publish(Float32(data=nearest))
