@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from jaxdet.cli import main
-from jaxdet.cli.run import RunCommand, parse
+from jaxdet.cli.run import RunCommand, first_time, parse
 from jaxdet.cli.settings import defaults
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
+from jaxdet.engine.startup import Caches
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.io import LogOptions
 from jaxdet.presets import PRESETS
@@ -392,6 +393,21 @@ def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
     assert main([*args, "--scene", "corridor", *errors]) == 0
     truth = load_truth(path)
     assert truth.is_wall.sum() >= 3 and truth.camera_pitch[0] != pytest.approx(0.1745)
+
+
+def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
+    caches = Caches(tmp_path / "jax", tmp_path / "warp")
+    assert str(tmp_path / "jax") in first_time(caches)
+    (tmp_path / "jax").mkdir()
+    assert "compiles" in first_time(caches)
+    (tmp_path / "jax" / "program").touch()
+    assert first_time(caches) == first_time(Caches(None, None)) == ""
+
+
+def test_sim_tells_how_far_it_is(tmp_path: Path) -> None:
+    told = []
+    write_log(tmp_path / "x.mcap", SimConfig(frames=3, width=64, height=48), told.append)
+    assert told == [1, 2, 3]
 
 
 def test_sim_writes_a_log_and_its_truth(tmp_path: Path, capsys: Captured) -> None:

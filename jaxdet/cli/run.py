@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
@@ -17,6 +17,9 @@ from jaxdet.engine.options import RunOptions
 from jaxdet.errors import Interrupted, ResultsError
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
+
+if TYPE_CHECKING:
+    from jaxdet.engine.startup import Caches
 
 DESCRIPTION = """\
 Finds the obstacles in every frame of logs and writes frames.parquet, obstacles.parquet,
@@ -98,6 +101,7 @@ def _run(command: RunCommand) -> int:
     """Makes the results."""
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import run
+    from jaxdet.engine.startup import cache_folders
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 
@@ -108,6 +112,9 @@ def _run(command: RunCommand) -> int:
 
         observers["score"] = TruthScore(command.truth, command.method)
     silent = command.quiet or command.json
+    if command.run.backend == "jax" and not silent and (text := first_time(cache_folders())):
+        _say(text)
+        SPINNER.start("loading")
     with reporting(silent) as progress:
         how = command.log, command.run, progress, observers, command.preset
         summary = run(logs, command.method, *how, say=(lambda text: None) if silent else _say)
@@ -119,6 +126,14 @@ def _run(command: RunCommand) -> int:
     if command.tracks and summary.whole and not command.run.share:
         _link(command)
     return code
+
+
+def first_time(caches: "Caches") -> str:
+    """What is said where nothing that was compiled is kept yet; empty elsewhere."""
+    folder = caches.jax
+    if folder is None or (folder.is_dir() and any(folder.iterdir())):
+        return ""
+    return f"the first run compiles for this machine, up to half a minute; kept in {folder}"
 
 
 def _there(command: RunCommand) -> int:

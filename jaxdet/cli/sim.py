@@ -1,6 +1,7 @@
 """``jaxdet sim``: a simulated log with its truth beside it."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -54,7 +55,7 @@ def main(args: list[str]) -> int:
 
             start_up()
             command.path.parent.mkdir(parents=True, exist_ok=True)
-            truth = write_log(command.path, command.sim)
+            truth = write_log(command.path, command.sim, _progress(command.sim.frames))
     except OSError as error:
         reason = f"can't be written ({error.strerror})"
         raise InputError(reason, path=str(command.path)) from error
@@ -63,3 +64,12 @@ def main(args: list[str]) -> int:
         print(f"{command.path}: {len(truth.stamp_ns)} frames, {objects} obstacles", file=sys.stderr)
         print(f"{truth_path(command.path)}: the truth", file=sys.stderr)
     return 0
+
+
+def _progress(frames: int) -> Callable[[int], None]:
+    """Shows how many frames of all are written."""
+
+    def show(done: int) -> None:
+        SPINNER.text = f"simulating, {done} of {frames} frames"
+
+    return show

@@ -16,13 +16,16 @@ class Spinner:
     def __init__(self) -> None:
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
+        self.text = ""
+        """What it shows; may change meanwhile."""
 
     def start(self, text: str) -> None:
         """Shows the text."""
         self.stop()
+        self.text = text
         if sys.stderr.isatty():
             self._stopped.clear()
-            self._thread = threading.Thread(target=self._turn, args=(text,), daemon=True)
+            self._thread = threading.Thread(target=self._turn, daemon=True)
             self._thread.start()
 
     @contextmanager
@@ -41,10 +44,10 @@ class Spinner:
             self._thread.join()
             self._thread = None
 
-    def _turn(self, text: str) -> None:
+    def _turn(self) -> None:
         number = 0
         while True:
-            sys.stderr.write(f"{_ERASE}{_FRAMES[number % len(_FRAMES)]} {text}")
+            sys.stderr.write(f"{_ERASE}{_FRAMES[number % len(_FRAMES)]} {self.text}")
             sys.stderr.flush()
             number += 1
             if self._stopped.wait(_EVERY_S):

@@ -1,6 +1,7 @@
 """Writing a simulated log: topics and frames as ``realsense2_camera`` 4.x names them."""
 
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,17 @@ COLOR_FRAME = "camera_color_optical_frame"
 DEPTH_FRAME = "camera_depth_optical_frame"
 
 
-def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
+def write_log(
+    path: str | Path,
+    config: SimConfig | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Truth:
     """Simulate a log and write it as a ROS 2 MCAP file, with its truth beside it.
 
     Args:
         path: The log; the truth goes to ``<path>.truth.npz`` (:mod:`jaxdet.sim.truth`).
         config: What to simulate.
+        progress: Gets the number of frames that are written, after each.
 
     Returns:
         The truth.
@@ -47,6 +53,8 @@ def write_log(path: str | Path, config: SimConfig | None = None) -> Truth:
                 _write_odometry(writer, config, scene, odometry.popleft())
             _write_frame(writer, config, calibration, frame)
             truth.add(frame)
+            if progress:
+                progress(index + 1)
         for time_s in odometry:
             _write_odometry(writer, config, scene, time_s)
     return truth.finish()
