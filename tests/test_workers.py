@@ -22,8 +22,9 @@ import warp as wp
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import local, log_run, pool, station
+from jaxdet.engine import lane, local, log_run, pool, station
 from jaxdet.engine.plan import LogPlan
+from jaxdet.engine.slots import SLOTS, attached
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
@@ -332,8 +333,8 @@ def test_the_memory_is_bounded(width, height, asked, want):
     slots, batch = there.enter(log, Config(), asked, station.PIECE_FRAMES)
     again, _ = there.enter(log, Config(), asked, station.PIECE_FRAMES)
     assert (slots.frames, batch) == want and again is slots
-    assert slots.nbytes <= 2 * station.SLOTS * max(station.PIECE_BYTES + 8192, 5 * width * height)
-    first, last = slots.views(station._attached(slots.path))[:: 2 * station.SLOTS - 1]
+    assert slots.nbytes <= 2 * SLOTS * max(station.PIECE_BYTES + 8192, 5 * width * height)
+    first, last = slots.views(attached(slots.path))[:: 2 * SLOTS - 1]
     assert first[0].shape == (want[0], height, width, 3) and last[1].ctypes.data % 4096 == 0
     last[1][...] = 7
     there.close()
@@ -345,7 +346,7 @@ def test_an_error_of_the_process_that_computes_reaches_the_log(sim_logs, tmp_pat
     def fails(*_: Any) -> None:
         raise ArithmeticError("out of memory")
 
-    monkeypatch.setattr(station._Lane, "start", fails)
+    monkeypatch.setattr(lane.Lane, "start", fails)
     summary = run(sim_logs, tmp_path / "b", workers=2)
     assert len(summary.failed) == 2
     for log in summary.failed:
@@ -358,14 +359,14 @@ def test_a_device_without_memory_computes_smaller_batches(
     on_this_machine(monkeypatch)
     sizes = []
 
-    def start(lane: Any, *given: Any) -> Any:
-        sizes.append(lane.rows)
-        if lane.rows > 4:
+    def start(small: Any, *given: Any) -> Any:
+        sizes.append(small.rows)
+        if small.rows > 4:
             raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
-        return real(lane, *given)
+        return real(small, *given)
 
-    real = station._Lane.start
-    monkeypatch.setattr(station._Lane, "start", start)
+    real = lane.Lane.start
+    monkeypatch.setattr(lane.Lane, "start", start)
     monkeypatch.setattr(station, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
@@ -403,17 +404,17 @@ class RingLane:
 
 def test_what_is_copied_is_not_overwritten_by_parts_of_others(monkeypatch):
     """Batches go through a lane as `_LogStation._compute` leads them; some don't fit."""
-    monkeypatch.setattr(station, "_Lane", RingLane)
+    monkeypatch.setattr(lane, "Lane", RingLane)
     log: Any = SimpleNamespace(served=SimpleNamespace(pieces=16))
-    lane: Any = station._FittingLane(log, None)
+    fitting: Any = lane.FittingLane(log, None)
     sizes, found = [16, 16, 2, 2, 3, 16, 4, 1], []
     ends = np.cumsum(sizes).tolist()
     batches = [list(range(end - size, end)) for size, end in zip(sizes, ends, strict=True)]
     copying = computing = None
     for pieces in [*batches, None, None]:
-        copied = pieces and (pieces, lane.copy(pieces))
-        started = copying and (copying[0], lane.start(*copying))
-        found += lane.finish(*computing) if computing else []
+        copied = pieces and (pieces, fitting.copy(pieces))
+        started = copying and (copying[0], fitting.start(*copying))
+        found += fitting.finish(*computing) if computing else []
         copying, computing = copied, started
     assert found == list(range(ends[-1]))
 

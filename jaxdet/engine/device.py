@@ -1,5 +1,6 @@
 """Where the obstacles of a batch are found: in this process, or by the one that has the GPU."""
 
+import pickle
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -8,6 +9,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.signals import stops_held_back
+from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Slots, attached
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, joined_inputs, row_inputs, to_host
 from jaxdet.types import Detections, Frames, GroundPlane
@@ -143,3 +145,47 @@ def _rows(frames: Frames, rows: slice) -> Frames:
     parts = {k: a[rows] for k, a in frames._asdict().items() if isinstance(a, np.ndarray)}
     plane = frames.plane and GroundPlane(*(np.asarray(a)[rows] for a in frames.plane))
     return frames._replace(**parts, plane=plane)
+
+
+class SharedDevice:
+    """Another process, which computes for this worker.
+
+    Args:
+        slots: What :meth:`jaxdet.engine.station.Station.enter` returned.
+        piped: The worker's way to the station.
+    """
+
+    ahead, doing = SLOTS - 1, "wait"
+
+    def __init__(self, slots: Slots, piped: Piped) -> None:
+        self._slots, self._piped = slots, piped
+        self._first = piped.number * SLOTS
+        self._views = slots.views(attached(slots.path))
+        self._turn = 0
+        self._replies: dict[int, Reply] = {}
+        self._results: tuple[bytes, Packing, np.ndarray] | None = None
+
+    def images(self) -> tuple[np.ndarray, np.ndarray]:
+        """The memory for the next batch."""
+        self._turn = (self._turn + 1) % SLOTS
+        return self._views[self._first + self._turn]
+
+    def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
+        """Gives the batch, whose images are in the memory of the last call, to the station."""
+        slot = self._first + self._turn
+        self._piped.pipe.send(Piece(self._piped.number, slot, plane, whole))
+        return slot
+
+    def finish(self, started: int) -> Found:
+        """Waits for a batch; its results are valid until its slot is started again."""
+        while started not in self._replies:
+            reply: Reply = self._piped.pipe.recv()
+            self._replies[reply.slot] = reply
+        _, told, whole, error, busy_s = self._replies.pop(started)
+        if error:
+            raise error
+        if self._results is None or self._results[0] != told:
+            packing: Packing = pickle.loads(told)
+            self._results = told, packing, packing.view(attached(packing.path), self._slots)
+        _, packing, rows = self._results
+        return Found(packing.unpacked(rows[started]), whole, busy_s)

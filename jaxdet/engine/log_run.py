@@ -26,8 +26,8 @@ from jaxdet.engine.plan import LogPlan, Observer, Unit, UnitSizes
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.progress import Clock, Report
 from jaxdet.engine.sharing import SIZES, SharedLog, send
+from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import start_up
-from jaxdet.engine.station import Slots
 from jaxdet.engine.unit import LogWork, save_work
 from jaxdet.engine.watch import Watch
 from jaxdet.engine.workspace import Workspace

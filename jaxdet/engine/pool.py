@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.config import Config
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.signals import STOPS, stops_held_back
+from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import start_cuda, start_up
-from jaxdet.engine.station import Slots, Station
+from jaxdet.engine.station import Station
 from jaxdet.engine.unit import lose_unit
 from jaxdet.engine.worker import Failure, Worker, work_on
 from jaxdet.errors import FrameStatus, WorkerError

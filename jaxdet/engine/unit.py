@@ -10,11 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from jaxdet.engine.device import Device, Found, OwnDevice
+from jaxdet.engine.device import Device, Found, OwnDevice, SharedDevice
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.sharing import send
-from jaxdet.engine.station import Piped, SharedDevice, Slots
+from jaxdet.engine.slots import Piped, Slots
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png

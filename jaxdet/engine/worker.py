@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from jaxdet.engine.device import out_of_memory
 from jaxdet.engine.plan import Unit
 from jaxdet.engine.signals import ignore_stops
+from jaxdet.engine.slots import Piped
 from jaxdet.engine.startup import start_reading, start_up
-from jaxdet.engine.station import Piped
 from jaxdet.engine.unit import run_unit
 from jaxdet.errors import JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName

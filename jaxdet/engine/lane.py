@@ -1,0 +1,307 @@
+"""A device that computes batches of pieces for workers, one copied to it while one is computed."""
+
+import pickle
+import threading
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxdet.config import Config
+from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.slots import (
+    SLOTS,
+    Leaf,
+    Packing,
+    Piece,
+    Reply,
+    SharedMemory,
+    Slots,
+    map_leaves,
+)
+from jaxdet.floor.plane import unknown_plane
+from jaxdet.pipeline import detect
+from jaxdet.results.rows import RowInputs, row_inputs, to_host
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane
+
+_warming = threading.Lock()
+"""Warp's modules are loaded by one thread at a time."""
+
+
+class Served(NamedTuple):
+    """What logs have in common that are served by the same threads, one after the other."""
+
+    slots: Slots
+    """Without a path."""
+    pieces: int
+    """Of a batch."""
+    calibration: Calibration
+    config: Config
+
+
+class LogMemory:
+    """The memory of a log's images and results, for all devices.
+
+    Args:
+        served: What the log is like.
+
+    Raises:
+        WorkerError: There is not as much.
+    """
+
+    def __init__(self, served: Served) -> None:
+        self.served, self.images = served, SharedMemory(served.slots.nbytes)
+        self.slots = served.slots._replace(path=self.images.path)
+        self.views = self.slots.views(self.images.map)
+        self._results: Results | None = None
+        self._lock = threading.Lock()
+        self._page_locks: dict[str, Any] = {}
+        """By the path of the memory."""
+
+    def close(self) -> None:
+        """Frees it; no device reads or writes it any more."""
+        for lock in self._page_locks.values():
+            lock.unlock()
+        self.images.close()
+        if self._results:
+            self._results.memory.close()
+
+    def page_lock(self, memory: SharedMemory, device: Any) -> None:
+        """Page-locks images or results, once."""
+        from jaxdet.stages._upload import PageLock
+
+        with self._lock:
+            if memory.path not in self._page_locks:
+                self._page_locks[memory.path] = PageLock(memory.map, device)
+
+    def results(self, inputs: RowInputs) -> "Results":
+        """The memory of the results, made when the first are there."""
+        with self._lock:
+            if self._results is None:
+                leaves = map_leaves(lambda a: Leaf(a.shape[1:], np.dtype(a.dtype)), inputs)
+                ints, slots = Packing("", leaves).ints, self.slots
+                memory = SharedMemory(4 * ints * slots.frames * slots.workers * SLOTS)
+                packing = Packing(memory.path, leaves)
+                rows = packing.view(memory.map, slots)
+                self._results = Results(memory, pickle.dumps(packing), rows)
+            return self._results
+
+
+class Results(NamedTuple):
+    """The memory of a log's results."""
+
+    memory: SharedMemory
+    packing: bytes
+    """See :class:`Reply`."""
+    rows: np.ndarray
+    """See :meth:`Packing.view`."""
+
+
+class FittingLane:
+    """A lane for as many pieces as the device has memory for: half as many where it runs out."""
+
+    def __init__(self, log: LogMemory, device: Any) -> None:
+        self.log, self.device, self.pieces = log, device, log.served.pieces
+        self._lane: Lane | None = None
+        self._broken: Exception | None = None
+        self._divided = 0
+        """Batches that were computed in parts, which take the buffers of what was copied before."""
+
+    def open(self) -> "Lane":
+        """The lane, compiled."""
+        if self._broken:
+            raise self._broken
+        while self._lane is None:
+            try:
+                with _warming:
+                    self._lane = Lane(self.log, self.device, self.pieces)
+                    self._lane.finish([], self._lane.start([], self._lane.copied([])))
+            except Exception as error:
+                self._broken = error
+                self._halve(error)
+                self._broken = None
+        return self._lane
+
+    def close(self) -> None:
+        """Ends its thread."""
+        if self._lane:
+            self._lane.close()
+
+    def copy(self, pieces: list[Piece], _: None = None) -> "_Copying | None":
+        """Begins to copy a batch; None: there is no memory for all of it."""
+        lane = self.open()
+        if len(pieces) > self.pieces:
+            return None
+        return _Copying(lane, self._divided, lane.copy(pieces))
+
+    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Computing | None":
+        """Waits until a batch is copied and starts to compute it; None: it is not on the device."""
+        if copying is None or copying[:2] != (self._lane, self._divided):
+            return None
+        try:
+            return _Computing(copying.lane, copying.lane.start(pieces, copying.copied.result()))
+        except Exception as error:
+            self._halve(error)
+            return None
+
+    def finish(self, pieces: list[Piece], computing: "_Computing | None") -> list[Reply]:
+        """Waits for a batch; one that was not started is copied again, and computed in parts."""
+        if computing:
+            try:
+                return computing.lane.finish(pieces, computing.started)
+            except Exception as error:
+                self._halve(error)
+        replies: list[Reply] = []
+        self._divided += 1
+        while len(replies) < len(pieces):
+            part = pieces[len(replies) :][: self.pieces]
+            replies += self.finish(part, self.start(part, self.copy(part)))
+        return replies
+
+    def _halve(self, error: Exception) -> None:
+        """From now on half as many pieces, if that can help."""
+        if not out_of_memory(error) or self.pieces == 1:
+            raise error
+        self.close()
+        self._lane, self.pieces = None, self.pieces // 2
+
+
+class _Copied(NamedTuple):
+    """Images of a batch on a device."""
+
+    images: Any
+    seconds: float
+    """How long copying took [s]."""
+
+
+class _Started(NamedTuple):
+    """A batch on a device."""
+
+    found: Detections
+    inputs: RowInputs
+    packed: Any
+    begin: float
+    """Time when it was started, by ``time.perf_counter`` [s]."""
+    copying_s: float
+    """How long its images were copied [s]."""
+    ready: "Future[float]"
+    """Time when it is computed."""
+
+
+class _Copying(NamedTuple):
+    """A batch on its way to a lane's device."""
+
+    lane: "Lane"
+    divided: int
+    """See :class:`FittingLane`."""
+    copied: "Future[_Copied]"
+
+
+class _Computing(NamedTuple):
+    """A batch that a lane's device computes."""
+
+    lane: "Lane"
+    started: _Started
+
+
+class Lane:
+    """One device and what belongs to it: a batch is copied to it while one is computed."""
+
+    def __init__(self, log: LogMemory, device: Any, pieces: int) -> None:
+        from jaxdet.stages._upload import Uploader, wait_asleep
+
+        wait_asleep(device)  # cores are for the workers
+        slots = log.slots
+        self.log, self.device, self.rows = log, device, pieces * slots.frames
+        shapes = (self.rows, *slots.color), (self.rows, *slots.depth)
+        self.uploader = Uploader(*shapes, device)
+        self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
+        self._ready = 0.0
+        """Time when the last batch was computed."""
+        # Pages of a gigabyte are made and locked while the program is traced and loaded.
+        self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
+        self._locked = self._copier.submit(log.page_lock, log.images, device)
+
+    def close(self) -> None:
+        """Ends its threads."""
+        self._copier.shutdown()
+        self._watch.shutdown()
+
+    def copy(self, pieces: list[Piece]) -> "Future[_Copied]":
+        """Begins to copy the pieces to the device."""
+        return self._copier.submit(self.copied, pieces)
+
+    def copied(self, pieces: list[Piece]) -> _Copied:
+        """Copies the pieces to the device."""
+        if pieces:
+            self._locked.result()
+        begin = time.perf_counter()
+        images = self.uploader.upload([self.log.views[piece.slot] for piece in pieces])
+        return _Copied(images, time.perf_counter() - begin)
+
+    def start(self, pieces: list[Piece], copied: _Copied) -> _Started:
+        """Starts to compute the pieces."""
+        log, begin = self.log, time.perf_counter()
+        nothing = np.zeros(self.rows, np.int64)
+        missing = self.rows - len(pieces) * log.slots.frames
+        plane = _joined([*(piece.plane for piece in pieces), unknown_plane(missing)])
+        known = nothing, nothing, nothing, nothing > 0
+        color, depth = copied.images
+        frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
+        found = detect(frames, log.served.config)
+        inputs, packed = _pack()(_without_prior(found))
+        ready = self._watch.submit(_time_when_ready, packed)
+        return _Started(found, inputs, packed, begin, copied.seconds, ready)
+
+    def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
+        """Waits for the results and copies them to the slots."""
+        results = self.log.results(started.inputs)
+        self.log.page_lock(results.memory, self.device)
+        ready, begin = started.ready.result(), time.perf_counter()
+        self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
+        copying_s = started.copying_s + time.perf_counter() - begin
+        # A batch is computed after the one before.
+        computing_s = ready - max(self._ready, started.begin)
+        self._ready = ready
+        times = {"transfer": copying_s, "compute": computing_s}
+        busy_s = {what: taken / max(1, len(pieces)) for what, taken in times.items()}
+        replies, size = [], self.log.slots.frames
+        whole_batch = any(piece.whole for piece in pieces)
+        everything = to_host(started.found) if whole_batch else None
+        for number, piece in enumerate(pieces):
+            part = slice(number * size, (number + 1) * size)
+            whole = map_leaves(lambda a, part=part: a[part], everything) if piece.whole else None
+            replies.append(Reply(piece.slot, results.packing, whole, None, busy_s))
+        return replies
+
+
+def _time_when_ready(found: Any) -> float:
+    """Waits for an array; now, by ``time.perf_counter`` [s]."""
+    found.block_until_ready()
+    return time.perf_counter()
+
+
+@lru_cache(maxsize=1)
+def _pack() -> Any:
+    """What rows need of detections, and the same as ``(B, ints)`` int32; compiled."""
+    import jax
+    import jax.numpy as jnp
+
+    @jax.jit
+    def pack(found: Detections) -> tuple[RowInputs, Any]:
+        inputs = row_inputs(found)
+        rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in jax.tree.leaves(inputs)]
+        return inputs, jnp.concatenate(rows, axis=1)
+
+    return pack
+
+
+def _without_prior(found: Detections) -> Any:
+    """The prior stays on the host."""
+    return found if found.scene is None else found._replace(scene=found.scene._replace(prior=None))
+
+
+def _joined(planes: list[GroundPlane]) -> GroundPlane:
+    return GroundPlane(*(np.concatenate(part) for part in zip(*planes, strict=True)))

@@ -1,0 +1,173 @@
+"""Memory that workers share with the process that computes, and what they tell each other.
+
+Each worker has a few slots of it: it decodes a piece of its unit into one while the pieces in the
+others are computed, and finds their results in memory that is divided alike.
+"""
+
+import mmap
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxdet.errors import WorkerError
+from jaxdet.results.rows import RowInputs
+from jaxdet.types import Detections, GroundPlane
+
+SLOTS = 4
+"""Of each worker: one that it decodes to, and three that are copied, computed, sent back or wait
+for it."""
+_PAGE = 4096
+
+
+class Slots(NamedTuple):
+    """The shared memory of a log's images and how it is divided; goes to the workers."""
+
+    path: str
+    """Where other processes find it."""
+    frames: int
+    """Frames of a slot."""
+    color: tuple[int, ...]
+    """Shape of a colour image, ``(H, W, 3)`` uint8."""
+    depth: tuple[int, ...]
+    """Shape of a depth image, ``(Hd, Wd)`` uint16."""
+    workers: int
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of a slot's colour and depth images, in whole pages."""
+        color, depth = np.prod(self.color), 2 * np.prod(self.depth)
+        return _pages(int(color) * self.frames), _pages(int(depth) * self.frames)
+
+    @property
+    def nbytes(self) -> int:
+        """Of all slots."""
+        return self.workers * SLOTS * sum(self.sizes)
+
+    def views(self, memory: mmap.mmap) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Colour ``(n, H, W, 3)`` and depth ``(n, Hd, Wd)`` of each slot."""
+        first, second = self.sizes
+        found = []
+        for start in range(0, self.nbytes, first + second):
+            shapes = (self.frames, *self.color), (self.frames, *self.depth)
+            color = np.ndarray(shapes[0], np.uint8, memory, start)
+            found.append((color, np.ndarray(shapes[1], np.uint16, memory, start + first)))
+        return found
+
+
+def _pages(nbytes: int) -> int:
+    return -(-nbytes // _PAGE) * _PAGE
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """An array of :class:`jaxdet.results.rows.RowInputs` in the packed results."""
+
+    shape: tuple[int, ...]
+    """Of a frame."""
+    kind: np.dtype
+
+
+class Packing(NamedTuple):
+    """The shared memory of the results: a row of int32 for each frame of each slot."""
+
+    path: str
+    inputs: Any
+    """:class:`jaxdet.results.rows.RowInputs` of :class:`Leaf`."""
+
+    @property
+    def ints(self) -> int:
+        """int32 of a frame."""
+        return sum(int(np.prod(leaf.shape)) for leaf in _leaves(self.inputs))
+
+    def view(self, memory: mmap.mmap, slots: Slots) -> np.ndarray:
+        """``(slots, frames, ints)`` int32."""
+        shape = slots.workers * SLOTS, slots.frames, self.ints
+        return np.ndarray(shape, np.int32, memory)
+
+    def unpacked(self, rows: np.ndarray) -> RowInputs:
+        """What ``rows`` ``(B, ints)`` hold, without a copy but of what is boolean."""
+        start = 0
+
+        def unpack(leaf: Leaf) -> np.ndarray:
+            nonlocal start
+            stop = start + int(np.prod(leaf.shape))
+            part, start = rows[:, start:stop].reshape(len(rows), *leaf.shape), stop
+            return part.astype(leaf.kind, copy=False)
+
+        return map_leaves(unpack, self.inputs)
+
+
+def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
+    """A tree of named tuples and None with ``function`` of each leaf, in order."""
+    if tree is None:
+        return None
+    if isinstance(tree, tuple):
+        return type(tree)(*[map_leaves(function, part) for part in tree])
+    return function(tree)
+
+
+def _leaves(tree: Any) -> list[Any]:
+    found: list[Any] = []
+    map_leaves(found.append, tree)
+    return found
+
+
+class Piece(NamedTuple):
+    """A slot that a worker has filled."""
+
+    worker: int
+    slot: int
+    """Among all slots."""
+    plane: GroundPlane
+    whole: bool
+
+
+class Reply(NamedTuple):
+    """Its results are there, or why not."""
+
+    slot: int
+    packing: bytes
+    """:class:`Packing`, pickled: all replies have the same one."""
+    whole: Detections | None
+    error: Exception | None
+    busy_s: Mapping[str, float]
+    """Its share of the times of its batch."""
+
+
+class Piped(NamedTuple):
+    """A worker's way to the station."""
+
+    number: int
+    pipe: Any
+    """A :class:`multiprocessing.connection.Connection`."""
+
+
+class SharedMemory:
+    """Shared memory without a name, which is freed with the last process that has it."""
+
+    def __init__(self, nbytes: int) -> None:
+        self._file = os.memfd_create("jaxdet")
+        try:
+            os.ftruncate(self._file, nbytes)
+            self.map = mmap.mmap(self._file, nbytes)
+        except OSError as error:
+            os.close(self._file)
+            problem = f"no shared memory of {nbytes >> 20} MiB ({error.strerror})"
+            raise WorkerError(problem, remedy="take fewer --workers") from error
+        self.path = f"/proc/{os.getpid()}/fd/{self._file}"
+
+    def close(self) -> None:
+        """Frees this process' part."""
+        os.close(self._file)
+
+
+def attached(path: str) -> mmap.mmap:
+    """Another process' memory."""
+    file = os.open(path, os.O_RDWR)
+    try:
+        return mmap.mmap(file, os.fstat(file).st_size)
+    finally:
+        os.close(file)
