@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.results.durable import write_whole, writing
 
+_MAKE_ROOM = "make room or give another --parts"
 _SECRET = re.compile(r"(?<=://)[^@]*:[^@]*@|\?.*")
 
 
@@ -60,9 +61,9 @@ class PartStore(NamedTuple):
         system, place = _opened(self.url)
         path = self._path(place, name)
         if isinstance(system, LocalFileSystem):
-            with writing(Path(path)):
+            with writing(Path(path), _MAKE_ROOM):
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(Path(path), content)
+            write_whole(Path(path), content, remedy=_MAKE_ROOM)
             return
         with self._reached(), system.open_output_stream(path, compression=None) as file:
             file.write(content)

@@ -11,11 +11,12 @@ from pathlib import Path
 
 from jaxdet.errors import OutputError
 
+MAKE_ROOM = "make room or give another --output"
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 @contextmanager
-def writing(path: Path, remedy: str = "make room or give another --output") -> Iterator[None]:
+def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
     """What the system says against writing becomes an error that ends the run, not its log.
 
     Args:
@@ -32,7 +33,7 @@ def writing(path: Path, remedy: str = "make room or give another --output") -> I
         raise OutputError(problem, path=str(error.filename or path), remedy=remedy) from error
 
 
-def write_whole(path: Path, *content: bytes, wait: bool = True) -> None:
+def write_whole(path: Path, *content: bytes, wait: bool = True, remedy: str = MAKE_ROOM) -> None:
     """Writes a file beside its place and renames it there.
 
     Args:
@@ -40,9 +41,10 @@ def write_whole(path: Path, *content: bytes, wait: bool = True) -> None:
         content: What comes into it, one after the other.
         wait: Until it is on the disk. Else only the system's failure, not this process's, can
             leave a file that is not whole.
+        remedy: As of :func:`writing`.
     """
     new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")  # containers have equal numbers
-    with writing(path):
+    with writing(path, remedy):
         try:
             with new.open("wb") as file:
                 file.writelines(content)
