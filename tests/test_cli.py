@@ -410,7 +410,7 @@ def test_sim_tells_how_far_it_is(tmp_path: Path) -> None:
     assert told == [1, 2, 3]
 
 
-def test_sim_writes_a_log_and_its_truth(tmp_path: Path, capsys: Captured) -> None:
+def test_sim_writes_a_log_and_its_truth(tmp_path: Path, monkeypatch, capsys: Captured) -> None:
     path = tmp_path / "new" / "s.mcap"
     args = ["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]
     assert main(args) == 0
@@ -420,8 +420,19 @@ def test_sim_writes_a_log_and_its_truth(tmp_path: Path, capsys: Captured) -> Non
     assert main(args) == 2
     assert "give --overwrite" in capsys.readouterr().err
     assert path.read_bytes() == b"precious"
+    before = sorted(path.parent.iterdir())
+
+    def full(log: Path, *_: object) -> None:
+        log.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxdet.sim.write_log", full)
+        assert main([*args, "--overwrite"]) == 1
+    assert "can't be written (No space left on device)" in capsys.readouterr().err
+    assert sorted(path.parent.iterdir()) == before and path.read_bytes() == b"precious"
     assert main([*args, "--overwrite"]) == 0
-    assert path.stat().st_size > 1000
+    assert path.stat().st_size > 1000 and sorted(path.parent.iterdir()) == before
 
 
 def test_doctor_compares_the_backends(capfd: Captured) -> None:

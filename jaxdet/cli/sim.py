@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.spinner import SPINNER
@@ -54,8 +55,13 @@ def main(args: list[str]) -> int:
             from jaxdet.sim import truth_path, write_log
 
             start_up()
-            command.path.parent.mkdir(parents=True, exist_ok=True)
-            truth = write_log(command.path, command.sim, _progress(command.sim.frames))
+            place = command.path.parent
+            place.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(prefix=".jaxdet-sim-", dir=place) as folder:
+                log = Path(folder) / command.path.name
+                truth = write_log(log, command.sim, _progress(command.sim.frames))
+                truth_path(log).replace(truth_path(command.path))
+                log.replace(command.path)
     except OSError as error:
         reason = f"can't be written ({error.strerror})"
         raise InputError(reason, path=str(command.path)) from error
