@@ -124,7 +124,8 @@ class LogSummary(Counts):
         if self.floor_sources["flags"]:
             remedy += ", or leave both out"
         return (
-            f"{refused} of {good} frames don't show their floor themselves ({reasons}), "
+            f"{refused} of {good} frames don't show their floor themselves ({reasons}; "
+            f"see floor_refused in jaxdet help tables), "
             f"{', '.join(others)}: {remedy}"
         )
 
