@@ -4,9 +4,14 @@
 example in Python.
 """
 
+import os
+import pty
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import duckdb
@@ -75,6 +80,21 @@ def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
             assert all(line.startswith(CONSOLE) for line in block.splitlines() if line.strip())
         else:
             assert language == "text", f"a block of {language or 'no language'}"
+
+
+def test_a_page_is_shown_in_the_users_pager():
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "PAGER": "sed s/^/paged:/", "COLUMNS": "80"}
+    command = [sys.executable, "-m", "jaxdet", "help", "tracks"]
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, env=environment):
+        os.close(theirs)
+        shown = b""
+        with suppress(OSError):  # the end, as Linux tells it
+            while read := os.read(ours, 1 << 16):
+                shown += read
+    os.close(ours)
+    assert shown.count(b"paged:") == shown.count(b"\n") > 40
+    assert b"Tracks: obstacles over time" in shown and b"# Tracks" not in shown
 
 
 def test_snippets_are_found():

@@ -1,5 +1,6 @@
 """``jaxdet help``: pages about jaxdet, which are in the package."""
 
+import os
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -58,7 +59,7 @@ def title_of(text: str) -> str:
 
 
 def show(text: str) -> None:
-    """Writes a page: laid out on a terminal, as it is elsewhere."""
+    """Writes a page: laid out and in the user's pager on a terminal, as it is elsewhere."""
     if not sys.stdout.isatty():
         print(text, end="")
         return
@@ -66,4 +67,6 @@ def show(text: str) -> None:
     from rich.markdown import Markdown
 
     console = Console(width=min(100, Console().width))
-    console.print(Markdown(text))
+    os.environ.setdefault("LESS", "-FRX")  # as git does: colours, and no paging of a short page
+    with console.pager(styles=True):
+        console.print(Markdown(text))
