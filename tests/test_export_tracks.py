@@ -94,6 +94,19 @@ def test_rerun_has_an_entity_for_each_thing_that_moves(walkers: Path, tmp_path: 
         assert track["last_frame"] + 1 in found[name]["strips"] or found[name]["is_recursive"]
 
 
+def test_points_in_rerun_have_the_colours_of_their_boxes(walkers: Path, tmp_path: Path) -> None:
+    (log,) = walkers.glob("*.mcap")
+    found = recording_of(walkers / "out", tmp_path / "rerun", str(log))
+    points = found["/world/floor/camera/points"]["colors"]
+    boxes = found["/world/floor/boxes"]
+    told = 0
+    for number, colors in points.items():
+        if colors:
+            assert {*map(int, colors)} <= {*map(int, boxes["colors"][number])}
+            told += any("#" in text for text in boxes["labels"][number])
+    assert told > 5
+
+
 def test_report_lists_tracks_and_draws_their_ways(
     walkers: Path, tmp_path: Path, browser: Any
 ) -> None:

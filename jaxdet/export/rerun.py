@@ -120,9 +120,9 @@ class _Recording:
                     self.stream.flush()  # else what waits to be written has no bound
         if files is not None:
             for seen in look_again(self.results, self.log, files, with_cells=True):
-                for b, row in enumerate(seen.chunk.frames.to_pylist()):
-                    self._at(row)
-                    self._images(seen, b, row)
+                for b, frame in enumerate(seen.chunk.each()):
+                    self._at(frame.row)
+                    self._images(seen, b, frame)
                 self.stream.flush()
         self._tracks()
         image = self.results.map(self.log)
@@ -181,9 +181,9 @@ class _Recording:
                 self._at({"frame": track["last_frame"] + 1, "stamp_ns": track["last_stamp_ns"] + 1})
                 self.stream.log(place, rr.Clear(recursive=False))
 
-    def _images(self, seen: Seen, b: int, row: Mapping[str, Any]) -> None:
+    def _images(self, seen: Seen, b: int, frame: Frame) -> None:
         """What the log says of a frame."""
-        log, frames = self.stream.log, seen.batch.frames
+        row, log, frames = frame.row, self.stream.log, seen.batch.frames
         if row["status"] in (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR):
             for path in (COLOR, DEPTH, f"{CAMERA}/points"):
                 log(path, rr.Clear(recursive=False))
@@ -195,7 +195,7 @@ class _Recording:
         reach = (0.0, self.results.method.ground.max_depth_m / unit)
         how = {"media_type": "image/png", "meter": 1 / unit, "depth_range": reach}
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
-        log(f"{CAMERA}/points", _points(seen.found, b, unit))
+        log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
 
 
 def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
@@ -304,7 +304,7 @@ def _free(row: Mapping[str, Any]) -> rr.Mesh3D | rr.Clear:
     )
 
 
-def _points(found: Detections, b: int, unit: float) -> rr.Points3D:
+def _points(found: Detections, b: int, unit: float, obstacles: list[dict[str, Any]]) -> rr.Points3D:
     """The cells of obstacles, or where obstacles are clusters of points those."""
     if found.cells is None:
         label, place = found.labels.labels[b], found.features
@@ -312,7 +312,8 @@ def _points(found: Detections, b: int, unit: float) -> rr.Points3D:
         label, place = found.cells.label[b], found.cells.cells
     used = label >= 0
     xyz = np.stack([axis[b][used] for axis in (place.x, place.y, place.z)], axis=-1) * unit
-    return rr.Points3D(xyz.astype(np.float32), colors=_colors(label[used]), radii=0.008)
+    number = np.array([number_of(one) for one in obstacles], np.int64)
+    return rr.Points3D(xyz.astype(np.float32), colors=_colors(number[label[used]]), radii=0.008)
 
 
 def _map(stream: rr.RecordingStream, image: MapImage, floor_z: float) -> None:

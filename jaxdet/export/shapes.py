@@ -118,7 +118,7 @@ def number_of(obstacle: Row) -> int:
 
 
 def label(obstacle: Row) -> str:
-    """Its number and distance, as in the pictures, and its track."""
+    """Its number and distance, as in the pictures, and after ``#`` its track."""
     track = obstacle.get("track")
-    followed = "" if track is None else f"   track {track}"
+    followed = "" if track is None else f"   #{track}"
     return f"{obstacle['obstacle']}   {obstacle['distance_m']:.2f} m{followed}"
