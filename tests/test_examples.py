@@ -1,6 +1,9 @@
 """scripts/examples run on recorded frames, with the little of rclpy that they use."""
 
+import os
 import runpy
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -107,3 +110,32 @@ def test_a_ros2_node(encoding, aligned_log, monkeypatch):
     lens = jaxdet.Intrinsics.from_matrix(K, 320, 240, info.d, "plumb_bob")
     assert str(node.detector) == str(jaxdet.Detector(lens)) and "plumb_bob" in str(node.detector)
     assert node.published[-1] == jaxdet.Detector(lens)(frame.color, frame.depth).nearest_m
+
+
+def test_the_demo_replaces_what_an_earlier_one_left(tmp_path):
+    """Without its set-up, and with a smaller log."""
+    scripts, program = tmp_path / "clone/scripts", tmp_path / "venv/bin/jaxdet"
+    for folder in (scripts, program.parent, tmp_path / "out"):
+        folder.mkdir(parents=True)
+    shutil.copy(EXAMPLES.parent / "demo", scripts)
+    small = "--frames 2 --width 160 --height 120"
+    for path, text in (
+        (scripts / "setup", ""),
+        (program, f'[ "$1" != sim ] || set -- "$@" {small}\nexec {sys.executable} -m jaxdet "$@"'),
+    ):
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
+    for name in ("sim.mcap", "sim.mcap.truth.npz", "report.html"):
+        (tmp_path / "out" / name).write_text("of an earlier demo")
+    root = EXAMPLES.parents[1]
+    paths = {"PYTHONPATH": f"{root}:{root / 'kernels'}", "JAXDET_VENV": str(tmp_path / "venv")}
+    done = subprocess.run(
+        [scripts / "demo", tmp_path / "out"],
+        env={**os.environ, **paths},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "visible obstacles found" in done.stdout and "tracks" in done.stdout
+    page = done.stdout.splitlines()[-1].removeprefix("Open in a browser: ")
+    assert Path(page).read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
