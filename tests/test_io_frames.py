@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from jaxdet.errors import TopicError
 from jaxdet.io import LogOptions, RescanError, open_log, scan, store, walk
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
@@ -63,6 +64,18 @@ def test_bad_frames_get_their_status_and_the_rest_goes_on(tmp_path):
         np.testing.assert_array_equal(batch.frames.color[5], scene.color[5])
         pairing = log.described(batch.notes).pairing
         assert pairing is not None and pairing.num_unpaired_color == 1
+
+
+def test_an_encoding_that_is_not_read_is_named(tmp_path):
+    scene = make_scene(2)
+    with LogFile(tmp_path / "log.mcap") as log:
+        write_calibration(log)
+        for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
+            log.ros(COLOR, ros_image(color[..., 0], "bayer_rggb8", at, COLOR_FRAME), at)
+            log.ros(DEPTH, ros_image(depth, "16UC1", at, DEPTH_FRAME), at)
+    said = rf"no colour image topic; its topics are {COLOR} \(.*Image, bayer_rggb8\), .*encodings"
+    with pytest.raises(TopicError, match=said):
+        open_log(str(tmp_path / "log.mcap"))
 
 
 def test_zero_stamps_fall_back_to_log_time_and_backward_stamps_are_ordered(tmp_path):

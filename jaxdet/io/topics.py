@@ -258,12 +258,16 @@ def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
 
 
 def _missing(index: LogIndex, what: str, path: str) -> TopicError:
-    names = [
-        f"{name} ({info.problem or info.channel.schema_name or 'no schema'})"
-        for name, info in sorted(index.topics.items())
-    ]
+    names = []
+    for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
+        about = info.problem or info.channel.schema_name or "no schema"
+        encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
+        names.append(f"{name} ({about}{f', {encoding}' if encoding else ''})")
     listed = f"its topics are {_listed(names)}" if names else "it has no messages"
-    remedy = "record a colour and a depth image topic, or name them with --log.color, --log.depth"
+    remedy = (
+        "record colour and depth in encodings that jaxdet help logs names, or name their topics "
+        "with --log.color, --log.depth"
+    )
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
 
 
