@@ -175,7 +175,7 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"
     assert any("5 of 5 frames don't show their floor" in w for w in summary.logs[0].warnings)
-    assert any("no poses" in w for w in summary.logs[0].warnings)
+    assert "no map: no frame has a pose" in summary.logs[0].warnings
 
 
 def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) -> None:

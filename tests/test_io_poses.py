@@ -40,7 +40,7 @@ def test_pose_in_frame_needs_the_frame_it_is_of(tmp_path, form):
         np.testing.assert_allclose(T_map_depth[:3, 3], expected, atol=1e-12)
 
 
-def write(path, topics, base=True):
+def write(path, topics, base=True, late_ns=0):
     scene = make_scene(2)
     with LogFile(path) as log:
         write_calibration(log, tf=False)
@@ -49,9 +49,21 @@ def write(path, topics, base=True):
         log.ros("/tf_static", ros_tf(*edges), START)
         for topic in topics:
             for at in scene.color_ns.tolist():
-                log.ros(topic, ros_odometry("odom", "base_link", (1, 2, 0), NO_TURN, at), at)
+                log.ros(
+                    topic, ros_odometry("odom", "base_link", (1, 2, 0), NO_TURN, at + late_ns), at
+                )
         write_images(log, scene)
     return str(path)
+
+
+def test_poses_of_another_clock_are_warned_of(tmp_path):
+    for late_s, warned in ((0, False), (100_000, True)):
+        path = write(tmp_path / f"{late_s}.mcap", ["/odom"], late_ns=late_s * 1_000_000_000)
+        with open_log(path) as log:
+            assert log.has_poses
+            about = log.described(next(log.batches(2)).notes)
+        assert (about.num_poses == 0) == warned
+        assert any("no frame has a pose" in text for text in about.warnings) == warned
 
 
 def test_several_pose_topics_are_not_guessed(tmp_path):

@@ -116,13 +116,16 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
     )
 
 
-def complete(about: LogDescription, notes: Notes, tolerance_s: float) -> LogDescription:
+def complete(
+    about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
+) -> LogDescription:
     """A description with what all frames tell.
 
     Args:
         about: What was known at opening.
         notes: Of all frames.
         tolerance_s: The pairing's [s].
+        has_poses: Whether the log has poses, of whatever time.
     """
     pairing = _pairing(notes, tolerance_s)
     warnings = []
@@ -138,6 +141,8 @@ def complete(about: LogDescription, notes: Notes, tolerance_s: float) -> LogDesc
     if pairing.max_dt_s > _SLOW_PAIR_S:
         text = f"a pair is {pairing.max_dt_s * 1000:.1f} ms apart; see --log.pair-tolerance-s"
         warnings.append(text)
+    if has_poses and not notes.poses:
+        warnings.append("no frame has a pose: the poses' stamps are of another time or clock")
     return about._replace(
         num_poses=notes.poses, pairing=pairing, warnings=(*about.warnings, *warnings)
     )

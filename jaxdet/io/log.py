@@ -272,7 +272,7 @@ class Log:
         """
         if self.description.pairing is not None:
             return self.description
-        return complete(self.description, notes, self._tolerance_s)
+        return complete(self.description, notes, self._tolerance_s, has_poses=self.has_poses)
 
     @property
     def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
