@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from jaxdet.cli import main
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.recordings import find, look_again
@@ -80,6 +81,19 @@ def test_nav2_has_a_map_of_each_camera(parts: Path, tmp_path: Path) -> None:
         assert f"image: {name}.pgm" in text and f"both, {camera}" in text
         cells = np.frombuffer((folder / f"{name}.pgm").read_bytes().split(b"255\n", 1)[1], np.uint8)
         assert {0, 254} <= {*cells.tolist()}
+
+
+def test_the_command_says_how_to_see_it(
+    parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for to in ("foxglove", "nav2", "html"):
+        output = tmp_path / to
+        assert main(["export", str(parts / "results"), "--to", to, "--output", str(output)]) == 0
+        written, see = capsys.readouterr().err.splitlines()
+        assert written == f"written: {output}" and see.startswith("to see it: ")
+        for name in re.findall(rf"{output}/[\w.]+", see):
+            pattern = Path(name).name.replace("LOG", "both@front")
+            assert (output / pattern).is_file()
 
 
 def test_the_page_tells_cameras_and_frames_apart(parts: Path, tmp_path: Path) -> None:

@@ -57,4 +57,6 @@ def main(args: list[str]) -> int:
             recordings = find(results, command.log)
             export(results, command.to, command.output, recordings)
     print(f"written: {command.output}", file=sys.stderr)
+    see = FORMATS[command.to].shown_by.replace("{}", str(command.output))
+    print(f"to see it: {see}", file=sys.stderr)
     return 0

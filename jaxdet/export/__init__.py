@@ -25,6 +25,8 @@ class Format(NamedTuple):
 
     writes: str
     """What the output is."""
+    shown_by: str
+    """How another program opens it; ``{}`` is the output."""
     of_logs: str = ""
     """What ``--log`` adds; empty: the logs aren't looked at."""
     extra: str = ""
@@ -32,23 +34,33 @@ class Format(NamedTuple):
 
 
 FORMATS = {
-    "foxglove": Format("a folder: an MCAP file to open beside each log, and a layout"),
+    "foxglove": Format(
+        "a folder: an MCAP file to open beside each log, and a layout",
+        "drag {}/LOG.jaxdet.mcap and the log into Foxglove, and import {}/layout.json",
+    ),
     "ros2": Format(
         "a folder: an MCAP file of ROS 2 messages for each log",
+        "ros2 bag play {}/LOG.jaxdet.mcap",
         "the obstacles' own points",
     ),
-    "nav2": Format("a folder: a map of each log as nav2's map_server loads it (PGM and YAML)"),
+    "nav2": Format(
+        "a folder: a map of each log as nav2's map_server loads it (PGM and YAML)",
+        "ros2 run nav2_map_server map_server --ros-args -p yaml_filename:={}/LOG.yaml",
+    ),
     "html": Format(
         "a file: a page with figures, timelines, maps, pictures",
+        "open it in a browser",
         "the logs, if they were moved: it draws frames of them",
     ),
     "rerun": Format(
         "a folder: a recording (.rrd) of each log for the Rerun viewer",
+        "rerun {}/*.rrd",
         "images, depth and points too",
         "rerun",
     ),
     "coco": Format(
         "a folder: images, and their boxes and masks as COCO has them",
+        "pycocotools.coco.COCO('{}/annotations.json')",
         "the logs, if they were moved",
     ),
 }
