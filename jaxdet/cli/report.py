@@ -30,7 +30,17 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
     text[-1] += f" ({rate})" if rate else ""
     text[-1] += f"; {some}" if failed else ""
     nothing = failed == len(summary.logs)
-    return [*text, "nothing was written" if nothing else f"results: {output}"]
+    return [*text, "nothing was written" if nothing else _results_line(summary, output)]
+
+
+def _results_line(summary: "Summary", output: Path) -> str:
+    """Where the results are, and what is there."""
+    counts = {
+        "picture": sum(len(log.pictures) for log in summary.logs),
+        "map": sum(bool(log.map) for log in summary.logs),
+    }
+    made = ["tables", *(many(count, what) for what, count in counts.items() if count)]
+    return f"results: {output} ({', '.join(made)})"
 
 
 def many(count: int, what: str) -> str:
