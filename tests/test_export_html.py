@@ -225,6 +225,9 @@ def test_browser_with_lost_frames(made: Path, tmp_path: Path, browser: Any) -> N
     assert page.get_by_role("radio", name="All", exact=True).get_attribute("aria-checked") == "true"
     page.locator("#only").select_option("1")
     assert cards() == sum(frame["log"] == 1 for frame in data["frames"])
+    page.set_viewport_size({"width": 360, "height": 740})
+    lost = page.locator("#lost td:first-child").all()
+    assert lost and all(cell.bounding_box()["width"] > 60 for cell in lost)  # whole words
     assert page.locator("#figures dd").nth(1).inner_text().startswith("400")
     opened.check()
 
