@@ -249,7 +249,7 @@ def test_a_drive_does_not_take_the_calibration_of_another(tmp_path):
     with LogFile(tmp_path / "drive_1.mcap") as log:
         write_images(log, make_scene(3))
     drive(tmp_path / "drive_2.mcap", START + 100_000 * SECOND)
-    with pytest.raises(JaxdetError, match="no calibration of the color camera"):
+    with pytest.raises(JaxdetError, match="no calibration of the colour camera"):
         open_log(str(tmp_path / "drive_1.mcap"))
 
 

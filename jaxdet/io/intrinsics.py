@@ -45,6 +45,11 @@ class CameraSource(NamedTuple):
     path: str
     max_pixels: int = LogOptions.max_pixels
 
+    @property
+    def camera(self) -> str:
+        """What sentences call it."""
+        return {"color": "colour"}.get(self.name, self.name)
+
     def error(self, problem: str, remedy: str) -> CalibrationError:
         """A CalibrationError about this camera."""
         return CalibrationError(problem, path=self.path, topic=self.topic, remedy=remedy)
@@ -70,8 +75,9 @@ def find_intrinsics(source: CameraSource) -> Found:
     """
     info, flag = source.info, f"--log.{source.name}-intrinsics"
     if info is None and source.matrix is None:
-        problem = f"no calibration of the {source.name} camera"
-        raise source.error(problem, f"name its topic with --log.{source.name}-info or give {flag}")
+        problem = f"no calibration of the {source.camera} camera"
+        remedy = f"name its topic with --log.{source.name}-info or give {flag} fx fy cx cy"
+        raise source.error(problem, remedy)
     warnings: list[str] = []
     size = _size(source, flag, warnings)
     use_p = info is not None and source.rectified and source.model is None and any(info.D)
@@ -89,7 +95,7 @@ def find_intrinsics(source: CameraSource) -> Found:
         raise source.error("K does not have nine numbers", f"give {flag}")
     values = np.array([fx, fy, cx, cy])
     if not np.isfinite(values).all() or fx <= 0 or fy <= 0:
-        problem = f"the {source.name} camera is not calibrated (fx {fx:g}, fy {fy:g})"
+        problem = f"the {source.camera} camera is not calibrated (fx {fx:g}, fy {fy:g})"
         raise source.error(problem, f"give {flag} fx fy cx cy")
     if not (-size.width <= cx <= 2 * size.width and -size.height <= cy <= 2 * size.height):
         problem = f"the optical centre ({cx:g}, {cy:g}) is far outside the image"
@@ -106,13 +112,13 @@ def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
         raise source.error("neither images nor calibration tell the image size", "record it again")
     size = source.size or declared
     if size.width * size.height > source.max_pixels:
-        problem = f"the {source.name} images are {size.width}x{size.height}"
+        problem = f"the {source.camera} images are {size.width}x{size.height}"
         raise source.error(problem, "allow it with --log.max-pixels")
     if info and source.size and 0 in declared:
         warnings.append(f"{printable(source.topic)} has no image size; the images' is taken")
     elif info and declared != size and source.matrix is None:
         sizes = f"{size.width}x{size.height}, its calibration for "
-        problem = f"the {source.name} images are {sizes}{declared.width}x{declared.height}"
+        problem = f"the {source.camera} images are {sizes}{declared.width}x{declared.height}"
         raise source.error(problem, f"name the right topic with --log.{source.name}-info or {flag}")
     return size
 
