@@ -140,6 +140,10 @@ def test_folder_that_changes_is_said(tmp_path):
         with pytest.raises(InputError, match="changed while it was read"):
             list(log.batches(3))
     assert fingerprint(folder) != before and "size" in before
+    with open_log(str(folder)) as log:
+        shutil.rmtree(folder)
+        with pytest.raises(InputError, match="changed while it was read"):
+            list(log.batches(3))
 
 
 def test_results_of_a_folder(tmp_path):

@@ -99,9 +99,13 @@ class ImageFolder(MessageFile):
         """Makes sure that no image came, went or got another name since the folder was opened.
 
         Raises:
-            InputError: One did.
+            InputError: One did, or the folder is not there any more.
         """
-        if _state(self.path) != self.state:
+        try:
+            now = _state(self.path)
+        except OSError:
+            now = None
+        if now != self.state:
             problem, remedy = "the folder was changed while it was read", "read it again"
             raise InputError(problem, path=str(self.path), remedy=remedy)
 
