@@ -368,8 +368,12 @@ def test_a_lock_on_a_full_disk(tmp_path: Path, monkeypatch) -> None:
 
 def test_work_of_another_user_is_not_trusted(many: list, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1 + tmp_path.stat().st_uid)
+    said = b'{"pid": 7, "host": "h", "since": 0}'
+    (tmp_path / ".jaxdet").mkdir()
+    (tmp_path / ".jaxdet" / "lock").write_bytes(said)
     with pytest.raises(JaxdetError, match="another user"):
         run(many[:1], tmp_path)
+    assert (tmp_path / ".jaxdet" / "lock").read_bytes() == said
 
 
 def test_a_full_disk_keeps_what_is_done(many: list, tmp_path: Path) -> None:

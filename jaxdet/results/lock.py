@@ -37,17 +37,17 @@ class Lock:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = _locked(path)
+        self._before = os.pread(self._file, _MOST_BYTES, 0)
+        self.before = _owner(self._before)
+        """The owner that ended without a word; None: nobody did."""
         owner = path.parent.stat().st_uid
         if owner != os.geteuid():  # what is in the folder is trusted
-            self.release()
+            self.release(unsaid=True)
             raise InputError(
                 f"holds an unfinished run of another user (number {owner})",
                 path=str(path.parent.parent),
                 remedy="work in another folder",
             )
-        self._before = os.pread(self._file, _MOST_BYTES, 0)
-        self.before = _owner(self._before)
-        """The owner that ended without a word; None: nobody did."""
         now = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}
         try:
             self._tell(json.dumps(now).encode())
