@@ -4,10 +4,10 @@ import dataclasses
 import json
 import typing
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -191,7 +191,7 @@ class Results:
             return
         with self._reading():
             groups = self._track_groups.get((log.name, log.camera), [])
-            for batch in self._tracks.iter_batches(CHUNK_FRAMES, groups) if groups else ():
+            for batch in _batches(self._tracks, groups, size=CHUNK_FRAMES):
                 for row in batch.to_pylist():
                     if (row["log"], row["camera"]) == (log.name, log.camera):
                         yield row
@@ -411,9 +411,7 @@ class _Rows:
         groups = list(range(group, len(sizes)))
         names = file.schema_arrow.names if named is None else named
         self.schema = pa.schema([file.schema_arrow.field(name) for name in names])
-        # One reader of them all would keep some of what it has read of each.
-        parts = (file.iter_batches(row_groups=[one], columns=named) for one in groups)
-        self._batches = chain.from_iterable(parts)
+        self._batches = _batches(file, groups, named)
         self._waiting: list[pa.RecordBatch] = []
         self._skip = start - int(ends[group - 1]) if group else start
 
@@ -433,6 +431,20 @@ class _Rows:
                 found.append(part.select(self.schema.names))
             count -= part.num_rows
         return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
+
+
+def _batches(
+    file: pq.ParquetFile,
+    groups: Iterable[int],
+    columns: Sequence[str] | None = None,
+    size: int = 1 << 16,
+) -> Iterator[pa.RecordBatch]:
+    """The rows of some row groups, at most ``size`` together, each by a reader of its own.
+
+    One of them all would keep some of what it has read of each.
+    """
+    for group in groups:
+        yield from file.iter_batches(size, [group], columns)
 
 
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:
