@@ -205,4 +205,5 @@ class _Run:
                     "joins them when all are there"
                 )
         elif self.store:
-            self.say(f"{fetched} units were in {self.store}")
+            units = "1 unit was" if fetched == 1 else f"{fetched} units were"
+            self.say(f"{units} in {self.store}")
