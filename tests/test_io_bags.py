@@ -3,6 +3,7 @@
 import bz2
 import importlib.util
 import sqlite3
+import struct
 from contextlib import closing
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from jaxdet.config import Config
 from jaxdet.engine import RunOptions
 from jaxdet.errors import FrameStatus, InputError
 from jaxdet.io import Log, LogOptions, find_logs, open_log
-from jaxdet.io.bag import records
+from jaxdet.io.bag import BagFile, records
 from jaxdet.sim import SimConfig, write_log
 from tests.io_helpers import convert_log
 
@@ -146,6 +147,33 @@ def test_bag_with_a_damaged_chunk_says_what_is_missing(mcap, tmp_path):
         [integrity] = log.description.integrity
         assert integrity.lost == {"chunk can't be decompressed": 1}
         assert integrity.messages + sum(integrity.missing.values()) == integrity.declared_messages
+
+
+def bag_record(op: int, data: bytes, **fields: bytes) -> bytes:
+    pairs = [b"op=" + bytes([op]), *(k.encode() + b"=" + v for k, v in fields.items())]
+    head = b"".join(struct.pack("<I", len(pair)) + pair for pair in pairs)
+    return struct.pack("<I", len(head)) + head + struct.pack("<I", len(data)) + data
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_of_connections_with_one_number_the_first_of_the_file_counts(tmp_path, order):
+    """Whichever thread reads first; and none counts for messages before it."""
+    data, places = b"#ROSBAG V2.0\n", []
+    for numbers, topic in (((1,), b"/first"), ((0, 1), b"/second")):
+        inside = b"".join(
+            bag_record(7, b"", conn=bytes([n, 0, 0, 0]), topic=topic) for n in numbers
+        )
+        places.append(len(data))
+        size = struct.pack("<I", len(inside))
+        data += bag_record(5, inside, compression=b"none", size=size)
+    (tmp_path / "x.bag").write_bytes(data)
+    with closing(BagFile(tmp_path / "x.bag", 1 << 20)) as file:
+        for number in order:
+            file.chunk(places[number])
+        for number, place, topic in ((1, 0, "/first"), (1, 1, "/first"), (0, 1, "/second")):
+            found = file.connection(number, places[place])
+            assert found is not None and found.topic == topic
+        assert file.connection(0, places[0]) is None
 
 
 def count_messages(path: Path) -> int:

@@ -12,6 +12,7 @@ import bz2
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 import lz4.frame
@@ -69,7 +70,8 @@ class BagFile(LogFile):
     """A ROS 1 bag; the position of a chunk is where its record begins.
 
     Attributes:
-        connections: What is declared by those records that were read so far.
+        connections: What is declared by those records that were read so far. Where several declare
+            a number, it is the first of them in the file, whichever thread reads first.
     """
 
     magic = MAGIC
@@ -79,7 +81,10 @@ class BagFile(LogFile):
         require_rosbags(path)
         super().__init__(path, max_bytes, state)
         self.connections: dict[int, ChannelInfo] = {}
+        self._declared: dict[int, int] = {}
+        """The chunk that declares each of them, by its position; -1: the index."""
         self._bytes = 0
+        self._declaring = Lock()
 
     def record(self, position: int, end: int | None = None) -> BagRecord:
         """The record at a position of the file.
@@ -130,7 +135,7 @@ class BagFile(LogFile):
         for record in records(data):
             start = record.start
             if record.op == CONNECTION:
-                self.declare(record, view[record.data : record.end])
+                self.declare(record, view[record.data : record.end], position)
             elif record.op == MESSAGE:
                 number, log_ns = record.number(b"conn"), nanoseconds(record)
                 if number > 0xFFFF:
@@ -143,16 +148,32 @@ class BagFile(LogFile):
             RECORD_HEAD.pack_into(found, start, _PADDING, record.end - start - RECORD_HEAD.size)
         return bytes(found)
 
-    def declare(self, record: BagRecord, data: bytes | memoryview) -> None:
+    def declare(self, record: BagRecord, data: bytes | memoryview, chunk: int = -1) -> None:
         """Takes in a connection; of one number the first counts.
+
+        Args:
+            record: It.
+            data: Its data.
+            chunk: The position of the chunk that it is in; -1: it is in the index.
 
         Raises:
             DamageError: It is damaged, or all take too much memory.
         """
         number = record.number(b"conn")
-        if number in self.connections:
-            return
-        fields = _fields(data)
+        with self._declaring:
+            if self._declared.get(number, chunk + 1) > chunk:
+                self._declare(number, record, _fields(data))
+                self._declared[number] = chunk
+
+    def connection(self, number: int, chunk: int) -> ChannelInfo | None:
+        """That of a message in a chunk, by the position of that; chunks before it have been read.
+
+        None: what declares it comes later, or never.
+        """
+        there = self._declared.get(number, chunk + 1) <= chunk
+        return self.connections[number] if there else None
+
+    def _declare(self, number: int, record: BagRecord, fields: dict[bytes, bytes]) -> None:
         topic = record.fields.get(b"topic", fields.get(b"topic", b"")).decode("utf-8", "replace")
         name = fields.get(b"type", b"").decode("utf-8", "replace")
         text = fields.get(b"message_definition", b"")

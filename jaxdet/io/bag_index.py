@@ -158,7 +158,7 @@ class _Scan:
         chunk = memoryview(decompressed.result())
         for place, size in _messages(chunk):
             number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(chunk, place + RECORD_HEAD.size)
-            info = self.file.connections.get(number)
+            info = self.file.connection(number, record.position)
             if info is None:
                 raise DamageError("message of an undeclared connection")
             where = Location(record.position, place + _HEAD, size)
