@@ -147,8 +147,8 @@ class LogSummary(Counts):
         if not alone or 2 * alone < self.frames:
             return None
         return (
-            f"{alone} of {self.frames} colour frames have no depth image of their own: see the "
-            "rates in jaxdet info; where the cameras' clocks differ, --log.pair-tolerance-s"
+            f"{alone} of {self.frames} colour frames have no depth image of their own: jaxdet "
+            "info shows the rates of both, jaxdet help logs what to do"
         )
 
     @property
