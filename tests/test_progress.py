@@ -2,11 +2,14 @@
 
 import re
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
 from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands
+from jaxdet.cli.report import MANY_LOGS, summary_lines
 from jaxdet.engine import LogSummary, Progress
+from jaxdet.results.summary import Summary
 
 
 def about(workers: int, devices: int, **busy_s: float) -> LogSummary:
@@ -55,6 +58,25 @@ def test_a_terminal_of_80_columns_shows_all_of_a_bar(monkeypatch, capsys) -> Non
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
         assert f"[2/12] {name[:7]}" in plain
         assert "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
+
+
+def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
+    logs = [LogSummary(f"drive_{number:03}", ()) for number in range(300)]
+    for number, log in enumerate(logs):
+        log.frames, log.obstacles, log.status = 10, number, Counter(ok=9, unpaired=1)
+        log.warnings = ["no map: no frame has a pose", *[f"of {number} alone"] * (number < 40)]
+    logs[7].error = "drive_007: torn"
+    lines = summary_lines(Summary("jax", 16, logs, 20.0), Path("out"))
+    assert len(lines) == 300 + 12 + 1 + 2
+    assert lines[3] == "drive_003: 10 frames (9 ok, 1 unpaired), 3 obstacles"
+    assert lines[7] == "drive_007: failed after 10 frames"
+    assert lines[300] == "warning    299 logs: no map: no frame has a pose"
+    assert lines[301] == "warning    drive_000: of 0 alone"
+    assert lines[312] == "warning    28 more in summary.json"
+    assert lines[-2].endswith("; 1 of 300 logs failed") and lines[-1] == "results: out (tables)"
+    assert "  frames     10 (9 ok, 1 unpaired)" in summary_lines(
+        Summary("jax", 16, logs[:MANY_LOGS], 20.0), Path("out")
+    )
 
 
 @pytest.mark.parametrize(

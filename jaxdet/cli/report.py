@@ -1,6 +1,7 @@
 """Results as lines for a person."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,15 +10,25 @@ if TYPE_CHECKING:
     from jaxdet.engine import GroundRecord, LogSummary, Summary
 
 
+MANY_LOGS = 12
+"""With more logs than this each has one line."""
+MOST_WARNINGS = 12
+"""Kinds of warnings listed of many logs."""
+
+
 def summary_lines(summary: "Summary", output: Path) -> list[str]:
     """What a person wants to read after a run."""
-    text: list[str] = []
+    brief, text = len(summary.logs) > MANY_LOGS, []
     for log in summary.logs:
         if log.error:
             if log.frames or len(summary.logs) > 1:  # else there is no more than the error
                 text.append(f"{_label(log)}: failed after {many(log.frames, 'frame')}")
-            continue
-        text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
+        elif brief:
+            counts = many(log.frames, "frame"), many(log.obstacles, "obstacle")
+            text.append(f"{_label(log)}: {counts[0]} ({_states(log)}), {counts[1]}")
+        else:
+            text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
+    text += _warnings(summary.whole) if brief else []
     failed = len(summary.failed)
     some = f"{failed} of {many(len(summary.logs), 'log')} failed"
     if failed == len(summary.logs) and not summary.frames:
@@ -43,6 +54,18 @@ def _results_line(summary: "Summary", output: Path) -> str:
     return f"results: {output} ({', '.join(made)})"
 
 
+def _warnings(logs: Sequence["LogSummary"]) -> list[str]:
+    """The warnings of many logs, each once, those of most logs first."""
+    found = Counter(warning for log in logs for warning in dict.fromkeys(log.warnings))
+    of = {warning: _label(log) for log in logs for warning in log.warnings}
+    lines = [
+        f"warning    {f'{count} logs' if count > 1 else of[warning]}: {warning}"
+        for warning, count in found.most_common(MOST_WARNINGS)
+    ]
+    left = len(found) - len(lines)
+    return [*lines, f"warning    {left} more in summary.json"] if left else lines
+
+
 def many(count: int, what: str) -> str:
     """A count of things."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
@@ -54,11 +77,15 @@ def _label(log: "LogSummary") -> str:
     return f"{log.log}, {log.camera}" if several else log.log
 
 
+def _states(log: "LogSummary") -> str:
+    """Of its frames, how many have each status."""
+    return ", ".join(f"{count} {n}" for n, count in log.status.most_common()) or "none"
+
+
 def _log_lines(log: "LogSummary") -> list[str]:
-    states = ", ".join(f"{count} {status}" for status, count in log.status.most_common())
     rate = f", {log.frames_per_s:.1f} frames/s after the first batch" if log.frames_per_s else ""
     text = [
-        f"frames     {log.frames} ({states or 'none'}){rate}",
+        f"frames     {log.frames} ({_states(log)}){rate}",
         f"obstacles  {log.obstacles}",
         f"ground     {ground_text(log.ground)}",
     ]
