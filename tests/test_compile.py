@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _MODULES = """
 import sys, time
 import warp as wp
@@ -13,7 +15,7 @@ wp.config.kernel_cache_dir = sys.argv[1]
 from jaxdet.stages import _compile
 from jaxdet_kernels import cover, free_floor
 _compile._MODULES = cover, free_floor
-_compile.threads = lambda: 2
+_compile.cores = lambda: 2
 """
 _HELPED = '''
 def load_module(module, device):
@@ -43,6 +45,31 @@ try:
 except KeyboardInterrupt:
     pass
 """
+_WAITS = """
+import fcntl, threading
+from pathlib import Path
+
+seen = []
+
+
+def load_module(module, device):
+    seen.append(module.__name__)
+    Path(sys.argv[1], wp.get_module(module.__name__).get_module_identifier(1)).mkdir(parents=True)
+    Path(sys.argv[1], wp.get_module(module.__name__).get_module_identifier(1), "x.o").touch()
+
+
+wp.load_module = load_module
+_compile.cores = lambda: 1
+with open(Path(sys.argv[1], ".compiling"), "w") as other:
+    fcntl.flock(other, fcntl.LOCK_EX)
+    waiting = threading.Thread(target=_compile.compile_method)
+    waiting.start()
+    time.sleep(0.3)
+    assert waiting.is_alive() and not seen
+    load_module(_compile._MODULES[0], "cpu")
+waiting.join()
+assert seen == [module.__name__ for module in _compile._MODULES], seen  # each of them once
+"""
 _KEPT = """
 print(*(module.__name__ for module in _compile._MODULES if _compile._is_kept(module)))
 """
@@ -62,3 +89,8 @@ def test_another_process_compiles_what_this_one_looks_for(tmp_path: Path) -> Non
 
 def test_a_compilation_that_is_stopped_waits_for_nobody(tmp_path: Path) -> None:
     assert not kept(_STOPPED, tmp_path) and not list(tmp_path.glob("*/*.o"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs fcntl")
+def test_of_processes_that_start_together_one_compiles(tmp_path: Path) -> None:
+    assert len(kept(_WAITS, tmp_path)) == 2
