@@ -68,14 +68,13 @@ def focal_and_center(K: ArrayLike) -> tuple[float, float, float, float]:
     Raises:
         CalibrationError: It is none: of another shape, with skew, transposed or scaled.
     """
+    remedy = "give a (3, 3) array of numbers"
     try:
         matrix = numbers("K", K, np.float64)
     except InputError:
-        matrix = np.zeros(0)
+        raise CalibrationError(f"{type(K).__name__} is no matrix", remedy=remedy) from None
     if matrix.shape != (3, 3):
-        raise CalibrationError(
-            f"a camera matrix of shape {matrix.shape}", remedy="give a (3, 3) array of numbers"
-        )
+        raise CalibrationError(f"a camera matrix of shape {matrix.shape}", remedy=remedy)
     fx, skew, cx, low, fy, cy, *last = matrix.ravel().tolist()
     if skew or low or last != [0.0, 0.0, 1.0]:
         raise CalibrationError(

@@ -374,6 +374,7 @@ REFUSED_ARGUMENTS = {
     "fx negative": ({"K": [-600, 600, 80, 60]}, "K: .* not calibrated"),
     "fx zero": ({"depth_K": [0, 0, 80, 60]}, "depth_K: .* not calibrated"),
     "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
+    "a file name": ({"K": "camera.json"}, "K: str is no matrix; give a"),
     "K of text": ({"K": "600"}, "K: "),
     "unit of text": ({"depth_unit_m": "mm"}, "depth_unit_m: str is no array of numbers"),
     "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),

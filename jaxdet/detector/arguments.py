@@ -5,7 +5,7 @@ Everything is checked here, and errors name the argument.
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -162,14 +162,12 @@ def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
     if isinstance(value, Intrinsics):
         return value
     with named(name):
-        try:
+        with suppress(InputError):  # which the matrix says better
             found = numbers(name, value, np.float64)
-        except InputError:
-            found = np.zeros(0)
-        if found.shape == (4,):
-            fx, fy, cx, cy = found.tolist()
-            return fx, fy, cx, cy
-        return focal_and_center(value if found.size else found)
+            if found.shape == (4,):
+                fx, fy, cx, cy = found.tolist()
+                return fx, fy, cx, cy
+        return focal_and_center(value)
 
 
 def _sized(camera: Intrinsics | Pinhole | None, size: tuple[int, ...]) -> Intrinsics | None:
