@@ -36,6 +36,7 @@ commands:
 examples:
   jaxdet info drive.mcap                       what the log holds
   jaxdet run drive.mcap --output results       obstacles of every frame
+  jaxdet export results --to html --output report.html    a page to look at
   jaxdet sim sim.mcap                          a simulated log to try it on
   jaxdet run --help                            its options; --help-all has every setting
   jaxdet help calibration                      how the camera's calibration is found or given
