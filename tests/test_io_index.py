@@ -255,6 +255,26 @@ def test_stamps_out_of_order_are_ordered_or_ask_for_the_scan(tmp_path, apart):
         assert_same_batch(log.read([70]), scanned.read([70]))
 
 
+@pytest.mark.parametrize("ahead_s", [0.4, 0.0, -1.0, 3.3])
+def test_clocks_that_differ_are_said(tmp_path, ahead_s):
+    """Where depth is stamped by a clock of its own images of different times have equal stamps."""
+    with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:
+        write_calibration(log)
+        sender = Sender(log)
+        for number in range(200):
+            at = START + number * 33 * MS
+            sender.image(DEPTH, number, at + round(ahead_s * SECOND), at + 5 * MS)
+            sender.image(COLOR, number, at, at + 9 * MS)
+    path = str(tmp_path / "x.mcap")
+    with open_only(path) as log, open_only(path, LogOptions(scan=True)) as scanned:
+        assert_same_log(log, scanned)
+        said = [text for text in scanned.description.warnings if "two clocks" in text]
+    assert [text.split(":")[0] for text in said] == [
+        f"the images of a pair were recorded {abs(ahead_s)} s apart (median)"
+        for _ in range(abs(ahead_s) > 0.5)
+    ]
+
+
 @pytest.mark.parametrize("field", ["log time", "offset", "count", "channel", "opcode", "summary"])
 def test_an_index_that_lies_is_not_believed(tmp_path, field):
     path = long_log(tmp_path / "x.mcap", 60, compression="lz4")

@@ -15,6 +15,8 @@ from jaxdet.io.streams import ImageStream
 from jaxdet.io.topics import encoding_of
 
 _SLOW_PAIR_S = 0.05
+_TWO_CLOCKS_S = 0.5
+"""Recorded so much farther apart than their stamps are, images may be paired by two clocks."""
 
 
 class TopicDescription(NamedTuple):
@@ -141,6 +143,11 @@ def complete(
     if pairing.max_dt_s > _SLOW_PAIR_S:
         text = f"a pair is {pairing.max_dt_s * 1000:.1f} ms apart; see --log.pair-tolerance-s"
         warnings.append(text)
+    if (seconds := _recorded_apart(notes)) > _TWO_CLOCKS_S:
+        warnings.append(
+            f"the images of a pair were recorded {seconds:.1f} s apart (median): where colour and "
+            "depth have stamps of two clocks, images of different times are paired"
+        )
     if has_poses and not notes.poses:
         warnings.append("no frame has a pose: the poses' stamps are of another time or clock")
     return about._replace(
@@ -195,6 +202,12 @@ def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
         median_dt_s=float(np.median(apart)) if len(apart) else 0.0,
         max_dt_s=float(apart.max()) if len(apart) else 0.0,
     )
+
+
+def _recorded_apart(notes: Notes) -> float:
+    """How much farther apart pairs are by log time than by stamp, the median [s]."""
+    more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
+    return float(np.median(more)) if len(more) else 0.0
 
 
 def _image_encoding(stream: ImageStream | None) -> str:

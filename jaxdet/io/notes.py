@@ -32,6 +32,8 @@ class Notes(NamedTuple):
     depth: StreamNotes = StreamNotes()
     apart_ns: np.ndarray = _NONE
     """``(P,)`` int64, ``|colour - depth|`` of the pairs [ns]."""
+    recorded_apart_ns: np.ndarray = _NONE
+    """``(P,)`` int64, the same of their log times [ns]."""
     unpaired_color: int = 0
     unpaired_depth_ns: np.ndarray = _NONE
     """``(U,)`` int64, stamps of the depth frames without a colour frame [ns]."""
@@ -46,6 +48,7 @@ def total(notes: Iterable[Notes]) -> Notes:
         color=StreamNotes(*map(sum, zip(*(item.color for item in items), strict=True))),
         depth=StreamNotes(*map(sum, zip(*(item.depth for item in items), strict=True))),
         apart_ns=np.concatenate([item.apart_ns for item in items]),
+        recorded_apart_ns=np.concatenate([item.recorded_apart_ns for item in items]),
         unpaired_color=sum(item.unpaired_color for item in items),
         unpaired_depth_ns=np.concatenate([item.unpaired_depth_ns for item in items]),
         poses=sum(item.poses for item in items),

@@ -128,10 +128,21 @@ def order_and_pair(color: ImageStream, depth: ImageStream, tolerance_s: float) -
         pairing = pair(own.stamps_ns, every.stamps_ns, tolerance_s)
         partners = every.rows(pairing.depth_of_color)
         alone_ns = every.stamps_ns[pairing.unpaired_depth]
-    paired = partners.stamps_ns >= 0
-    apart_ns = np.abs(own.stamps_ns - partners.stamps_ns)[paired]
-    notes = Notes(color_notes, depth_notes, apart_ns, int((~paired).sum()), alone_ns)
+    notes = Notes(color_notes, depth_notes, *apart(own, partners), alone_ns)
     return ScannedFrames(Window(own, partners, None), notes, bool(zero), tuple(warnings))
+
+
+def apart(color: FrameTable, depth: FrameTable) -> tuple[np.ndarray, np.ndarray, int]:
+    """How far apart pairs are by stamp and by log time ``(P,)`` [ns], and how many have no partner.
+
+    Args:
+        color: ``n`` messages.
+        depth: Their partners, with a stamp of -1 where there is none.
+    """
+    paired = depth.stamps_ns >= 0
+    by_stamp = np.abs(color.stamps_ns - depth.stamps_ns)[paired]
+    by_log_time = np.abs(color.log_ns - depth.log_ns)[paired]
+    return by_stamp, by_log_time, int((~paired).sum())
 
 
 def log_time_warnings(topic: str, backward: int) -> list[str]:

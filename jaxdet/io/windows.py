@@ -24,7 +24,7 @@ from jaxdet.io.pairing import pair
 from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import TopicMessages, read_message
 from jaxdet.io.store import ChunkStore, Place
-from jaxdet.io.timeline import FrameTable, Window
+from jaxdet.io.timeline import FrameTable, Window, apart
 from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4
@@ -284,8 +284,7 @@ class IndexedFrames:
         notes = Notes(
             color.notes(),
             depth.notes(),
-            np.abs(own.stamps_ns - others.stamps_ns)[partner >= 0],
-            int((partner < 0).sum()),
+            *apart(own, others),
             depth.stamps_ns[depth.wanted][alone[depth.wanted]],
         )
         chunks = color.chunks() | depth.chunks()
@@ -303,8 +302,8 @@ class IndexedFrames:
         part = _Part(self.color, start, stop)
         numbers = part.ranked[part.wanted]
         color, depth = self.color.table(numbers), self.color.table(numbers, True)
-        apart = np.abs(color.stamps_ns - depth.stamps_ns)
-        window = Window(color, depth, None, Notes(part.notes(), apart_ns=apart))
+        notes = Notes(part.notes(), StreamNotes(), *apart(color, depth))
+        window = Window(color, depth, None, notes)
         return self._with_poses(window, part.chunks(), start, stop)
 
     def _with_poses(self, window: Window, chunks: set[Place], start: int, stop: int) -> Window:
