@@ -153,6 +153,20 @@ def test_bent_floor_has_no_side() -> None:
     np.testing.assert_array_equal(off, label)
 
 
+def test_at_the_margins_floor_measured_too_near_has_no_front() -> None:
+    """A strip at the left margin, in the middle and at the right margin; then an upright one."""
+    label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
+    label[:2, :2], label[:2, 11:13], label[:2, 22:] = 0, 1, 2
+    height[label >= 0] = 60
+    forward = np.tile(np.array([2650, 2630, 2700, 2600])[:, None], (1, 24))
+    gone = without_bent_floor(label, label < 0, forward, height, UNIT, CREASED) < 0
+    np.testing.assert_array_equal(gone, label != 1)
+    for beside in (-59, 0, 59):
+        forward[1] = forward[2] + beside
+        kept = without_bent_floor(label, label < 0, forward, height, UNIT, CREASED)
+        np.testing.assert_array_equal(kept, label)
+
+
 def test_of_several_surfaces_only_the_bent_goes() -> None:
     label = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [-1, -1, -1, -1]])
     height = np.array([[90, 90, 190, 190], [60, 60, 100, 100], [0, 0, 0, 0]])

@@ -163,11 +163,12 @@ def test_more_surfaces_than_there_is_room_for():
 
 
 def test_bent_floor_is_not_kept():
-    """A strip at the image's margin that rises gently from the floor before it."""
+    """A strip at a margin that rises gently from the floor, and one whose cells are too near."""
     height, z = np.zeros((20, 80), int), np.tile(2000 - 40 * np.arange(20)[:, None], (1, 80))
     height[:15, :9] = 60 + 5 * np.arange(15, 0, -1)[:, None]
     height[15, :9] = 45
     height[5:, 40:50] = 400
+    height[12:14, 71:], z[12:14, 71:] = 70, z[14, 0] - 71
     level = flat_plane(*np.array([[0.5], [0.0], [0.0]]))
     z = z.astype(np.int32)[None]
     got = assert_twin(0 * z, (500 - height).astype(np.int32)[None], z, level)

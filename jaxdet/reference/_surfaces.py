@@ -96,8 +96,9 @@ def without_bent_floor(
     Stereo cameras bend flat floor at the margins of the image and far away. A surface at most
     ``bent_m`` high is floor where it has no front: where, of the lowest cells in its columns that
     have a floor cell below them in the image, fewer than two thirds rise from it by a third of what
-    they go forward (at the image's :func:`margins`, by all of it). A surface in the margin
-    without such cells, which does not reach the lower edge of the image, has no front either.
+    they go forward. At the image's :func:`margins` they rise by more than they go forward or back,
+    as depths that are too small put floor nearer and higher. A surface in the margin without such
+    cells, which does not reach the lower edge of the image, has no front either.
 
     Args:
         label: ``(R, C)`` surfaces, -1 = none.
@@ -121,7 +122,8 @@ def without_bent_floor(
     rises, goes = (a - _shifted(a, -1, 0) for a in (height, forward))
     lowest = on & (_shifted(low.astype(np.int64), -1, 0) > 0)
     outer = np.broadcast_to(margins(label.shape[1]), label.shape)
-    steep = np.bincount(label[lowest & (np.where(outer, 1, 3) * rises > goes)], minlength=count)
+    rising = np.where(outer, rises > np.abs(goes), 3 * rises > goes)
+    steep = np.bincount(label[lowest & rising], minlength=count)
     pairs = np.bincount(label[lowest], minlength=count)
     inner = np.bincount(label[on & ~outer], minlength=count) > 0
     at_edge = np.bincount(label[-1:][on[-1:]], minlength=count) > 0

@@ -421,6 +421,12 @@ struct Surfaces {
         if (sure) in.sizes[label] = 1;
     }
 
+    // Whether what rises from the floor below it is a front; `outer`: at the image's margins.
+    bool is_steep(int rises, int goes, bool outer) const {
+        const int away = goes < 0 ? -goes : goes;
+        return outer ? rises > away : 3 * rises > goes;
+    }
+
 #if defined(__CUDA_ARCH__)
     // -1: no word.
     void look_at_words(
@@ -442,7 +448,7 @@ struct Surfaces {
             const int r = has.row(words[k]), c = has.column(words[k]) + lanes.rank;
             const bool outer = (c < margin) | (c >= columns - margin);
             const int rises = h[k] - h_below[k];
-            const bool steep = (outer ? rises : 3 * rises) > f[k] - f_below[k];
+            const bool steep = is_steep(rises, f[k] - f_below[k], outer);
             const int level = lowest[k] ? steep ? -1 : 2 : 0;
             const bool sure = lowest[k] || r + 1 == rows || !outer;
             // One label after the other.
@@ -501,7 +507,7 @@ struct Surfaces {
                         const bool outer = (c < margin) | (c >= columns - margin);
                         const int lowest = low[k + c + columns];
                         pairs += lowest;
-                        steep += lowest & ((outer ? rises : 3 * rises) > goes);
+                        steep += lowest & (int)is_steep(rises, goes, outer);
                     }
                 const bool inner = begin < columns - margin && end > margin;
                 look_at(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
