@@ -1,11 +1,12 @@
 """Learns what of two surfaces speaks for their being one thing: the tables of the package.
 
-    python -m benchmarks.affinity surfaces [FOLDER]     from simulated scenes, drawn into FOLDER
+    python -m benchmarks.affinity surfaces [FOLDER]     from simulated scenes, drawn into FOLDER,
+                                                        and real frames with labelled boxes
     python -m benchmarks.affinity tabletop              from labelled frames of mOSD
 
 Gradient boosting of the log-loss over pairs of surfaces (scikit-learn), monotonic where sense says
-so; two are one where most of their cells show one object. Seeds of the report's tests and the
-held-out frames of mOSD take no part.
+so; two are one where most of their cells show one object. Seeds of the report's tests and held-out
+frames take no part.
 """
 
 import functools
@@ -25,7 +26,7 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from benchmarks.paper.hard import ERRORS, FAMILIES
-from benchmarks.paper.labelled import BESIDE, RECORDINGS
+from benchmarks.paper.labelled import BESIDE, BOXES, RECORDINGS, log_of, read_boxes
 from benchmarks.paper.main import start_worker
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.shots import Shot, Spec, Store, frames_of
@@ -33,6 +34,7 @@ from benchmarks.paper.systems import eval_config
 from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
 from jaxdet.config import Config
 from jaxdet.cores import cores
+from jaxdet.engine import decide_planes
 from jaxdet.errors import InputError
 from jaxdet.eval.boxes import FLOOR
 from jaxdet.eval.frame import objects_of
@@ -46,8 +48,16 @@ TABLES = Path(__file__).parents[1] / "jaxdet" / "tables"
 OLD = (*SCENES, "mixed")
 OLD_SEEDS = (*range(900, 960), *range(2000, 2060))
 HARD_SEEDS = (*range(900, 950), *range(2000, 2025))
+CLOSE = ("room", "tables")
+"""Families where most stands close together: more of them is learnt from."""
+CLOSE_SEEDS, CLOSE_ONCE = range(2025, 2060), range(2150, 2200)
+"""With both cameras; with one of them in turn."""
 NOISE_PER_M = 0.004
 """mOSD's frames are learnt from with this noise over z squared as well, as a D435 has it [1/m]."""
+REAL = 5.0
+"""Weight of a pair of a real frame: few as they are, they still get a say."""
+IN_FRONT_M, BEHIND_M = 0.15, 0.5
+"""Cells in a box are of its object where they begin so much nearer or farther than it does."""
 ENOUGH = 100
 """Cells from which on a surface counts no more."""
 MONOTONIC = [GROWS.get(name, 0) for name in SEEN]
@@ -66,7 +76,7 @@ class Learning(NamedTuple):
 
 
 LEARNING = {
-    "surfaces": Learning(60, 6, 0.15, 30, 1.0),
+    "surfaces": Learning(160, 6, 0.15, 30, 1.0),
     "tabletop": Learning(60, 4, 0.15, 20, -0.5),
 }
 
@@ -75,7 +85,7 @@ class Examples(NamedTuple):
     """Pairs of surfaces of frames."""
 
     seen: np.ndarray
-    """``(P, 21)`` int64."""
+    """``(P, 26)`` int64."""
     same: np.ndarray
     """``(P,)`` bool, one object."""
     weight: np.ndarray
@@ -131,7 +141,16 @@ def scenes() -> Iterator[Spec]:
     for seed, family in product(OLD_SEEDS, OLD):
         yield Spec(family, seed, 2)
     for seed, family, error in product(HARD_SEEDS, FAMILIES, ERRORS):
-        yield Spec(family, seed, 2, changes=(("depth_error", error),))
+        yield with_error(family, seed, error)
+    for seed, family, error in product(CLOSE_SEEDS, CLOSE, ERRORS):
+        yield with_error(family, seed, error)
+    for seed, family in product(CLOSE_ONCE, CLOSE):
+        yield with_error(family, seed, ERRORS[seed % 2])
+
+
+def with_error(family: str, seed: int, error: float) -> Spec:
+    """Two hard scenes, seen by a camera of this depth error."""
+    return Spec(family, seed, 2, changes=(("depth_error", error),))
 
 
 def learnt_scenes(folder: Path) -> Examples:
@@ -168,6 +187,51 @@ def learnt_frames() -> Examples:
             seen_by = functools.partial(in_image, image)
             parts.append(examples(tabletop, frames._replace(depth=variant), seen_by, none))
     return joined(parts)
+
+
+def learnt_boxes(folder: Path) -> Examples:
+    """Pairs of the real frames with labelled boxes that are not held out; ``folder``: for logs."""
+    parts, wheeled = [], preset("wheeled")
+    for recording in RECORDINGS:
+        path = BOXES / f"{recording.name}.txt"
+        if not path.is_file():
+            continue
+        boxes = read_boxes(path)
+        with open_log(str(log_of(recording, BESIDE, folder))) as log:
+            planes = decide_planes(log, wheeled, "reference")
+            for batch in log.batches(1):
+                number = int(batch.frames.number[0])
+                if recording.holds_out(number) or number not in boxes:
+                    continue
+                frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
+                outlined, distance, _ = boxes[number]
+                seen_by = functools.partial(
+                    in_boxes, outlined, distance, frames.calibration.depth_unit
+                )
+                none = np.zeros(len(outlined) + 1, bool)
+                parts.append(examples(wheeled, frames, seen_by, none))
+    found = joined(parts)
+    return found._replace(weight=REAL * found.weight)
+
+
+def in_boxes(
+    boxes: np.ndarray, distance: np.ndarray, unit: float, grid: Cells, b: int
+) -> np.ndarray:
+    """The object, from 1, whose box shows each cell at about its distance, 0 = none, -1 = unknown.
+
+    Of several it is that of the smallest box. Not known is what is not in view, or lies in a box
+    before or behind its object.
+    """
+    z = grid.z[b] * unit
+    u, v = np.moveaxis((grid.uv_min[b] + grid.uv_max[b]) // 2, -1, 0)
+    out = np.where(grid.in_view[b], 0, -1)
+    sides = boxes[:, 2:] - boxes[:, :2]
+    for k in np.argsort(-sides.prod(axis=1), kind="stable"):
+        left, top, right, bottom = boxes[k]
+        inside = grid.in_view[b] & (u >= left) & (u <= right) & (v >= top) & (v <= bottom)
+        own = (z >= distance[k] - IN_FRONT_M) & (z <= distance[k] + BEHIND_M)
+        out = np.where(inside & own, k + 1, np.where(inside & (out == 0), -1, out))
+    return out
 
 
 def in_image(image: np.ndarray, grid: Cells, b: int) -> np.ndarray:
@@ -252,7 +316,10 @@ def main(arguments: Sequence[str]) -> None:
     name = arguments[0]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(arguments[1] if len(arguments) > 1 else made)
-        found = learnt_scenes(folder) if name == "surfaces" else learnt_frames()
+        if name == "surfaces":
+            found = joined([learnt_scenes(folder), learnt_boxes(folder)])
+        else:
+            found = learnt_frames()
     write(name, learn(found, LEARNING[name]))
     print(f"{name}: {len(found.same)} pairs, {np.mean(found.same):.0%} of them one object")
 

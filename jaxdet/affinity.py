@@ -29,6 +29,11 @@ SEEN = (
     "bottom_more",
     "top_less",
     "top_more",
+    "behind",
+    "rows",
+    "columns",
+    "through_share",
+    "through_share_in_columns",
 )
 """What is seen of two surfaces, ``less`` the one of fewer cells and ``more`` the other. ``gap``:
 smallest distance of their contours on the floor; ``ahead``: the gap in depth on the floor;
@@ -36,9 +41,11 @@ smallest distance of their contours on the floor; ``ahead``: the gap in depth on
 their mean step in depth; ``through``: rows in which one sees through between them; ``hidden_share``
 and ``agree_share``: those in which nearer things lie between, and in which depth goes on behind
 them or across a hole, in percent of the rows of the one with fewer. ``nearest``: distance of the
-nearer one. In columns, ``through`` likewise, and ``between`` those in which they face each other
-across something."""
-LENGTHS = frozenset({"gap", "ahead", "step", "nearest"}) | {
+nearer one; ``behind``: how much farther away ``less`` begins than ``more``. In columns, ``through``
+likewise, and ``between`` those in which they face each other across something. ``rows`` and
+``columns``: places in which they face each other; ``through_share``: of these those in which one
+sees through, in percent."""
+LENGTHS = frozenset({"gap", "ahead", "step", "nearest", "behind"}) | {
     name for name in SEEN if name.split("_")[0] in ("width", "depth", "bottom", "top")
 }
 """Of these, what is in depth units; in a table [mm]."""
@@ -48,6 +55,8 @@ GROWS = {
     "step": -1,
     "through": -1,
     "through_in_columns": -1,
+    "through_share": -1,
+    "through_share_in_columns": -1,
     "agree": 1,
     "agree_share": 1,
 }
@@ -96,9 +105,9 @@ def affinity(name: str, depth_unit: float) -> Affinity:
     """
     text = resources.files("jaxdet").joinpath("tables", f"{name}.json").read_text("utf-8")
     table = json.loads(text)
-    if tuple(table["seen"]) != SEEN:
-        raise ValueError(f"the table {name} weighs other things than are seen: learn it anew")
-    feature, threshold = (np.array(table[key], np.int64) for key in ("feature", "threshold"))
+    weighed = np.array([SEEN.index(one) for one in table["seen"]])
+    feature = weighed[np.array(table["feature"], np.int64)]
+    threshold = np.array(table["threshold"], np.int64)
     lengths = np.isin(feature, [SEEN.index(one) for one in LENGTHS])
     scaled = np.rint(threshold / (1000 * depth_unit)).astype(np.int64)
     scaled = np.minimum(scaled, BEYOND)
@@ -110,7 +119,7 @@ def evidence(seen: np.ndarray, table: Affinity) -> np.ndarray:
     """The evidence that pairs of surfaces are one thing.
 
     Args:
-        seen: ``(P, 21)`` integer, in the order of :data:`SEEN`.
+        seen: ``(P, 26)`` integer, in the order of :data:`SEEN`.
         table: In the same depth units.
 
     Returns:

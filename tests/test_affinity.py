@@ -76,6 +76,12 @@ def test_complete_trees(name: str) -> None:
     assert abs(table.offset) < 20 << FRACTION_BITS
 
 
+def test_a_table_weighs_what_it_names() -> None:
+    """That of ``tabletop`` is older than the last five of what is seen."""
+    assert affinity("tabletop", UNIT).feature.max() < SEEN.index("behind")
+    assert affinity("surfaces", UNIT).feature.max() >= SEEN.index("behind")
+
+
 def test_nothing() -> None:
     assert len(evidence(np.zeros((0, len(SEEN)), np.int64), affinity("surfaces", UNIT))) == 0
 

@@ -110,6 +110,8 @@ def test_what_is_seen_by_hand() -> None:
     assert seen["width_less"] == 99 and seen["width_more"] == 170
     assert seen["bottom_less"] == 100 and seen["top_more"] == 280
     assert seen["nearest"] == 1000 and seen["overlap"] < 0
+    assert seen["behind"] == 100 and seen["rows"] == 10 and seen["columns"] == 0
+    assert seen["through_share"] == seen["through_share_in_columns"] == 0
 
 
 def test_less_and_more_go_by_size_not_by_number() -> None:

@@ -55,8 +55,8 @@ RECORDINGS = (
         150,
         least_height_m=0.05,
     ),
-    Recording("aims_slam", "aims_slam/aims_slam_18frames.mcap", 0.5),
-    Recording("d435_boxes_felixchenfy", "d435_boxes_felixchenfy", 0.5),
+    Recording("aims_slam", "aims_slam/aims_slam_18frames.mcap", 0.5, held_out=3),
+    Recording("d435_boxes_felixchenfy", "d435_boxes_felixchenfy", 0.5, held_out=3),
 )
 
 

@@ -48,7 +48,7 @@ class Pairs(NamedTuple):
     other: np.ndarray
     """``(P,)`` int64, one with a higher number."""
     seen: np.ndarray
-    """``(P, 21)`` int64, in the order of :data:`jaxdet.affinity.SEEN` [depth units, cells, lines,
+    """``(P, 26)`` int64, in the order of :data:`jaxdet.affinity.SEEN` [depth units, cells, lines,
     percent]."""
 
 
@@ -101,6 +101,9 @@ def pairs(
     ]
     for size in (known.cells, known.width, known.depth, known.bottom, known.top):
         seen += [size[less], size[more]]
+    seen += [known.near[less] - known.near[more], rows.places[at], columns.places[at]]
+    for lines in (rows, columns):
+        seen.append(PERCENT * lines.through[at] // np.maximum(lines.places[at], 1))
     return Pairs(one, other, np.stack(seen, axis=1))
 
 

@@ -32,7 +32,7 @@ struct Evidence {
 #else
     enum { PARTS = 1 };
 #endif
-    enum { CONTACT = 2, PERCENT = 100, SEEN = 21, SHORT = (1 << 15) - 1 };
+    enum { CONTACT = 2, PERCENT = 100, SEEN = 26, SHORT = (1 << 15) - 1 };
     // Pairs that a block of BATCH threads or a multiple of it weighs at a time.
     enum { BATCH = 64, FAST = (SEEN + 1) * BATCH, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
@@ -222,6 +222,11 @@ struct Evidence {
             known.bottom[more],
             known.top[less],
             known.top[more],
+            known.near[less] - known.near[more],
+            part(rows, 0),
+            part(columns, 0),
+            PERCENT * part(rows, 1) / most(part(rows, 0), 1),
+            PERCENT * part(columns, 1) / most(part(columns, 0), 1),
         };
         for (int k = 0; k < SEEN; ++k) seen[k * apart] = all[k];
         return true;
