@@ -21,7 +21,7 @@ _MODELS = {
     Distortion.EQUIDISTANT: kernels.EQUIDISTANT,
 }
 
-_lines = FrameKernel(kernels.align_lines, num_outputs=3)
+_lines = FrameKernel(kernels.align_lines)
 _tiles = wp.jax_kernel(
     kernels.align_tiles, in_out_argnames=["keys_out"], block_dim=kernels.TILE_BLOCK
 )

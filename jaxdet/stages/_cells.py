@@ -16,7 +16,7 @@ from jaxdet.types import Calibration, Cells
 from jaxdet_kernels import cells as kernels
 from jaxdet_kernels.align import PARAMETERS
 
-_cells = TeamKernel(kernels.cells, num_outputs=6)
+_cells = TeamKernel(kernels.cells)
 
 
 class Tables(NamedTuple):

@@ -14,7 +14,6 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import blake2b
-from inspect import get_annotations
 from threading import Lock
 from typing import Any
 
@@ -30,26 +29,20 @@ _LINE = 64
 
 
 class FrameKernel:
-    """A kernel under ``jax.jit`` that works on one frame of a batch a launch, on the CPU.
+    """A kernel under ``jax.jit`` that works on one frame of a batch a launch, on the CPU."""
 
-    The kernel's first arguments are ``share`` and ``shares``, both int: it works on the frames
-    ``share, share + shares, ...``, which here is one. Its last output is scratch memory, of which
-    it uses row ``share``.
-    """
-
-    def __init__(self, kernel: Any, num_outputs: int) -> None:
+    def __init__(self, kernel: Any) -> None:
         """Reads the kernel's signature.
 
         Args:
-            kernel: Its inputs come first, then its outputs, each with a row for every frame.
-            num_outputs: With the scratch memory.
+            kernel: Of :func:`~jaxdet_kernels.native_source.team_kernel`. Its outputs end in
+                ``_out`` and have a row for every frame.
         """
         self.kernel = kernel
-        self.types: dict[str, Any] = get_annotations(kernel.func, eval_str=True)
+        self.types: dict[str, Any] = dict(kernel.func.__annotations__)
         del self.types["share"], self.types["shares"]
-        names = list(self.types)
-        self.inputs = names[: len(names) - num_outputs]
-        *self.outputs, self.scratch = names[len(names) - num_outputs :]
+        self.inputs = [name for name in self.types if not name.endswith("_out")]
+        *self.outputs, self.scratch = (name for name in self.types if name.endswith("_out"))
         self.name = f"{kernel.func.__module__}.{kernel.func.__qualname__}"
 
     def __call__(

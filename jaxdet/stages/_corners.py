@@ -14,8 +14,8 @@ from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import cover as mask_kernels
 from jaxdet_kernels import features as kernels
 
-_mask_bits = TeamKernel(mask_kernels.mask_bits, num_outputs=1)
-_frames = FrameKernel(kernels.features_frames, num_outputs=4)
+_mask_bits = TeamKernel(mask_kernels.mask_bits)
+_frames = FrameKernel(kernels.features_frames)
 _suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kernels.SUPPRESS_THREADS)
 _hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_THREADS)
 _maxima = wp.jax_kernel(

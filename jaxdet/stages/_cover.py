@@ -11,8 +11,8 @@ from jaxdet.types import MAX_OBSTACLES, SAMPLED_CELLS, Cells
 from jaxdet_kernels import cover as kernels
 from jaxdet_kernels.features import row_words
 
-_mask = TeamKernel(kernels.cover_mask, num_outputs=4)
-_features = TeamKernel(kernels.cover_features, num_outputs=8)
+_mask = TeamKernel(kernels.cover_mask)
+_features = TeamKernel(kernels.cover_features)
 
 
 class CellFeatures(NamedTuple):

@@ -39,8 +39,8 @@ from jaxdet.floor.units import (
 from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import floor as kernels
 
-_floor = TeamKernel(kernels.floor, 1)
-_frames = TeamKernel(kernels.found_frame, 1)
+_floor = TeamKernel(kernels.floor)
+_frames = TeamKernel(kernels.found_frame)
 _SINES = SINES.astype(np.int32)
 
 

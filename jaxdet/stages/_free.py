@@ -11,7 +11,7 @@ from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array
 from jaxdet_kernels import free_floor as kernels
 
-_free_floor = TeamKernel(kernels.free_floor, num_outputs=2)
+_free_floor = TeamKernel(kernels.free_floor)
 
 
 class FreeSettings(NamedTuple):

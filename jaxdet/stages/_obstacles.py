@@ -16,7 +16,7 @@ FARTHEST = 1 << 28
 MOST_EVIDENCE = (1 << 15) - 1
 """Of a pair; 256 by 256 of them, added up, fit in 32 bits."""
 
-_obstacles = TeamKernel(kernel.obstacles, 2)
+_obstacles = TeamKernel(kernel.obstacles)
 
 
 class Settings(NamedTuple):

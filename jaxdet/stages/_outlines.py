@@ -15,7 +15,7 @@ from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
 
-_outlines = TeamKernel(kernels.outlines, num_outputs=15)
+_outlines = TeamKernel(kernels.outlines)
 
 SHAPES = {
     **dict.fromkeys(("num_points", "has_vertex", "contour_points"), ()),

@@ -11,7 +11,7 @@ from jaxdet.stages._teams import TeamKernel, kernel_table
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
 
-_surfaces = TeamKernel(kernels.surfaces, 8)
+_surfaces = TeamKernel(kernels.surfaces)
 
 MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
 """Depths have 16 bits, bends 17: larger steps and limits mean the same."""

@@ -29,24 +29,19 @@ def kernel_table(values: np.ndarray) -> np.ndarray:
 
 
 class TeamKernel:
-    """A kernel under ``jax.jit`` whose teams take the frames of a batch in turn.
+    """A kernel under ``jax.jit`` whose teams take the frames of a batch in turn."""
 
-    The kernel's first arguments are ``share`` and ``shares``, both int. Team ``t`` works on the
-    frames ``t, t + shares, ...``. Its last output is the teams' scratch memory.
-    """
-
-    def __init__(self, kernel: Any, num_outputs: int) -> None:
+    def __init__(self, kernel: Any) -> None:
         """Prepares the launches.
 
         Args:
-            kernel: Its outputs come last, the scratch memory ``scratch_out`` last of all. On CUDA
-                a team has as many threads as a block may have by the kernel's ``launch_bounds``.
-            num_outputs: How many there are beside the scratch memory.
+            kernel: Of :func:`~jaxdet_kernels.native_source.team_kernel`. On CUDA a team has as
+                many threads as a block may have by its ``launch_bounds``.
         """
-        count = num_outputs + 1
         self._width, blocks = kernel.options["launch_bounds"]
         self._most_teams = blocks * MULTIPROCESSORS
-        self._by_cores = FrameKernel(kernel, num_outputs=count)
+        self._by_cores = FrameKernel(kernel)
+        count = len(self._by_cores.outputs) + 1
         self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=self._width)
 
     def __call__(

@@ -18,20 +18,10 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS
 """,
 )
 def frame_loop(
-    tid: int,
-    kernels: wp.array2d[wp.uint64],
-    words: wp.array[wp.uint64],
-    rooms: wp.array2d[wp.uint64],
-    next: wp.array[wp.int32],
-    frames: int,
+    kernels: wp.array2d[wp.uint64],  # (K, 4) see native/frame_loop.h
+    words: wp.array[wp.uint64],  # the arguments of all of them
+    rooms: wp.array2d[wp.uint64],  # (M, 3) memory with room for one frame, likewise
+    next: wp.array[wp.int32],  # (1,) the first frame that no thread has taken
+    frames: int,  # B
 ):
-    """Takes frames until there are no more; for the CPU.
-
-    Args:
-        tid: Of the launch.
-        kernels: ``(K, 4)``, see ``native/frame_loop.h``.
-        words: The arguments of all of them.
-        rooms: ``(M, 3)``, memory with room for one frame, likewise.
-        next: ``(1,)``, the first frame that no thread has taken.
-        frames: ``B``.
-    """
+    """Takes frames until there are no more; for the CPU."""

@@ -6,112 +6,66 @@ decoded side by side because a launch does not hold Python's lock. Arrays are co
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native
+from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 
-@wp.func_native(
-    native(
-        "png_lines.h",
-        body="PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, 2}.depth(depth_out.data);",
-    )
+@native_kernel(
+    "png_lines.h",
+    body="PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, 2}.depth(depth_out.data);",
 )
-def _png_depth(lines: wp.array2d[wp.uint8], depth_out: wp.array2d[wp.uint16]): ...
+def png_depth(
+    lines: wp.array2d[wp.uint8],  # (H, 1 + 2 W) each begins with its filter; un-filtered in place
+    depth_out: wp.array2d[wp.uint16],  # (H, W)
+):
+    """The lines of a 16-bit grey PNG to depth; filters are 0 to 4."""
 
 
-@wp.kernel
-def png_depth(lines: wp.array2d[wp.uint8], depth_out: wp.array2d[wp.uint16]):
-    """The lines of a 16-bit grey PNG to depth.
-
-    Args:
-        lines: ``(H, 1 + 2 W)``, each begins with its filter, 0 to 4; un-filtered in place.
-        depth_out: ``(H, W)``.
-    """
-    _png_depth(lines, depth_out)
-
-
-@wp.func_native(
-    native(
-        "png_lines.h",
-        body="""
+@native_kernel(
+    "png_lines.h",
+    body="""
     PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, step}.color(spread, rgb_out.data);
 """,
-    )
 )
-def _png_color(
-    lines: wp.array2d[wp.uint8], step: int, spread: int, rgb_out: wp.array3d[wp.uint8]
-): ...
+def png_color(
+    lines: wp.array2d[wp.uint8],  # (H, 1 + step W) likewise
+    step: int,  # bytes of a pixel, 1, 2, 3, 4, 6 or 8
+    spread: int,  # bytes from a sample to the next; 0: grey, which is repeated
+    rgb_out: wp.array3d[wp.uint8],  # (H, W, 3)
+):
+    """The lines of a PNG with 8 or 16 bits a sample to RGB; of 16 bits the higher 8 are taken."""
 
 
-@wp.kernel
-def png_color(lines: wp.array2d[wp.uint8], step: int, spread: int, rgb_out: wp.array3d[wp.uint8]):
-    """The lines of a PNG with 8 or 16 bits a sample to RGB; of 16 bits the higher 8 are taken.
-
-    Args:
-        lines: ``(H, 1 + step * W)``, each begins with its filter, 0 to 4; un-filtered in place.
-        step: Bytes of a pixel, 1, 2, 3, 4, 6 or 8.
-        spread: Bytes from a sample to the next; 0: grey, which is repeated.
-        rgb_out: ``(H, W, 3)``.
-    """
-    _png_color(lines, step, spread, rgb_out)
-
-
-@wp.func_native(
-    native(
-        "rvl.h",
-        body="""
+@native_kernel(
+    "rvl.h",
+    body="""
     RvlDecoder decoder{{stream.data, stream.shape[0] / 4},
                        pixels_out.data,
                        (long long)pixels_out.shape[0] * pixels_out.shape[1],
                        {}};
     status_out.data[0] = decoder.run();
 """,
-    )
 )
-def _rvl(
-    stream: wp.array[wp.uint8], pixels_out: wp.array2d[wp.uint16], status_out: wp.array[wp.int32]
-): ...
-
-
-@wp.kernel
 def rvl(
-    stream: wp.array[wp.uint8], pixels_out: wp.array2d[wp.uint16], status_out: wp.array[wp.int32]
+    stream: wp.array[wp.uint8],  # (N,) what follows the last pixel is not read
+    pixels_out: wp.array2d[wp.uint16],  # (H, W) partly written where the status is not 0
+    status_out: wp.array[wp.int32],  # (1,) 0 where all is well, else see RvlDecoder
 ):
-    """An RVL stream to its pixels.
-
-    Args:
-        stream: ``(N,)``; what follows the last pixel is not read.
-        pixels_out: ``(H, W)``; partly written where the status is not 0.
-        status_out: ``(1,)``, 0 where all is well, else see ``RvlDecoder``.
-    """
-    _rvl(stream, pixels_out, status_out)
+    """An RVL stream to its pixels."""
 
 
-@wp.func_native(
-    native(
-        "depth_units.h",
-        body="""
+@native_kernel(
+    "depth_units.h",
+    body="""
     const DepthUnits units{unit_m};
     const size_t size = (size_t)metres.shape[0] * metres.shape[1];
     for (size_t i = 0; i < size; ++i) units_out.data[i] = units.of(metres.data[i]);
 """,
-    )
 )
-def _depth_units(
-    metres: wp.array2d[wp.float32], unit_m: wp.float64, units_out: wp.array2d[wp.uint16]
-): ...
-
-
-@wp.kernel
 def depth_units(
-    metres: wp.array2d[wp.float32], unit_m: wp.float64, units_out: wp.array2d[wp.uint16]
+    metres: wp.array2d[wp.float32],  # (H, W)
+    unit_m: wp.float64,  # metres in a unit
+    units_out: wp.array2d[wp.uint16],  # (H, W)
 ):
-    """Metres to the nearest depth unit; 0 where that is not of 1 to 65535.
-
-    Args:
-        metres: ``(H, W)``.
-        unit_m: Metres in a unit.
-        units_out: ``(H, W)``.
-    """
-    _depth_units(metres, unit_m, units_out)
+    """Metres to the nearest depth unit; 0 where that is not of 1 to 65535."""

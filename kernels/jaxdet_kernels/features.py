@@ -7,7 +7,7 @@ by tiles, and the selection by frames. Images of bits are laid out as ``native/p
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel
+from jaxdet_kernels.native_source import native_kernel, team_kernel
 
 # With Warp's own flags for the CPU, which inline more: corners are 7 % faster.
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
@@ -42,59 +42,32 @@ def features_scratch(height: int, width: int) -> int:
     return 4 * height * width + 2 * spaced + 2 * height * row_words(width)
 
 
-@native_kernel(
-    "vectors.h",
-    "pixel_bits.h",
-    "canny.h",
-    "hysteresis.h",
-    "corner_settings.h",
-    "corner_strength.h",
-    "corner_maxima.h",
-    "corner_selection.h",
+@team_kernel(
     "corners.h",
     body="""
 #if !defined(__CUDA_ARCH__)
-    const int b = share + shares * tid, height = color.shape[1], width = color.shape[2];
-    const size_t at = (size_t)b * u_out.shape[1];
-    found_out.data[b] = Corners{
-        color.data + 3 * (size_t)b * height * width,
-        mask.data + (size_t)b * height * PixelBits::words(width), height, width, {settings.data},
-        u_out.shape[1], u_out.data + at, v_out.data + at,
-        scratch_out.data + (size_t)share * scratch_out.shape[1]}.run();
+        const int height = color.shape[1], width = color.shape[2];
+        const size_t at = (size_t)b * u_out.shape[1];
+        found_out.data[b] = Corners{
+            color.data + 3 * (size_t)b * height * width,
+            mask.data + (size_t)b * height * PixelBits::words(width), height, width,
+            {settings.data}, u_out.shape[1], u_out.data + at, v_out.data + at,
+            (unsigned*)scratch}.run();
 #endif
 """,
 )
 def features_frames(
-    tid: int,
-    share: int,
-    shares: int,
-    color: wp.array4d[wp.uint8],
-    mask: wp.array3d[wp.uint32],
-    settings: wp.array[wp.int32],
-    u_out: wp.array2d[wp.int32],
-    v_out: wp.array2d[wp.int32],
-    found_out: wp.array[wp.int32],
-    scratch_out: wp.array2d[wp.uint32],
+    color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
+    mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be, a bit a pixel
+    settings: wp.array[wp.int32],  # (SETTINGS,) see native/corner_settings.h
+    u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
+    v_out: wp.array2d[wp.int32],  # rows
+    found_out: wp.array[wp.int32],  # (B,) how many corners there are, at most N + 1
 ):
-    """The corners of a frame a thread, ``share + shares * i``; for the CPU.
-
-    Args:
-        tid: Of the launch.
-        share: The first frame of the launch.
-        shares: How many launches there are.
-        color: ``(B, H, W, 3)``, RGB.
-        mask: ``(B, H, words)``, where corners may be, a bit a pixel.
-        settings: ``(SETTINGS,)``, see ``native/corner_settings.h``.
-        u_out: ``(B, N)``, columns, strongest corner first; 0 where there is none.
-        v_out: ``(B, N)``, rows.
-        found_out: ``(B,)``, how many corners there are, at most N + 1.
-        scratch_out: ``(shares, features_scratch)``.
-    """
+    """The strongest corners, on the CPU; ``features_scratch`` of scratch memory."""
 
 
 @native_kernel(
-    "vectors.h",
-    "pixel_bits.h",
     "image_tile.h",
     "canny.h",
     "corner_settings.h",
@@ -113,26 +86,15 @@ def features_frames(
     launch_bounds=(SUPPRESS_THREADS, 4),
 )
 def canny_suppress(
-    tid: int,
-    color: wp.array4d[wp.uint8],
-    settings: wp.array[wp.int32],
-    weak_out: wp.array3d[wp.uint32],
-    strong_out: wp.array3d[wp.uint32],
+    color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
+    settings: wp.array[wp.int32],  # (SETTINGS,)
+    weak_out: wp.array3d[wp.uint32],  # (B, H, words) edges above the lower threshold
+    strong_out: wp.array3d[wp.uint32],  # (B, H, words) those above the higher one
 ):
-    """Grey, 3x3 Sobel and non-maximum suppression, a block a tile; for CUDA.
-
-    Args:
-        tid: Of the launch.
-        color: ``(B, H, W, 3)``, RGB.
-        settings: ``(SETTINGS,)``.
-        weak_out: ``(B, H, words)``, edges above the lower threshold.
-        strong_out: ``(B, H, words)``, those above the higher one.
-    """
+    """Grey, 3x3 Sobel and non-maximum suppression, a block a tile; for CUDA."""
 
 
 @native_kernel(
-    "vectors.h",
-    "pixel_bits.h",
     "hysteresis.h",
     body="""
 #if defined(__CUDA_ARCH__)
@@ -146,29 +108,17 @@ def canny_suppress(
     launch_bounds=(HYSTERESIS_THREADS, 3),
 )
 def canny_hysteresis(
-    tid: int,
-    width: int,
-    weak: wp.array3d[wp.uint32],
-    strong: wp.array3d[wp.uint32],
-    edges_out: wp.array3d[wp.uint32],
+    width: int,  # of the images
+    weak: wp.array3d[wp.uint32],  # (B, H, words)
+    strong: wp.array3d[wp.uint32],  # (B, H, words) some of these
+    edges_out: wp.array3d[wp.uint32],  # (B, H, words)
 ):
-    """Weak edges that hang together with strong ones, a block a frame; for CUDA.
-
-    Args:
-        tid: Of the launch.
-        width: Of the images.
-        weak: ``(B, H, words)``.
-        strong: ``(B, H, words)``, some of these.
-        edges_out: ``(B, H, words)``.
-    """
+    """Weak edges that are connected to strong ones, a block a frame; for CUDA."""
 
 
 @native_kernel(
-    "vectors.h",
-    "pixel_bits.h",
     "image_tile.h",
     "corner_settings.h",
-    "corner_strength.h",
     "corner_maxima.h",
     body="""
 #if defined(__CUDA_ARCH__)
@@ -185,29 +135,17 @@ def canny_hysteresis(
     launch_bounds=(MAXIMA_THREADS, 6),
 )
 def corners_maxima(
-    tid: int,
-    edges: wp.array3d[wp.uint32],
-    mask: wp.array3d[wp.uint32],
-    settings: wp.array[wp.int32],
-    strongest_out: wp.array[wp.int32],
-    maxima_out: wp.array3d[wp.uint32],
-    strength_out: wp.array3d[wp.float32],
+    edges: wp.array3d[wp.uint32],  # (B, H, words)
+    mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be
+    settings: wp.array[wp.int32],  # (SETTINGS,)
+    strongest_out: wp.array[wp.int32],  # (B,) 0 before: the strongest allowed pixel's float32 bits
+    maxima_out: wp.array3d[wp.uint32],  # (B, H, words) 0 before: maxima above 0
+    strength_out: wp.array3d[wp.float32],  # (B, H, W) written at maxima alone
 ):
-    """Allowed local maxima of the corner strength, a block a tile; for CUDA.
-
-    Args:
-        tid: Of the launch.
-        edges: ``(B, H, words)``.
-        mask: ``(B, H, words)``, where corners may be.
-        settings: ``(SETTINGS,)``.
-        strongest_out: ``(B,)``, zero before: the strongest allowed pixel's float32 as bits.
-        maxima_out: ``(B, H, words)``, zero before: maxima above 0.
-        strength_out: ``(B, H, W)``, written at maxima alone.
-    """
+    """Allowed local maxima of the corner strength, a block a tile; for CUDA."""
 
 
 @native_kernel(
-    "pixel_bits.h",
     "corner_settings.h",
     "corner_selection.h",
     body="""
@@ -226,30 +164,15 @@ def corners_maxima(
     launch_bounds=(SELECT_THREADS, 1),
 )
 def corners_select(
-    tid: int,
-    strongest: wp.array[wp.int32],
-    strength: wp.array3d[wp.float32],
-    settings: wp.array[wp.int32],
-    maxima_out: wp.array3d[wp.uint32],
-    u_out: wp.array2d[wp.int32],
-    v_out: wp.array2d[wp.int32],
-    found_out: wp.array[wp.int32],
-    open_out: wp.array3d[wp.uint32],
-    taken_out: wp.array3d[wp.uint32],
-    keys_out: wp.array2d[wp.uint32],
+    strongest: wp.array[wp.int32],  # (B,) from corners_maxima
+    strength: wp.array3d[wp.float32],  # (B, H, W) likewise
+    settings: wp.array[wp.int32],  # (SETTINGS,)
+    maxima_out: wp.array3d[wp.uint32],  # (B, H, words) likewise; those too weak are taken out
+    u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
+    v_out: wp.array2d[wp.int32],  # rows
+    found_out: wp.array[wp.int32],  # (B,) how many corners there are, maybe more than N
+    open_out: wp.array3d[wp.uint32],  # (B, H, words) scratch
+    taken_out: wp.array3d[wp.uint32],  # (B, H, words) scratch
+    keys_out: wp.array2d[wp.uint32],  # (B, 2 P) scratch; P is a power of two and at least N
 ):
-    """The strongest N corners that keep the minimum distance, a block a frame; for CUDA.
-
-    Args:
-        tid: Of the launch.
-        strongest: ``(B,)``, from :func:`corners_maxima`.
-        strength: ``(B, H, W)``, likewise.
-        settings: ``(SETTINGS,)``.
-        maxima_out: ``(B, H, words)``, from :func:`corners_maxima`; those too weak are taken out.
-        u_out: ``(B, N)``, columns, strongest corner first; 0 where there is none.
-        v_out: ``(B, N)``, rows.
-        found_out: ``(B,)``, how many corners there are, maybe more than N.
-        open_out: ``(B, H, words)``, scratch.
-        taken_out: ``(B, H, words)``, scratch.
-        keys_out: ``(B, 2 P)``, scratch; P is a power of two and at least N.
-    """
+    """The strongest N corners that keep the minimum distance, a block a frame; for CUDA."""

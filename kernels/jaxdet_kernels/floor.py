@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
@@ -43,99 +43,53 @@ def floor_scratch_words(
     return words + words % 2
 
 
-@native_kernel(
-    "crew.h",
-    "lanes.h",
-    "floor_planes.h",
-    "floor_search.h",
-    "floor_ramp.h",
+@team_kernel(
     "floor.h",
     body="""
-    const Team team(tid, share);
-    const int batch = z.shape[0], rows = z.shape[1], columns = z.shape[2], cells = rows * columns;
-    int* scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
 #if defined(__CUDA_ARCH__)
-    __shared__ __align__(16) int fast[Floor::SHARED];
+        __shared__ __align__(16) int fast[Floor::SHARED];
 #else
-    int* const fast = nullptr;
+        int* const fast = nullptr;
 #endif
-    for (int b = team.index; b < batch; b += shares) {
+        const int rows = z.shape[1], columns = z.shape[2];
         const Floor floor(team, settings.data, sines.data, prior.data + b * Floor::PRIOR, rows,
                           columns, scratch, fast);
-        const size_t first = (size_t)b * cells;
+        const size_t first = (size_t)b * rows * columns;
         floor.run(x.data + first, y.data + first, z.data + first, rows, columns,
                   found_out.data + b * Floor::RESULTS);
-    }
 """,
     launch_bounds=(WIDTH, _BLOCKS),
 )
 def floor(
-    tid: int,
-    share: int,
-    shares: int,
-    x: wp.array3d[wp.int32],
+    x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]
     y: wp.array3d[wp.int32],
-    z: wp.array3d[wp.int32],
-    prior: wp.array2d[wp.int32],
-    settings: wp.array[wp.int32],
-    sines: wp.array[wp.int32],
-    found_out: wp.array2d[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
+    z: wp.array3d[wp.int32],  # 0 = no measurement
+    prior: wp.array2d[wp.int32],  # (B, 4) pitch and roll [angle steps], height, valid
+    settings: wp.array[wp.int32],  # jaxdet.stages._floor.FloorSettings
+    sines: wp.array[wp.int32],  # from -360 degrees on, by angle steps
+    found_out: wp.array2d[wp.int32],  # (B, 8)
 ):
-    """A team of threads takes frames ``share, share + shares, ...``.
+    """The best plane of each frame; :func:`floor_scratch_words` of scratch memory.
 
-    Args:
-        tid: Of the launch.
-        share: The first of them, of the launch.
-        shares: How many teams there are in all.
-        x: ``(B, R, C)``, colour optical frame [depth units].
-        y: Likewise.
-        z: Likewise, 0 = no measurement.
-        prior: ``(B, 4)``: pitch and roll [angle steps], height [depth units], valid.
-        settings: See :class:`jaxdet.stages._floor.FloorSettings`.
-        sines: From -360 degrees on, by angle steps.
-        found_out: ``(B, 8)``: pitch, roll and height of the best plane, start and turn of its ramp
-            (turn 0 = none), cells on it, all cells, refusal.
-        scratch_out: ``(teams, words)``, see :func:`floor_scratch_words`.
+    What is found is pitch, roll and height, start and turn of its ramp (turn 0 = none), cells on
+    it, all cells, refusal.
     """
 
 
-@native_kernel(
-    "crew.h",
-    "floor_frame.h",
-    "floor_planes.h",
+@team_kernel(
     "found_frame.h",
     body="""
-    const Team team(tid, share);
-    for (int b = team.index; b < found.shape[0]; b += shares) {
         const int at = b * FloorFrame::VALUES;
         if (team.rank == 0)
             FoundFrame{{sines.data}}.run(found.data + b * FoundFrame::RESULTS, given.data + at,
                                          frame_out.data + at);
-    }
 """,
     launch_bounds=(_WARP, 16),
 )
 def found_frame(
-    tid: int,
-    share: int,
-    shares: int,
-    found: wp.array2d[wp.int32],
-    given: wp.array2d[wp.int32],
-    sines: wp.array[wp.int32],
-    frame_out: wp.array2d[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
+    found: wp.array2d[wp.int32],  # (B, 8) from the kernel floor
+    given: wp.array2d[wp.int32],  # (B, 13) frames of floors for where none was found
+    sines: wp.array[wp.int32],  # as in floor
+    frame_out: wp.array2d[wp.int32],  # (B, 13) frames of the own floors
 ):
-    """A team of threads takes frames ``share, share + shares, ...``.
-
-    Args:
-        tid: Of the launch.
-        share: The first of them, of the launch.
-        shares: How many teams there are in all.
-        found: ``(B, 8)``, from :func:`floor`.
-        given: ``(B, 13)``, the frames of floors for where none was found, see
-            :data:`jaxdet.floor.frame.FLOOR_VALUES`.
-        sines: As in :func:`floor`.
-        frame_out: ``(B, 13)``, likewise: of the own floors.
-        scratch_out: Not used.
-    """
+    """Frames are as :data:`jaxdet.floor.frame.FLOOR_VALUES` says."""

@@ -1,6 +1,7 @@
 """C++ and CUDA sources of kernels, from the headers in ``native/``."""
 
 import linecache
+import re
 from collections.abc import Callable
 from inspect import get_annotations
 from pathlib import Path
@@ -21,13 +22,22 @@ def native(*headers: str, body: str) -> str:
     """The body of a native function: the structs of these headers, then a few lines that use them.
 
     Args:
-        headers: Names in ``native/``, each after those it includes; ``team.h`` comes first always.
+        headers: Names in ``native/``; what they include comes before them.
         body: C++, with the function's arguments in scope.
     """
-    texts = [(FOLDER / name).read_text("utf-8") for name in ("team.h", *headers)]
-    lines = [line for text in texts for line in text.splitlines()]
-    kept = [line for line in lines if not line.startswith(("#include", "#pragma once"))]
-    return "\n".join([*kept, body])
+    texts: dict[str, str] = {}
+    for name in headers:
+        _read(name, texts)
+    return "".join([*texts.values(), body])
+
+
+def _read(name: str, texts: dict[str, str]) -> None:
+    """Adds the lines of what a header includes, and its own."""
+    text = (FOLDER / name).read_text("utf-8")
+    for included in re.findall(r'#include "(.*)"', text):
+        if included not in texts:
+            _read(included, texts)
+    texts[name] = re.sub(r"#(include|pragma once).*\n", "", text)
 
 
 def native_kernel(
@@ -35,32 +45,73 @@ def native_kernel(
 ) -> Callable[[Callable[..., None]], Any]:
     """Makes a kernel whose threads run C++, of a function that only declares its arguments.
 
-    Warp wants two functions of the same arguments, the native one and a kernel that calls it, and
-    reads both off Python source; here the second is written for it.
-
     Args:
         headers: As for :func:`native`.
-        body: Likewise.
+        body: Likewise; ``tid`` is the number of the thread.
         launch_bounds: Threads of a block on CUDA, and how many blocks fit on a multiprocessor.
 
     Returns:
-        A decorator. The function's first argument is ``tid``, the number of the thread, which the
-        kernel itself does not take; its docstring is the kernel's.
+        A decorator; the function's docstring is the kernel's.
     """
 
     def decorate(declared: Callable[..., None]) -> Any:
-        name, types = declared.__name__, get_annotations(declared, eval_str=True)
-        arguments = ", ".join(list(types)[1:])
-        source = f"def {name}({arguments}):\n    native_{name}(wp.tid(), {arguments})\n"
-        declared.__name__ = declared.__qualname__ = f"native_{name}"
-        native_function = wp.func_native(native(*headers, body=body))(declared)
-        scope = {"wp": wp, "__name__": declared.__module__, declared.__name__: native_function}
-        file = f"<{declared.__module__}.{name}>"
-        linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
-        exec(compile(source, file, "exec"), scope)
-        made: Any = scope[name]
-        made.__annotations__ = {key: types[key] for key in list(types)[1:]}
-        made.__doc__ = declared.__doc__
-        return wp.kernel(launch_bounds=launch_bounds)(made)
+        types = get_annotations(declared, eval_str=True)
+        return _kernel(declared, types, native(*headers, body=body), launch_bounds)
 
     return decorate
+
+
+def team_kernel(
+    *headers: str, body: str, launch_bounds: tuple[int, int] = (256, 4)
+) -> Callable[[Callable[..., None]], Any]:
+    """Makes a kernel whose teams of threads (``native/team.h``) take the frames of a batch in turn.
+
+    It has three more arguments than the function declares. With ``share`` and ``shares`` first,
+    team ``t`` of a launch takes the frames ``share + t, share + t + shares, ...``; the last is
+    ``scratch_out`` ``(teams, words)`` int32.
+
+    Args:
+        headers: As for :func:`native`.
+        body: What ``team`` does to frame ``b``; ``scratch`` is the team's memory. The function's
+            first argument is an array ``(B, ...)``.
+        launch_bounds: As for :func:`native_kernel`.
+
+    Returns:
+        A decorator; the function's docstring is the kernel's.
+    """
+
+    def decorate(declared: Callable[..., None]) -> Any:
+        types = get_annotations(declared, eval_str=True)
+        loop = f"""
+    const Team team(tid, share);
+    int* const scratch = scratch_out.data + (size_t)team.index * scratch_out.shape[1];
+    for (int b = team.index; b < {next(iter(types))}.shape[0]; b += shares) {{{body}    }}
+"""
+        types = {"share": int, "shares": int, **types, "scratch_out": wp.array2d[wp.int32]}
+        return _kernel(declared, types, native(*headers, body=loop), launch_bounds)
+
+    return decorate
+
+
+def _kernel(
+    declared: Callable[..., None], types: dict[str, Any], snippet: str, bounds: tuple[int, int]
+) -> Any:
+    """The native function, and the kernel that calls it with the number of the thread."""
+    name, module = declared.__name__, declared.__module__
+    thread, scope = {"tid": int, **types}, {"wp": wp, "__name__": module}
+    function = wp.func_native(snippet)(_function(f"native_{name}", thread, "...", scope))
+    scope[f"native_{name}"] = function
+    kernel = _function(name, types, f"native_{name}(wp.tid(), {', '.join(types)})", scope)
+    kernel.__doc__ = declared.__doc__
+    return wp.kernel(launch_bounds=bounds)(kernel)
+
+
+def _function(name: str, types: dict[str, Any], body: str, scope: dict[str, Any]) -> Any:
+    """A Python function with source, which Warp reads."""
+    source = f"def {name}({', '.join(types)}):\n    {body}\n"
+    file = f"<{scope['__name__']}.{name}>"
+    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
+    exec(compile(source, file, "exec"), scope)
+    made = scope[name]
+    made.__annotations__ = types
+    return made

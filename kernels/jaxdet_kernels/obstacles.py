@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
@@ -37,37 +37,22 @@ def _words(cells: int) -> int:
     return 1 << (-(-cells // 32) - 1).bit_length()
 
 
-@native_kernel(
-    "lanes.h",
-    "bits.h",
-    "listed.h",
-    "extents.h",
-    "contours.h",
-    "numbering.h",
-    "pieces.h",
-    "facing.h",
-    "evidence.h",
-    "contraction.h",
-    "straight_parts.h",
+@team_kernel(
     "obstacles.h",
     body="""
-    const Team team(tid, share);
-    const int batch = label.shape[0];
-    Obstacles frame;
+        const size_t at = (size_t)b * label.shape[1] * label.shape[2];
+        Obstacles frame;
 #if defined(__CUDA_ARCH__)
-    __shared__ __align__(16) int fast[Obstacles::FAST];
-    frame.fast = fast;
+        __shared__ __align__(16) int fast[Obstacles::FAST];
+        frame.fast = fast;
 #else
-    frame.fast = nullptr;
+        frame.fast = nullptr;
 #endif
-    frame.rows = label.shape[1];
-    frame.columns = label.shape[2];
-    frame.settings = settings.data;
-    frame.trees = {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
-                   settings.data[Obstacles::OFFSET]};
-    frame.lay(scratch_out.data + (size_t)team.index * scratch_out.shape[1]);
-    for (int b = team.index; b < batch; b += shares) {
-        const size_t at = (size_t)b * frame.rows * frame.columns;
+        frame.rows = label.shape[1];
+        frame.columns = label.shape[2];
+        frame.settings = settings.data;
+        frame.trees = {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
+                       settings.data[Obstacles::OFFSET]};
         frame.surface = label.data + at;
         frame.free = (const unsigned char*)free.data + at;
         frame.x = x.data + at;
@@ -79,52 +64,25 @@ def _words(cells: int) -> int:
         frame.in_view = (const unsigned char*)in_view.data + at;
         frame.label = label_out.data + at;
         frame.total = count_out.data + b;
+        frame.lay(scratch);
         frame.run(team);
-    }
 """,
 )
 def obstacles(
-    tid: int,
-    share: int,
-    shares: int,
-    label: wp.array3d[wp.int32],
-    free: wp.array3d[wp.bool],
-    x: wp.array3d[wp.int32],
+    label: wp.array3d[wp.int32],  # (B, R, C) surfaces 0 .. S - 1, each has a cell, -1 = none
+    free: wp.array3d[wp.bool],  # (B, R, C) measured to be free
+    x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]
     y: wp.array3d[wp.int32],
-    z: wp.array3d[wp.int32],
-    right: wp.array3d[wp.int32],
+    z: wp.array3d[wp.int32],  # 0 = no measurement, at most 65535
+    right: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward: wp.array3d[wp.int32],
-    height: wp.array3d[wp.int32],
-    in_view: wp.array3d[wp.bool],
-    feature: wp.array2d[wp.int32],
-    threshold: wp.array2d[wp.int32],
-    value: wp.array2d[wp.int32],
-    settings: wp.array[wp.int32],
-    label_out: wp.array3d[wp.int32],
-    count_out: wp.array[wp.int32],
-    scratch_out: wp.array2d[wp.int32],
+    height: wp.array3d[wp.int32],  # above the floor
+    in_view: wp.array3d[wp.bool],  # (B, R, C) at least partly in the colour image
+    feature: wp.array2d[wp.int32],  # (T, 2**D - 1) which of what is seen a node looks at
+    threshold: wp.array2d[wp.int32],  # (T, 2**D - 1) what is larger goes to the second child
+    value: wp.array2d[wp.int32],  # (T, 2**D) evidence of the leaves
+    settings: wp.array[wp.int32],  # jaxdet.stages._obstacles.Settings
+    label_out: wp.array3d[wp.int32],  # (B, R, C) obstacles by distance, -1 = none
+    count_out: wp.array[wp.int32],  # (B,) how many there are
 ):
-    """A team of threads takes frames ``share, share + shares, ...``.
-
-    Args:
-        tid: Of the launch.
-        share: The first of them, of the launch.
-        shares: How many teams there are in all.
-        label: ``(B, R, C)`` surfaces ``0 .. S - 1`` of each frame, each with a cell, -1 = none; at
-            most ``MAX_SURFACES``, at most 512 rows and columns.
-        free: ``(B, R, C)``, measured to be free.
-        x: ``(B, R, C)``, colour optical frame [depth units].
-        y: Likewise.
-        z: Likewise, 0 = no measurement, at most 65535.
-        right: ``(B, R, C)``, on the floor [depth units].
-        forward: Likewise.
-        height: Above the floor.
-        in_view: ``(B, R, C)``, at least partly in the colour image.
-        feature: ``(T, 2**D - 1)``, which of what is seen a node looks at.
-        threshold: ``(T, 2**D - 1)``, what is larger goes to the second child.
-        value: ``(T, 2**D)``, evidence of the leaves.
-        settings: See :class:`jaxdet.stages._obstacles.Settings`.
-        label_out: ``(B, R, C)`` obstacles by distance, -1 = none.
-        count_out: ``(B,)``, how many there are.
-        scratch_out: ``(teams, scratch_words(R, C))``.
-    """
+    """At most 512 rows and columns and ``MAX_SURFACES``; ``scratch_words`` of scratch memory."""
