@@ -4,6 +4,7 @@
 #include "contours.h"
 #include "extents.h"
 #include "facing.h"
+#include "square_root.h"
 
 // Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold)
 // and 2 k + 2.
@@ -157,18 +158,6 @@ struct Evidence {
         team.least(own + Facing::DISTANCE, (Sum)(is_short ? best : best_far));
     }
 
-    // The integer square root.
-    int root(Sum square) const {
-        Sum left = square, found = 0, bit = 1ull << 42;
-        while (bit > square) bit >>= 2;
-        for (; bit; bit >>= 2) {
-            const bool fits = left >= found + bit;
-            left -= fits ? found + bit : 0;
-            found = (found >> 1) + (fits ? bit : 0);
-        }
-        return (int)found;
-    }
-
     int part(Sum sum, int k) const {
         return (int)(sum >> k * Facing::COUNT_BITS & ((1 << Facing::COUNT_BITS) - 1));
     }
@@ -187,7 +176,7 @@ struct Evidence {
     bool look(int a, int b, int* seen, int apart) const {
         const Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
         if (own[Facing::DISTANCE] == ~0ull) return false;
-        const int distance = root(own[Facing::DISTANCE]);
+        const int distance = SquareRoot::of(own[Facing::DISTANCE]);
         if (!facing(own) && distance > CONTACT * gap) return false;
         const Sum rows = own[Facing::ROWS], columns = own[Facing::COLUMNS];
         const Sum steps = own[Facing::STEPS] >> Facing::STEP_SHIFT;

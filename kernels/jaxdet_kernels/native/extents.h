@@ -40,15 +40,6 @@ struct Extents {
         team.sync();
     }
 
-    struct Range {
-        int low = NONE, high = -NONE;
-
-        void add(int value) {
-            low = value < low ? value : low;
-            high = value > high ? value : high;
-        }
-    };
-
     // Everything but the trimmed extremes, from the listed cells. Ends in a sync.
     void measure(
         const Team& team, int count, const Listed& listed, int wide, const int* x, const int* z,
@@ -93,7 +84,7 @@ struct Extents {
             const int *high = height + from, *across = x + from;
             const unsigned char* seen = in_view + from;
             int n = 0, shown_here = 0;
-            Range r, f, h, d, w;
+            Extremes r, f, h, d, w;
             // Cells of a row that follow each other.
             for (; n < left && own[n] == l && cell[n] == from + n; ++n) {
                 shown_here += seen[n];
@@ -201,11 +192,7 @@ struct Trimmed {
         enum { EACH = BUCKETS / Lanes::size };
         int own[EACH], sum = 0;
         for (int k = 0; k < EACH; ++k) sum += own[k] = found[lanes.rank * EACH + k];
-        int to = sum;
-        for (int away = 1; away < Lanes::size; away *= 2) {
-            const int before = __shfl_up_sync(0xffffffff, to, away);
-            to += lanes.rank >= away ? before : 0;
-        }
+        const int to = lanes.sum_up_to(sum);
         // By the lane whose buckets hold it.
         if (left >= to || left < to - sum) return;
         left -= to - sum;

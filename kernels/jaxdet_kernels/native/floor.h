@@ -61,7 +61,7 @@ struct Floor {
             at += fits ? 0 : words;
             return place;
         };
-        sums = (unsigned long long*)always(Crew::words(team));
+        sums = (unsigned long long*)always(ThreadGroup::words(team));
         keys = (unsigned long long*)always(FloorSearch::KEY_WORDS);
         counts = always(COUNTS);
         planes = always(3 * 3 * PLANES);
@@ -85,8 +85,8 @@ struct Floor {
         slack = at;
         at += most_few;
         places = now(4 * most_few);
-        const int crews = (team.size + Crew::WARP - 1) / Crew::WARP * most_few;
-        weights = now(crews > most ? crews : most);
+        const int groups = (team.size + ThreadGroup::WARP - 1) / ThreadGroup::WARP * most_few;
+        weights = now(groups > most ? groups : most);
         copies = room ? quick : at;
         at += room ? 0 : FloorVotes::COPIES * FloorSearch::most_bins(settings);
         // Votes of a search and the profile of a plane follow each other.
@@ -229,7 +229,7 @@ struct Floor {
             }
             plane = ramps().run(team, different, others, hinge);
         }
-        Crew everyone(team, sums);
+        ThreadGroup everyone(team, sums);
         refine(everyone, plane, hinge);
         int found[3];
         judge(everyone, plane, hinge, found);
@@ -277,7 +277,7 @@ struct Floor {
     }
 
     // A plane refined on all cells, or on those before its ramp, and the ramp on those after.
-    void refine(Crew& crew, FloorPlane& plane, FloorHinge& hinge) const {
+    void refine(ThreadGroup& group, FloorPlane& plane, FloorHinge& hinge) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorRamps ramp = ramps();
         FloorPlane steep = plane;
@@ -303,7 +303,7 @@ struct Floor {
             const FloorPlane start = n ? steep : plane;
             const FloorRefine refined = {angles, settings, n ? steep : prior, n || known, weights};
             const FloorPlane found = refined.run(
-                crew, start,
+                group, start,
                 of(hinge.turn ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
                 5);
             if (n)
@@ -317,7 +317,7 @@ struct Floor {
     }
 
     // Says whether a floor is to be believed: cells on it, all cells, and a refusal.
-    void judge(Crew& crew, FloorPlane plane, FloorHinge hinge, int* found) const {
+    void judge(ThreadGroup& group, FloorPlane plane, FloorHinge hinge, int* found) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
         const FloorSlack fine(settings[FloorSetting::FINE_BASE], settings[FloorSetting::FINE_PER_Z],
@@ -327,7 +327,7 @@ struct Floor {
         const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
         const FloorScore each{};
         int on = 0, low = 0, high = 0, clear = 0;
-        for (int i = crew.rank(); i < all.count; i += crew.size()) {
+        for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
             const int up = slope ? ramp.rise(hinge.start, slope, forward.along(x, y, z)) : 0;
             const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
@@ -337,7 +337,7 @@ struct Floor {
             clear += each.of(deep, s);
         }
         long long sums[4] = {on, low, high, clear};
-        crew.sum(sums, 4);
+        group.sum(sums, 4);
         const long long total = all.count, enough = known ? sums[0] : sums[3];
         const int least = settings[known ? FloorSetting::MIN_SHARE : FloorSetting::MIN_SHARE_ALONE];
         const int share = known ? UNDER : UNDER_ALONE, portion = known ? UNDER_PART : UNDER_PART_ALONE;

@@ -1,7 +1,7 @@
 // Planes, and their refinement by least squares, all on integers.
 // Twin of jaxdet/reference/_floor_planes.py, which says why; the constants are its.
 #pragma once
-#include "crew.h"
+#include "thread_group.h"
 
 // What the kernel is told, in whole depth units; the order of FloorSettings in
 // jaxdet/stages/_floor.py.
@@ -118,11 +118,11 @@ struct FloorRefine {
     // What is known of the angles, if anything. By value: what has an address stays in memory.
     FloorPlane prior;
     bool is_given;
-    // A word for each cell, the crew's own.
+    // A word for each cell, the group's own.
     int* weights;
 
     // Some rounds with a rough tolerance, a fine and a sharp one.
-    FloorPlane run(Crew& crew, FloorPlane plane, const FloorCells& cells, int rough, int fine,
+    FloorPlane run(ThreadGroup& group, FloorPlane plane, const FloorCells& cells, int rough, int fine,
                    int sharp) const {
         // One loop, so that a round is compiled once.
         for (int k = 0, n = 0; k < 3;) {
@@ -130,7 +130,7 @@ struct FloorRefine {
             const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
             const FloorPlane before = plane;
             // A round that changes nothing would do so again.
-            const bool more = n < rounds && round(crew, plane, cells, slack[0], slack[1]) &&
+            const bool more = n < rounds && round(group, plane, cells, slack[0], slack[1]) &&
                               !(plane == before);
             n = more ? n + 1 : 0;
             k += !more;
@@ -151,7 +151,7 @@ struct FloorRefine {
     }
 
     // A step of weighted least squares; false where too few cells are near.
-    bool round(Crew& crew, FloorPlane& plane, const FloorCells& cells,
+    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells,
                                          int base, int per_z) const {
         const FloorDirection down = angles.down(plane);
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
@@ -160,7 +160,7 @@ struct FloorRefine {
         const long long squares = 64 * 9 * (long long)base * base;
         const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y, *__restrict__ zs = cells.z;
         int* __restrict__ out = weights;
-        const int first = crew.rank(), step = crew.size(), last = cells.count;
+        const int first = group.rank(), step = group.size(), last = cells.count;
         long long count = 0, w0 = 0, we = 0, wt = 0, ws = 0, tt = 0, ts = 0, ss = 0, te = 0, se = 0;
         for (int i = first; i < last; i += step) {
             const int x = xs[i], y = ys[i], z = zs[i];
@@ -186,11 +186,11 @@ struct FloorRefine {
             se += as * e;
         }
         long long sums[10] = {count, w0, we, wt, ws, tt, ts, ss, te, se};
-        crew.sum(sums, 10);
+        group.sum(sums, 10);
         if (sums[0] < FEWEST) return false;
         int turned_to[2] = {0, 0};
-        if (crew.leads()) turn(sums, plane, turned_to);
-        crew.tell(turned_to, 2);
+        if (group.leads()) turn(sums, plane, turned_to);
+        group.broadcast(turned_to, 2);
         plane.pitch = turned_to[0];
         plane.roll = turned_to[1];
         const FloorDirection turned = angles.down(plane);
@@ -198,7 +198,7 @@ struct FloorRefine {
         for (int i = first; i < last; i += step)
             high += (long long)out[i] * turned.along(xs[i], ys[i], zs[i]);
         total[0] = high;
-        crew.sum(total, 1);
+        group.sum(total, 1);
         plane.height = (int)angles.rounded(total[0], sums[1]);
         return true;
     }

@@ -325,7 +325,7 @@ struct FloorSearch {
     // The cells voted by, by rings, and where each ring ends.
     FloorCells cells;
     const int* ring_ends;
-    // Scratch: a word a cell; the weights of all crews; KEY_WORDS; votes of all directions and
+    // Scratch: a word a cell; the weights of all groups; KEY_WORDS; votes of all directions and
     // FloorVotes::COPIES of one, or on CUDA `room` words of shared memory.
     int *slack, *weights;
     unsigned long long* keys;
@@ -383,7 +383,7 @@ struct FloorSearch {
         return lattice;
     }
 
-    // The votes for each of some planes. Crews take parts of the cells, so that none waits for one
+    // The votes for each of some planes. Groups take parts of the cells, so that none waits for one
     // that has a plane more.
     void score(const Team& team, const FloorPlane* planes, int count, int* votes) const {
         for (int n = team.rank; n < count; n += team.size) votes[n] = 0;
@@ -433,13 +433,13 @@ struct FloorSearch {
         ends[count] = ends[count + 1] = cells.count;
         count += 2;
         team.sync();
-        Crew crew(team);
+        ThreadGroup group(team);
         const FloorRefine refine = {angles, settings, guess, is_prior,
-                                    weights + crew.index() * cells.count};
-        for (int n = crew.index(); n < count; n += crew.count()) {
+                                    weights + group.index() * cells.count};
+        for (int n = group.index(); n < count; n += group.count()) {
             const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
-            const FloorPlane plane = refine.run(crew, planes[n], some, 2, 2, 1);
-            if (crew.rank() == 0) planes[n] = plane;
+            const FloorPlane plane = refine.run(group, planes[n], some, 2, 2, 1);
+            if (group.rank() == 0) planes[n] = plane;
         }
         team.sync();
         return count;
@@ -471,12 +471,12 @@ struct FloorSearch {
             if (team.rank == 0) planes[n] = close.plane(close.best[0]);
             team.sync();
         }
-        Crew crew(team);
+        ThreadGroup group(team);
         const FloorRefine refine = {angles, settings, {0, 0, 0}, false,
-                                    weights + crew.index() * cells.count};
-        for (int n = crew.index(); n < WINNERS; n += crew.count()) {
-            const FloorPlane plane = refine.run(crew, planes[n], cells, 2, 2, 0);
-            if (crew.rank() == 0) planes[n] = plane;
+                                    weights + group.index() * cells.count};
+        for (int n = group.index(); n < WINNERS; n += group.count()) {
+            const FloorPlane plane = refine.run(group, planes[n], cells, 2, 2, 0);
+            if (group.rank() == 0) planes[n] = plane;
         }
         team.sync();
         score(team, planes, WINNERS, scores);

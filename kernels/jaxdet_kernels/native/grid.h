@@ -1,19 +1,6 @@
-// A frame's cells in rows: who of a team works on which, and planes of them with a margin around.
+// Planes of a frame's cells with a margin around.
 #pragma once
 #include "team.h"
-
-// Rows are shared out, and the cells of a row among LANES threads side by side: a warp on CUDA.
-struct Rows {
-#if defined(__CUDA_ARCH__)
-    enum { LANES = 32 };
-#else
-    enum { LANES = 1 };
-#endif
-    int first, step, lane;
-
-    explicit Rows(const Team& team)
-        : first(team.rank / LANES), step(team.size / LANES), lane(team.rank % LANES) {}
-};
 
 // Where the cells of R rows and C columns are in a plane of scratch memory that has one more row
 // above and below and PAD more columns at both sides. The columns right of a row are those left of
@@ -30,14 +17,6 @@ struct Grid {
 
     // What lies outside of the rows becomes `value`; a row's right margin is the next one's left.
     void frame(const Team& team, int* plane, int value) const {
-        const int last = row(rows);
-        for (int i = team.rank; i < row(0); i += team.size) plane[i] = value;
-        for (int i = team.rank; i < size - last; i += team.size) plane[last + i] = value;
-        for (int i = team.rank; i < rows * PAD; i += team.size)
-            plane[row(i / PAD) + columns + i % PAD] = value;
-    }
-
-    void frame(const Team& team, unsigned char* plane, unsigned char value) const {
         const int last = row(rows);
         for (int i = team.rank; i < row(0); i += team.size) plane[i] = value;
         for (int i = team.rank; i < size - last; i += team.size) plane[last + i] = value;

@@ -6,88 +6,79 @@
 //
 // All lanes ask for a sum, a minimum or a maximum together, and all get it.
 #pragma once
-#include "team.h"
+#include "bits.h"
 
 struct Lanes {
-    // With compute capability 8.0 a warp's sum, minimum or maximum of integers is one instruction.
+    // from              the value of one lane
+    // those             bit k: lane k says so
+    // sum, least, most  of the values of all lanes
+    // sum_up_to         of the values of the lanes up to this one
 #if defined(__CUDA_ARCH__)
+    enum : unsigned { ALL = 0xffffffff };
     enum { size = 32 };
     int rank, index, count;
 
     explicit Lanes(const Team& team)
         : rank(team.rank % size), index(team.rank / size), count(team.size / size) {}
+
+    int from(int value, int lane) const { return __shfl_sync(ALL, value, lane); }
+    unsigned those(bool mine) const { return __ballot_sync(ALL, mine); }
+
+    // With compute capability 8.0 a warp's sum, minimum or maximum of integers is one instruction.
+#if __CUDA_ARCH__ >= 800
+    int sum(int value) const { return __reduce_add_sync(ALL, value); }
+    int least(int value) const { return __reduce_min_sync(ALL, value); }
 #else
-    enum { rank = 0, size = 1, index = 0, count = 1 };
-
-    explicit Lanes(const Team&) {}
-#endif
-
-    int sum(int value) const {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-        return __reduce_add_sync(0xffffffff, value);
-#elif defined(__CUDA_ARCH__)
-        for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(0xffffffff, value, away);
-#endif
-        return value;
-    }
-
-    long long sum(long long value) const {
-#if defined(__CUDA_ARCH__)
-        for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(0xffffffff, value, away);
-#endif
-        return value;
-    }
-
+    int sum(int value) const { return (int)sum((long long)value); }
     int least(int value) const {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-        return __reduce_min_sync(0xffffffff, value);
-#elif defined(__CUDA_ARCH__)
+        return (int)((long long)least((unsigned long long)(value + (1ll << 31))) - (1ll << 31));
+    }
+#endif
+    long long sum(long long value) const {
+        for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(ALL, value, away);
+        return value;
+    }
+    unsigned long long least(unsigned long long value) const {
         for (int away = 16; away; away >>= 1) {
-            const int other = __shfl_xor_sync(0xffffffff, value, away);
+            const unsigned long long other = __shfl_xor_sync(ALL, value, away);
             value = other < value ? other : value;
         }
-#endif
+        return value;
+    }
+    int sum_up_to(int value) const {
+        for (int away = 1; away < size; away <<= 1) {
+            const int other = __shfl_up_sync(ALL, value, away);
+            if (rank >= away) value += other;
+        }
         return value;
     }
 
-    int most(int value) const { return -least(-value); }
-
-#if defined(__CUDA_ARCH__)
     // Adds to shared memory.
     void add_shared(int* place, int value) const {
         const unsigned at = (unsigned)__cvta_generic_to_shared(place);
         asm volatile("red.shared.add.s32 [%0], %1;" ::"r"(at), "r"(value) : "memory");
     }
-#endif
-
-    unsigned long long least(unsigned long long value) const {
-#if defined(__CUDA_ARCH__)
-        for (int away = 16; away; away >>= 1) {
-            const unsigned long long other = __shfl_xor_sync(0xffffffff, value, away);
-            value = other < value ? other : value;
-        }
-#endif
-        return value;
-    }
-
-    // The sum of the values of the lanes up to this one.
-    int sum_up_to(int value) const {
-#if defined(__CUDA_ARCH__)
-        for (int away = 1; away < size; away <<= 1) {
-            const int other = __shfl_up_sync(0xffffffff, value, away);
-            if (rank >= away) value += other;
-        }
-#endif
-        return value;
-    }
-
-    // Bit k says so for lane k; all lanes must ask.
-    unsigned those(bool mine) const {
-#if defined(__CUDA_ARCH__)
-        return __ballot_sync(0xffffffff, mine);
 #else
-        return mine;
+    enum { rank = 0, size = 1, index = 0, count = 1 };
+
+    explicit Lanes(const Team&) {}
+
+    int from(int value, int) const { return value; }
+    unsigned those(bool mine) const { return mine; }
+    int sum(int value) const { return value; }
+    int least(int value) const { return value; }
+    long long sum(long long value) const { return value; }
+    unsigned long long least(unsigned long long value) const { return value; }
+    int sum_up_to(int value) const { return value; }
 #endif
+
+    int most(int value) const { return -least(-value); }
+
+    // How many lanes before this one say so, and how many in all; all lanes must ask.
+    int before(bool mine, int* all) const {
+        const unsigned who = those(mine);
+        *all = BitRows::ones(who);
+        return BitRows::ones(who & ((1u << rank) - 1));
     }
 
     // Each of the n values becomes the sum of those before it, and the one after them that of all.
@@ -98,24 +89,25 @@ struct Lanes {
             const int i = start + rank, own = i < n ? values[i] : 0;
             const int up_to = sum_up_to(own);
             if (i <= n) values[i] = before + up_to - own;
-#if defined(__CUDA_ARCH__)
-            before += __shfl_sync(0xffffffff, up_to, size - 1);
-#else
-            before += up_to;
-#endif
+            before += from(up_to, size - 1);
         }
         return before;
     }
+};
 
-    // How many lanes before this one say so, and how many in all; all lanes must ask.
-    int before(bool mine, int* all) const {
-#if defined(__CUDA_ARCH__)
-        const unsigned those = __ballot_sync(0xffffffff, mine);
-        *all = __popc(those);
-        return __popc(those & ((1u << rank) - 1));
-#else
-        *all = mine;
-        return 0;
-#endif
+// The least and the largest of some values.
+struct Extremes {
+    enum { MOST = 0x7fffffff };
+    int low = MOST, high = -MOST;
+
+    void add(int value) { add(value, value); }
+    void add(int lower, int upper) {
+        low = lower < low ? lower : low;
+        high = upper > high ? upper : high;
+    }
+    // Over all lanes.
+    void join(const Lanes& lanes) {
+        low = lanes.least(low);
+        high = lanes.most(high);
     }
 };

@@ -26,7 +26,7 @@ struct Listed {
         const Lanes lanes(team);
         const int words = has.words, all = has.rows * words;
         for (int first = lanes.index * AHEAD; first < all; first += lanes.count * AHEAD) {
-            int own[AHEAD], from[AHEAD], before[AHEAD], found, sum = 0, start = 0;
+            int own[AHEAD], from[AHEAD];
             bool seen[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
                 const int i = first + k, c = i % words * BitRows::WIDTH + lanes.rank;
@@ -36,22 +36,14 @@ struct Listed {
             }
             for (int k = 0; k < AHEAD; ++k) {
                 const unsigned those = lanes.those(own[k] >= 0), frees = lanes.those(seen[k]);
-                before[k] = sum + lanes.before(own[k] >= 0, &found);
-                sum += found;
                 if (from[k] >= 0) out[from[k]] = own[k];
+                largest = own[k] > largest ? own[k] : largest;
                 const int i = has.at((first + k) / words, (first + k) % words);
                 if (lanes.rank || first + k >= all) continue;
                 has[i] = those;
                 open[i] = frees;
             }
-            if (sum == 0) continue;
-            if (lanes.rank == 0) start = team.add(count, sum);
-            start = __shfl_sync(0xffffffff, start, 0);
-            for (int k = 0; k < AHEAD; ++k) {
-                if (own[k] < 0) continue;
-                put(start + before[k], from[k], own[k], at_right, at_forward);
-                largest = own[k] > largest ? own[k] : largest;
-            }
+            append(team, lanes, own, from, at_right, at_forward);
         }
 #else
         int n = 0;
@@ -101,24 +93,13 @@ struct Listed {
         enum { GROUP = AHEAD * Lanes::size };
         const Lanes lanes(team);
         for (int first = lanes.index * GROUP; first < cells; first += lanes.count * GROUP) {
-            int own[AHEAD], before[AHEAD], found, sum = 0, start = 0;
+            int own[AHEAD], from[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * Lanes::size + lanes.rank;
-                own[k] = i < cells ? labels[i] : -1;
+                from[k] = first + k * Lanes::size + lanes.rank;
+                own[k] = from[k] < cells ? labels[from[k]] : -1;
             }
-            for (int k = 0; k < AHEAD; ++k) {
-                if (own[k] >= limit) own[k] = -1;
-                before[k] = sum + lanes.before(own[k] >= 0, &found);
-                sum += found;
-            }
-            if (sum == 0) continue;
-            if (lanes.rank == 0) start = team.add(count, sum);
-            start = __shfl_sync(0xffffffff, start, 0);
-            for (int k = 0; k < AHEAD; ++k) {
-                if (own[k] < 0) continue;
-                const int from = first + k * Lanes::size + lanes.rank;
-                put(start + before[k], from, own[k], at_right, at_forward);
-            }
+            for (int k = 0; k < AHEAD; ++k) own[k] = own[k] < limit ? own[k] : -1;
+            append(team, lanes, own, from, at_right, at_forward);
         }
 #else
         // Most blocks of cells have none.
@@ -136,6 +117,25 @@ struct Listed {
 #endif
         team.sync();
     }
+
+#if defined(__CUDA_ARCH__)
+    // Puts those of AHEAD cells of each lane that have a label behind what is listed.
+    void append(
+        const Team& team, const Lanes& lanes, const int* own, const int* from, const int* at_right,
+        const int* at_forward
+    ) const {
+        int before[AHEAD], found, sum = 0, start = 0;
+        for (int k = 0; k < AHEAD; ++k) {
+            before[k] = sum + lanes.before(own[k] >= 0, &found);
+            sum += found;
+        }
+        if (sum == 0) return;
+        if (lanes.rank == 0) start = team.add(count, sum);
+        start = lanes.from(start, 0);
+        for (int k = 0; k < AHEAD; ++k)
+            if (own[k] >= 0) put(start + before[k], from[k], own[k], at_right, at_forward);
+    }
+#endif
 
     // Asks for what an array has of the listed cells, which lie here and there in it.
     void fetch(const Team& team, const int* values) const {

@@ -23,10 +23,6 @@ struct Measures {
 
     Measures(const ObstacleCells& cells, const Lanes& lanes) : cells(cells), lanes(lanes) {}
 
-    struct Extremes {
-        int low, high;
-    };
-
     static int clipped(int value) {
         return value < -MOST_LATERAL ? -MOST_LATERAL : value > MOST_LATERAL ? MOST_LATERAL : value;
     }
@@ -71,21 +67,17 @@ struct Measures {
 
     // How many cells there are, and where they are in the camera.
     void put_place(int number, ObstacleCells::Range range) const {
-        const int most = ObstacleCells::LARGEST;
-        int low[3] = {most, most, most}, high[3] = {-most, -most, -most};
+        Extremes found[3];
         long long sum[3] = {0, 0, 0};
         for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
             const int k = cells.cell[i];
             for (int j = 0; j < 3; ++j) {
-                const int value = xyz[j][k];
-                low[j] = value < low[j] ? value : low[j];
-                high[j] = value > high[j] ? value : high[j];
-                sum[j] += value;
+                found[j].add(xyz[j][k]);
+                sum[j] += xyz[j][k];
             }
         }
         for (int j = 0; j < 3; ++j) {
-            xyz_min_out[3 * number + j] = lanes.least(low[j]);
-            xyz_max_out[3 * number + j] = lanes.most(high[j]);
+            put(found[j], xyz_min_out + 3 * number + j, xyz_max_out + 3 * number + j);
             const long long total = lanes.sum(sum[j]);
             int* out = xyz_sum_out + 2 * (3 * number + j);
             out[0] = (int)(total >> 16);
@@ -94,43 +86,38 @@ struct Measures {
         count_out[number] = range.size();
     }
 
+    void put(Extremes found, int* low, int* high) const {
+        found.join(lanes);
+        *low = found.low;
+        *high = found.high;
+    }
+
     // Where they are in the colour image.
     void put_box(int number, ObstacleCells::Range range) const {
-        const int most = ObstacleCells::LARGEST;
-        int low[2] = {most, most}, high[2] = {-most, -most};
+        Extremes columns, rows;
         for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
             const PixelPair first(uv_min[cells.cell[i]]), last(uv_max[cells.cell[i]]);
-            low[0] = first.column() < low[0] ? first.column() : low[0];
-            low[1] = first.row() < low[1] ? first.row() : low[1];
-            high[0] = last.column() > high[0] ? last.column() : high[0];
-            high[1] = last.row() > high[1] ? last.row() : high[1];
+            columns.add(first.column(), last.column());
+            rows.add(first.row(), last.row());
         }
-        for (int j = 0; j < 2; ++j) {
-            uv_min_out[2 * number + j] = lanes.least(low[j]);
-            uv_max_out[2 * number + j] = lanes.most(high[j]);
-        }
+        put(columns, uv_min_out + 2 * number, uv_max_out + 2 * number);
+        put(rows, uv_min_out + 2 * number + 1, uv_max_out + 2 * number + 1);
     }
 
     void put_height(int number, ObstacleCells::Range range) const {
         if (range.size() == 0) return;
-        int low = ObstacleCells::LARGEST, high = -low;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
-            const int value = height[cells.cell[i]];
-            low = value < low ? value : low;
-            high = value > high ? value : high;
-        }
-        bottom_top_out[2 * number] = lanes.least(low);
-        bottom_top_out[2 * number + 1] = lanes.most(high);
+        Extremes found;
+        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size)
+            found.add(height[cells.cell[i]]);
+        put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
     }
 
-    // The least and the largest of numbers by place in the order.
+    // Of numbers by place in the order.
     Extremes extremes(const int* values, ObstacleCells::Range range) const {
-        int low = ObstacleCells::LARGEST, high = -ObstacleCells::LARGEST;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
-            low = values[i] < low ? values[i] : low;
-            high = values[i] > high ? values[i] : high;
-        }
-        return {lanes.least(low), lanes.most(high)};
+        Extremes found;
+        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) found.add(values[i]);
+        found.join(lanes);
+        return found;
     }
 
     // A, B or C: on one axis the outermost, on the other the least of those as far out.

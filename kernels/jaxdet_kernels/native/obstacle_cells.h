@@ -9,11 +9,8 @@
 
 struct ObstacleCells {
     enum { SHOWN_AT_MARGIN, SHOWN_INSIDE, HIDDEN_INSIDE, HIDDEN_AT_MARGIN, PARTS };
-    enum {
-        // This part of the columns at each side is the image's margin.
-        MARGIN = 8,
-        LARGEST = 0x7fffffff
-    };
+    // This part of the columns at each side is the image's margin.
+    enum { MARGIN = 8 };
 
     // Cells from the first to before the last in the order below.
     struct Range {

@@ -4,6 +4,7 @@
 #include "contraction.h"
 #include "evidence.h"
 #include "listed.h"
+#include "numbering.h"
 #include "pieces.h"
 #include "straight_parts.h"
 
@@ -190,7 +191,7 @@ struct Obstacles {
         }
         if (team.any(some)) {
             const Pieces pieces = {count, rows, columns, settings[CONTACT], listed, surface, z, small,
-                                   (int*)pairs, spare, group};
+                                   (int*)pairs, {group}};
             pieces.run(team);
         }
         number_groups(team, count, first, counts + WHOLE);

@@ -149,16 +149,14 @@ struct Outlines {
     // The sum of the distances from `n` points to the nearer of the edges that face the camera.
     void compare(int i, const int* line, int n, const int* direction) const {
         const int dx = direction[0], dy = direction[1];
-        int low = ObstacleCells::LARGEST, high = -low, first = low, last = high;
+        Extremes along, across;
         for (int j = 0; j < n; ++j) {
             const int x = line[2 * j], y = line[2 * j + 1];
-            const int along = dx * x + dy * y, across = dx * y - dy * x;
-            low = along < low ? along : low;
-            high = along > high ? along : high;
-            first = across < first ? across : first;
-            last = across > last ? across : last;
+            along.add(dx * x + dy * y);
+            across.add(dx * y - dy * x);
         }
-        if (n == 0) low = high = first = last = 0;
+        if (n == 0) along = across = {0, 0};
+        const int low = along.low, high = along.high, first = across.low, last = across.high;
         const int wide = high - low, deep = last - first;
         area[i] = (long long)(wide >> DIRECTION_BITS) * (deep >> DIRECTION_BITS);
         // Distances are `turn * place + shift`.
@@ -233,14 +231,10 @@ struct Outlines {
     }
 
     void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {
-        int low = ObstacleCells::LARGEST, high = -low;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
-            const int value = ax * cells.right_of[i] + ay * cells.forward_of[i];
-            low = value < low ? value : low;
-            high = value > high ? value : high;
-        }
-        found[0] = lanes.least(low);
-        found[1] = lanes.most(high);
+        Extremes all;
+        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size)
+            all.add(ax * cells.right_of[i] + ay * cells.forward_of[i]);
+        measures.put(all, found, found + 1);
     }
 
     // Passes over one of LONG_TRIM cells at each end.

@@ -3,25 +3,24 @@
 #pragma once
 #include "lanes.h"
 #include "listed.h"
-#include "numbering.h"
+#include "union_find.h"
 
 struct Pieces {
     enum { REACH = 2 };
     int count, rows, columns, step;
     const Listed& listed;
     const int *label, *z;  // of each cell
-    const int* small;        // of each surface
-    int *touching, *joined;  // scratch: `count` words for each surface; a word a surface
-    int* group;              // result: the smallest surface of each one's group
+    const int* small;      // of each surface
+    int* touching;         // scratch: `count` words for each surface
+    // Each surface by itself; result, as `parent`: the smallest one of those it belongs to.
+    UnionFind sets;
 
     // Ends in a sync.
     void run(const Team& team) const {
         const Lanes lanes(team);
-        for (int a = lanes.index; a < count; a += lanes.count) {
-            group[a] = a;
-            if (!small[a]) continue;
-            for (int b = lanes.rank; b < count; b += lanes.size) touching[a * count + b] = 0;
-        }
+        for (int a = lanes.index; a < count; a += lanes.count)
+            for (int b = lanes.rank; small[a] && b < count; b += lanes.size)
+                touching[a * count + b] = 0;
         team.sync();
         touch(team);
         team.sync();
@@ -35,10 +34,12 @@ struct Pieces {
             for (int b = lanes.rank; most && b < partner; b += lanes.size) {
                 if (touching[a * count + b] == most) partner = b;
             }
-            joined[a] = lanes.least(partner);
+            partner = lanes.least(partner);
+            if (lanes.rank == 0) sets.link(team, a, partner);
         }
         team.sync();
-        join(team);
+        for (int a = team.rank; a < count; a += team.size) sets.parent[a] = sets.find(a);
+        team.sync();
     }
 
     // How many cells of small surfaces touch which surface, in the next cell or the one after it, at
@@ -60,26 +61,6 @@ struct Pieces {
                 meet(c + away < columns, k + away);
                 meet(row >= away, k - away * columns);
                 meet(row + away < rows, k + away * columns);
-            }
-        }
-    }
-
-    // Connected components: labels fall to the smallest until none does. Ends in a sync.
-    void join(const Team& team) const {
-        for (bool open = true; team.any(open);) {
-            for (int a = team.rank; a < count; a += team.size) {
-                const int one = group[a], other = group[joined[a]];
-                team.least(group + one, other);
-                team.least(group + other, one);
-                team.least(group + a, other);
-                team.least(group + joined[a], one);
-            }
-            team.sync();
-            open = false;
-            for (int a = team.rank; a < count; a += team.size) {
-                const int there = group[a], next = group[there];
-                if (next < there) team.least(group + a, next);
-                open |= next < there || there != group[joined[a]];
             }
         }
     }

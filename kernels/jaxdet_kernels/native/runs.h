@@ -2,41 +2,13 @@
 #pragma once
 #include "bits.h"
 #include "scan.h"
-#include "team.h"
-
-// Union-find. A root is the smallest member of its set; roots are joined by compare-and-swap, which
-// only ever hangs a root below a smaller one.
-struct LinkedSets {
-    int* parent;
-
-    int find(int one) const {
-        volatile int* up = parent;
-        int above = up[one];
-        while (above != one) {
-            const int next = up[above];
-            up[one] = next;
-            one = above;
-            above = next;
-        }
-        return one;
-    }
-
-    void link(const Team& team, int one, int two) const {
-        while (true) {
-            one = find(one);
-            two = find(two);
-            if (one == two) return;
-            const int high = one > two ? one : two, low = one > two ? two : one;
-            if (team.exchange(parent + high, high, low) == high) return;
-        }
-    }
-};
+#include "union_find.h"
 
 // The runs of all rows, numbered from the upper left, and the sets that they are linked to.
 struct Runs {
     BitRows on, starts;  // cells of runs, and which of them a run begins with
     int* before;         // how many runs begin before each word
-    LinkedSets sets;     // of runs
+    UnionFind sets;      // of runs
     int* sizes;          // by the root, the cells of a set
 
     // Numbers the runs, each a set of its own; ends in a sync. All threads must call it, after a

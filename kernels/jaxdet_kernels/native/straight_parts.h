@@ -3,9 +3,11 @@
 // share the search for the largest triangle.
 #pragma once
 #include "lanes.h"
+#include "square_root.h"
 
 struct StraightParts {
-    enum { FAR_BEHIND = 4, FEWEST = 5 };
+    enum { FAR_BEHIND = 4, FEWEST = 5, POINT_BITS = 10 };
+    enum : long long { MOST_AREA = 1ll << 50 };
     const Lanes& lanes;
     const int *x, *y;  // the contour, from left to right
     int points;
@@ -19,15 +21,9 @@ struct StraightParts {
         return right * right + forward * forward;
     }
 
-    // The integer square root, at least 1.
-    long long root(long long square) const {
-        long long left = square, found = 0, bit = 1ll << 42;
-        while (bit > square) bit >>= 2;
-        for (; bit; bit >>= 2) {
-            const bool fits = left >= found + bit;
-            left -= fits ? found + bit : 0;
-            found = (found >> 1) + (fits ? bit : 0);
-        }
+    // The length of a chord, at least 1.
+    long long length(int a, int b) const {
+        const int found = SquareRoot::of(squared(a, b));
         return found > 1 ? found : 1;
     }
 
@@ -35,21 +31,17 @@ struct StraightParts {
     long long behind(int first, int last, int* tip) const {
         const long long right = x[last] - x[first], forward = y[last] - y[first];
         const bool faces = right * y[first] - forward * x[first] >= 0;
-        long long largest = 0;
-        *tip = first;
+        // The larger an area, the smaller its key; of equal ones, that of the first point.
+        unsigned long long best = ~0ull;
         for (int k = first + 1 + lanes.rank; k <= last; k += lanes.size) {
             const long long area = right * (y[k] - y[first]) - forward * (x[k] - x[first]);
             const long long away = faces ? area : -area;
-            if (away > largest) largest = away, *tip = k;
+            const unsigned long long key = (unsigned long long)(MOST_AREA - away) << POINT_BITS | k;
+            if (away > 0 && key < best) best = key;
         }
-#if defined(__CUDA_ARCH__)
-        for (int away = Lanes::size / 2; away; away /= 2) {
-            const long long other = __shfl_xor_sync(0xffffffff, largest, away);
-            const int at = __shfl_xor_sync(0xffffffff, *tip, away);
-            if (other > largest || (other == largest && at < *tip)) largest = other, *tip = at;
-        }
-#endif
-        return largest;
+        best = lanes.least(best);
+        *tip = best == ~0ull ? first : (int)(best & ((1 << POINT_BITS) - 1));
+        return best == ~0ull ? 0 : MOST_AREA - (long long)(best >> POINT_BITS);
     }
 
     // The point to split at, -1 for none.
@@ -60,7 +52,7 @@ struct StraightParts {
         bool smooth = true;
         const int from = at < 2 ? 0 : at - 2, to = at + 2 < points - 1 ? at + 2 : points - 1;
         for (int k = from; k < to; ++k) smooth &= squared(k, k + 1) <= jump * jump;
-        const long long most = (smooth ? bend : FAR_BEHIND * bend) * root(squared(first, last));
+        const long long most = (smooth ? bend : FAR_BEHIND * bend) * length(first, last);
         const bool is_long = squared(first, at) >= shortest * shortest &&
                              squared(last, at) >= shortest * shortest;
         return area > most && is_long ? at : -1;
@@ -87,7 +79,7 @@ struct StraightParts {
         for (int place = 1; place < count; ++place) {
             const int begin = parts[merged - 1], end = parts[place + 1];
             const long long area = behind(begin, end, &tip);
-            if (area > bend * root(squared(begin, end))) parts[merged++] = parts[place];
+            if (area > bend * length(begin, end)) parts[merged++] = parts[place];
         }
         return merged;
     }

@@ -16,160 +16,81 @@
 #include <stddef.h>
 
 struct Team {
+    // sync      all threads wait for each other, and see what the others wrote
+    // any       whether any thread says so; all threads must ask
+    // input     what the kernel writes nowhere, so that the load may be moved before stores
+    // add ...   change a place and return what was there before
+    // count     adds one; threads of a warp that count at one place add together
+    // exchange  writes `value` where `expected` is
 #if defined(__CUDA_ARCH__)
-    int rank, size;
+    int rank, size, index;
+
+    Team(int tid, int share)
+        : rank(threadIdx.x), size(blockDim.x), index(share + tid / (int)blockDim.x) {}
+
+    void sync() const { __syncthreads(); }
+    bool any(bool mine) const { return __syncthreads_or(mine); }
+
+    static int input(const int* place) { return __ldg(place); }
+    static bool input(const bool* place) { return __ldg((const unsigned char*)place); }
+    static unsigned long long input(const unsigned long long* place) { return __ldg(place); }
+
+    int add(int* place, int value) const { return atomicAdd(place, value); }
+    int least(int* place, int value) const { return atomicMin(place, value); }
+    int most(int* place, int value) const { return atomicMax(place, value); }
+    int set(int* place, int bits) const { return atomicOr(place, bits); }
+    int swap(int* place, int value) const { return atomicExch(place, value); }
+    int exchange(int* place, int expected, int value) const {
+        return atomicCAS(place, expected, value);
+    }
+    int count(int* place) const {
+        const unsigned same = __match_any_sync(__activemask(), (unsigned long long)place);
+        const int lane = threadIdx.x % 32, first = __ffs(same) - 1;
+        int before = 0;
+        if (lane == first) before = atomicAdd(place, __popc(same));
+        return __shfl_sync(same, before, first) + __popc(same & ((1u << lane) - 1));
+    }
+    void add(unsigned long long* place, unsigned long long value) const { atomicAdd(place, value); }
+    void least(unsigned long long* place, unsigned long long value) const { atomicMin(place, value); }
 #else
     enum { rank = 0, size = 1 };
-#endif
     int index;
 
-    // The team that a kernel's thread `tid` belongs to; `share` is that of the launch.
-    Team(int tid, int share) {
-#if defined(__CUDA_ARCH__)
-        rank = threadIdx.x;
-        size = blockDim.x;
-        index = share + tid / size;
-#else
-        index = share + tid;
-#endif
-    }
+    Team(int tid, int share) : index(share + tid) {}
 
-    // All threads wait for each other, and see what the others wrote.
-    void sync() const {
-#if defined(__CUDA_ARCH__)
-        __syncthreads();
-#endif
-    }
+    void sync() const {}
+    bool any(bool mine) const { return mine; }
 
-    // Reads what the kernel writes nowhere, so that the load may be moved before stores.
-    static int input(const int* place) {
-#if defined(__CUDA_ARCH__)
-        return __ldg(place);
-#else
-        return *place;
-#endif
-    }
+    static int input(const int* place) { return *place; }
+    static bool input(const bool* place) { return *place; }
 
-    static bool input(const bool* place) {
-#if defined(__CUDA_ARCH__)
-        return __ldg((const unsigned char*)place);
-#else
-        return *place;
-#endif
+    static int replace(int* place, int value) {
+        const int before = *place;
+        *place = value;
+        return before;
     }
-
-    // Eight bytes.
-    static unsigned long long input(const unsigned long long* place) {
-#if defined(__CUDA_ARCH__)
-        return __ldg(place);
-#else
-        return *place;
-#endif
+    int add(int* place, int value) const { return replace(place, *place + value); }
+    int least(int* place, int value) const {
+        return value < *place ? replace(place, value) : *place;
     }
+    int most(int* place, int value) const { return value > *place ? replace(place, value) : *place; }
+    int set(int* place, int bits) const { return replace(place, *place | bits); }
+    int swap(int* place, int value) const { return replace(place, value); }
+    int exchange(int* place, int expected, int value) const {
+        return *place == expected ? replace(place, value) : *place;
+    }
+    int count(int* place) const { return (*place)++; }
+    void add(unsigned long long* place, unsigned long long value) const { *place += value; }
+    void least(unsigned long long* place, unsigned long long value) const {
+        *place = value < *place ? value : *place;
+    }
+#endif
 
     // On the CPU asks for a cache line that is read later, while others are worked on. A CUDA
     // device has other threads meanwhile.
     static void fetch([[maybe_unused]] const void* place) {
 #if !defined(__CUDA_ARCH__)
         __builtin_prefetch(place);
-#endif
-    }
-
-    // Whether any thread says so; all threads must ask.
-    bool any(bool mine) const {
-#if defined(__CUDA_ARCH__)
-        return __syncthreads_or(mine);
-#else
-        return mine;
-#endif
-    }
-
-    // Each returns what was there before.
-    int add(int* place, int value) const {
-#if defined(__CUDA_ARCH__)
-        return atomicAdd(place, value);
-#else
-        const int before = *place;
-        *place += value;
-        return before;
-#endif
-    }
-
-    // Adds one; lanes of a warp that count at one place add together.
-    int count(int* place) const {
-#if defined(__CUDA_ARCH__)
-        const unsigned same = __match_any_sync(__activemask(), (unsigned long long)place);
-        const int lane = threadIdx.x % 32, first = __ffs(same) - 1;
-        int before = 0;
-        if (lane == first) before = atomicAdd(place, __popc(same));
-        return __shfl_sync(same, before, first) + __popc(same & ((1u << lane) - 1));
-#else
-        return (*place)++;
-#endif
-    }
-
-    int least(int* place, int value) const {
-#if defined(__CUDA_ARCH__)
-        return atomicMin(place, value);
-#else
-        const int before = *place;
-        if (value < before) *place = value;
-        return before;
-#endif
-    }
-
-    int most(int* place, int value) const {
-#if defined(__CUDA_ARCH__)
-        return atomicMax(place, value);
-#else
-        const int before = *place;
-        if (value > before) *place = value;
-        return before;
-#endif
-    }
-
-    void least(unsigned long long* place, unsigned long long value) const {
-#if defined(__CUDA_ARCH__)
-        atomicMin(place, value);
-#else
-        *place = value < *place ? value : *place;
-#endif
-    }
-
-    void add(unsigned long long* place, unsigned long long value) const {
-#if defined(__CUDA_ARCH__)
-        atomicAdd(place, value);
-#else
-        *place += value;
-#endif
-    }
-
-    // Writes `value` where `expected` is; the value that was there.
-    int exchange(int* place, int expected, int value) const {
-#if defined(__CUDA_ARCH__)
-        return atomicCAS(place, expected, value);
-#else
-        const int before = *place;
-        if (before == expected) *place = value;
-        return before;
-#endif
-    }
-
-    void set(int* place, int bits) const {
-#if defined(__CUDA_ARCH__)
-        atomicOr(place, bits);
-#else
-        *place |= bits;
-#endif
-    }
-
-    int swap(int* place, int value) const {
-#if defined(__CUDA_ARCH__)
-        return atomicExch(place, value);
-#else
-        const int before = *place;
-        *place = value;
-        return before;
 #endif
     }
 };

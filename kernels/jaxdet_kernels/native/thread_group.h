@@ -1,65 +1,47 @@
 // Threads of a team that work on one thing together: all of them, or a warp of 32. On the CPU a
-// crew is the one thread there is.
+// group is the one thread there is.
 #pragma once
 #include "team.h"
 
-struct Crew {
+struct ThreadGroup {
     enum { WARP = 32, MOST_SUMS = 10, MOST_SHARED = 4 };
     const Team* team;
-    // Of a whole team: two rows of the warps' sums, used in turn. Null: the crew is a warp.
+    // Of a whole team: two rows of the warps' sums, used in turn. Null: the group is a warp.
     unsigned long long* rows;
     int turn;
 
     // A warp of a team.
-    explicit Crew(const Team& all) : team(&all), rows(nullptr), turn(0) {}
+    explicit ThreadGroup(const Team& all) : team(&all), rows(nullptr), turn(0) {}
 
     // A whole team; `scratch` has words(team) words.
-    Crew(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
+    ThreadGroup(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
 
     static int words(const Team& all) {
         return 2 * 2 * MOST_SUMS * ((all.size + WARP - 1) / WARP) + MOST_SHARED;
     }
 
+    // index, count  which of the groups of a team this is, and how many there are
+    // leads         whether this thread is of the first warp, which works for a whole team where all
+    //               would do the same
+    // broadcast     what it then tells the others: at most MOST_SHARED values; a sum is between any two
+    // sum           each of the values, at most MOST_SUMS, becomes its sum over the group; all must ask
 #if defined(__CUDA_ARCH__)
     int rank() const { return rows ? team->rank : team->rank % WARP; }
     int size() const { return rows ? team->size : WARP; }
-    // Which of the crews of a team this is, and how many there are.
     int index() const { return rows ? 0 : team->rank / WARP; }
     int count() const { return rows ? 1 : team->size / WARP; }
-#else
-    int rank() const { return 0; }
-    int size() const { return 1; }
-    int index() const { return 0; }
-    int count() const { return 1; }
-#endif
-
-    // Whether this thread is of the first warp, which works for a whole team where all would do the
-    // same, and what it then tells the others: at most MOST_SHARED values. A sum is between any two.
-#if defined(__CUDA_ARCH__)
     bool leads() const { return rank() < WARP; }
-#else
-    bool leads() const { return true; }
-#endif
-    void tell(int* values, int n) const {
-#if defined(__CUDA_ARCH__)
+    void broadcast(int* values, int n) const {
         if (!rows) return;
-        volatile int* told = (volatile int*)(rows + 2 * MOST_SUMS * (team->size / WARP));
+        volatile int* shared = (volatile int*)(rows + 2 * MOST_SUMS * (team->size / WARP));
         if (team->rank == 0)
-            for (int k = 0; k < n; k++) told[k] = values[k];
+            for (int k = 0; k < n; k++) shared[k] = values[k];
         team->sync();
-        for (int k = 0; k < n; k++) values[k] = told[k];
-#else
-        (void)values;
-        (void)n;
-#endif
+        for (int k = 0; k < n; k++) values[k] = shared[k];
     }
-
-    // Each of the values, at most MOST_SUMS, becomes its sum over the crew; all must ask.
-    //
     // Who fills a row passed the sync of the sum before, which all readers of that row reached
     // after they had read it.
     void sum(long long* values, int n) {
-#if defined(__CUDA_ARCH__)
         for (int k = 0; k < n; k++)
             for (int half = WARP / 2; half; half /= 2)
                 values[k] += __shfl_xor_sync(0xffffffffu, values[k], half);
@@ -74,9 +56,14 @@ struct Crew {
         if (lane < n)
             for (int k = 0; k < warps; k++) total += row[k * MOST_SUMS + lane];
         for (int k = 0; k < n; k++) values[k] = __shfl_sync(0xffffffffu, total, k);
-#else
-        (void)values;
-        (void)n;
-#endif
     }
+#else
+    int rank() const { return 0; }
+    int size() const { return 1; }
+    int index() const { return 0; }
+    int count() const { return 1; }
+    bool leads() const { return true; }
+    void broadcast(int*, int) const {}
+    void sum(long long*, int) {}
+#endif
 };

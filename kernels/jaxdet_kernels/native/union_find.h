@@ -1,0 +1,30 @@
+// Disjoint sets. A root is the smallest member of its set; roots are joined by compare-and-swap, which
+// only ever hangs a root below a smaller one.
+#pragma once
+#include "team.h"
+
+struct UnionFind {
+    int* parent;
+
+    int find(int one) const {
+        volatile int* up = parent;
+        int above = up[one];
+        while (above != one) {
+            const int next = up[above];
+            up[one] = next;
+            one = above;
+            above = next;
+        }
+        return one;
+    }
+
+    void link(const Team& team, int one, int two) const {
+        while (true) {
+            one = find(one);
+            two = find(two);
+            if (one == two) return;
+            const int high = one > two ? one : two, low = one > two ? two : one;
+            if (team.exchange(parent + high, high, low) == high) return;
+        }
+    }
+};
