@@ -39,13 +39,15 @@ class Launch(NamedTuple):
 
 def launched(program: Any) -> dict[str, Launch]:
     """Copies of what the kernels of a program had and made, when it has run on one frame."""
-    lane, found = program.lanes[0], {}
-    starts = lane._kernels[:, 3].tolist()
-    for step, launch, start in zip(program.steps, lane._recorded, starts, strict=True):
+    worker, found = program.workers[0], {}
+    starts = worker._kernels[:, 3].tolist()
+    for step, launch, start in zip(program.steps, worker._recorded, starts, strict=True):
         layout, arrays = type(_chain._layout(launch.params[1:])), {}
         for i, (name, of) in enumerate(step.kernel.types.items()):
             if name not in step.scalars:
-                address = int(lane._words[start + getattr(layout, f"argument_{i + 2}").offset // 8])
+                address = int(
+                    worker._words[start + getattr(layout, f"argument_{i + 2}").offset // 8]
+                )
                 shape, dtype = step.shapes[name], np.dtype(wp.dtype_to_numpy(of.dtype))
                 data = ctypes.string_at(address, int(np.prod(shape)) * dtype.itemsize)
                 arrays[name] = np.frombuffer(data, dtype).reshape(shape)

@@ -31,11 +31,11 @@ BATCHES = pytest.mark.parametrize("batch", [1, 2, 3, 7])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A number of threads; programs that were traced for another number are forgotten."""
     monkeypatch.setenv("PJRT_NPROC", str(request.param))
-    _threads._crew.cache_clear()
+    _threads._pool.cache_clear()
     jax.clear_caches()
     yield request.param
     monkeypatch.undo()
-    _threads._crew.cache_clear()
+    _threads._pool.cache_clear()
     jax.clear_caches()
 
 
@@ -69,14 +69,14 @@ def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
 def test_each_core_has_a_thread_of_its_own(threads, monkeypatch):
     """They are under way at the same time: each waits for all the others."""
     together, names = threading.Barrier(threads, timeout=30.0), set()
-    run = _chain._Lane.run
+    run = _chain._Worker.run
 
     def waits(self: Any) -> None:
         names.add(threading.get_ident())
         together.wait()
         run(self)
 
-    monkeypatch.setattr(_chain._Lane, "run", waits)
+    monkeypatch.setattr(_chain._Worker, "run", waits)
     depth = noise_depth(5, small().depth)
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))
     assert len(names) == threads
@@ -84,10 +84,10 @@ def test_each_core_has_a_thread_of_its_own(threads, monkeypatch):
 
 def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
     monkeypatch.setenv("PJRT_NPROC", "2")
-    _threads._crew.cache_clear()
+    _threads._pool.cache_clear()
     jax.clear_caches()
     depth = noise_depth(4, small().depth)
-    run = _chain._Lane.run
+    run = _chain._Worker.run
 
     def fails(self: Any) -> None:
         if threading.current_thread().name.startswith("jaxdet-kernel"):
@@ -95,7 +95,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch, capfd):
         run(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(_chain._Lane, "run", fails)
+        patch.setattr(_chain._Worker, "run", fails)
         with pytest.raises(jax.errors.JaxRuntimeError, match="in a thread"):
             jax.block_until_ready(stages.align(depth, small()))
     assert_equal(stages.align(depth, small()), reference.align(depth, small()))

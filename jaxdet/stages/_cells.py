@@ -73,7 +73,7 @@ def cells(depth: jax.Array, arrays: Tables, static: Static) -> Cells:
     with jax.named_scope("cells"):
         shape = (depth.shape[0], *arrays.rays.shape[1:])
         shapes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(("x_out", "y_out", "z_out", "in_view_out"), shape),
+            **dict.fromkeys(_cells.outputs, shape),
             **dict.fromkeys(("uv_min_out", "uv_max_out"), (*shape, 2)),
         }
         found = _cells(depth, *arrays, *static, batch=shape[0], shapes=shapes, scratch=1)

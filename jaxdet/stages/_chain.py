@@ -183,7 +183,7 @@ class _Program:
     steps: list[_Step]
     operands: int
     results: list[tuple[int, str]]
-    lanes: list["_Lane"] = field(default_factory=list)
+    workers: list["_Worker"] = field(default_factory=list)
     """One for each thread, once they are prepared."""
     next: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int32))
     """The first frame of a call that no thread has taken."""
@@ -204,13 +204,13 @@ class _Program:
     def run(self, addresses: Sequence[int]) -> None:
         """Works on the frames of a call."""
         count = min(_threads.threads(), self.frames)
-        if len(self.lanes) < count:
+        if len(self.workers) < count:
             recorded = self._recorded()
-            self.lanes.extend(_Lane(self, recorded, i) for i in range(len(self.lanes), count))
+            self.workers.extend(_Worker(self, recorded, i) for i in range(len(self.workers), count))
         self.next[0] = 0
-        for lane in self.lanes[:count]:
-            lane.place(addresses)
-        _threads.on_all_cores([lane.run for lane in self.lanes[:count]])
+        for worker in self.workers[:count]:
+            worker.place(addresses)
+        _threads.on_all_cores([worker.run for worker in self.workers[:count]])
 
     def _recorded(self) -> list[Any]:
         """The launches of all steps, by Warp."""
@@ -232,7 +232,7 @@ def _launch(kernel: Any, given: Sequence[Any]) -> Any:
     return wp.launch(kernel, 1, given, device="cpu", record_cmd=True)
 
 
-class _Lane:
+class _Worker:
     """A thread's launches, with arguments that stay in place.
 
     The arguments of all launches are words of 64 bits that follow each other: a kernel's first word

@@ -45,9 +45,9 @@ def compile_method() -> None:
         left = iter(missing)
         count = max(min(cores(), len(missing)) - 1, 0)
         helpers: list[Popen[str]] = []
-        with ThreadPoolExecutor(count or 1) as crew:
+        with ThreadPoolExecutor(count or 1) as pool:
             for _ in range(count):
-                crew.submit(_have_compiled, left, helpers)
+                pool.submit(_have_compiled, left, helpers)
             try:
                 for module in left:
                     wp.load_module(module, device="cpu")

@@ -71,11 +71,10 @@ def features_on_cells(
         )  # fmt: skip
         u, v, count = strongest_corners(color, mask, settings, slots)
         _, *sampled = (len(range(n)[of]) for n, of in zip(keep.shape, SAMPLED_CELLS, strict=True))
-        names = "u_out", "v_out", "x_out", "y_out", "z_out", "label_out", "valid_out", "kept_out"
         *places, of_cells, valid, kept = _features(
             *boxes, *taken, grid.x, grid.y, label, MAX_OBSTACLES, *rays, u, v, count,
             batch=batch,
-            shapes=dict.fromkeys(names, (batch, slots + sampled[0] * sampled[1])),
+            shapes=dict.fromkeys(_features.outputs, (batch, slots + sampled[0] * sampled[1])),
             scratch=kernels.cover_scratch(height, width, slots),
         )  # fmt: skip
         return CellFeatures((*places, valid, kept), count, of_cells, has_depth)

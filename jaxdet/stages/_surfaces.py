@@ -107,16 +107,7 @@ def surfaces(
         What the reference finds, to the bit.
     """
     batch, rows, columns = shape = z.shape
-    names = (
-        "right_out",
-        "forward_out",
-        "height_out",
-        "label_out",
-        "keep_out",
-        "free_out",
-        "low_out",
-    )
-    shapes = {**dict.fromkeys(names, shape), "count_out": (batch,)}
+    shapes = {**dict.fromkeys(_surfaces.outputs, shape), "count_out": (batch,)}
     scratch = kernels.surfaces_words(rows, columns)
     out = _surfaces(x, y, z, floor, *tables, settings, batch=batch, shapes=shapes, scratch=scratch)
     return Surfaces(*out)

@@ -41,7 +41,9 @@ class TeamKernel:
         self._width, blocks = kernel.options["launch_bounds"]
         self._most_teams = blocks * MULTIPROCESSORS
         self._by_cores = FrameKernel(kernel)
-        count = len(self._by_cores.outputs) + 1
+        self.outputs = self._by_cores.outputs
+        """Their names, but for the scratch memory."""
+        count = len(self.outputs) + 1
         self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=self._width)
 
     def __call__(

@@ -21,11 +21,11 @@ def on_all_cores(work: Sequence[Callable[[], None]]) -> None:
     if not others:
         own()
         return
-    crew, started = _crew(), []
+    pool, started = _pool(), []
     try:
-        for thread, other in zip(crew.threads, others, strict=False):
+        for thread, other in zip(pool.threads, others, strict=False):
             started.append(thread.start(other))
-        crew.place_caller()
+        pool.place_caller()
         own()
     finally:
         wait(started)  # they use the arguments' memory
@@ -34,7 +34,7 @@ def on_all_cores(work: Sequence[Callable[[], None]]) -> None:
 
 
 class _Thread:
-    """A thread that starts each piece of work on the same core, where all cores are used.
+    """A thread that starts each task on the same core, where all cores are used.
 
     Left alone, the system puts threads that wake each other on one core for milliseconds. Kept
     there for good, a thread would have to wait where another program has that core.
@@ -56,7 +56,7 @@ class _Thread:
             os.sched_setaffinity(self._id, self._allowed)
 
 
-class _Crew:
+class _Pool:
     """The threads beside the caller's, :func:`threads` with it."""
 
     def __init__(self) -> None:
@@ -74,5 +74,5 @@ class _Crew:
 
 
 @lru_cache(maxsize=1)
-def _crew() -> _Crew:
-    return _Crew()
+def _pool() -> _Pool:
+    return _Pool()

@@ -13,64 +13,34 @@ import jax
 import numpy as np
 
 _SIZE, _POINTER, _INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
-_HEAD = [("struct_size", _SIZE), ("extension", _POINTER)]
 _METADATA = 1
 """Type of the extension by which XLA asks for the version."""
 _UNKNOWN = 2
 """Code of an error."""
 
 
-class _Extension(ctypes.Structure):
-    _fields_ = [("struct_size", _SIZE), ("type", _INT), ("next", _POINTER), ("metadata", _POINTER)]
+def _struct(*fields: tuple[str, Any]) -> Any:
+    return type("_Struct", (ctypes.Structure,), {"_fields_": [("struct_size", _SIZE), *fields]})
 
 
-class _Version(ctypes.Structure):
-    _fields_ = [*_HEAD, ("major", _INT), ("minor", _INT)]
-
-
-class _Metadata(ctypes.Structure):
-    _fields_ = [("struct_size", _SIZE), ("version", _Version), ("traits", ctypes.c_uint32)]
-
-
-class _Buffer(ctypes.Structure):
-    _fields_ = [*_HEAD, ("dtype", _INT), ("data", _POINTER)]
-
-
-class _Buffers(ctypes.Structure):
-    _fields_ = [*_HEAD, ("size", ctypes.c_int64), ("types", _POINTER), ("items", _POINTER)]
-
-
-class _Attributes(ctypes.Structure):
-    _fields_ = [*_Buffers._fields_[:4], ("names", _POINTER), ("items", _POINTER)]
+_HEAD = ("extension", _POINTER)
+_Version = _struct(_HEAD, ("major", _INT), ("minor", _INT))
+_Extension = _struct(("type", _INT), ("next", _POINTER), ("metadata", _POINTER))
+_Metadata = _struct(("version", _Version), ("traits", ctypes.c_uint32))
+_Buffer = _struct(_HEAD, ("dtype", _INT), ("data", _POINTER))
+_LIST = _HEAD, ("size", ctypes.c_int64), ("types", _POINTER)
+_Buffers = _struct(*_LIST, ("items", _POINTER))
+_Attributes = _struct(*_LIST, ("names", _POINTER), ("items", _POINTER))
+_Error = _struct(_HEAD, ("message", ctypes.c_char_p), ("code", _INT))
+_CREATE_ERROR = ctypes.CFUNCTYPE(_POINTER, ctypes.POINTER(_Error))
+_Api = _struct(_HEAD, ("version", _Version), ("internal", _POINTER), ("create", _CREATE_ERROR))
+_CALL = _HEAD, ("api", _POINTER), ("context", _POINTER), ("stage", _INT)
+_PARTS = ("arguments", _Buffers), ("results", _Buffers), ("attributes", _Attributes)
+_Frame = _struct(*_CALL, *_PARTS)
 
 
 class _Scalar(ctypes.Structure):
     _fields_ = [("dtype", _INT), ("value", _POINTER)]
-
-
-class _Error(ctypes.Structure):
-    _fields_ = [*_HEAD, ("message", ctypes.c_char_p), ("code", _INT)]
-
-
-class _Api(ctypes.Structure):
-    _fields_ = [
-        *_HEAD,
-        ("version", _Version),
-        ("internal", _POINTER),
-        ("create_error", ctypes.CFUNCTYPE(_POINTER, ctypes.POINTER(_Error))),
-    ]
-
-
-class _Frame(ctypes.Structure):
-    _fields_ = [
-        *_HEAD,
-        ("api", _POINTER),
-        ("context", _POINTER),
-        ("stage", _INT),
-        ("arguments", _Buffers),
-        ("results", _Buffers),
-        ("attributes", _Attributes),
-    ]
 
 
 _DATA = _Buffer.data.offset
@@ -101,7 +71,7 @@ def register(name: str, run: Callable[[int, list[int]], None]) -> None:
         except BaseException as error:  # of a Ctrl-C too: ctypes would drop it
             message = f"{name}: {type(error).__name__}: {error}".encode()
             made = _Error(ctypes.sizeof(_Error), None, message, _UNKNOWN)
-            return _Api.from_address(frame.api).create_error(ctypes.byref(made))
+            return _Api.from_address(frame.api).create(ctypes.byref(made))
         return None
 
     handler = _Handler(handle)
@@ -110,7 +80,7 @@ def register(name: str, run: Callable[[int, list[int]], None]) -> None:
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
 
 
-def _addresses(of: _Buffers | _Attributes) -> list[int]:
+def _addresses(of: Any) -> list[int]:
     return list((ctypes.c_size_t * of.size).from_address(of.items)) if of.size else []
 
 

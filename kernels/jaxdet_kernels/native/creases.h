@@ -21,20 +21,15 @@ struct Creases {
     // How many cells away the bend is measured, least cells of a crease, cells it is made wider.
     int reach, least, margin;
     // By depth: the surface step, at most 2^16, and the limit of bends, at most 2^17.
-    const int* steps;
-    const int* limits;
-    // (R, C): depth, 0 = none.
-    const int* z;
+    const int *steps, *limits;
+    const int* z;  // (R, C): depth, 0 = none
     // (grid), with margins of NONE: smoothed depths, at first on the CPU depths with BITS fraction
     // bits; on the CPU the same as scratch memory, and what is found of each depth in `steps`.
-    int* smooth;
-    int* other;
-    int* step;
+    int *smooth, *other, *step;
     // Which cells are kept. Scratch memory: what is found, and where runs start.
     BitRows kept, found, wide;
     Runs runs;
-    int* sums;
-    int* near;
+    int *sums, *near;
     int most_near;
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }

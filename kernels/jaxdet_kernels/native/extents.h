@@ -47,8 +47,6 @@ struct Extents {
     ) const {
         clear(team, count);
         const int all = *listed.count;
-        const int* const of_cells[] = {x, z, height};
-        for (const int* values : of_cells) listed.fetch(team, values);
 #if defined(__CUDA_ARCH__)
         const Lanes lanes(team);
         for (int first = lanes.index * Lanes::size; first < all; first += lanes.count * Lanes::size) {

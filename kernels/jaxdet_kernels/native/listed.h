@@ -4,8 +4,7 @@
 #include "lanes.h"
 
 struct Listed {
-    // Cells of a cache line, about.
-    enum { AHEAD = 4, LINE = 16 };
+    enum { AHEAD = 4 };
     int* count;
     // Of each: which cell it is, its label, and where it is on the floor. Cells of a row follow each
     // other; on CUDA, groups of AHEAD words of them lie in any order.
@@ -55,10 +54,6 @@ struct Listed {
             copy_word(labels + from, out + from, some, wide);
             has[i] = BitRows::packed(some, 0, wide);
             open[i] = BitRows::packed(free + from, 0, wide);
-            for (int k = 0; k < wide && has[i]; k += LINE) {
-                Team::fetch(at_right + from + k);
-                Team::fetch(at_forward + from + k);
-            }
         }
         for (int i = 0; i < has.count(); ++i) {
             const int from = has.row(i) * columns + has.column(i);
@@ -136,11 +131,6 @@ struct Listed {
             if (own[k] >= 0) put(start + before[k], from[k], own[k], at_right, at_forward);
     }
 #endif
-
-    // Asks for what an array has of the listed cells, which lie here and there in it.
-    void fetch(const Team& team, const int* values) const {
-        for (int i = team.rank; i < *count; i += team.size * LINE / 4) Team::fetch(values + cell[i]);
-    }
 
     void put(int i, int from, int own, const int* at_right, const int* at_forward) const {
         cell[i] = from;

@@ -55,9 +55,6 @@ struct Outlines {
         cells.clear();
         team.sync();
         cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
-        const int* const of_cells[] = {measures.xyz[0], measures.xyz[1], measures.xyz[2],
-                                       measures.height, measures.uv_min, measures.uv_max};
-        for (const int* values : of_cells) cells.listed.fetch(team, values);
         look();
         team.sync();
         if (lanes.index == 0) cells.order(lanes);

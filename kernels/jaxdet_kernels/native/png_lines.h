@@ -52,23 +52,18 @@ struct PngLines {
     __attribute__((always_inline)) void undo(unsigned char* line, bool has_above, const int step) {
         const unsigned char* above = line - 1 - bytes;
         const int filter = line[-1];
-        if (filter == SUB || (filter == PAETH && !has_above)) sub(line, step);
+        if (filter == SUB || (filter == PAETH && !has_above)) sub(line, step, 0);
         else if (filter == UP && has_above) up(line, above);
         else if (filter == AVERAGE && has_above) average(line, above, step);
-        else if (filter == AVERAGE) half(line, step);
+        else if (filter == AVERAGE) sub(line, step, 1);
         else if (filter == PAETH) paeth(line, above, step);
     }
 
-    __attribute__((always_inline)) void sub(unsigned char* line, const int step) {
+    // Adds the pixel to the left, or half of it: `shift` 0 or 1.
+    __attribute__((always_inline)) void sub(unsigned char* line, const int step, const int shift) {
         unsigned char left[8] = {};
         for (int i = 0; i < bytes; i += step)
-            for (int k = 0; k < step; ++k) left[k] = line[i + k] += left[k];
-    }
-
-    __attribute__((always_inline)) void half(unsigned char* line, const int step) {
-        unsigned char left[8] = {};
-        for (int i = 0; i < bytes; i += step)
-            for (int k = 0; k < step; ++k) left[k] = line[i + k] += left[k] >> 1;
+            for (int k = 0; k < step; ++k) left[k] = line[i + k] += left[k] >> shift;
     }
 
     void up(unsigned char* line, const unsigned char* above) {

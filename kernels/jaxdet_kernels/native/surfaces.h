@@ -22,64 +22,39 @@ struct Surfaces {
     // Where each setting is.
     enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, SETTINGS };
     int rows, columns;
-    // (R, C): the frame's cells, z = 0: none.
-    const int* x;
-    const int* y;
-    const int* z;
+    const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
     const int* floor;
     // By depth: steps of a surface, at most 2^16; limits of bends, at most 2^17; heights that are
     // floor.
-    const int* steps;
-    const int* limits;
-    const int* rises;
+    const int *steps, *limits, *rises;
     const int* settings;
-    // (R, C)
-    int* right;
-    int* forward;
-    int* height;
-    int* label_out;
-    unsigned char* keep;
-    unsigned char* free;
-    unsigned char* low;
-    int* count_out;
-    int* scratch;
+    int *right, *forward, *height, *label_out;  // (R, C)
+    unsigned char *keep, *free, *low;           // (R, C)
+    int *count_out, *scratch;
 
     // The words of scratch memory of a team: `surfaces_words` in surfaces.py.
     struct Parts {
         Grid grid;
         // (grid) each: smoothed depths; on the CPU what more there is of single cells.
-        int* depth;
-        int* other;
-        int* step;
+        int *depth, *other, *step;
         // By run; of surfaces, by the run that is their root: the cells, the first one, the top, and
         // 2 for each of its lowest cells that have floor below them, less 3 for each steep one.
-        int* parent;
-        int* label;
-        int* sizes;
-        int* first;
-        int* top;
-        int* level;
+        int *parent, *label, *sizes, *first, *top, *level;
         int* sums;
         // Planes of bits, how many runs begin before each word of one, and room for sets; in
         // shared memory if they fit.
         BitRows kept, on, starts, up;
-        int* before;
-        int* near;
+        int *before, *near;
         int most_near;
 
         Parts(int rows, int columns, int* scratch)
             : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
             const int cells = rows * columns;
-            depth = scratch;
-            other = depth + grid.size;
-            step = other + grid.size;
-            parent = step + grid.size;
-            label = parent + cells;
-            sizes = label + cells;
-            first = sizes + cells;
-            top = first + cells;
-            level = top + cells;
-            sums = level + cells;
+            int** const planes[] = {&depth, &other, &step};
+            for (int** plane : planes) *plane = scratch, scratch += grid.size;
+            int** const arrays[] = {&parent, &label, &sizes, &first, &top, &level};
+            for (int** array : arrays) *array = scratch, scratch += cells;
+            sums = scratch;
             before = sums + PrefixSum::WORDS;
             near = parent;
             most_near = 0;

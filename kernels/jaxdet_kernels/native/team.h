@@ -85,12 +85,4 @@ struct Team {
         *place = value < *place ? value : *place;
     }
 #endif
-
-    // On the CPU asks for a cache line that is read later, while others are worked on. A CUDA
-    // device has other threads meanwhile.
-    static void fetch([[maybe_unused]] const void* place) {
-#if !defined(__CUDA_ARCH__)
-        __builtin_prefetch(place);
-#endif
-    }
 };
