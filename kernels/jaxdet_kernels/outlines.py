@@ -29,7 +29,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
 @team_kernel(
     "outlines.h",
     body="""
-        const Lanes lanes(team);
+        const Warp warp(team);
         const int columns = label.shape[2], grid = label.shape[1] * columns;
         const int slots = num_points_out.shape[1], capacity = contour_out.shape[2];
         const size_t at = (size_t)b * grid, slot = (size_t)b * slots;
@@ -41,7 +41,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         cells.forward = forward.data + at;
         cells.in_view = in_view.data + at;
 
-        Measures measures(cells, lanes);
+        Measures measures(cells, warp);
         measures.trim = settings.data[Outlines::TRIM];
         measures.threshold = settings.data[Outlines::VERTEX];
         measures.bands = bands.data;
@@ -63,7 +63,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         measures.bottom_top_out = bottom_top_out.data + 2 * slot;
         measures.vertex_out = has_vertex_out.data + slot;
 
-        Outlines outlines(cells, lanes, measures);
+        Outlines outlines(cells, warp, measures);
         outlines.slots = slots;
         outlines.capacity = capacity;
         outlines.longest = settings.data[Outlines::LONG];

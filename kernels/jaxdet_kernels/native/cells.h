@@ -3,7 +3,7 @@
 #pragma once
 #include "team.h"
 #include "cell_depth.h"
-#include "lanes.h"
+#include "warp.h"
 #include "pixel_pair.h"
 #include "projection.h"
 
@@ -146,9 +146,9 @@ struct CellGrid {
     void run(const Team& team) const {
 #if defined(__CUDA_ARCH__)
         const bool bends = projection.model != Projection::PINHOLE;
-        const Lanes lanes(team);
-        for (int row = lanes.index; row < rows; row += lanes.count)
-            for (int column = lanes.rank; column < columns; column += Lanes::size) {
+        const Warp warp(team);
+        for (int row = warp.index; row < rows; row += warp.count)
+            for (int column = warp.rank; column < columns; column += Warp::size) {
                 const int k = row * columns + column;
                 // All that is known before the depth is asked for first: it arrives at once.
                 const Ray towards = ray(k);

@@ -1,8 +1,8 @@
 // The visible edge of each label on the floor: in each column of cells, its nearest cell.
 // Twin of `contours` in jaxdet/reference/_outlines.py for grids of at most MAX_CONTOUR columns.
 #pragma once
-#include "lanes.h"
-#include "listed.h"
+#include "warp.h"
+#include "cell_list.h"
 
 struct Contours {
     typedef unsigned long long Key;
@@ -19,10 +19,10 @@ struct Contours {
     Key& at(int l, int c) const { return nearest[(size_t)l * columns + c]; }
 
     void clear(const Team& team) const {
-        const Lanes lanes(team);
-        for (int l = lanes.index; l < count; l += lanes.count) {
+        const Warp warp(team);
+        for (int l = warp.index; l < count; l += warp.count) {
             const int last = column_high[l];
-            for (int c = column_low[l] + lanes.rank; c <= last; c += lanes.size) at(l, c) = ~0ull;
+            for (int c = column_low[l] + warp.rank; c <= last; c += warp.size) at(l, c) = ~0ull;
         }
         team.sync();
     }
@@ -32,7 +32,7 @@ struct Contours {
     }
 
     // From the listed cells. Ends in a sync.
-    void find(const Team& team, const Listed& listed) const {
+    void find(const Team& team, const CellList& listed) const {
         clear(team);
         const int all = *listed.count;
         for (int i = team.rank; i < all; i += team.size) {
@@ -45,10 +45,10 @@ struct Contours {
     // From those of parts: part `l` belongs to `whole[l]`. Ends in a sync.
     void join(const Team& team, const Contours& parts, const int* whole) const {
         clear(team);
-        const Lanes lanes(team);
-        for (int l = lanes.index; l < parts.count; l += lanes.count) {
+        const Warp warp(team);
+        for (int l = warp.index; l < parts.count; l += warp.count) {
             const int last = parts.column_high[l];
-            for (int c = parts.column_low[l] + lanes.rank; c <= last; c += lanes.size) {
+            for (int c = parts.column_low[l] + warp.rank; c <= last; c += warp.size) {
                 team.least(&at(whole[l], c), parts.at(l, c));
             }
         }
@@ -57,26 +57,26 @@ struct Contours {
 
     // The points. Ends in a sync.
     void list(const Team& team) const {
-        const Lanes lanes(team);
-        for (int l = lanes.index; l < count; l += lanes.count) {
+        const Warp warp(team);
+        for (int l = warp.index; l < count; l += warp.count) {
             const int last = column_high[l];
             int points = 0;
-            for (int c = column_low[l] + lanes.rank; c <= last; c += lanes.size) {
+            for (int c = column_low[l] + warp.rank; c <= last; c += warp.size) {
                 points += at(l, c) != ~0ull;
             }
-            points = lanes.sum(points);
-            if (lanes.rank == 0) start[l] = points;
+            points = warp.sum(points);
+            if (warp.rank == 0) start[l] = points;
         }
         team.sync();
-        if (lanes.index == 0) lanes.run_up(start, count);
+        if (warp.index == 0) warp.run_up(start, count);
         team.sync();
-        for (int l = lanes.index; l < count; l += lanes.count) {
+        for (int l = warp.index; l < count; l += warp.count) {
             const int last = column_high[l];
             int point = start[l], found;
-            for (int first = column_low[l]; first <= last; first += lanes.size, point += found) {
-                const int c = first + lanes.rank;
+            for (int first = column_low[l]; first <= last; first += warp.size, point += found) {
+                const int c = first + warp.rank;
                 const Key own = c <= last ? at(l, c) : ~0ull;
-                const int place = point + lanes.before(own != ~0ull, &found);
+                const int place = point + warp.before(own != ~0ull, &found);
                 if (own == ~0ull) continue;
                 const int i = (int)(own & ((1 << ROW_BITS) - 1)) * columns + c;
                 x[place] = right[i];

@@ -3,7 +3,7 @@
 // cell covers its box, a pixel wider at each side.
 #pragma once
 #include "bits.h"
-#include "lanes.h"
+#include "warp.h"
 #include "pixel_bits.h"
 #include "pixel_pair.h"
 
@@ -52,7 +52,7 @@ struct CoverMask {
 #if defined(__CUDA_ARCH__)
         const Team& team = cover.team;
         __shared__ int listed;
-        const Lanes lanes(team);
+        const Warp warp(team);
         if (team.rank == 0) listed = 0;
         team.sync();
         // Groups begin where 64-bit words do.
@@ -61,10 +61,10 @@ struct CoverMask {
         for (int start = 0; start < groups; start += team.size) {
             const int group = start + team.rank, first = group * GROUP - before;
             unsigned those = group < groups ? group_of(first, &some) : 0;
-            const int up_to = lanes.sum_up_to(BitRows::ones(those));
+            const int up_to = warp.sum_up_to(BitRows::ones(those));
             int place = 0;
-            if (lanes.rank == Lanes::size - 1 && up_to) place = team.add(&listed, up_to);
-            place = __shfl_sync(0xffffffff, place, Lanes::size - 1) + up_to - BitRows::ones(those);
+            if (warp.rank == Warp::size - 1 && up_to) place = team.add(&listed, up_to);
+            place = __shfl_sync(0xffffffff, place, Warp::size - 1) + up_to - BitRows::ones(those);
             if (those) paint(first, those);
             for (; those; those &= those - 1)
                 cover.taken[place++] = first + BitRows::first(those);
@@ -201,14 +201,14 @@ struct SampledCells {
     int first;                 // Its slot of the first of them.
 
     void run() const {
-        const Lanes lanes(cover.team);
+        const Warp warp(cover.team);
         const int across = columns / 2;
-        for (int row = lanes.index; row < rows / 2; row += lanes.count) {
+        for (int row = warp.index; row < rows / 2; row += warp.count) {
             const int from = (2 * row + 1) * columns + 1, to = first + row * across;
 #if defined(__clang__)
 #pragma clang loop vectorize(assume_safety)
 #endif
-            for (int i = lanes.rank; i < across; i += Lanes::size) {
+            for (int i = warp.rank; i < across; i += Warp::size) {
                 const int k = from + 2 * i;
                 const bool seen = Team::input(cover.in_view + k);
                 const bool is_kept = seen & Team::input(cover.keep + k);

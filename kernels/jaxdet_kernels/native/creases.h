@@ -3,7 +3,7 @@
 #pragma once
 #include "bits.h"
 #include "grid.h"
-#include "lanes.h"
+#include "warp.h"
 #include "runs.h"
 #include "team.h"
 
@@ -78,29 +78,29 @@ struct Creases {
     };
 
     // Whether a cell is kept at most `reach` cells away from some; all lanes ask.
-    bool is_used(const Lanes& lanes, int top, int bottom, int left, int right) const {
+    bool is_used(const Warp& warp, int top, int bottom, int left, int right) const {
         const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
         const int to = (right + reach) / BitRows::WIDTH;
         const int last = bottom + reach < grid.rows ? bottom + reach : grid.rows;
         unsigned some = 0;
-        for (int r = (top < reach ? 0 : top - reach) + lanes.rank; r < last; r += Lanes::size)
+        for (int r = (top < reach ? 0 : top - reach) + warp.rank; r < last; r += Warp::size)
             for (int w = from; w <= to && w < kept.words; ++w) some |= kept[kept.at(r, w)];
-        return lanes.those(some != 0);
+        return warp.those(some != 0);
     }
 
     // Both smoothings at once, down strips of columns, where they are used.
     void smoothed(const Team& team) const {
-        enum { INNER = Lanes::size - 2 * HALO };
-        const Lanes lanes(team);
+        enum { INNER = Warp::size - 2 * HALO };
+        const Warp warp(team);
         const int strips = (grid.columns + INNER - 1) / INNER;
         const int pieces = strips * ((grid.rows + SEGMENT - 1) / SEGMENT);
-        for (int piece = lanes.index; piece < pieces; piece += lanes.count) {
-            const int c = piece % strips * INNER + lanes.rank - HALO;
+        for (int piece = warp.index; piece < pieces; piece += warp.count) {
+            const int c = piece % strips * INNER + warp.rank - HALO;
             const bool inside = c >= 0 && c < grid.columns;
-            const bool own = inside && lanes.rank >= HALO && lanes.rank < Lanes::size - HALO;
+            const bool own = inside && warp.rank >= HALO && warp.rank < Warp::size - HALO;
             const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
             const int end = stop < grid.rows ? stop : grid.rows, left = piece % strips * INNER;
-            if (!is_used(lanes, begin, end, left, left + INNER - 1)) continue;
+            if (!is_used(warp, begin, end, left, left + INNER - 1)) continue;
             Window measured, once;
             for (int k = 0; k < 3; ++k) {
                 measured.left[k] = measured.own[k] = measured.right[k] = NONE;
@@ -130,16 +130,16 @@ struct Creases {
 
     // What bends, a word a warp.
     void find(const Team& team) const {
-        const Lanes lanes(team);
+        const Warp warp(team);
         const int words = found.words, count = grid.rows * words;
         found.clear_rest(team);
-        for (int first = lanes.index; first < count; first += AHEAD * lanes.count) {
+        for (int first = warp.index; first < count; first += AHEAD * warp.count) {
             int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
             bool on[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * lanes.count < count ? first + k * lanes.count : first;
-                const int r = i / words, c = i % words * BitRows::WIDTH + lanes.rank;
-                on[k] = kept[kept.at(r, i % words)] >> lanes.rank & 1;
+                const int i = first + k * warp.count < count ? first + k * warp.count : first;
+                const int r = i / words, c = i % words * BitRows::WIDTH + warp.rank;
+                on[k] = kept[kept.at(r, i % words)] >> warp.rank & 1;
                 const int row = on[k] ? r : 0, column = on[k] ? c : 0;
                 const int at = grid.row(row) + column, none = grid.row(-1);
                 const bool inside = row >= reach && row + reach < grid.rows;
@@ -156,13 +156,13 @@ struct Creases {
                 limit[k] = limits[d[k]];
             }
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * lanes.count;
+                const int i = first + k * warp.count;
                 const int most = reach * near[k] << BITS;
                 const int deep = limit[k] << (BITS + 1);
                 const bool bent = bends(here[k], before[k], after[k], most, deep) |
                                   bends(here[k], up[k], down[k], most, deep);
-                const unsigned crease = lanes.those(on[k] & bent);
-                if (i < count && lanes.rank == 0) found[found.at(i / words, i % words)] = crease;
+                const unsigned crease = warp.those(on[k] & bent);
+                if (i < count && warp.rank == 0) found[found.at(i / words, i % words)] = crease;
             }
         }
         team.sync();

@@ -1,8 +1,8 @@
 // What is known of each label of a frame: how many cells, from where to where.
 // Twin of `extents` in jaxdet/reference/_view.py.
 #pragma once
-#include "lanes.h"
-#include "listed.h"
+#include "warp.h"
+#include "cell_list.h"
 
 struct Extents {
     enum { TRIM = 20, SUMS = 2, LEAST = 10, FIELDS = 19, KNOWN = 15, NONE = 1 << 30 };
@@ -42,35 +42,35 @@ struct Extents {
 
     // Everything but the trimmed extremes, from the listed cells. Ends in a sync.
     void measure(
-        const Team& team, int count, const Listed& listed, int wide, const int* x, const int* z,
+        const Team& team, int count, const CellList& listed, int wide, const int* x, const int* z,
         const int* height, const unsigned char* in_view
     ) const {
         clear(team, count);
         const int all = *listed.count;
 #if defined(__CUDA_ARCH__)
-        const Lanes lanes(team);
-        for (int first = lanes.index * Lanes::size; first < all; first += lanes.count * Lanes::size) {
-            const int i = first + lanes.rank < all ? first + lanes.rank : all - 1;
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < all; first += warp.count * Warp::size) {
+            const int i = first + warp.rank < all ? first + warp.rank : all - 1;
             const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
             const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
             const bool seen = in_view[k];
             const int row = k / wide, column = k % wide;
             // One label after the other; lane n adds what is known by the name n.
-            for (unsigned rest = lanes.those(first + lanes.rank < all); rest;) {
+            for (unsigned rest = warp.those(first + warp.rank < all); rest;) {
                 const int l = __shfl_sync(0xffffffff, label, __ffs(rest) - 1);
-                const bool own = label == l && first + lanes.rank < all;
-                const unsigned those = lanes.those(own);
+                const bool own = label == l && first + warp.rank < all;
+                const unsigned those = warp.those(own);
                 rest &= ~those;
-                const auto least = [&](int value) { return lanes.least(own ? value : (int)NONE); };
-                const auto most = [&](int value) { return lanes.most(own ? value : -(int)NONE); };
+                const auto least = [&](int value) { return warp.least(own ? value : (int)NONE); };
+                const auto most = [&](int value) { return warp.most(own ? value : -(int)NONE); };
                 const int found[KNOWN] = {
-                    __popc(those), __popc(lanes.those(own && seen)), least(k), least(row),
+                    __popc(those), __popc(warp.those(own && seen)), least(k), least(row),
                     least(column), least(r), least(f), least(h), least(z_here), least(x_here),
                     most(row), most(column), most(r), most(f), most(h),
                 };
                 int mine = 0;
-                for (int n = 0; n < KNOWN; ++n) mine = lanes.rank == n ? found[n] : mine;
-                add(team, l, lanes.rank, mine);
+                for (int n = 0; n < KNOWN; ++n) mine = warp.rank == n ? found[n] : mine;
+                add(team, l, warp.rank, mine);
             }
         }
 #else
@@ -142,7 +142,7 @@ struct Trimmed {
 
     // Ends in a sync.
     void run(const Team& team) const {
-        const Lanes lanes(team);
+        const Warp warp(team);
         bool open = false;
         for (int l = team.rank; l < count; l += team.size) {
             least[l] = low[l];
@@ -162,9 +162,9 @@ struct Trimmed {
             team.sync();
             fill(team, ends == 2);
             team.sync();
-            for (int i = lanes.index; i < 2 * count; i += lanes.count) {
+            for (int i = warp.index; i < 2 * count; i += warp.count) {
                 const int l = i >> 1, end = i & 1;
-                if (bits(l) >= 0) narrow(lanes, l, end, histogram(l, ends == 1 ? 0 : end));
+                if (bits(l) >= 0) narrow(warp, l, end, histogram(l, ends == 1 ? 0 : end));
             }
             team.sync();
             open = false;
@@ -184,17 +184,17 @@ struct Trimmed {
     }
 
     // Goes to the bucket that holds the cell looked for.
-    void narrow([[maybe_unused]] const Lanes& lanes, int l, int end, const int* found) const {
+    void narrow([[maybe_unused]] const Warp& warp, int l, int end, const int* found) const {
         int bucket = 0, left = below(l)[end];
 #if defined(__CUDA_ARCH__)
-        enum { EACH = BUCKETS / Lanes::size };
+        enum { EACH = BUCKETS / Warp::size };
         int own[EACH], sum = 0;
-        for (int k = 0; k < EACH; ++k) sum += own[k] = found[lanes.rank * EACH + k];
-        const int to = lanes.sum_up_to(sum);
+        for (int k = 0; k < EACH; ++k) sum += own[k] = found[warp.rank * EACH + k];
+        const int to = warp.sum_up_to(sum);
         // By the lane whose buckets hold it.
         if (left >= to || left < to - sum) return;
         left -= to - sum;
-        bucket = lanes.rank * EACH;
+        bucket = warp.rank * EACH;
         for (int k = 0; k < EACH - 1; ++k) {
             if (left < own[k]) break;
             left -= own[k];
@@ -208,11 +208,11 @@ struct Trimmed {
     }
 
     void clear(const Team& team) const {
-        const Lanes lanes(team);
-        for (int i = lanes.index; i < 2 * count; i += lanes.count) {
+        const Warp warp(team);
+        for (int i = warp.index; i < 2 * count; i += warp.count) {
             if (bits(i >> 1) < 0) continue;
             int* own = histogram(i >> 1, i & 1);
-            for (int k = lanes.rank; k < BUCKETS; k += lanes.size) own[k] = 0;
+            for (int k = warp.rank; k < BUCKETS; k += warp.size) own[k] = 0;
         }
     }
 

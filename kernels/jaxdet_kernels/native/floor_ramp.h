@@ -2,7 +2,7 @@
 // Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
 #pragma once
 #include "floor_planes.h"
-#include "lanes.h"
+#include "warp.h"
 
 struct FloorHinge {
     // Where it begins, and its pitch against the plane, uphill positive; turn 0: there is none.
@@ -107,10 +107,10 @@ struct FloorRamps {
         for (int i = team.rank; i < cells.count; i += team.size)
             if (run[i] >= 0) team.add(begin() + run[i], 1);
         team.sync();
-        const Lanes lanes(team);
-        if (lanes.index == 0) {
-            lanes.run_up(begin(), n);
-            for (int k = lanes.rank; k <= n; k += lanes.size) cursor()[k] = begin()[k];
+        const Warp warp(team);
+        if (warp.index == 0) {
+            warp.run_up(begin(), n);
+            for (int k = warp.rank; k <= n; k += warp.size) cursor()[k] = begin()[k];
         }
         team.sync();
         for (int i = team.rank; i < cells.count; i += team.size)
@@ -206,11 +206,11 @@ struct FloorRamps {
         }
         team.sync();
         // The first become sums of those before, the second of those from there on.
-        const Lanes lanes(team);
-        if (lanes.index == 0) lanes.run_up(flat(), runs());
-        if (lanes.index == 1 % lanes.count) {
-            const int all = lanes.run_up(most(), runs());
-            for (int k = lanes.rank; k <= runs(); k += lanes.size) most()[k] = all - most()[k];
+        const Warp warp(team);
+        if (warp.index == 0) warp.run_up(flat(), runs());
+        if (warp.index == 1 % warp.count) {
+            const int all = warp.run_up(most(), runs());
+            for (int k = warp.rank; k <= runs(); k += warp.size) most()[k] = all - most()[k];
         }
         team.sync();
     }

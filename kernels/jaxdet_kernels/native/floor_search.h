@@ -2,7 +2,7 @@
 // Twin of jaxdet/reference/_floor_search.py; the constants are its.
 #pragma once
 #include "floor_planes.h"
-#include "lanes.h"
+#include "warp.h"
 
 // Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring: the ends of
 // cells' ranges of heights are counted and summed up. On the CPU one direction follows the other.
@@ -60,7 +60,7 @@ struct FloorVotes {
 
 #if defined(__CUDA_ARCH__)
     // Directions with those that fill up the last warp.
-    int padded() const { return (directions() + Lanes::size - 1) / Lanes::size * Lanes::size; }
+    int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
     bool are_fast() const { return padded() * (bins + 1) <= room; }
     // Votes of a direction, and how far those of its bins are apart.
     int* row_of(int d) const { return (are_fast() ? copies : votes) + d; }
@@ -144,15 +144,15 @@ struct FloorVotes {
     };
 
     // Adds the ends of the ranges of some cells: each lane for direction k of the table.
-    void count(const Lanes& lanes, const FloorDirection& down, int from, int to, const Table& table,
+    void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
                int k_of_lane) const {
         int* const ends = table.words + k_of_lane;
         const int step = table.span, low = lowest, shift = bits, last = bins;
         const bool is_packed = table.is_packed, is_shared = table.is_shared;
-        for (int start = from; start < to; start += Lanes::size) {
-            const int i = start + lanes.rank < to ? start + lanes.rank : to - 1;
+        for (int start = from; start < to; start += Warp::size) {
+            const int i = start + warp.rank < to ? start + warp.rank : to - 1;
             const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
-            const int n = to - start < Lanes::size ? to - start : Lanes::size;
+            const int n = to - start < Warp::size ? to - start : Warp::size;
 #pragma unroll 4
             for (int k = 0; k < n; k++) {
                 const int s = __shfl_sync(0xffffffff, width, k);
@@ -167,9 +167,9 @@ struct FloorVotes {
 #pragma unroll
                 for (int m = 0; m < 3; m++)
                     if (is_packed)
-                        lanes.add_shared(ends + (bin[m] >> 1) * step, worth[m] << (bin[m] % 2 * 16));
+                        warp.add_shared(ends + (bin[m] >> 1) * step, worth[m] << (bin[m] % 2 * 16));
                     else if (is_shared)
-                        lanes.add_shared(ends + bin[m] * step, worth[m]);
+                        warp.add_shared(ends + bin[m] * step, worth[m]);
                     else
                         atomicAdd(ends + bin[m] * step, worth[m]);
             }
@@ -178,8 +178,8 @@ struct FloorVotes {
 
     // All votes of the directions of a table, from `first` on.
     void run(const Team& team, int first, const Table& table) const {
-        const Lanes lanes(team);
-        const int span = table.span, groups = span / Lanes::size, step = bin_step();
+        const Warp warp(team);
+        const int span = table.span, groups = span / Warp::size, step = bin_step();
         const int size = span * (table.is_packed ? bins / 2 + 1 : bins + 1);
         for (int k = team.rank; k < size; k += team.size) table.words[k] = 0;
         team.sync();
@@ -188,13 +188,13 @@ struct FloorVotes {
             const bool is_last = n == rings - 1;
             if (!is_last && ring_ends[n] < fewest) continue;
             const int end = is_last ? cells.count : ring_ends[n], share = end - done;
-            for (int unit = lanes.index; unit < groups * lanes.count; unit += lanes.count) {
+            for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
                 // Each warp takes another part of the cells for each group, so none waits long.
-                const int group = unit / lanes.count;
-                const int part = (lanes.index + group) % lanes.count;
-                const int k = group * Lanes::size + lanes.rank;
-                count(lanes, direction(first + k), done + share * part / lanes.count,
-                      done + share * (part + 1) / lanes.count, table, k);
+                const int group = unit / warp.count;
+                const int part = (warp.index + group) % warp.count;
+                const int k = group * Warp::size + warp.rank;
+                count(warp, direction(first + k), done + share * part / warp.count,
+                      done + share * (part + 1) / warp.count, table, k);
             }
             team.sync();
             for (int k = team.rank; k < span; k += team.size) {
@@ -221,11 +221,11 @@ struct FloorVotes {
                     all = key(highest, d, top);
                     if (is_last) of_direction[d] = nearer;
                 }
-                nearer = lanes.least(nearer);
-                if (lanes.rank == 0) team.least(best + n, nearer);
+                nearer = warp.least(nearer);
+                if (warp.rank == 0) team.least(best + n, nearer);
                 if (!is_last) continue;
-                all = lanes.least(all);
-                if (lanes.rank == 0) team.least(whole, all);
+                all = warp.least(all);
+                if (warp.rank == 0) team.least(whole, all);
             }
             team.sync();
             done = end;
@@ -241,7 +241,7 @@ struct FloorVotes {
 #if defined(__CUDA_ARCH__)
         const int all = padded();
         const bool is_packed = !are_fast() && cells.count <= Table::MOST_PACKED;
-        const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Lanes::size * Lanes::size;
+        const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Warp::size * Warp::size;
         const int span = most && most < all ? most : all;
         for (int first = 0; first < all; first += span)
             run(team, first, {most ? copies : votes, all - first < span ? all - first : span,
@@ -274,17 +274,17 @@ struct FloorVotes {
         const unsigned long long last = best[rings - 1];
         const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
         const int p = d / rolls, r = d % rolls;
-        const Lanes lanes(team);
+        const Warp warp(team);
         team.sync();
         if (team.rank == 0) best[rings - 1] = ~0ull;
-        for (int k = lanes.index; k < 9; k += lanes.count) {
+        for (int k = warp.index; k < 9; k += warp.count) {
             const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
             if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
             int* row = row_of(other);
             const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
             const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
             int most = -0x7fffffff - 1, bin = bins;
-            for (int b = lanes.rank; b < bins; b += lanes.size) {
+            for (int b = warp.rank; b < bins; b += warp.size) {
                 if (b >= from && b < to) row[b * step] = -0x7fffffff - 1;
                 const int here = row[b * step];
                 if (b < edge_bins || b >= bins - edge_bins || (here <= most && bin < bins)) continue;
@@ -292,15 +292,15 @@ struct FloorVotes {
                 bin = b;
             }
             const unsigned long long found =
-                lanes.least(bin < bins ? key(most, other, bin) : ~0ull);
-            if (is_near(other) && lanes.rank == 0) of_direction[other] = found;
+                warp.least(bin < bins ? key(most, other, bin) : ~0ull);
+            if (is_near(other) && warp.rank == 0) of_direction[other] = found;
         }
         team.sync();
         unsigned long long left = ~0ull;
         for (int k = team.rank; k < directions(); k += team.size)
             left = of_direction[k] < left ? of_direction[k] : left;
-        left = lanes.least(left);
-        if (lanes.rank == 0) team.least(best + rings - 1, left);
+        left = warp.least(left);
+        if (warp.rank == 0) team.least(best + rings - 1, left);
         team.sync();
     }
 };
@@ -388,9 +388,9 @@ struct FloorSearch {
     void score(const Team& team, const FloorPlane* planes, int count, int* votes) const {
         for (int n = team.rank; n < count; n += team.size) votes[n] = 0;
         team.sync();
-        const Lanes lanes(team);
-        const int *xs = cells.x, *ys = cells.y, *zs = cells.z, parts = lanes.count;
-        for (int unit = lanes.index; unit < count * parts; unit += lanes.count) {
+        const Warp warp(team);
+        const int *xs = cells.x, *ys = cells.y, *zs = cells.z, parts = warp.count;
+        for (int unit = warp.index; unit < count * parts; unit += warp.count) {
             const int n = unit / parts, part = unit - n * parts;
             const FloorPlane plane = planes[n];
             const FloorDirection down = angles.down(plane);
@@ -400,10 +400,10 @@ struct FloorSearch {
             const FloorScore each{};
             const int height = plane.height, to = cells.count * (part + 1) / parts;
             int sum = 0;
-            for (int i = cells.count * part / parts + lanes.rank; i < to; i += Lanes::size)
+            for (int i = cells.count * part / parts + warp.rank; i < to; i += Warp::size)
                 sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
-            sum = lanes.sum(sum);
-            if (lanes.rank == 0) team.add(votes + n, sum);
+            sum = warp.sum(sum);
+            if (warp.rank == 0) team.add(votes + n, sum);
         }
         team.sync();
     }

@@ -11,7 +11,7 @@ struct Measures {
     enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
 
     const ObstacleCells& cells;
-    const Lanes& lanes;
+    const Warp& warp;
     int trim, threshold;
     const int* bands;  // (DEPTHS, 2), by the nearest distance: to the side, behind the nearest
     const int *xyz[3], *height;
@@ -21,7 +21,7 @@ struct Measures {
     int *a_out, *b_out, *c_out, *bottom_top_out;
     bool* vertex_out;
 
-    Measures(const ObstacleCells& cells, const Lanes& lanes) : cells(cells), lanes(lanes) {}
+    Measures(const ObstacleCells& cells, const Warp& warp) : cells(cells), warp(warp) {}
 
     static int clipped(int value) {
         return value < -MOST_LATERAL ? -MOST_LATERAL : value > MOST_LATERAL ? MOST_LATERAL : value;
@@ -69,7 +69,7 @@ struct Measures {
     void put_place(int number, ObstacleCells::Range range) const {
         Extremes found[3];
         long long sum[3] = {0, 0, 0};
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
+        for (int i = range.first + warp.rank; i < range.end; i += warp.size) {
             const int k = cells.cell[i];
             for (int j = 0; j < 3; ++j) {
                 found[j].add(xyz[j][k]);
@@ -78,7 +78,7 @@ struct Measures {
         }
         for (int j = 0; j < 3; ++j) {
             put(found[j], xyz_min_out + 3 * number + j, xyz_max_out + 3 * number + j);
-            const long long total = lanes.sum(sum[j]);
+            const long long total = warp.sum(sum[j]);
             int* out = xyz_sum_out + 2 * (3 * number + j);
             out[0] = (int)(total >> 16);
             out[1] = (int)(total & 0xffff);
@@ -87,7 +87,7 @@ struct Measures {
     }
 
     void put(Extremes found, int* low, int* high) const {
-        found.join(lanes);
+        found.join(warp);
         *low = found.low;
         *high = found.high;
     }
@@ -95,7 +95,7 @@ struct Measures {
     // Where they are in the colour image.
     void put_box(int number, ObstacleCells::Range range) const {
         Extremes columns, rows;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
+        for (int i = range.first + warp.rank; i < range.end; i += warp.size) {
             const PixelPair first(uv_min[cells.cell[i]]), last(uv_max[cells.cell[i]]);
             columns.add(first.column(), last.column());
             rows.add(first.row(), last.row());
@@ -107,7 +107,7 @@ struct Measures {
     void put_height(int number, ObstacleCells::Range range) const {
         if (range.size() == 0) return;
         Extremes found;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size)
+        for (int i = range.first + warp.rank; i < range.end; i += warp.size)
             found.add(height[cells.cell[i]]);
         put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
     }
@@ -115,8 +115,8 @@ struct Measures {
     // Of numbers by place in the order.
     Extremes extremes(const int* values, ObstacleCells::Range range) const {
         Extremes found;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) found.add(values[i]);
-        found.join(lanes);
+        for (int i = range.first + warp.rank; i < range.end; i += warp.size) found.add(values[i]);
+        found.join(warp);
         return found;
     }
 
@@ -131,12 +131,12 @@ struct Measures {
         const int row = nearest < 0 ? 0 : nearest < DEPTHS ? nearest : DEPTHS - 1;
         const int best = outermost(values, kind == RIGHT ? -1 : 0, own, bands[2 * row + near], range);
         int least = MOST_LATERAL;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size) {
+        for (int i = range.first + warp.rank; i < range.end; i += warp.size) {
             const int other = clipped(others[i]);
             least = clipped(values[i]) == best && other < least ? other : least;
         }
-        least = lanes.least(least);
-        if (lanes.rank) return;
+        least = warp.least(least);
+        if (warp.rank) return;
         int* out = (kind == LEFT ? a_out : kind == RIGHT ? b_out : c_out) + 2 * number;
         out[near] = best;
         out[!near] = least;
@@ -145,7 +145,7 @@ struct Measures {
     // The median of the values at most `band` from the outermost that is not passed over.
     int outermost(const int* values, int flip, Extremes all, int band,
                   ObstacleCells::Range range) const {
-        const Ranks ranks(lanes);
+        const Ranks ranks(warp);
         const int share = range.size() / TRIM_SHARE, passed = trim < share ? trim : share;
         const int first = clipped(flip ? all.high : all.low) ^ flip;
         const int last = clipped(flip ? all.low : all.high) ^ flip;

@@ -4,8 +4,8 @@
 // the first two and those inside of the image's margins the middle two. Within a part they lie in
 // any order: what is made of them is a sum, a minimum, a maximum or a median.
 #pragma once
-#include "lanes.h"
-#include "listed.h"
+#include "warp.h"
+#include "cell_list.h"
 
 struct ObstacleCells {
     enum { SHOWN_AT_MARGIN, SHOWN_INSIDE, HIDDEN_INSIDE, HIDDEN_AT_MARGIN, PARTS };
@@ -23,7 +23,7 @@ struct ObstacleCells {
     int margin;  // columns of it at a side
     const int *label, *right, *forward;
     const bool* in_view;
-    Listed listed;  // those of obstacles; their label becomes their place
+    CellList listed;  // those of obstacles; their label becomes their place
     // By obstacle and part, and one more.
     int* starts;
     int* filled;
@@ -62,11 +62,11 @@ struct ObstacleCells {
     }
 
     // By the first warp, after all cells are counted; then all threads wait.
-    void order(const Lanes& lanes) const {
+    void order(const Warp& warp) const {
         const int all = PARTS * count;
-        for (int i = lanes.rank; i < all; i += lanes.size) starts[i] = filled[i];
-        lanes.run_up(starts, all);
-        for (int i = lanes.rank; i < all; i += lanes.size) filled[i] = starts[i];
+        for (int i = warp.rank; i < all; i += warp.size) starts[i] = filled[i];
+        warp.run_up(starts, all);
+        for (int i = warp.rank; i < all; i += warp.size) filled[i] = starts[i];
     }
 
     // Puts the cells in order, once their labels are their places; then all threads wait.

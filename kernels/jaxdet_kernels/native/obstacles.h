@@ -3,9 +3,9 @@
 #include "bits.h"
 #include "contraction.h"
 #include "evidence.h"
-#include "listed.h"
+#include "cell_list.h"
 #include "numbering.h"
-#include "pieces.h"
+#include "small_surfaces.h"
 #include "straight_parts.h"
 
 // Where scratch memory is handed out, in the order asked for.
@@ -51,14 +51,14 @@ struct Obstacles {
     int* label;  // result, of each cell
     int* total;  // result: how many obstacles there are
 
-    // Scratch. `pairs` holds one thing after the other: how often pieces touch, histograms, sums of
+    // Scratch. `pairs` holds one thing after the other: how often surfaces touch, histograms, sums of
     // pairs, and the nearest cells of obstacles' contours.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near_pairs;
     int* bits;
-    Listed listed;  // with their label as it changes: surface, whole surface, part of an obstacle
+    CellList listed;  // with their label as it changes: surface, whole surface, part of an obstacle
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *state, *counts, *parts, *part_of;
 
@@ -111,7 +111,7 @@ struct Obstacles {
         team.sync();
         listed.take(team, surface, free, right, forward, columns, bits_of(0), bits_of(1), label,
                     counts + SURFACES);
-        join_pieces(team);
+        join_small(team);
         pack(team);
         const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
         contours.find(team, listed);
@@ -178,7 +178,7 @@ struct Obstacles {
     }
 
     // The surfaces without the small ones: `number` of each, and `whole`.
-    void join_pieces(const Team& team) const {
+    void join_small(const Team& team) const {
         const int count = counts[SURFACES];
         measure(team, first, count);
         if (team.any(width_decides(team, first, count))) measure_width(team, first, count);
@@ -190,9 +190,9 @@ struct Obstacles {
             some |= small[l];
         }
         if (team.any(some)) {
-            const Pieces pieces = {count, rows, columns, settings[CONTACT], listed, surface, z, small,
-                                   (int*)pairs, {group}};
-            pieces.run(team);
+            const SmallSurfaces joining = {count, rows, columns, settings[CONTACT], listed, surface,
+                                           z, small, (int*)pairs, {group}};
+            joining.run(team);
         }
         number_groups(team, count, first, counts + WHOLE);
         whole.join(team, counts[WHOLE], first, count, number);
@@ -250,31 +250,31 @@ struct Obstacles {
     void straighten(const Team& team, const Contours& of_whole) const {
         const int groups = counts[GROUPS];
         int* before = parts + groups;  // how many parts the groups before one have beside the first
-        const Lanes lanes(team);
+        const Warp warp(team);
         for (int g = team.rank; g < groups; g += team.size) before[g] = 0;
         if (settings[BEND] > 0) {
             const Contours contours = contours_of(groups, last, pairs);
             contours.join(team, of_whole, number);
             contours.list(team);
-            for (int g = lanes.index; g < groups; g += lanes.count) {
-                const int found = straight_parts(lanes, g).run() - 1;
-                if (lanes.rank == 0) before[g] = found;
+            for (int g = warp.index; g < groups; g += warp.count) {
+                const int found = straight_parts(warp, g).run() - 1;
+                if (warp.rank == 0) before[g] = found;
             }
         }
         team.sync();
-        if (lanes.index == 0) lanes.run_up(before, groups);
+        if (warp.index == 0) warp.run_up(before, groups);
         team.sync();
         const auto name_at = [&](int g) {
             return groups + before[g] < MAX_LABELS ? groups + before[g] : (int)MAX_LABELS;
         };
         if (team.rank == 0) counts[PARTS] = name_at(groups);
-        for (int g = lanes.index; g < groups; g += lanes.count) {
+        for (int g = warp.index; g < groups; g += warp.count) {
             const int next = name_at(g), found = name_at(g + 1) - next;
-            if (lanes.rank == 0) parts[g] = found;
+            if (warp.rank == 0) parts[g] = found;
             if (!found) continue;
-            const int *begin = straight_parts(lanes, g).parts, end = last.column_high[g];
+            const int *begin = straight_parts(warp, g).parts, end = last.column_high[g];
             int part = 0;
-            for (int c = last.column_low[g] + lanes.rank; c <= end; c += lanes.size) {
+            for (int c = last.column_low[g] + warp.rank; c <= end; c += warp.size) {
                 while (part < found && line_column[start[g] + begin[part + 1]] <= c) ++part;
                 part_of[g * columns + c] = part ? next + part - 1 : g;
             }
@@ -294,9 +294,9 @@ struct Obstacles {
         team.sync();
     }
 
-    StraightParts straight_parts(const Lanes& lanes, int g) const {
+    StraightParts straight_parts(const Warp& warp, int g) const {
         const int begin = start[g];
-        return {lanes, line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
+        return {warp, line_x + begin, line_y + begin, start[g + 1] - begin, settings[BEND],
                 settings[SIDE], settings[SIDE], stack + begin + g, packed + begin + g};
     }
 

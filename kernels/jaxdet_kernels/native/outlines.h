@@ -18,7 +18,7 @@ struct Outlines {
     };
 
     const ObstacleCells& cells;
-    const Lanes& lanes;
+    const Warp& warp;
     const Measures& measures;
     int slots, capacity, longest;
     const int* directions;  // (DIRECTIONS, 2)
@@ -34,8 +34,8 @@ struct Outlines {
     // By place in the order of the cells: along or across the direction.
     int* projected;
 
-    Outlines(const ObstacleCells& cells, const Lanes& lanes, const Measures& measures)
-        : cells(cells), lanes(lanes), measures(measures) {}
+    Outlines(const ObstacleCells& cells, const Warp& warp, const Measures& measures)
+        : cells(cells), warp(warp), measures(measures) {}
 
     // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
     int* lay(int* scratch) {
@@ -57,8 +57,8 @@ struct Outlines {
         cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
         look();
         team.sync();
-        if (lanes.index == 0) cells.order(lanes);
-        for (int number = lanes.index; number < cells.count; number += lanes.count)
+        if (warp.index == 0) cells.order(warp);
+        for (int number = warp.index; number < cells.count; number += warp.count)
             put_contour(number);
         team.sync();
         cells.sort();
@@ -66,7 +66,7 @@ struct Outlines {
         team.sync();
         // The rectangle of an obstacle is one piece of work, and so is each of its measures.
         enum { PIECES = Measures::KINDS + 1 };
-        for (int piece = lanes.index; piece < PIECES * cells.count; piece += lanes.count) {
+        for (int piece = warp.index; piece < PIECES * cells.count; piece += warp.count) {
             const int number = piece / PIECES, kind = piece % PIECES;
             if (kind == Measures::KINDS)
                 put_rectangle(number);
@@ -93,7 +93,7 @@ struct Outlines {
     // Counts the cells of each obstacle's parts and finds the nearest in each column.
     void look() const {
         const Team& team = cells.team;
-        const Listed& listed = cells.listed;
+        const CellList& listed = cells.listed;
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
             const int place = cells.place(number, cells.in_view[k], column);
@@ -114,18 +114,18 @@ struct Outlines {
         const unsigned long long* own = nearest + number * cells.columns;
         int* out = contour_out + 2 * number * capacity;
         int points = 0, sides[2] = {0, 0}, found;
-        for (int first = 0; first < cells.columns; first += lanes.size, points += found) {
-            const int c = first + lanes.rank;
+        for (int first = 0; first < cells.columns; first += warp.size, points += found) {
+            const int c = first + warp.rank;
             const unsigned long long key = c < cells.columns ? own[c] : ~0ull;
-            const int at = points + lanes.before(key != ~0ull, &found);
+            const int at = points + warp.before(key != ~0ull, &found);
             if (key == ~0ull || at >= capacity) continue;
             const int k = (int)(key & ((1 << CELL_BITS) - 1));
             out[2 * at] = cells.right[k];
             out[2 * at + 1] = cells.forward[k];
             if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
         }
-        for (int side = 0; side < 2; ++side) sides[side] = lanes.sum(sides[side]);
-        if (lanes.rank) return;
+        for (int side = 0; side < 2; ++side) sides[side] = warp.sum(sides[side]);
+        if (warp.rank) return;
         points_out[number] = points < capacity ? points : capacity;
         for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
     }
@@ -202,18 +202,18 @@ struct Outlines {
         int* side = span + 2 * turned;
         extremes(relied, ax, ay, side);
         if ((turned ? along : across) > longest) trim(relied, ax, ay, side);
-        if (lanes.rank) return;
+        if (warp.rank) return;
         for (int j = 0; j < 2; ++j) direction_out[2 * number + j] = direction[j];
         for (int j = 0; j < 4; ++j) span_out[4 * number + j] = span[j];
     }
 
     int best_direction(int number) const {
         const int first = number * DIRECTIONS;
-        int best = first + lanes.rank;
-        for (int i = best + lanes.size; i < first + DIRECTIONS; i += lanes.size)
+        int best = first + warp.rank;
+        for (int i = best + warp.size; i < first + DIRECTIONS; i += warp.size)
             if (fits_better(i, best)) best = i;
 #if defined(__CUDA_ARCH__)
-        for (int away = Lanes::size / 2; away; away /= 2) {
+        for (int away = Warp::size / 2; away; away /= 2) {
             const int other = __shfl_xor_sync(0xffffffff, best, away);
             if (fits_better(other, best)) best = other;
         }
@@ -229,16 +229,16 @@ struct Outlines {
 
     void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {
         Extremes all;
-        for (int i = range.first + lanes.rank; i < range.end; i += lanes.size)
+        for (int i = range.first + warp.rank; i < range.end; i += warp.size)
             all.add(ax * cells.right_of[i] + ay * cells.forward_of[i]);
         measures.put(all, found, found + 1);
     }
 
     // Passes over one of LONG_TRIM cells at each end.
     void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
-        const Ranks ranks(lanes);
+        const Ranks ranks(warp);
         const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;
-        for (int i = first + lanes.rank; i < end; i += lanes.size)
+        for (int i = first + warp.rank; i < end; i += warp.size)
             projected[i] = ax * cells.right_of[i] + ay * cells.forward_of[i];
         const int low = side[0], high = side[1];
         side[0] = ranks.at(projected, 0, first, end, passed, low, high);

@@ -3,19 +3,19 @@
 // Values are taken as they are (`flip` 0) or in falling order (`flip` -1): then v stands for ~v,
 // and so do the bounds and the result; `^ flip` turns both ways.
 #pragma once
-#include "lanes.h"
+#include "warp.h"
 
 struct Ranks {
-    const Lanes& lanes;
+    const Warp& warp;
 
-    explicit Ranks(const Lanes& lanes) : lanes(lanes) {}
+    explicit Ranks(const Warp& warp) : warp(warp) {}
 
     // How many of the values first .. end - 1 are at most `limit`. All lanes ask together.
     int up_to(const int* values, int flip, int first, int end, int limit) const {
         int count = 0;
-        for (int i = first + lanes.rank; i < end; i += lanes.size)
+        for (int i = first + warp.rank; i < end; i += warp.size)
             count += (values[i] ^ flip) <= limit;
-        return lanes.sum(count);
+        return warp.sum(count);
     }
 
     // The smallest value that more than `place` of the values first .. end - 1 do not exceed, if
@@ -28,20 +28,20 @@ struct Ranks {
             const int part = (high - low) >> 2;
             const int a = low + part, b = a + part, c = b + part + (((high - low) & 3) == 3);
             int to_a = 0, to_b = 0, to_c = 0;
-            for (int i = first + lanes.rank; i < end; i += lanes.size) {
+            for (int i = first + warp.rank; i < end; i += warp.size) {
                 const int value = values[i] ^ flip;
                 to_a += value <= a;
                 to_b += value <= b;
                 to_c += value <= c;
             }
-            if (lanes.sum(to_b) > place) {
-                if (lanes.sum(to_a) > place) {
+            if (warp.sum(to_b) > place) {
+                if (warp.sum(to_a) > place) {
                     high = a;
                 } else {
                     low = a + 1;
                     high = b;
                 }
-            } else if (lanes.sum(to_c) > place) {
+            } else if (warp.sum(to_c) > place) {
                 low = b + 1;
                 high = c;
             } else {

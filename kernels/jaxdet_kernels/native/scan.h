@@ -1,6 +1,6 @@
 // Prefix sums of a team.
 #pragma once
-#include "lanes.h"
+#include "warp.h"
 
 struct PrefixSum {
     // Words of scratch memory: one for each warp of the largest team.
@@ -15,13 +15,13 @@ struct PrefixSum {
         int own = 0, before = 0, total = 0;
         for (int i = begin; i < end; ++i) own += values[i];
 #if defined(__CUDA_ARCH__)
-        const Lanes lanes(team);
-        const int up_to = lanes.sum_up_to(own);
-        if (lanes.rank == Lanes::size - 1) scratch[lanes.index] = up_to;
+        const Warp warp(team);
+        const int up_to = warp.sum_up_to(own);
+        if (warp.rank == Warp::size - 1) scratch[warp.index] = up_to;
         team.sync();
-        for (int warp = 0; warp < lanes.count; ++warp) {
-            if (warp < lanes.index) before += scratch[warp];
-            total += scratch[warp];
+        for (int w = 0; w < warp.count; ++w) {
+            if (w < warp.index) before += scratch[w];
+            total += scratch[w];
         }
         before += up_to - own;
 #else

@@ -2,13 +2,13 @@
 // jaxdet/reference/_outlines.py. Lanes work on one contour together: all of them take every step, and
 // share the search for the largest triangle.
 #pragma once
-#include "lanes.h"
+#include "warp.h"
 #include "square_root.h"
 
 struct StraightParts {
     enum { FAR_BEHIND = 4, FEWEST = 5, POINT_BITS = 10 };
     enum : long long { MOST_AREA = 1ll << 50 };
-    const Lanes& lanes;
+    const Warp& warp;
     const int *x, *y;  // the contour, from left to right
     int points;
     long long bend, shortest, jump;
@@ -33,13 +33,13 @@ struct StraightParts {
         const bool faces = right * y[first] - forward * x[first] >= 0;
         // The larger an area, the smaller its key; of equal ones, that of the first point.
         unsigned long long best = ~0ull;
-        for (int k = first + 1 + lanes.rank; k <= last; k += lanes.size) {
+        for (int k = first + 1 + warp.rank; k <= last; k += warp.size) {
             const long long area = right * (y[k] - y[first]) - forward * (x[k] - x[first]);
             const long long away = faces ? area : -area;
             const unsigned long long key = (unsigned long long)(MOST_AREA - away) << POINT_BITS | k;
             if (away > 0 && key < best) best = key;
         }
-        best = lanes.least(best);
+        best = warp.least(best);
         *tip = best == ~0ull ? first : (int)(best & ((1 << POINT_BITS) - 1));
         return best == ~0ull ? 0 : MOST_AREA - (long long)(best >> POINT_BITS);
     }

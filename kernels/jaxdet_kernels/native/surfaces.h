@@ -5,7 +5,7 @@
 #include "creases.h"
 #include "floor_frame.h"
 #include "grid.h"
-#include "lanes.h"
+#include "warp.h"
 #include "runs.h"
 #include "scan.h"
 #include "shared_words.h"
@@ -77,15 +77,15 @@ struct Surfaces {
     // Everything that is known of single cells.
     void start(const Team& team, const Parts& in) const {
         const FloorFrame frame(floor);
-        const Lanes lanes(team);
+        const Warp warp(team);
         const int words = in.kept.words, all = rows * words;
         const int nearest = settings[NEAREST], farthest = settings[FARTHEST];
         in.grid.frame(team, in.depth, Creases::NONE);
         in.kept.clear_rest(team);
-        for (int first = lanes.index * AHEAD; first < all; first += lanes.count * AHEAD) {
+        for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
             int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k, c = i % words * BitRows::WIDTH + lanes.rank;
+                const int i = first + k, c = i % words * BitRows::WIDTH + warp.rank;
                 at[k] = i < all && c < columns ? i / words * columns + c : -1;
                 const int there = at[k] < 0 ? 0 : at[k];
                 a[k] = x[there], b[k] = y[there], d[k] = z[there];
@@ -97,9 +97,9 @@ struct Surfaces {
                 if (frame.has_ramp()) high -= frame.rise(ahead);
                 const bool above = high > rise[k], there = at[k] >= 0;
                 const bool on = there & (d[k] >= nearest) & (d[k] <= farthest) & above;
-                const unsigned those = lanes.those(on);
+                const unsigned those = warp.those(on);
                 const int i = first + k;
-                if (lanes.rank == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
+                if (warp.rank == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
                 if (!there) continue;
                 right[at[k]] = frame.right(a[k], b[k], d[k]);
                 forward[at[k]] = ahead;
@@ -172,16 +172,16 @@ struct Surfaces {
 #if defined(__CUDA_ARCH__)
     void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
         // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
-        const Lanes lanes(team);
-        for (int first = lanes.index * Lanes::size; first < on.count();
-             first += lanes.count * Lanes::size) {
-            const int own = first + lanes.rank;
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < on.count();
+             first += warp.count * Warp::size) {
+            const int own = first + warp.rank;
             unsigned goes_on = 0, linked = 0;
-            for (unsigned rest = lanes.those(own < on.count() && on[own]); rest;) {
+            for (unsigned rest = warp.those(own < on.count() && on[own]); rest;) {
                 int word[FEW], here[FEW], before[FEW], above[FEW];
                 for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
                     word[k] = rest ? first + BitRows::first(rest) : -1;
-                    const int c = on.column(word[k]) + lanes.rank;
+                    const int c = on.column(word[k]) + warp.rank;
                     const bool there = word[k] >= 0 && c < columns;
                     const int at = there ? on.row(word[k]) * columns + c : 0;
                     here[k] = z[at];
@@ -197,7 +197,7 @@ struct Surfaces {
                 for (int k = 0; k < FEW; ++k) {
                     const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
                     const bool below = is_near(here[k], above[k], step[k], step_above[k]);
-                    const unsigned those_beside = lanes.those(beside), those = lanes.those(below);
+                    const unsigned those_beside = warp.those(beside), those = warp.those(below);
                     if (word[k] == own) goes_on = those_beside, linked = those;
                 }
             }
@@ -262,22 +262,22 @@ struct Surfaces {
         }
         team.sync();
 #if defined(__CUDA_ARCH__)
-        const Lanes lanes(team);
+        const Warp warp(team);
         const int used = on.words, cells = rows * used;
-        for (int first = lanes.index; first < cells; first += AHEAD * lanes.count) {
+        for (int first = warp.index; first < cells; first += AHEAD * warp.count) {
             int own[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * lanes.count, j = on.at(i / used, i % used);
-                const bool there = i < cells && on[j] >> lanes.rank & 1;
-                own[k] = there ? in.label[runs.at(j, lanes.rank)] : -1;
+                const int i = first + k * warp.count, j = on.at(i / used, i % used);
+                const bool there = i < cells && on[j] >> warp.rank & 1;
+                own[k] = there ? in.label[runs.at(j, warp.rank)] : -1;
             }
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * lanes.count;
+                const int i = first + k * warp.count;
                 if (i >= cells) break;
-                const int c = i % used * BitRows::WIDTH + lanes.rank;
+                const int c = i % used * BitRows::WIDTH + warp.rank;
                 if (c < columns) label_out[i / used * columns + c] = own[k];
-                const unsigned those = lanes.those(own[k] >= 0);
-                if (lanes.rank == 0) has[on.at(i / used, i % used)] = those;
+                const unsigned those = warp.those(own[k] >= 0);
+                if (warp.rank == 0) has[on.at(i / used, i % used)] = those;
             }
         }
 #else
@@ -306,21 +306,21 @@ struct Surfaces {
     // of a round are looked at in the next: `has` says which are there. Returns which cells have one
     // in the end; ends in a sync.
     BitRows give_back(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
-        const Lanes lanes(team);
+        const Warp warp(team);
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
         for (int round = 0; round < rounds; ++round) {
             bool some = false;
             // A lane looks whether a word has such cells; then all lanes take them, word after word.
-            for (int first = lanes.index * Lanes::size; first < has.count();
-                 first += lanes.count * Lanes::size) {
-                const int own = first + lanes.rank;
+            for (int first = warp.index * Warp::size; first < has.count();
+                 first += warp.count * Warp::size) {
+                const int own = first + warp.rank;
                 const bool open = own < has.count() && (kept[own] & ~has[own]) &&
                                   Beside(has, own).free(kept, has, own);
                 unsigned taken = 0;
-                for (unsigned rest = lanes.those(open); rest; rest &= rest - 1) {
+                for (unsigned rest = warp.those(open); rest; rest &= rest - 1) {
                     const int lane = BitRows::first(rest);
-                    const unsigned those = take_all(lanes, kept, has, first + lane);
-                    if (lanes.rank == lane) taken = those;
+                    const unsigned those = take_all(warp, kept, has, first + lane);
+                    if (warp.rank == lane) taken = those;
                 }
                 if (own < has.count()) next[own] = has[own] | taken;
                 some |= taken != 0;
@@ -347,7 +347,7 @@ struct Surfaces {
 
     // Labels of the cells of a word: which of them got one. All lanes ask for the same word.
     unsigned take_all(
-        [[maybe_unused]] const Lanes& lanes, const BitRows& kept, const BitRows& has, int i
+        [[maybe_unused]] const Warp& warp, const BitRows& kept, const BitRows& has, int i
     ) const {
         const Beside beside(has, i);
         unsigned free = beside.free(kept, has, i), taken = 0;
@@ -357,7 +357,7 @@ struct Surfaces {
                         beside.lower >> k & 1);
         };
 #if defined(__CUDA_ARCH__)
-        taken = lanes.those(free >> lanes.rank & 1 && takes(lanes.rank));
+        taken = warp.those(free >> warp.rank & 1 && takes(warp.rank));
 #else
         for (; free; free &= free - 1)
             taken |= (unsigned)takes(BitRows::first(free)) << BitRows::first(free);
@@ -405,13 +405,13 @@ struct Surfaces {
 #if defined(__CUDA_ARCH__)
     // -1: no word.
     void look_at_words(
-        const Team& team, const Lanes& lanes, const Parts& in, const BitRows& has, const int* words
+        const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
     ) const {
         const int margin = columns / MARGIN;
         int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
         bool lowest[FEW];
         for (int k = 0; k < FEW; ++k) {
-            const int r = has.row(words[k]), c = has.column(words[k]) + lanes.rank;
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.rank;
             const bool there = words[k] >= 0 && c < columns, over = there && r + 1 < rows;
             const int here = there ? r * columns + c : 0, below = over ? here + columns : 0;
             l[k] = there ? label_out[here] : -1;
@@ -420,22 +420,22 @@ struct Surfaces {
             lowest[k] = over && low[below];
         }
         for (int k = 0; k < FEW; ++k) {
-            const int r = has.row(words[k]), c = has.column(words[k]) + lanes.rank;
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.rank;
             const bool outer = (c < margin) | (c >= columns - margin);
             const int rises = h[k] - h_below[k];
             const bool steep = is_steep(rises, f[k] - f_below[k], outer);
             const int level = lowest[k] ? steep ? -1 : 2 : 0;
             const bool sure = lowest[k] || r + 1 == rows || !outer;
             // One label after the other.
-            for (unsigned rest = lanes.those(l[k] >= 0); rest;) {
+            for (unsigned rest = warp.those(l[k] >= 0); rest;) {
                 const int leader = BitRows::first(rest);
                 const int label = __shfl_sync(0xffffffff, l[k], leader);
                 const bool own = l[k] == label;
-                const unsigned those = lanes.those(own);
-                const int top = lanes.most(own && h[k] > -1 ? h[k] : -1);
-                const int sum = lanes.sum(own ? level : 0);
-                const bool certain_here = lanes.those(own && sure);
-                if (lanes.rank == leader)
+                const unsigned those = warp.those(own);
+                const int top = warp.most(own && h[k] > -1 ? h[k] : -1);
+                const int sum = warp.sum(own ? level : 0);
+                const bool certain_here = warp.those(own && sure);
+                if (warp.rank == leader)
                     look_at(team, in, label, r * columns + c, top, sum, certain_here);
                 rest &= ~those;
             }
@@ -450,15 +450,15 @@ struct Surfaces {
         team.sync();
 #if defined(__CUDA_ARCH__)
         // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
-        const Lanes lanes(team);
-        for (int first = lanes.index * Lanes::size; first < has.count();
-             first += lanes.count * Lanes::size) {
-            const int own = first + lanes.rank;
-            for (unsigned rest = lanes.those(own < has.count() && has[own]); rest;) {
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < has.count();
+             first += warp.count * Warp::size) {
+            const int own = first + warp.rank;
+            for (unsigned rest = warp.those(own < has.count() && has[own]); rest;) {
                 int words[FEW];
                 for (int k = 0; k < FEW; ++k, rest &= rest - 1)
                     words[k] = rest ? first + BitRows::first(rest) : -1;
-                look_at_words(team, lanes, in, has, words);
+                look_at_words(team, warp, in, has, words);
             }
         }
 #else
@@ -529,11 +529,11 @@ struct Surfaces {
             numbers[run] = bent ? -1 : runs.before[i] + BitRows::ones(firsts[i] & (bit - 1));
         }
         team.sync();
-        const Lanes lanes(team);
-        for (int i = lanes.index; i < has.count(); i += lanes.count) {
+        const Warp warp(team);
+        for (int i = warp.index; i < has.count(); i += warp.count) {
             if (!has[i]) continue;
             const int first = has.row(i) * columns + has.column(i);
-            for (int k = lanes.rank; k < BitRows::WIDTH; k += Lanes::size) {
+            for (int k = warp.rank; k < BitRows::WIDTH; k += Warp::size) {
                 if (!(has[i] >> k & 1)) continue;
                 const int number = numbers[label_out[first + k]];
                 label_out[first + k] = number < MOST ? number : -1;

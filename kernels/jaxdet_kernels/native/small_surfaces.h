@@ -1,14 +1,14 @@
 // Surfaces too small to be an obstacle join the one they touch most.
 // Twin of `whole_surfaces` in jaxdet/reference/_obstacles.py.
 #pragma once
-#include "lanes.h"
-#include "listed.h"
+#include "warp.h"
+#include "cell_list.h"
 #include "union_find.h"
 
-struct Pieces {
+struct SmallSurfaces {
     enum { REACH = 2 };
     int count, rows, columns, step;
-    const Listed& listed;
+    const CellList& listed;
     const int *label, *z;  // of each cell
     const int* small;      // of each surface
     int* touching;         // scratch: `count` words for each surface
@@ -17,25 +17,25 @@ struct Pieces {
 
     // Ends in a sync.
     void run(const Team& team) const {
-        const Lanes lanes(team);
-        for (int a = lanes.index; a < count; a += lanes.count)
-            for (int b = lanes.rank; small[a] && b < count; b += lanes.size)
+        const Warp warp(team);
+        for (int a = warp.index; a < count; a += warp.count)
+            for (int b = warp.rank; small[a] && b < count; b += warp.size)
                 touching[a * count + b] = 0;
         team.sync();
         touch(team);
         team.sync();
-        for (int a = lanes.index; a < count; a += lanes.count) {
+        for (int a = warp.index; a < count; a += warp.count) {
             int most = 0;
-            for (int b = lanes.rank; small[a] && b < count; b += lanes.size) {
+            for (int b = warp.rank; small[a] && b < count; b += warp.size) {
                 most = touching[a * count + b] > most ? touching[a * count + b] : most;
             }
-            most = lanes.most(most);
+            most = warp.most(most);
             int partner = most ? count : a;
-            for (int b = lanes.rank; most && b < partner; b += lanes.size) {
+            for (int b = warp.rank; most && b < partner; b += warp.size) {
                 if (touching[a * count + b] == most) partner = b;
             }
-            partner = lanes.least(partner);
-            if (lanes.rank == 0) sets.link(team, a, partner);
+            partner = warp.least(partner);
+            if (warp.rank == 0) sets.link(team, a, partner);
         }
         team.sync();
         for (int a = team.rank; a < count; a += team.size) sets.parent[a] = sets.find(a);

@@ -1,14 +1,14 @@
-// The threads that work on one piece of a frame together, without waiting for the others of their
+// The threads that do one task of a frame together, without waiting for the others of their
 // team: a warp on CUDA, a single thread on the CPU.
 //
-//     for (int piece = lanes.index; piece < pieces; piece += lanes.count)
-//         for (int i = lanes.rank; i < n; i += lanes.size) ...
+//     for (int task = warp.index; task < tasks; task += warp.count)
+//         for (int i = warp.rank; i < n; i += warp.size) ...
 //
 // All lanes ask for a sum, a minimum or a maximum together, and all get it.
 #pragma once
 #include "bits.h"
 
-struct Lanes {
+struct Warp {
     // from              the value of one lane
     // those             bit k: lane k says so
     // sum, least, most  of the values of all lanes
@@ -18,7 +18,7 @@ struct Lanes {
     enum { size = 32 };
     int rank, index, count;
 
-    explicit Lanes(const Team& team)
+    explicit Warp(const Team& team)
         : rank(team.rank % size), index(team.rank / size), count(team.size / size) {}
 
     int from(int value, int lane) const { return __shfl_sync(ALL, value, lane); }
@@ -61,7 +61,7 @@ struct Lanes {
 #else
     enum { rank = 0, size = 1, index = 0, count = 1 };
 
-    explicit Lanes(const Team&) {}
+    explicit Warp(const Team&) {}
 
     int from(int value, int) const { return value; }
     unsigned those(bool mine) const { return mine; }
@@ -106,8 +106,8 @@ struct Extremes {
         high = upper > high ? upper : high;
     }
     // Over all lanes.
-    void join(const Lanes& lanes) {
-        low = lanes.least(low);
-        high = lanes.most(high);
+    void join(const Warp& warp) {
+        low = warp.least(low);
+        high = warp.most(high);
     }
 };

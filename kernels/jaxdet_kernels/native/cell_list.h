@@ -1,9 +1,9 @@
 // The cells of a frame that have a label, one after the other: mostly a small part of all.
 #pragma once
 #include "bits.h"
-#include "lanes.h"
+#include "warp.h"
 
-struct Listed {
+struct CellList {
     enum { AHEAD = 4 };
     int* count;
     // Of each: which cell it is, its label, and where it is on the floor. Cells of a row follow each
@@ -22,27 +22,27 @@ struct Listed {
         has.clear_rest(team);
         open.clear_rest(team);
 #if defined(__CUDA_ARCH__)
-        const Lanes lanes(team);
+        const Warp warp(team);
         const int words = has.words, all = has.rows * words;
-        for (int first = lanes.index * AHEAD; first < all; first += lanes.count * AHEAD) {
+        for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
             int own[AHEAD], from[AHEAD];
             bool seen[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k, c = i % words * BitRows::WIDTH + lanes.rank;
+                const int i = first + k, c = i % words * BitRows::WIDTH + warp.rank;
                 from[k] = i < all && c < columns ? i / words * columns + c : -1;
                 own[k] = from[k] < 0 ? -1 : labels[from[k]];
                 seen[k] = from[k] >= 0 && free[from[k]];
             }
             for (int k = 0; k < AHEAD; ++k) {
-                const unsigned those = lanes.those(own[k] >= 0), frees = lanes.those(seen[k]);
+                const unsigned those = warp.those(own[k] >= 0), frees = warp.those(seen[k]);
                 if (from[k] >= 0) out[from[k]] = own[k];
                 largest = own[k] > largest ? own[k] : largest;
                 const int i = has.at((first + k) / words, (first + k) % words);
-                if (lanes.rank || first + k >= all) continue;
+                if (warp.rank || first + k >= all) continue;
                 has[i] = those;
                 open[i] = frees;
             }
-            append(team, lanes, own, from, at_right, at_forward);
+            append(team, warp, own, from, at_right, at_forward);
         }
 #else
         int n = 0;
@@ -85,16 +85,16 @@ struct Listed {
         const int* at_forward
     ) const {
 #if defined(__CUDA_ARCH__)
-        enum { GROUP = AHEAD * Lanes::size };
-        const Lanes lanes(team);
-        for (int first = lanes.index * GROUP; first < cells; first += lanes.count * GROUP) {
+        enum { GROUP = AHEAD * Warp::size };
+        const Warp warp(team);
+        for (int first = warp.index * GROUP; first < cells; first += warp.count * GROUP) {
             int own[AHEAD], from[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                from[k] = first + k * Lanes::size + lanes.rank;
+                from[k] = first + k * Warp::size + warp.rank;
                 own[k] = from[k] < cells ? labels[from[k]] : -1;
             }
             for (int k = 0; k < AHEAD; ++k) own[k] = own[k] < limit ? own[k] : -1;
-            append(team, lanes, own, from, at_right, at_forward);
+            append(team, warp, own, from, at_right, at_forward);
         }
 #else
         // Most blocks of cells have none.
@@ -116,17 +116,17 @@ struct Listed {
 #if defined(__CUDA_ARCH__)
     // Puts those of AHEAD cells of each lane that have a label behind what is listed.
     void append(
-        const Team& team, const Lanes& lanes, const int* own, const int* from, const int* at_right,
+        const Team& team, const Warp& warp, const int* own, const int* from, const int* at_right,
         const int* at_forward
     ) const {
         int before[AHEAD], found, sum = 0, start = 0;
         for (int k = 0; k < AHEAD; ++k) {
-            before[k] = sum + lanes.before(own[k] >= 0, &found);
+            before[k] = sum + warp.before(own[k] >= 0, &found);
             sum += found;
         }
         if (sum == 0) return;
-        if (lanes.rank == 0) start = team.add(count, sum);
-        start = lanes.from(start, 0);
+        if (warp.rank == 0) start = team.add(count, sum);
+        start = warp.from(start, 0);
         for (int k = 0; k < AHEAD; ++k)
             if (own[k] >= 0) put(start + before[k], from[k], own[k], at_right, at_forward);
     }
