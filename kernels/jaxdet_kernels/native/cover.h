@@ -263,16 +263,16 @@ struct CoveredCorners {
         const int all = *cover.count;
         for (int start = team.rank; start < all; start += AHEAD * team.size) {
             int cell[AHEAD], low[AHEAD], high[AHEAD], depth[AHEAD];
-                for (int n = 0; n < AHEAD; ++n) {
+            for (int n = 0; n < AHEAD; ++n) {
                 const int k = start + n * team.size;
                 cell[n] = k < all ? cover.taken[k] : -1;
             }
-                for (int n = 0; n < AHEAD; ++n) {
+            for (int n = 0; n < AHEAD; ++n) {
                 low[n] = cell[n] < 0 ? 0 : cover.low[cell[n]];
                 high[n] = cell[n] < 0 ? 0 : cover.high[cell[n]];
                 depth[n] = cell[n] < 0 ? 0 : cover.z[cell[n]];
             }
-                for (int n = 0; n < AHEAD; ++n) {
+            for (int n = 0; n < AHEAD; ++n) {
                 const Cover::Box at = cover.box(low[n], high[n]);
                 if (cell[n] < 0 || at.is_empty()) continue;
                 const unsigned long long key =

@@ -81,23 +81,19 @@ struct Obstacles {
         near_pairs = (unsigned char*)store.words((all / 2 + 3) / 4);
         packed = store.words(cells + slots);
         stack = store.words(cells + slots);
-        line_x = store.words(cells);
-        line_y = store.words(cells);
-        line_column = store.words(cells);
         start = store.words(labels + 1);
-        first.lay(store.words(Extents::FIELDS * labels), (int)labels);
-        whole.lay(store.words(Extents::FIELDS * labels), (int)labels);
-        last.lay(store.words(Extents::FIELDS * labels), (int)labels);
-        group = store.words(labels);
-        number = store.words(labels);
-        small = store.words(labels);
+        Extents* const known[] = {&first, &whole, &last};
+        for (Extents* of : known) of->lay(store.words(Extents::FIELDS * labels), (int)labels);
+        int** const by_label[] = {&group, &number, &small, &over};
+        for (int** array : by_label) *array = store.words(labels);
         spare = store.words(2 * labels);
-        over = store.words(labels);
         state = store.words(Trimmed::STATE * labels);
         parts = store.words(2 * labels + 1);
         counts = store.words(COUNTS);
-        listed = {counts + LISTED, store.words(cells), store.words(cells), store.words(cells),
-                  store.words(cells)};
+        listed.count = counts + LISTED;
+        int** const by_cell[] = {&line_x, &line_y, &line_column, &listed.cell, &listed.label,
+                                 &listed.right, &listed.forward};
+        for (int** array : by_cell) *array = store.words(cells);
         bits = store.words(2 * (rows_bits().count() + columns_bits().count()));
         part_of = (int*)of_surfaces;
     }
