@@ -28,19 +28,10 @@ _tiles = wp.jax_kernel(
 
 
 def align(depth: Array, calibration: Calibration) -> AlignedDepth:
-    """Moves each depth pixel into the colour image; the nearest wins (Eq. 1-4).
+    """Equals :func:`jaxdet.reference.align`.
 
-    Equals :func:`jaxdet.reference.align`. On CUDA a block takes a tile of the depth image; on
-    the CPU, where Warp runs threads one after the other, each frame is one.
-
-    Args:
-        depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement. On the CPU, images whose
-            memory starts at a multiple of 64 bytes are read where they are, so leave them alone
-            until the results are ready.
-        calibration: The log's calibration; the tables made from it are cached.
-
-    Returns:
-        ``(B, H, W)`` uint16 depth and z, as the reference.
+    On the CPU, images whose memory starts at a multiple of 64 bytes are read where they are, so
+    leave them alone until the results are ready. Tables made from the calibration are cached.
 
     Raises:
         CalibrationError: The images are not of the depth camera's size.

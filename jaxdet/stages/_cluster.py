@@ -20,24 +20,14 @@ RANK_MASK = (1 << RANK_BITS) - 1
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
-    """Groups the kept features of each frame into obstacles (Eq. 6, Section 3.4).
+    """Equals :func:`jaxdet.reference.cluster`.
 
-    Equals :func:`jaxdet.reference.cluster`. Every frame is an array program of its own, mapped over
-    the batch: sort by set and depth, flag gaps, count each set; the same by set and x; number what
-    is left.
-
-    Args:
-        features: ``(B, N)`` points, N at most 8192; only ``kept`` ones take part. z is below 65536,
-            x at most MAX_LATERAL.
-        depth_unit: Metres in one depth unit.
-        config: The gaps and N of its cluster part.
-
-    Returns:
-        Labels numbered in order of nearest z, then smallest x, then first slot, with -1 for no
-        obstacle.
+    Every frame is an array program of its own, mapped over the batch: sort by set and depth, flag
+    gaps, count each set; the same by set and x; number what is left. z is below 65536, x at most
+    MAX_LATERAL.
 
     Raises:
-        ConfigError: N is larger.
+        ConfigError: There are more than 8192 points a frame.
     """
     points = features.z.shape[1]
     check_points(points)

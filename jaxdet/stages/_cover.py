@@ -23,10 +23,8 @@ class CellFeatures(NamedTuple):
     the sample."""
     num_corners: jax.Array
     """``(B,)`` int32, how many qualify, where they are more than N perhaps too few."""
-    label: jax.Array
-    """``(B, N + S)`` int32, the cells' labels below ``MAX_OBSTACLES``, or -1."""
-    has_depth: jax.Array
-    """``(B,)`` bool, some cell in view is in range."""
+    label: jax.Array  # (B, N + S) int32, the cells' labels below MAX_OBSTACLES, or -1
+    has_depth: jax.Array  # (B,) bool, some cell in view is in range
 
 
 def features_on_cells(

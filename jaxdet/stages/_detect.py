@@ -55,10 +55,8 @@ class _Tables(NamedTuple):
 class _Given(NamedTuple):
     """What is known of each frame's floor."""
 
-    prior: Array
-    """``(B, 4)`` int32, see :func:`jaxdet.floor.units.prior_units`."""
-    frame: Array
-    """``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
+    prior: Array  # (B, 4) int32, see jaxdet.floor.units.prior_units
+    frame: Array  # (B, 13) int32, see jaxdet.floor.frame.floor_frames
 
 
 SPECS = (_spread.WHOLE, _spread.ROWS)
@@ -72,8 +70,7 @@ class _Static(NamedTuple):
     slots: int
     floor: FloorConfig
     unit: float
-    with_cells: bool
-    """Whether the cells are given back with their obstacles."""
+    with_cells: bool  # whether the cells are given back with their obstacles
 
 
 def detect(
@@ -168,8 +165,7 @@ class _Steps(NamedTuple):
 
     floor: jax.Array
     num_surfaces: jax.Array
-    num_obstacles: jax.Array
-    """``(B,)`` int32."""
+    num_obstacles: jax.Array  # (B,) int32
     features: CellFeatures
     outlined: _outlines.Outlined
     free: tuple[jax.Array, jax.Array]

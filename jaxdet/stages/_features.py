@@ -18,10 +18,8 @@ from jaxdet_kernels.features import MAX_SIZE
 class Rays(NamedTuple):
     """The rays of a camera's pixels, from :func:`jaxdet.camera.fixed_rays`."""
 
-    x: jax.Array
-    """``(H, W)`` int32."""
-    y: jax.Array
-    """``(H, W)`` int32."""
+    x: jax.Array  # (H, W) int32
+    y: jax.Array  # (H, W) int32
 
 
 @lru_cache(maxsize=8)
@@ -36,18 +34,7 @@ def features(
     calibration: Calibration,
     config: FeaturesConfig,
 ) -> Features:
-    """Finds the strongest Shi-Tomasi corners of the Canny edge image and looks up their depth.
-
-    Equals :func:`jaxdet.reference.features`. All of it is one program.
-
-    Args:
-        color: ``(B, H, W, 3)`` uint8, RGB.
-        keep: Where corners may be, and the depth there, from the ground stage.
-        calibration: For the colour camera.
-        config: Canny's bounds and the corner selection.
-
-    Returns:
-        ``N = config.max_corners`` slots a frame; empty slots are zero.
+    """Equals :func:`jaxdet.reference.features`, in one program.
 
     Raises:
         CalibrationError: The images or the mask are not of the colour camera's size.

@@ -47,11 +47,9 @@ _SINES = SINES.astype(np.int32)
 class FloorSettings(NamedTuple):
     """What the kernel is told; lengths in depth units. ``native/floor_planes.h`` has this order."""
 
-    stride: int
-    """Every so many of the cells are used, in rows and columns."""
+    stride: int  # every so many of the cells are used, in rows and columns
     max_depth: int
-    noise: int
-    """Of tolerances, as what is per z, see :class:`jaxdet.floor.units.Slack`."""
+    noise: int  # of tolerances, as what is per z, see jaxdet.floor.units.Slack
     rough_base: int
     rough_per_z: int
     fine_base: int
@@ -61,17 +59,14 @@ class FloorSettings(NamedTuple):
     wide_per_z: int
     lever_bits: int
     bin_bits: int
-    span: int
-    """Heights are tried so far from a guess."""
-    edge: int
-    """Bins at each end that are farther than most planes are looked for."""
+    span: int  # heights are tried so far from a guess
+    edge: int  # bins at each end that are farther than most planes are looked for
     lowest: int
     highest: int
     rings: tuple[int, ...]
     max_turn: int
     max_shift: int
-    min_share: int
-    """In thousandths."""
+    min_share: int  # in thousandths
     min_share_alone: int
     table: int
     step: int
@@ -80,8 +75,7 @@ class FloorSettings(NamedTuple):
     run_bits: int
     rise_bits: int
     runs: int
-    half: int
-    """Heights of the profile above the plane, and below."""
+    half: int  # heights of the profile above the plane, and below
     profile_base: int
     ramp_near: int
     ramp_spread: int

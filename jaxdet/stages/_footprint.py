@@ -22,22 +22,10 @@ LAST = jnp.iinfo(jnp.int32).max
 def footprint(
     features: Features, labels: Labels, plane: GroundPlane, depth_unit: float, config: Config
 ) -> Obstacles:
-    """Measures each obstacle and finds its points A, B and C on the floor (Eq. 7).
-
-    Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label.
-
-    Args:
-        features: ``(B, N)`` points, N at most 8192.
-        labels: Their obstacles.
-        plane: The floor of each frame, for the ground frame's axes.
-        depth_unit: Metres in one depth unit.
-        config: Its footprint part; with N, ``min_points`` of its cluster part sets ``M``.
-
-    Returns:
-        ``(B, M)`` obstacles in the order of their labels.
+    """Equals :func:`jaxdet.reference.footprint`; the extents are segment reductions by label.
 
     Raises:
-        ConfigError: N is larger.
+        ConfigError: There are more than 8192 points a frame.
     """
     points = features.z.shape[1]
     check_points(points)
@@ -49,10 +37,8 @@ def footprint(
 class Tables(NamedTuple):
     """What :func:`obstacles` takes of the configuration."""
 
-    bands: jax.Array
-    """``(65536, 2)`` int32, from :func:`jaxdet.floor.plane.band_table`."""
-    settings: jax.Array
-    """``(2,)`` int32: the threshold of a vertex [depth units] and ``trim``."""
+    bands: jax.Array  # (65536, 2) int32, from jaxdet.floor.plane.band_table
+    settings: jax.Array  # (2,) int32: the threshold of a vertex [depth units] and trim
 
 
 @lru_cache(maxsize=8)

@@ -17,19 +17,15 @@ _free_floor = TeamKernel(kernels.free_floor)
 class FreeSettings(NamedTuple):
     """What the kernel is told of the configuration, in this order."""
 
-    far: int
-    """End of the range [depth units]."""
-    gap: int
-    """The floor ends where so much of it shows no measurement [depth units]."""
+    far: int  # end of the range [depth units]
+    gap: int  # the floor ends where so much of it shows no measurement [depth units]
 
 
 class FreeTables(NamedTuple):
     """Heights by z, each ``(65536,)`` int32 [depth units]."""
 
-    bows: Array
-    """How far below the plane floor still is."""
-    drops: Array
-    """How much lower than the floor before it the floor behind an edge lies."""
+    bows: Array  # how far below the plane floor still is
+    drops: Array  # how much lower than the floor before it the floor behind an edge lies
 
 
 def free_settings(config: Config, depth_unit: float) -> np.ndarray:

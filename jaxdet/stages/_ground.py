@@ -14,21 +14,10 @@ from jaxdet.types import AlignedDepth, Calibration, GroundPlane, Intrinsics, Kee
 def ground(
     aligned: AlignedDepth, plane: GroundPlane, calibration: Calibration, config: Config
 ) -> Keep:
-    """Keeps pixels whose depth is in range and whose height is above the step height (Eq. 5).
+    """Equals :func:`jaxdet.reference.ground`.
 
-    Equals :func:`jaxdet.reference.ground`. What depends on the plane and the calibration is in
-    a table made on the host once (:func:`jaxdet.floor.plane.floor_limits`); here each pixel is
-    compared with it.
-
-    Args:
-        aligned: Depth at the colour pixels; ``z`` is used.
-        plane: The floor of each of the ``B`` frames.
-        calibration: For the colour camera and the depth unit.
-        config: Range and step height of its ground part.
-
-    Returns:
-        The mask, True where the pixel may belong to an obstacle, the depth that a feature there
-        gets, and whether a frame has any depth in range.
+    What depends on the plane and the calibration is in a table made on the host once
+    (:func:`jaxdet.floor.plane.floor_limits`); here each pixel is compared with it.
     """
     return keep(aligned.z, *tables(plane, calibration, config))
 

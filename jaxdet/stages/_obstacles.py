@@ -22,8 +22,7 @@ _obstacles = TeamKernel(kernel.obstacles)
 class Settings(NamedTuple):
     """The order of the settings of the kernel, as in ``native/obstacles.h`` [depth units]."""
 
-    farthest: int
-    """End of the range."""
+    farthest: int  # end of the range
     lateral_gap: int
     forward_gap: int
     depth_gap: int
@@ -32,10 +31,8 @@ class Settings(NamedTuple):
     side: int
     min_size: int
     min_cells: int
-    no_step: int
-    """Step in depth of surfaces that do not face each other."""
-    offset: int
-    """Evidence to begin with."""
+    no_step: int  # step in depth of surfaces that do not face each other
+    offset: int  # evidence to begin with
 
 
 class View(NamedTuple):
@@ -47,8 +44,7 @@ class View(NamedTuple):
     right: jax.Array
     forward: jax.Array
     height: jax.Array
-    in_view: jax.Array
-    """bool."""
+    in_view: jax.Array  # bool
 
 
 class Trees(NamedTuple):

@@ -30,12 +30,9 @@ SHAPES = {
 class OutlineSettings(NamedTuple):
     """What the kernel is told of the configuration, in this order."""
 
-    trim: int
-    """Cells passed over at each side and in front before A, B and C."""
-    vertex: int
-    """How much nearer than A and B a vertex is [depth units]."""
-    long: int
-    """Longer rectangles pass over a part of their cells at their long sides [depth units]."""
+    trim: int  # cells passed over at each side and in front before A, B and C
+    vertex: int  # how much nearer than A and B a vertex is [depth units]
+    long: int  # longer rectangles pass over a part of their cells at their long sides [depth units]
 
 
 class Outlined(NamedTuple):
@@ -45,8 +42,7 @@ class Outlined(NamedTuple):
     contour: jax.Array
     """``(B, M, C, 2)`` int32, the nearest cell of each column, right and forward on the
     floor, from left to right [depth units]; then zeros."""
-    contour_points: jax.Array
-    """``(B, M)`` int32, how many of them are used."""
+    contour_points: jax.Array  # (B, M) int32, how many of them are used
     bottom_top: jax.Array
     """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
 

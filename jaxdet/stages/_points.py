@@ -43,10 +43,8 @@ class _Static(NamedTuple):
     align: tuple[int, int, tuple[int, int]] | None
     """The lens, whether depth pixels fill corners, and the colour image's size; None: depth is
     aligned already."""
-    slots: int
-    """Of corners."""
-    most: int
-    """Obstacles that there is room for."""
+    slots: int  # of corners
+    most: int  # obstacles that there is room for
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:

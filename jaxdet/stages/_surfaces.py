@@ -20,45 +20,32 @@ MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
 class SurfaceSettings(NamedTuple):
     """The numbers of the configuration, in the order of ``native/surfaces.h``."""
 
-    nearest: int
-    """Least depth [depth units]."""
-    farthest: int
-    """Depth up to which surfaces are followed [depth units]."""
+    nearest: int  # least depth [depth units]
+    farthest: int  # depth up to which surfaces are followed [depth units]
     crease_cells: int
     min_cells: int
     crease_margin: int
-    bent: int
-    """Height up to which surfaces without a steep side are floor [depth units]."""
+    bent: int  # height up to which surfaces without a steep side are floor [depth units]
 
 
 class SurfaceTables(NamedTuple):
     """Lengths by z, each ``(65536,)`` int32 [depth units]."""
 
-    steps: Array
-    """Largest step in depth between neighbouring cells of a surface."""
-    limits: Array
-    """Deeper bends are creases."""
-    rises: Array
-    """What is no higher above the floor is floor."""
+    steps: Array  # largest step in depth between neighbouring cells of a surface
+    limits: Array  # deeper bends are creases
+    rises: Array  # what is no higher above the floor is floor
 
 
 class Surfaces(NamedTuple):
     """The cells of a batch on the floor and in surfaces."""
 
-    right: jax.Array
-    """``(B, R, C)`` int32, on the floor [depth units]."""
-    forward: jax.Array
-    """``(B, R, C)`` int32, on the floor [depth units]."""
-    height: jax.Array
-    """``(B, R, C)`` int32, above the floor [depth units]."""
-    label: jax.Array
-    """``(B, R, C)`` int32, below MAX_SURFACES, -1 = none."""
-    keep: jax.Array
-    """``(B, R, C)`` bool, in range and above the floor."""
-    free: jax.Array
-    """``(B, R, C)`` bool, measured to be free: floor, or beyond the range."""
-    low: jax.Array
-    """``(B, R, C)`` bool, measured and no higher than the step."""
+    right: jax.Array  # (B, R, C) int32, on the floor [depth units]
+    forward: jax.Array  # (B, R, C) int32, on the floor [depth units]
+    height: jax.Array  # (B, R, C) int32, above the floor [depth units]
+    label: jax.Array  # (B, R, C) int32, below MAX_SURFACES, -1 = none
+    keep: jax.Array  # (B, R, C) bool, in range and above the floor
+    free: jax.Array  # (B, R, C) bool, measured to be free: floor, or beyond the range
+    low: jax.Array  # (B, R, C) bool, measured and no higher than the step
     num_surfaces: jax.Array
     """``(B,)`` int32, how many surfaces there are, those without a label included."""
 
