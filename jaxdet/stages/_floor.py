@@ -162,28 +162,12 @@ def find_floor(
     """
     batch, rows, columns = z.shape
     sizes = floor_settings(rows * columns, config, unit)
-    used = [len(range(sizes.stride // 2, size, sizes.stride)) for size in (rows, columns)]
+    rows, columns = (len(range(sizes.stride // 2, n, sizes.stride)) for n in (rows, columns))
     heights = 2 * sizes.span, sizes.highest - sizes.lowest
-    words = kernels.floor_scratch_words(
-        rows=used[0],
-        columns=used[1],
-        near_bins=(heights[0] >> sizes.bin_bits) + 1,
-        wide_bins=(heights[1] >> sizes.bin_bits) + 1,
-        runs=sizes.runs,
-        rises=2 * sizes.half,
-        width=kernels.WIDTH,
-    )
-    [found] = _floor(
-        x,
-        y,
-        z,
-        prior,
-        settings,
-        _SINES,
-        batch=batch,
-        shapes={"found_out": (batch, 8)},
-        scratch=words,
-    )
+    near, wide = ((height >> sizes.bin_bits) + 1 for height in heights)
+    words = kernels.floor_scratch_words(rows, columns, near, wide, sizes.runs, 2 * sizes.half)
+    inputs, shapes = (x, y, z, prior, settings, _SINES), {"found_out": (batch, 8)}
+    [found] = _floor(*inputs, batch=batch, shapes=shapes, scratch=words)
     return found
 
 

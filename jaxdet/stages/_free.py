@@ -65,15 +65,7 @@ def free_floor(
         ``(B, C)`` int32, what ends it, see :class:`jaxdet.types.FreeEnd`.
     """
     batch, _, columns = label.shape
-    line, end = _free_floor(
-        label,
-        low,
-        z,
-        *floor,
-        *tables,
-        settings,
-        batch=batch,
-        shapes={"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)},
-        scratch=kernels.scratch_words(columns),
-    )
+    inputs, words = (label, low, z, *floor, *tables, settings), kernels.scratch_words(columns)
+    shapes = {"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)}
+    line, end = _free_floor(*inputs, batch=batch, shapes=shapes, scratch=words)
     return line, end

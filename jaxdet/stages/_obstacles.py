@@ -119,14 +119,7 @@ def obstacles(
     batch, rows, columns = label.shape
     if max(rows, columns) > MAX_CONTOUR:
         raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
-    found, count = _obstacles(
-        label,
-        free,
-        *view,
-        *trees,
-        settings,
-        batch=batch,
-        shapes={"label_out": label.shape, "count_out": (batch,)},
-        scratch=kernel.scratch_words(rows, columns),
-    )
+    inputs, words = (label, free, *view, *trees, settings), kernel.scratch_words(rows, columns)
+    shapes = {"label_out": label.shape, "count_out": (batch,)}
+    found, count = _obstacles(*inputs, batch=batch, shapes=shapes, scratch=words)
     return found, count

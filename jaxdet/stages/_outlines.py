@@ -73,26 +73,14 @@ def outlines(
         settings: From :func:`outline_settings`.
     """
     batch, rows, columns = label.shape
-    named = _outlines(
-        label,
-        count,
-        cells.x,
-        cells.y,
-        cells.z,
-        *floor,
-        cells.in_view,
-        cells.uv_min,
-        cells.uv_max,
-        bands,
-        _directions(),
-        settings,
-        batch=batch,
-        shapes={
-            f"{name}_out": (batch, MAX_OBSTACLES, *shape)
-            for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
-        },
-        scratch=kernels.scratch_words(rows, columns, MAX_OBSTACLES),
-    )
+    places = cells.x, cells.y, cells.z, *floor, cells.in_view, cells.uv_min, cells.uv_max
+    inputs = label, count, *places, bands, _directions(), settings
+    shapes = {
+        f"{name}_out": (batch, MAX_OBSTACLES, *shape)
+        for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
+    }
+    words = kernels.scratch_words(rows, columns, MAX_OBSTACLES)
+    named = _outlines(*inputs, batch=batch, shapes=shapes, scratch=words)
     fields = len(Obstacles._fields)
     return Outlined(Obstacles(*named[:fields]), *named[fields:])
 

@@ -30,10 +30,8 @@ class _Given(NamedTuple):
     axes: jax.Array
 
 
-SPECS = (
-    _spread.WHOLE,
-    _Given(cast(Any, (_spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE)), _spread.ROWS),
-)
+_PLANES = _spread.WHOLE, _spread.ROWS, _spread.WHOLE, _spread.WHOLE
+SPECS = _spread.WHOLE, cast(Any, _Given)(ground=_PLANES, axes=_spread.ROWS)
 """Of :class:`_Tables` and :class:`_Given`: which have a row for each frame."""
 
 

@@ -20,7 +20,7 @@ _COPIES = 8
 
 
 def floor_scratch_words(
-    *, rows: int, columns: int, near_bins: int, wide_bins: int, runs: int, rises: int, width: int
+    rows: int, columns: int, near_bins: int, wide_bins: int, runs: int, rises: int
 ) -> int:
     """32-bit words of scratch memory of a team, even, see ``native/floor.h``.
 
@@ -31,10 +31,9 @@ def floor_scratch_words(
         wide_bins: Heights tried without a prior.
         runs: Distances of a profile of the floor.
         rises: Its heights.
-        width: Threads of a team.
     """
     cells, few = rows * columns, -(-rows // 2) * -(-columns // 2)
-    weights = max(-(-width // _WARP) * few, cells)
+    weights = max(-(-WIDTH // _WARP) * few, cells)
     near, wide = (-(-n // _WARP) * _WARP for n in (_NEAR_DIRECTIONS, _DIRECTIONS))
     lattice = max(near * (near_bins + 1), wide * (wide_bins + 1))
     table = max(lattice, runs * (rises + 1))
