@@ -8,7 +8,6 @@
 #include "warp.h"
 #include "runs.h"
 #include "scan.h"
-#include "shared_words.h"
 #include "team.h"
 
 struct Surfaces {
@@ -60,10 +59,12 @@ struct Surfaces {
             most_near = 0;
             const int count = kept.count();
 #if defined(__CUDA_ARCH__)
-            if (5 * count <= SharedWords::COUNT) {
-                before = SharedWords::begin();
+            enum { SHARED = 8192 };
+            __shared__ int shared[SHARED];
+            if (5 * count <= SHARED) {
+                before = shared;
                 near = before + 5 * count;
-                most_near = SharedWords::COUNT - 5 * count;
+                most_near = SHARED - 5 * count;
             }
 #endif
             kept.bits = (unsigned*)(before + count);
