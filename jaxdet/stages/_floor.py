@@ -148,14 +148,8 @@ def find_floor(
 ) -> jax.Array:
     """Finds the floor of each frame, inside ``jax.jit``.
 
-    Args:
-        x: ``(B, R, C)`` int32, right of the optical axis [depth units].
-        y: Likewise, below it.
-        z: Likewise, along it, 0 = none.
-        prior: ``(B, 4)`` int32, see :func:`jaxdet.floor.units.prior_units`.
-        settings: ``(N,)`` int32, :meth:`FloorSettings.array`.
-        config: What memory is needed: ``max_cells`` is read and nothing else.
-        unit: Metres in one depth unit, for the same.
+    Takes what the kernel takes, ``prior`` as :func:`jaxdet.floor.units.prior_units` makes it. Of
+    ``config`` only ``max_cells`` is read: with ``unit`` it says how much memory is needed.
 
     Returns:
         ``(B, 8)`` int32, see :func:`jaxdet.floor.units.floor_fit`.

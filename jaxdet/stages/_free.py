@@ -52,13 +52,7 @@ def free_floor(
 ) -> tuple[jax.Array, jax.Array]:
     """Follows the floor in each column of cells, from the robot outward.
 
-    Args:
-        label: ``(B, R, C)`` int32 obstacles, -1 = none.
-        low: ``(B, R, C)`` bool, measured and no higher than the step.
-        z: ``(B, R, C)`` int32 [depth units], from 0 to 65535.
-        floor: Right, forward and height of the cells, each ``(B, R, C)`` int32 [depth units].
-        tables: From :func:`free_tables`.
-        settings: From :func:`free_settings`.
+    Takes what the kernel takes; ``floor`` is right, forward and height of the cells.
 
     Returns:
         ``(B, C, 2, 2)`` int32, where the floor begins and where it ends, right and forward, and

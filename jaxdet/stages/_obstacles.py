@@ -101,13 +101,7 @@ def obstacles(
 ) -> tuple[jax.Array, jax.Array]:
     """Groups the surfaces of frames into obstacles; inside of ``jax.jit``.
 
-    Args:
-        label: ``(B, R, C)`` int32 surfaces, -1 = none; those of a frame are ``0 .. S - 1``, each
-            has a cell, ``S`` is at most ``MAX_SURFACES``.
-        free: ``(B, R, C)`` bool, measured to be free: floor, or beyond the range.
-        view: Where the cells are.
-        trees: See :func:`settings_of`.
-        settings: Likewise.
+    Takes what the kernel takes; ``trees`` and ``settings`` are of :func:`settings_of`.
 
     Returns:
         ``(B, R, C)`` int32 obstacles in the order of their nearest z, then of their leftmost point,

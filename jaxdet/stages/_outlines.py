@@ -63,14 +63,8 @@ def outlines(
 ) -> Outlined:
     """Measures each obstacle on its cells in the colour image, and outlines it on all of them.
 
-    Args:
-        label: ``(B, R, C)`` int32 obstacles, -1 = none; C at most MAX_CONTOUR. Those from
-            MAX_OBSTACLES on get no slot.
-        count: ``(B,)`` int32, how many there are.
-        cells: ``(B, R, C)``.
-        floor: Right, forward and height of the cells, each ``(B, R, C)`` int32 [depth units].
-        bands: ``(65536, 2)`` int32, from :func:`jaxdet.floor.plane.band_table`.
-        settings: From :func:`outline_settings`.
+    Takes what the kernel takes; ``floor`` is right, forward and height of the cells. Obstacles from
+    MAX_OBSTACLES on get no slot.
     """
     batch, rows, columns = label.shape
     places = cells.x, cells.y, cells.z, *floor, cells.in_view, cells.uv_min, cells.uv_max

@@ -81,17 +81,7 @@ def surfaces(
 ) -> Surfaces:
     """Places the cells of a batch on the floor and groups those above it into surfaces.
 
-    Args:
-        x: ``(B, R, C)`` int32, colour optical frame [depth units]; at most MAX_CONTOUR rows and
-            columns.
-        y: Likewise.
-        z: Likewise, 0 .. 65535, 0 = no measurement.
-        floor: ``(B, 13)`` int32, the floor of each frame as ``native/floor_frame.h`` takes it.
-        tables: See :func:`surface_tables`.
-        settings: See :func:`surface_settings`.
-
-    Returns:
-        What the reference finds, to the bit.
+    Takes what the kernel takes; ``tables`` and ``settings`` are made above.
     """
     batch, rows, columns = shape = z.shape
     shapes = {**dict.fromkeys(_surfaces.outputs, shape), "count_out": (batch,)}

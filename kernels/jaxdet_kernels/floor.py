@@ -24,13 +24,8 @@ def floor_scratch_words(
 ) -> int:
     """32-bit words of scratch memory of a team, even, see ``native/floor.h``.
 
-    Args:
-        rows: Of the cells that are used.
-        columns: Of these.
-        near_bins: Heights tried near a guess.
-        wide_bins: Heights tried without a prior.
-        runs: Distances of a profile of the floor.
-        rises: Its heights.
+    ``rows`` times ``columns`` cells are used. So many heights are tried near a guess and without a
+    prior. A profile of the floor has so many distances and heights.
     """
     cells, few = rows * columns, -(-rows // 2) * -(-columns // 2)
     weights = max(-(-WIDTH // _WARP) * few, cells)

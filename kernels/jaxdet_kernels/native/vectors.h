@@ -17,86 +17,76 @@ struct Vectors {
     typedef float WideFloats __attribute__((vector_size(128), aligned(4), may_alias));
     typedef double Doubles __attribute__((vector_size(128), aligned(8), may_alias));
 
-    // Which lanes hold: bit i is lane i. Lanes are 0 or -1, as comparisons give them.
-    static unsigned bits(const Shorts& condition) {
+    // bits   which lanes hold: bit i is lane i; they are 0 or -1, as comparisons give them, or bytes
+    // any    whether any bit is set
+    // pick   `yes` in the lanes of these bits and 0 in the others
+    // least, root
 #if defined(__clang__)
-        typedef bool Flags __attribute__((ext_vector_type(32)));
-        const Flags packed = __builtin_convertvector(condition, Flags);
+    typedef bool Flags16 __attribute__((ext_vector_type(16)));
+    typedef bool Flags32 __attribute__((ext_vector_type(32)));
+    typedef bool Flags64 __attribute__((ext_vector_type(64)));
+
+    static unsigned bits(const Shorts& condition) {
+        const Flags32 packed = __builtin_convertvector(condition, Flags32);
         unsigned word;
         __builtin_memcpy(&word, &packed, sizeof word);
-#else
-        unsigned word = 0;
-        for (int i = 0; i < SHORTS; ++i) word |= (unsigned)(condition[i] != 0) << i;
-#endif
         return word;
     }
-
     static unsigned bits(const Ints& condition) {
-#if defined(__clang__)
-        typedef bool Flags __attribute__((ext_vector_type(16)));
-        const Flags packed = __builtin_convertvector(condition, Flags);
+        const Flags16 packed = __builtin_convertvector(condition, Flags16);
         unsigned short word;
         __builtin_memcpy(&word, &packed, sizeof word);
-#else
-        unsigned word = 0;
-        for (int i = 0; i < FLOATS; ++i) word |= (unsigned)(condition[i] != 0) << i;
-#endif
         return word;
     }
-
-    // Bytes that are not 0.
     static unsigned long long bits(const Bytes& values) {
-#if defined(__clang__)
-        typedef bool Flags __attribute__((ext_vector_type(64)));
-        const Flags packed = __builtin_convertvector(values, Flags);
+        const Flags64 packed = __builtin_convertvector(values, Flags64);
         unsigned long long word;
         __builtin_memcpy(&word, &packed, sizeof word);
-#else
-        unsigned long long word = 0;
-        for (int i = 0; i < BYTES; ++i) word |= (unsigned long long)(values[i] != 0) << i;
-#endif
         return word;
     }
-
-    static bool any(const Longs& values) {
-#if defined(__clang__)
-        return __builtin_reduce_or(values) != 0;
+    static bool any(const Longs& values) { return __builtin_reduce_or(values) != 0; }
+    static void pick(unsigned word, float yes, Floats* out) {
+        const unsigned short low = (unsigned short)word;
+        Flags16 flags;
+        __builtin_memcpy(&flags, &low, sizeof low);
+        *out = __builtin_convertvector(flags, Ints) != 0 ? (Floats){} + yes : (Floats){};
+    }
+    static unsigned short least(const Words& values) { return __builtin_reduce_min(values); }
+    static void root(const Floats& values, Floats* out) {
+        *out = __builtin_elementwise_sqrt(values);
+    }
 #else
+    static unsigned bits(const Shorts& condition) {
+        unsigned word = 0;
+        for (int i = 0; i < SHORTS; ++i) word |= (unsigned)(condition[i] != 0) << i;
+        return word;
+    }
+    static unsigned bits(const Ints& condition) {
+        unsigned word = 0;
+        for (int i = 0; i < FLOATS; ++i) word |= (unsigned)(condition[i] != 0) << i;
+        return word;
+    }
+    static unsigned long long bits(const Bytes& values) {
+        unsigned long long word = 0;
+        for (int i = 0; i < BYTES; ++i) word |= (unsigned long long)(values[i] != 0) << i;
+        return word;
+    }
+    static bool any(const Longs& values) {
         unsigned long long all = 0;
         for (int i = 0; i < LONGS; ++i) all |= values[i];
         return all != 0;
-#endif
     }
-
-    // `yes` in the lanes of these bits and 0 in the others.
     static void pick(unsigned word, float yes, Floats* out) {
-#if defined(__clang__)
-        typedef bool Flags __attribute__((ext_vector_type(16)));
-        const unsigned short low = (unsigned short)word;
-        Flags flags;
-        __builtin_memcpy(&flags, &low, sizeof low);
-        *out = __builtin_convertvector(flags, Ints) != 0 ? (Floats){} + yes : (Floats){};
-#else
         for (int i = 0; i < FLOATS; ++i) (*out)[i] = word >> i & 1 ? yes : 0.0f;
-#endif
     }
-
     static unsigned short least(const Words& values) {
-#if defined(__clang__)
-        return __builtin_reduce_min(values);
-#else
         unsigned short low = values[0];
         for (int i = 1; i < SHORTS; ++i) low = values[i] < low ? values[i] : low;
         return low;
-#endif
     }
-
     static void root(const Floats& values, Floats* out) {
-#if defined(__clang__)
-        *out = __builtin_elementwise_sqrt(values);
-#else
         for (int i = 0; i < FLOATS; ++i) (*out)[i] = __builtin_sqrtf(values[i]);
-#endif
     }
+#endif
 };
 #endif
