@@ -14,7 +14,7 @@ import numpy as np
 from sklearn.cluster import DBSCAN
 
 from benchmarks.run import Case, Metric, check_equal
-from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of
+from benchmarks.scene import BATCH, CALIBRATIONS, CONFIG, frames_of, pin
 from benchmarks.sweep import Point
 from jaxdet.config import Config
 from jaxdet.floor.plane import flat_plane, floor_limits
@@ -22,7 +22,7 @@ from jaxdet.pipeline import detect
 from jaxdet.presets import preset
 from jaxdet.stages._device import on_cuda
 from jaxdet.stages._spread import rows_over
-from jaxdet.stages._upload import Uploader, pin
+from jaxdet.stages._upload import Uploader
 from jaxdet.types import Detections, Frames
 
 SIZE = "640x480"

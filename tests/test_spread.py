@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from benchmarks.scene import pin
 from jaxdet import detect, engine
 from jaxdet.config import Config
 from jaxdet.io import LogOptions, find_logs
@@ -131,7 +132,7 @@ def test_frames_on_page_locked_memory_equal_the_reference(gpus, name, batch, len
     plane = jax.tree.map(lambda values: values[rows], given.plane)
     want = jax.tree.map(lambda values: np.asarray(values)[rows], want)
     uploader = _upload.Uploader(color.shape, depth.shape, gpus[0])
-    pinned = _upload.pin(color, depth)
+    pinned = pin(color, depth)
     for _ in range(2):
         on_device = uploader.upload([pinned])
         many = frames(given.calibration, *on_device, plane=plane)

@@ -14,12 +14,8 @@ from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
 
 _NOTHING = np.uint32(0xFFFFFFFF)
-_MODELS = {
-    Distortion.NONE: kernels.PINHOLE,
-    Distortion.PLUMB_BOB: kernels.PLUMB_BOB,
-    Distortion.RATIONAL: kernels.RATIONAL,
-    Distortion.EQUIDISTANT: kernels.EQUIDISTANT,
-}
+_MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
+"""In the order of ``native/projection.h``."""
 
 _lines = FrameKernel(kernels.align_lines)
 _tiles = wp.jax_kernel(
@@ -93,6 +89,6 @@ def tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array, i
         jnp.asarray(x),
         jnp.asarray(y),
         jnp.asarray(parameters),
-        _MODELS[splat.model],
+        _MODELS.index(splat.model),
         int(splat.fills_corners),
     )

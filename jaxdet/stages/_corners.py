@@ -33,7 +33,7 @@ _select = wp.jax_kernel(
 
 
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
-    """What the kernels take of the configuration, ``(SETTINGS,)`` int32.
+    """What the kernels take of the configuration, ``(6,)`` int32.
 
     Canny's thresholds, the square of the distance rounded up (squares of whole distances below it
     are below the square itself), the quality level as the two words of a float64, the lower first,

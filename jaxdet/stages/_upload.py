@@ -22,22 +22,6 @@ _BLOCKING_SYNC = 4
 """CU_CTX_SCHED_BLOCKING_SYNC: a thread that waits for the device sleeps."""
 
 
-def pin(color: np.ndarray, depth: np.ndarray) -> Images:
-    """Copies a batch's images into page-locked memory, which the bus reads at its full rate.
-
-    Args:
-        color: ``(B, H, W, 3)`` uint8.
-        depth: ``(B, Hd, Wd)`` uint16.
-    """
-    kinds = UINT8, UINT16
-    shapes = zip((color, depth), kinds, strict=True)
-    images = [
-        wp.empty(a.shape, dtype=kind, device="cpu", pinned=True).numpy() for a, kind in shapes
-    ]
-    images[0][...], images[1][...] = color, depth
-    return images[0], images[1]
-
-
 class Uploader:
     """A ring of device buffers, filled on a stream of its own, and the way back on another.
 

@@ -9,9 +9,6 @@ from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel, team_kernel
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = 0, 1, 2, 3
-"""Lens models, by number."""
-
 PARAMETERS = 26
 """Length of ``parameters``, see ``native/projection.h``."""
 

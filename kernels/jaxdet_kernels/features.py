@@ -15,9 +15,6 @@ wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 MAX_SIZE = 4096
 """Most columns and rows of a colour image."""
 
-SETTINGS = 6
-"""Values of ``native/corner_settings.h``."""
-
 SUPPRESS_THREADS, SUPPRESS_ROWS, SUPPRESS_COLUMNS = 256, 48, 128
 """Threads of a block, and its tile of an image."""
 
@@ -59,7 +56,7 @@ def features_scratch(height: int, width: int) -> int:
 def features_frames(
     color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
     mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be, a bit a pixel
-    settings: wp.array[wp.int32],  # (SETTINGS,) see native/corner_settings.h
+    settings: wp.array[wp.int32],  # (6,) see native/corner_settings.h
     u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
     v_out: wp.array2d[wp.int32],  # rows
     found_out: wp.array[wp.int32],  # (B,) how many corners there are, at most N + 1
@@ -87,7 +84,7 @@ def features_frames(
 )
 def canny_suppress(
     color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
-    settings: wp.array[wp.int32],  # (SETTINGS,)
+    settings: wp.array[wp.int32],  # (6,)
     weak_out: wp.array3d[wp.uint32],  # (B, H, words) edges above the lower threshold
     strong_out: wp.array3d[wp.uint32],  # (B, H, words) those above the higher one
 ):
@@ -137,7 +134,7 @@ def canny_hysteresis(
 def corners_maxima(
     edges: wp.array3d[wp.uint32],  # (B, H, words)
     mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be
-    settings: wp.array[wp.int32],  # (SETTINGS,)
+    settings: wp.array[wp.int32],  # (6,)
     strongest_out: wp.array[wp.int32],  # (B,) 0 before: the strongest allowed pixel's float32 bits
     maxima_out: wp.array3d[wp.uint32],  # (B, H, words) 0 before: maxima above 0
     strength_out: wp.array3d[wp.float32],  # (B, H, W) written at maxima alone
@@ -166,7 +163,7 @@ def corners_maxima(
 def corners_select(
     strongest: wp.array[wp.int32],  # (B,) from corners_maxima
     strength: wp.array3d[wp.float32],  # (B, H, W) likewise
-    settings: wp.array[wp.int32],  # (SETTINGS,)
+    settings: wp.array[wp.int32],  # (6,)
     maxima_out: wp.array3d[wp.uint32],  # (B, H, words) likewise; those too weak are taken out
     u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
     v_out: wp.array2d[wp.int32],  # rows

@@ -6,12 +6,10 @@ from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-COLUMN_WORDS = 8
-
 
 def scratch_words(columns: int) -> int:
     """32-bit words of scratch memory of a team, for so many columns of cells."""
-    return COLUMN_WORDS * columns
+    return 8 * columns
 
 
 @team_kernel(

@@ -146,15 +146,12 @@ struct Alignment {
 
     // A loop for each lens model, which the compiler turns into vector instructions.
     void project(int v, int u, int count, Boxes& __restrict__ boxes) const {
-        switch (projection.model) {
-            case Projection::PLUMB_BOB:
-                return project_by(Projection::PLUMB_BOB, v, u, count, boxes);
-            case Projection::RATIONAL:
-                return project_by(Projection::RATIONAL, v, u, count, boxes);
-            case Projection::EQUIDISTANT:
-                return project_by(Projection::EQUIDISTANT, v, u, count, boxes);
-            default: return project_by(Projection::PINHOLE, v, u, count, boxes);
-        }
+        typedef Projection Lens;
+        const int model = projection.model;
+        if (model == Lens::PINHOLE) project_by(Lens::PINHOLE, v, u, count, boxes);
+        else if (model == Lens::PLUMB_BOB) project_by(Lens::PLUMB_BOB, v, u, count, boxes);
+        else if (model == Lens::RATIONAL) project_by(Lens::RATIONAL, v, u, count, boxes);
+        else project_by(Lens::EQUIDISTANT, v, u, count, boxes);
     }
 
     __attribute__((always_inline)) void project_by(

@@ -48,7 +48,7 @@ struct FreeFloor {
 
     explicit FreeFloor(const Team& team) : team(team) {}
 
-    // Puts the arrays into scratch memory, COLUMN_WORDS of free_floor.py by column.
+    // Puts the arrays into scratch memory, as `scratch_words` in free_floor.py says.
     void lay(int* scratch) {
         int** const arrays[] = {&falls, &limit, &nearest, &first, &last, &ahead, &high, &ended};
         for (int** array : arrays) {
