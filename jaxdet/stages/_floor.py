@@ -10,38 +10,14 @@ import jax
 import numpy as np
 
 from jaxdet.config import FloorConfig
-from jaxdet.floor.units import (
-    ANGLES,
-    BIN_M,
-    FARTHEST_M,
-    FINE_START_M,
-    HEIGHTS_M,
-    HIGHEST_M,
-    LEVER_M,
-    NEAR_M,
-    PROFILE_M,
-    RAMP_M,
-    RAMP_NEAR_M,
-    RINGS_M,
-    RISE_M,
-    ROUGH_DEG,
-    RUN_M,
-    SINES,
-    SPREAD_M,
-    STARTS_M,
-    STEEP_M,
-    STEP_DEG,
-    STEP_M,
-    TABLE_M,
-    Scale,
-    stride,
-)
+from jaxdet.floor import units
+from jaxdet.floor.units import Scale, stride
 from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import floor as kernels
 
 _floor = TeamKernel(kernels.floor)
 _frames = TeamKernel(kernels.found_frame)
-_SINES = SINES.astype(np.int32)
+_SINES = units.SINES.astype(np.int32)
 
 
 class FloorSettings(NamedTuple):
@@ -96,9 +72,9 @@ def floor_settings(cells: int, config: FloorConfig, unit: float) -> FloorSetting
         unit: Metres in one depth unit.
     """
     scale = Scale(unit, config.noise_per_m)
-    rough, fine, sharp = scale.rough(ROUGH_DEG), scale.fine, scale.sharp
-    span, bin_bits = scale.length(STEEP_M), scale.bits(BIN_M)
-    run_bits, rise_bits = scale.bits(RUN_M), scale.bits(RISE_M)
+    rough, fine, sharp = scale.rough(units.ROUGH_DEG), scale.fine, scale.sharp
+    span, bin_bits = scale.length(units.STEEP_M), scale.bits(units.BIN_M)
+    run_bits, rise_bits = scale.bits(units.RUN_M), scale.bits(units.RISE_M)
     return FloorSettings(
         stride=stride(cells, config),
         max_depth=round(config.max_depth_m / unit),
@@ -109,31 +85,31 @@ def floor_settings(cells: int, config: FloorConfig, unit: float) -> FloorSetting
         fine_per_z=fine.per_z,
         sharp_base=sharp.base,
         sharp_per_z=sharp.per_z,
-        wide_per_z=scale.rough(STEP_DEG / 2).per_z,
-        lever_bits=scale.bits(LEVER_M),
+        wide_per_z=scale.rough(units.STEP_DEG / 2).per_z,
+        lever_bits=scale.bits(units.LEVER_M),
         bin_bits=bin_bits,
         span=span,
-        edge=(span - scale.length(NEAR_M)) >> bin_bits,
-        lowest=scale.length(HEIGHTS_M[0]),
-        highest=scale.length(HEIGHTS_M[1]),
-        rings=tuple(scale.length(m) for m in RINGS_M),
-        max_turn=round(config.max_turn_deg * ANGLES),
+        edge=(span - scale.length(units.NEAR_M)) >> bin_bits,
+        lowest=scale.length(units.HEIGHTS_M[0]),
+        highest=scale.length(units.HEIGHTS_M[1]),
+        rings=tuple(scale.length(m) for m in units.RINGS_M),
+        max_turn=round(config.max_turn_deg * units.ANGLES),
         max_shift=scale.length(config.max_shift_m),
         min_share=round(1000 * config.min_share),
         min_share_alone=round(1000 * config.min_share_alone),
-        table=scale.length(TABLE_M),
-        step=scale.length(STEP_M),
+        table=scale.length(units.TABLE_M),
+        step=scale.length(units.STEP_M),
         ramps=int(config.ramps),
-        farthest_ramp=scale.length(RAMP_M),
+        farthest_ramp=scale.length(units.RAMP_M),
         run_bits=run_bits,
         rise_bits=rise_bits,
-        runs=round(FARTHEST_M / unit) >> run_bits,
-        half=round(HIGHEST_M / unit) >> rise_bits,
-        profile_base=scale.length(PROFILE_M),
-        ramp_near=round(RAMP_NEAR_M / unit),
-        ramp_spread=round(SPREAD_M / unit),
-        start_step=round(FINE_START_M / unit),
-        starts=tuple(np.rint(STARTS_M / unit).astype(np.int64).tolist()),
+        runs=round(units.FARTHEST_M / unit) >> run_bits,
+        half=round(units.HIGHEST_M / unit) >> rise_bits,
+        profile_base=scale.length(units.PROFILE_M),
+        ramp_near=round(units.RAMP_NEAR_M / unit),
+        ramp_spread=round(units.SPREAD_M / unit),
+        start_step=round(units.FINE_START_M / unit),
+        starts=tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
     )
 
 
