@@ -162,14 +162,12 @@ def _exit_code(told: Mapping[str, Any]) -> int:
 def _link(command: RunCommand) -> None:
     """Makes the tracks, if they are not there."""
     from jaxdet.cli.track import track_lines
-    from jaxdet.engine.signals import stops_raised
     from jaxdet.tracks import track_results
 
     if (command.run.output / "tracks.parquet").exists():
         return
     try:
-        with stops_raised():
-            found = track_results(command.run.output)
+        found = track_results(command.run.output)
     except KeyboardInterrupt as stop:
         text = "interrupted while linking; the results are whole, and the same command goes on"
         raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.report import many
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.errors import ConfigError, printable
 
@@ -68,7 +69,7 @@ def report_lines(report: "Report") -> list[str]:
         f"{report.frames_again} computed again"
     )
     if count := len(report.findings):
-        return [*lines, f"{count} finding{'s' * (count > 1)}"]
+        return [*lines, many(count, "finding")]
     if left := report.frames - report.frames_of_logs:
         return [*lines, f"nothing wrong, but {left} frames were not compared with their logs"]
     return [*lines, "all as it should be"]

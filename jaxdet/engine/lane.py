@@ -21,10 +21,10 @@ from jaxdet.engine.slots import (
     Slots,
     map_leaves,
 )
-from jaxdet.floor.plane import unknown_plane
+from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
 from jaxdet.results.rows import RowInputs, row_inputs, to_host
-from jaxdet.types import Calibration, Detections, Frames, GroundPlane
+from jaxdet.types import Calibration, Detections, Frames
 
 _warming = threading.Lock()
 """Warp's modules are loaded by one thread at a time."""
@@ -55,7 +55,7 @@ class LogMemory:
         self.served, self.images = served, SharedMemory(served.slots.nbytes)
         self.slots = served.slots._replace(path=self.images.path)
         self.views = self.slots.views(self.images.map)
-        self._results: Results | None = None
+        self._results: _Results | None = None
         self._lock = threading.Lock()
         self._page_locks: dict[str, Any] = {}
         """By the path of the memory."""
@@ -76,7 +76,7 @@ class LogMemory:
             if memory.path not in self._page_locks:
                 self._page_locks[memory.path] = PageLock(memory.map, device)
 
-    def results(self, inputs: RowInputs) -> "Results":
+    def results(self, inputs: RowInputs) -> "_Results":
         """The memory of the results, made when the first are there."""
         with self._lock:
             if self._results is None:
@@ -85,11 +85,11 @@ class LogMemory:
                 memory = SharedMemory(4 * ints * slots.frames * slots.workers * SLOTS)
                 packing = Packing(memory.path, leaves)
                 rows = packing.view(memory.map, slots)
-                self._results = Results(memory, pickle.dumps(packing), rows)
+                self._results = _Results(memory, pickle.dumps(packing), rows)
             return self._results
 
 
-class Results(NamedTuple):
+class _Results(NamedTuple):
     """The memory of a log's results."""
 
     memory: SharedMemory
@@ -246,7 +246,7 @@ class Lane:
         log, begin = self.log, time.perf_counter()
         nothing = np.zeros(self.rows, np.int64)
         missing = self.rows - len(pieces) * log.slots.frames
-        plane = _joined([*(piece.plane for piece in pieces), unknown_plane(missing)])
+        plane = join_planes([*(piece.plane for piece in pieces), unknown_plane(missing)])
         known = nothing, nothing, nothing, nothing > 0
         color, depth = copied.images
         frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
@@ -301,7 +301,3 @@ def _pack() -> Any:
 def _without_prior(found: Detections) -> Any:
     """The prior stays on the host."""
     return found if found.scene is None else found._replace(scene=found.scene._replace(prior=None))
-
-
-def _joined(planes: list[GroundPlane]) -> GroundPlane:
-    return GroundPlane(*(np.concatenate(part) for part in zip(*planes, strict=True)))
