@@ -5,11 +5,11 @@ from functools import lru_cache, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.checks import check_depth
 from jaxdet.stages._chain import FrameKernel, by_device
+from jaxdet.stages._launch import BatchKernel
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
 
@@ -18,9 +18,7 @@ _MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion
 """In the order of ``native/projection.h``."""
 
 _lines = FrameKernel(kernels.align_lines)
-_tiles = wp.jax_kernel(
-    kernels.align_tiles, in_out_argnames=["keys_out"], block_dim=kernels.TILE_BLOCK
-)
+_tiles = BatchKernel(kernels.align_tiles, kernels.TILE_BLOCK)
 
 
 def align(depth: Array, calibration: Calibration) -> AlignedDepth:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import partial
-from hashlib import blake2b
 from threading import Lock
 from typing import Any
 
@@ -22,6 +21,7 @@ import numpy as np
 import warp as wp
 
 from jaxdet.stages import _threads, _xla
+from jaxdet.stages._launch import check_array
 from jaxdet_kernels.chain import frame_loop
 
 _LINE = 64
@@ -112,7 +112,7 @@ class _Chain:
         given = dict(zip(kernel.inputs, arguments, strict=True))
         arrays = {name: value for name, value in given.items() if np.ndim(value)}
         for name, value in arrays.items():
-            _check(name, value, kernel.types[name])
+            check_array(name, value, kernel.types[name])
         shapes = {**{name: np.shape(value) for name, value in arrays.items()}, **output_dims}
         scalars = {name: value for name, value in given.items() if name not in arrays}
         sources = {name: self._source(value) for name, value in arrays.items()}
@@ -190,10 +190,9 @@ class _Program:
 
     @property
     def number(self) -> int:
-        """Of equal chains alike in all processes: programs are kept on disk with it."""
+        """Of equal chains alike."""
         steps = [(s.kernel.name, s.scalars, s.sources, s.shapes) for s in self.steps]
-        what = repr((self.frames, steps, self.operands, self.results))
-        return int.from_bytes(blake2b(what.encode(), digest_size=7).digest(), "big")
+        return _xla.number_of((self.frames, steps, self.operands, self.results))
 
     def place(self, source: int | tuple[int, str]) -> int:
         """Which of XLA's addresses an operand or a result has."""
@@ -330,12 +329,6 @@ def _memory(thread: int, size: int) -> int:
         _kept[thread] = np.empty(size + _LINE, np.uint8)
     start = _kept[thread].ctypes.data
     return start + -start % _LINE
-
-
-def _check(name: str, value: Any, of: Any) -> None:
-    wanted = jax.numpy.dtype(wp.dtype_to_jax(of.dtype)), of.ndim
-    if (jax.numpy.dtype(value.dtype), value.ndim) != wanted:
-        raise TypeError(f"{name} is {value.dtype} of {value.ndim} axes, not {wanted}")
 
 
 _NAME = "jaxdet.frames"

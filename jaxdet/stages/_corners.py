@@ -6,30 +6,20 @@ import struct
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp as wp
 
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages._chain import FrameKernel, by_device
+from jaxdet.stages._launch import BatchKernel
 from jaxdet.stages._teams import TeamKernel
 from jaxdet_kernels import cover as mask_kernels
 from jaxdet_kernels import features as kernels
 
 _mask_bits = TeamKernel(mask_kernels.mask_bits)
 _frames = FrameKernel(kernels.features_frames)
-_suppress = wp.jax_kernel(kernels.canny_suppress, num_outputs=2, block_dim=kernels.SUPPRESS_THREADS)
-_hysteresis = wp.jax_kernel(kernels.canny_hysteresis, block_dim=kernels.HYSTERESIS_THREADS)
-_maxima = wp.jax_kernel(
-    kernels.corners_maxima,
-    num_outputs=3,
-    in_out_argnames=["strongest_out", "maxima_out"],
-    block_dim=kernels.MAXIMA_THREADS,
-)
-_select = wp.jax_kernel(
-    kernels.corners_select,
-    num_outputs=7,
-    in_out_argnames=["maxima_out"],
-    block_dim=kernels.SELECT_THREADS,
-)
+_suppress = BatchKernel(kernels.canny_suppress, kernels.SUPPRESS_THREADS)
+_hysteresis = BatchKernel(kernels.canny_hysteresis, kernels.HYSTERESIS_THREADS)
+_maxima = BatchKernel(kernels.corners_maxima, kernels.MAXIMA_THREADS)
+_select = BatchKernel(kernels.corners_select, kernels.SELECT_THREADS)
 
 
 def corner_settings(config: FeaturesConfig) -> np.ndarray:

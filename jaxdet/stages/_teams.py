@@ -8,9 +8,9 @@ from typing import Any
 
 import jax
 import numpy as np
-import warp as wp
 
 from jaxdet.stages._chain import FrameKernel, by_device
+from jaxdet.stages._launch import BatchKernel
 
 MULTIPROCESSORS = 132
 """Of the largest CUDA device there is; a launch has as many blocks as fit on so many at once."""
@@ -43,8 +43,7 @@ class TeamKernel:
         self._by_cores = FrameKernel(kernel)
         self.outputs = self._by_cores.outputs
         """Their names, but for the scratch memory."""
-        count = len(self.outputs) + 1
-        self._by_blocks = wp.jax_kernel(kernel, num_outputs=count, block_dim=self._width)
+        self._by_blocks = BatchKernel(kernel, self._width)
 
     def __call__(
         self, *arguments: Any, batch: int, shapes: Mapping[str, tuple[int, ...]], scratch: int
