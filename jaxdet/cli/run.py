@@ -99,9 +99,12 @@ def main(args: list[str]) -> int:
 
 def _run(command: RunCommand) -> int:
     """Makes the results."""
+    from jaxdet.engine.startup import cache_folders, start_cuda
+
+    if command.run.backend == "jax":
+        start_cuda()
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import run
-    from jaxdet.engine.startup import cache_folders
     from jaxdet.io import find_logs
     from jaxdet.results.summary import to_json
 

@@ -48,9 +48,8 @@ def gpus() -> tuple[Any, ...]:
     """The GPUs that JAX computes on; without its plugin for them JAX needn't be loaded."""
     if os.environ.get("JAX_PLATFORMS") == "cpu" or not importlib.util.find_spec("jax_plugins"):
         return ()
-    if next(Path("/dev").glob("nvidia[0-9]*"), None):  # while JAX looks for them
-        _start_server(LOADED)
-        start_cuda()
+    if start_cuda():
+        _start_server(LOADED)  # while JAX looks for them
     start_up()
     from jaxdet.stages._device import on_cuda
     from jaxdet.stages._spread import devices_for

@@ -7,6 +7,7 @@ import threading
 import warnings
 import zlib
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,12 +101,20 @@ def _check_platforms() -> None:
         raise ConfigError(problem, remedy="unset JAX_PLATFORMS, or set it to cpu")
 
 
-def start_cuda() -> None:
+@cache
+def start_cuda() -> bool:
     """Begins to load the driver's part of CUDA in a thread, while this one imports what uses it.
 
     It takes a quarter of a second, without Python's lock. What goes wrong is said by who uses it.
+
+    Returns:
+        Whether there is a device, and JAX is not kept from it.
     """
-    threading.Thread(target=_make_contexts, name="jaxdet-cuda", daemon=True).start()
+    there = next(Path("/dev").glob("nvidia[0-9]*"), None) is not None
+    there = there and os.environ.get("JAX_PLATFORMS") != "cpu"
+    if there:
+        threading.Thread(target=_make_contexts, name="jaxdet-cuda", daemon=True).start()
+    return there
 
 
 def _make_contexts() -> None:
