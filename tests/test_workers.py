@@ -288,7 +288,7 @@ def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     stand_in = SimpleNamespace(copy=copy, device_from_jax=device_from_jax, **same, **nothing)
     monkeypatch.setattr(_upload, "wp", stand_in)
     lock = SimpleNamespace(unlock=lambda: None)
-    monkeypatch.setattr(_upload, "PageLock", lambda memory, device: lock)
+    monkeypatch.setattr(_upload, "PageLock", lambda memory, device, block: lock)
     monkeypatch.setattr(_upload, "wait_asleep", lambda device: None)
     monkeypatch.setattr(local, "gpus", lambda: (jax.devices("cpu")[0],))
     return copies

@@ -23,7 +23,7 @@ from jaxdet.engine.slots import (
 )
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.results.rows import RowInputs, row_inputs, to_host
+from jaxdet.results.rows import row_inputs, to_host
 from jaxdet.types import Calibration, Detections, Frames
 
 _warming = threading.Lock()
@@ -69,17 +69,21 @@ class LogMemory:
             self._results.memory.close()
 
     def page_lock(self, memory: SharedMemory, device: Any) -> None:
-        """Page-locks images or results, once."""
+        """Page-locks images, a slot after the other, or results, once."""
         from jaxdet.stages._upload import PageLock
 
+        block = sum(self.slots.sizes) if memory is self.images else None
         with self._lock:
             if memory.path not in self._page_locks:
-                self._page_locks[memory.path] = PageLock(memory.map, device)
+                self._page_locks[memory.path] = PageLock(memory.map, device, block)
 
-    def results(self, inputs: RowInputs) -> "_Results":
+    def results(self, found: Detections) -> "_Results":
         """The memory of the results, made when the first are there."""
+        from jax import eval_shape
+
         with self._lock:
             if self._results is None:
+                inputs = eval_shape(row_inputs, _without_prior(found))
                 leaves = map_leaves(lambda a: Leaf(a.shape[1:], np.dtype(a.dtype)), inputs)
                 ints, slots = Packing("", leaves).ints, self.slots
                 memory = SharedMemory(4 * ints * slots.frames * slots.workers * SLOTS)
@@ -180,7 +184,6 @@ class _Started(NamedTuple):
     """A batch on a device."""
 
     found: Detections
-    inputs: RowInputs
     packed: Any
     begin: float
     """Time when it was started, by ``time.perf_counter`` [s]."""
@@ -251,13 +254,13 @@ class Lane:
         color, depth = copied.images
         frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
         found = detect(frames, log.served.config)
-        inputs, packed = _pack()(_without_prior(found))
+        packed = _pack()(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(found, inputs, packed, begin, copied.seconds, ready)
+        return _Started(found, packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Waits for the results and copies them to the slots."""
-        results = self.log.results(started.inputs)
+        results = self.log.results(started.found)
         self.log.page_lock(results.memory, self.device)
         ready, begin = started.ready.result(), time.perf_counter()
         self.uploader.download(started.packed, [results.rows[piece.slot] for piece in pieces])
@@ -285,15 +288,15 @@ def _time_when_ready(found: Any) -> float:
 
 @lru_cache(maxsize=1)
 def _pack() -> Any:
-    """What rows need of detections, and the same as ``(B, ints)`` int32; compiled."""
+    """What rows need of detections, as ``(B, ints)`` int32; compiled."""
     import jax
     import jax.numpy as jnp
 
     @jax.jit
-    def pack(found: Detections) -> tuple[RowInputs, Any]:
-        inputs = row_inputs(found)
-        rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in jax.tree.leaves(inputs)]
-        return inputs, jnp.concatenate(rows, axis=1)
+    def pack(found: Detections) -> Any:
+        arrays = jax.tree.leaves(row_inputs(found))
+        rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in arrays]
+        return jnp.concatenate(rows, axis=1)
 
     return pack
 
