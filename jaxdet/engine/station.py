@@ -6,11 +6,11 @@ result depends on who shares a batch.
 """
 
 import queue
+import selectors
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing import Pipe
-from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -126,17 +126,20 @@ class _LogStation:
 
     def _receive(self) -> None:
         """Takes what workers send until the end."""
-        pipes = list(self.pipes)
-        while True:
-            for end in wait([*pipes, self.woken]):
-                if end is self.woken:
-                    for _ in self.devices:
-                        self.waiting.put(None)
-                    return
-                try:
-                    self.waiting.put(end.recv())  # pyright: ignore
-                except (EOFError, OSError):  # the worker has died, which its pool says
-                    pipes.remove(end)
+        with selectors.DefaultSelector() as ends:
+            for end in (*self.pipes, self.woken):
+                ends.register(end, selectors.EVENT_READ)
+            while True:
+                for key, _ in ends.select():
+                    end: Any = key.fileobj
+                    if end is self.woken:
+                        for _ in self.devices:
+                            self.waiting.put(None)
+                        return
+                    try:
+                        self.waiting.put(end.recv())
+                    except (EOFError, OSError):  # the worker has died, which its pool says
+                        ends.unregister(end)
 
     def _compute(self, device: Any) -> None:
         """Computes batches on one device, while the next one is copied to it."""

@@ -5,11 +5,11 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +24,8 @@ from jaxdet.errors import JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.results.summary import Counts
 
-_ALIVE = "alive"
+_ALIVE, _ALIVE_S = "alive", 1.0
+"""What a worker says, and how often at most."""
 
 
 class Failure(NamedTuple):
@@ -154,12 +155,25 @@ def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _begin(backend, reads_only=piped is not None)
-    _piped, _progress = piped, partial(pipe.send, _ALIVE)
+    _piped, _progress = piped, _Alive(pipe)
     with suppress(EOFError, OSError):
         pipe.send(_ALIVE)
         while True:
             function, args = pickle.loads(pipe.recv_bytes())
             pipe.send(_Answer(_guarded(function, args)))
+
+
+class _Alive:
+    """Tells the parent that this process makes progress, at most once a second."""
+
+    def __init__(self, pipe: Any) -> None:
+        self._pipe, self._next = pipe, 0.0
+
+    def __call__(self) -> None:
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + _ALIVE_S
+            self._pipe.send(_ALIVE)
 
 
 def _end_with_parent() -> None:
