@@ -63,7 +63,8 @@ class BatchKernel:
         # Where an output is given, both have one address.
         places = {name: place for place, name in enumerate([*arrays, *self.outputs])}
         launch = _Launch(self, launch_dims, scalars, shapes, places)
-        _launches.setdefault(launch.number, launch)
+        number = launch.number
+        _launches.setdefault(number, launch)
         results = [
             jax.ShapeDtypeStruct(shapes[name], wp.dtype_to_jax(self.types[name].dtype))
             for name in self.outputs
@@ -73,7 +74,7 @@ class BatchKernel:
             for place, name in enumerate(arrays)
             if name in self.outputs
         }
-        return _xla.called(_NAME, launch.number, list(arrays.values()), results, changed)
+        return _xla.called(_NAME, number, list(arrays.values()), results, changed)
 
 
 @dataclass(frozen=True)
