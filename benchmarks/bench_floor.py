@@ -31,7 +31,7 @@ def at(point: Point) -> Case:
     given, seen = inputs(point.size), on_cells(point.size)
     unit = given.calibration.depth_unit
     prior = prior_units(given.plane, Scale(unit, CONFIG.floor.noise_per_m))
-    settings = floor_settings(seen.cells.z[0].size, CONFIG.floor, unit).array()
+    settings = floor_settings(seen.cells.z[0].size, CONFIG.floor, unit)
     *xyz, known = jax.device_put(repeated((*seen.cells[:3], prior), point.batch))
     return Case(
         name=point.name,

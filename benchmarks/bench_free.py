@@ -6,7 +6,7 @@ from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
 from jaxdet.reference._detect import _free
-from jaxdet.stages._free import free_floor, free_settings, free_tables
+from jaxdet.stages._free import free_floor, tables
 
 program = jax.jit(free_floor)
 
@@ -29,10 +29,10 @@ def at(point: Point) -> Case:
     seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
     label, low = (seen.of(name, seen.obstacles) for name in ("label", "low"))
     given = jax.device_put(repeated((label, low, seen.cells.z, seen.places), point.batch))
-    shared = jax.device_put((free_tables(CONFIG, unit), free_settings(CONFIG, unit)))
+    shared = jax.device_put(tables(CONFIG, unit))
     return Case(
         name=point.name,
-        run=lambda: program(*given, *shared),
+        run=lambda: program(*given, shared),
         frames=point.batch,
         bytes_read=sum(a.nbytes for a in jax.tree.leaves(given)),
     )

@@ -9,7 +9,7 @@ from benchmarks.sweep import SIZES, Point
 from jaxdet.affinity import affinity
 from jaxdet.floor.plane import depth_range
 from jaxdet.reference._obstacles import obstacles as grouped
-from jaxdet.stages._obstacles import View, obstacles, settings_of
+from jaxdet.stages._obstacles import obstacles, tables
 
 program = jax.jit(obstacles)
 
@@ -36,15 +36,14 @@ def at(point: Point) -> Case:
     """Surfaces on the device."""
     seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
     table = affinity(CONFIG.obstacle.affinity, unit)
-    shared = settings_of(_farthest(unit), unit, CONFIG.obstacle, table)
-    settings, trees = jax.device_put(shared)
+    shared = jax.device_put(tables(_farthest(unit), unit, CONFIG.obstacle, table))
     label, free = (seen.of(name, seen.surfaces) for name in ("label", "free"))
     columns = (label, free, *seen.cells[:3], *seen.places, seen.cells.in_view)
     label, free, *view = jax.device_put(repeated(columns, point.batch))
-    given = label, free, View(*view)
+    given = label, free, tuple(view)
     return Case(
         name=point.name,
-        run=lambda: program(*given, trees, settings),
+        run=lambda: program(*given, shared),
         frames=point.batch,
         bytes_read=sum(a.nbytes for a in jax.tree.leaves(given)),
     )

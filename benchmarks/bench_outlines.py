@@ -5,9 +5,8 @@ import jax
 from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
-from jaxdet.floor.plane import band_table
 from jaxdet.reference._detect import _outlines
-from jaxdet.stages._outlines import outline_settings, outlines
+from jaxdet.stages._outlines import outlines, tables
 
 program = jax.jit(outlines)
 
@@ -32,12 +31,10 @@ def at(point: Point) -> Case:
     given = jax.device_put(
         repeated((label, label.max(axis=(1, 2)) + 1, seen.cells, seen.places), point.batch)
     )
-    shared = jax.device_put(
-        (band_table(CONFIG.footprint, unit), outline_settings(CONFIG.footprint, unit))
-    )
+    shared = jax.device_put(tables(CONFIG.footprint, unit))
     return Case(
         name=point.name,
-        run=lambda: program(*given, *shared),
+        run=lambda: program(*given, shared),
         frames=point.batch,
         bytes_read=sum(a.nbytes for a in jax.tree.leaves(given)),
     )

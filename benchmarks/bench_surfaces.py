@@ -8,7 +8,7 @@ from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
 from jaxdet.floor.plane import step_table
 from jaxdet.reference._detect import _surfaces
-from jaxdet.stages._surfaces import surface_settings, surface_tables, surfaces
+from jaxdet.stages._surfaces import surfaces, tables
 
 FIELDS = ("right", "forward", "height", "label", "keep", "low")
 program = jax.jit(surfaces)
@@ -37,12 +37,11 @@ def cases() -> list[Case]:
 def at(point: Point) -> Case:
     """Cells and floors on the device."""
     seen, calibration = on_cells(point.size), inputs(point.size).calibration
-    tables = jax.device_put(surface_tables(calibration, CONFIG))
-    settings = jax.device_put(surface_settings(CONFIG, calibration.depth_unit))
+    shared = jax.device_put(tables(calibration, CONFIG))
     *xyz, floor = jax.device_put(repeated((*seen.cells[:3], seen.floor), point.batch))
     return Case(
         name=point.name,
-        run=lambda: program(*xyz, floor, tables, settings),
+        run=lambda: program(*xyz, floor, shared),
         frames=point.batch,
         bytes_read=sum(a.nbytes for a in xyz),
     )

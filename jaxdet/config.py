@@ -8,6 +8,7 @@ so JAX can take them as static arguments.
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 from jaxdet.arguments import check_fields
 from jaxdet.errors import ConfigError
@@ -27,8 +28,12 @@ def _require(condition: bool, field_name: str, rule: str) -> None:
         raise ConfigError(f"{field_name} must be {rule}", remedy=f"see --{field_name} in --help")
 
 
-def _require_within(value: float, low: float, high: float, field_name: str) -> None:
-    _require(low <= value <= high, field_name, f"from {low:g} to {high:g}")
+def _require_within(part: Any, low: float, high: float, *names: str) -> None:
+    """Refuses a part of the configuration with such a field outside of the bounds."""
+    section, rule = type(part).__name__.removesuffix("Config").lower(), f"from {low:g} to {high:g}"
+    for name in names:
+        within = low <= getattr(part, name) <= high
+        _require(within, f"{section}.{name.replace('_', '-')}", rule)
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ class GroundConfig:
         check_fields(self)
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
-        _require_within(self.step_height_m, 0, FARTHEST_M, "ground.step-height-m")
+        _require_within(self, 0, FARTHEST_M, "step_height_m")
         _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
         _require(
             self.camera_height_m is None or 0 < self.camera_height_m < 20,
@@ -80,7 +85,7 @@ class GroundConfig:
             "given with --ground.source flags",
         )
         _require(self.sample_frames >= 1, "ground.sample-frames", "at least 1")
-        _require_within(self.window_s, 0, 1e9, "ground.window-s")
+        _require_within(self, 0, 1e9, "window_s")
         for angle, most in (("pitch", math.pi / 2), ("roll", math.pi)):
             value = getattr(self, f"camera_{angle}_rad") or 0.0
             rule = f"within {math.degrees(most):.0f}°, not {math.degrees(value):.0f}°"
@@ -122,7 +127,7 @@ class FeaturesConfig:
             field = f"features.{name.replace('_', '-')}"
             _require(not math.isnan(getattr(self, name)), field, "a number")
         _require(0 < self.quality_level <= 1, "features.quality-level", "in (0, 1]")
-        _require_within(self.min_distance, 0, MAX_POINTS, "features.min-distance")
+        _require_within(self, 0, MAX_POINTS, "min_distance")
 
     @property
     def canny_bounds(self) -> tuple[int, int]:
@@ -168,15 +173,12 @@ class FloorConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         _require(self.max_cells >= 100, "floor.max-cells", "at least 100")
-        _require_within(self.max_depth_m, 0, 65.535, "floor.max-depth-m")
-        _require_within(self.noise_per_m, 0, 1, "floor.noise-per-m")
-        _require_within(self.max_turn_deg, 0, 10, "floor.max-turn-deg")
-        _require_within(self.max_shift_m, 0, 1, "floor.max-shift-m")
-        _require_within(self.min_share, 0, 1, "floor.min-share")
-        _require_within(self.min_share_alone, 0, 1, "floor.min-share-alone")
-        _require_within(self.bow_per_m, 0, 1, "floor.bow-per-m")
-        _require_within(self.drop_m, 0, FARTHEST_M, "floor.drop-m")
-        _require_within(self.gap_m, 0, FARTHEST_M, "floor.gap-m")
+        _require_within(self, 0, 65.535, "max_depth_m")
+        _require_within(
+            self, 0, 1, "noise_per_m", "max_shift_m", "min_share", "min_share_alone", "bow_per_m"
+        )
+        _require_within(self, 0, 10, "max_turn_deg")
+        _require_within(self, 0, FARTHEST_M, "drop_m", "gap_m")
 
 
 @dataclass(frozen=True)
@@ -210,16 +212,14 @@ class SurfaceConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_within(self.cell_rad, 1e-4, 0.1, "surface.cell-rad")
-        _require_within(self.step_m, 0, FARTHEST_M, "surface.step-m")
-        _require_within(self.step_per_m, 0, FARTHEST_M, "surface.step-per-m")
-        _require_within(self.crease_cells, 1, 16, "surface.crease-cells")
-        _require_within(self.crease_m, 0, FARTHEST_M, "surface.crease-m")
-        _require_within(self.crease_per_m, 0, FARTHEST_M, "surface.crease-per-m")
-        _require_within(self.crease_margin, 0, 16, "surface.crease-margin")
-        _require_within(self.min_cells, 1, MAX_POINTS, "surface.min-cells")
-        _require_within(self.bent_m, 0, FARTHEST_M, "surface.bent-m")
-        _require_within(self.beyond, 1, 4, "surface.beyond")
+        _require_within(self, 1e-4, 0.1, "cell_rad")
+        _require_within(
+            self, 0, FARTHEST_M, "step_m", "step_per_m", "crease_m", "crease_per_m", "bent_m"
+        )
+        _require_within(self, 1, 16, "crease_cells")
+        _require_within(self, 0, 16, "crease_margin")
+        _require_within(self, 1, MAX_POINTS, "min_cells")
+        _require_within(self, 1, 4, "beyond")
 
 
 AFFINITIES = ("surfaces", "tabletop")
@@ -256,12 +256,10 @@ class ObstacleConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in self.__dataclass_fields__:
-            if name.endswith("_m"):
-                value = getattr(self, name)
-                _require_within(value, 0, FARTHEST_M, f"obstacle.{name.replace('_', '-')}")
+        lengths = (name for name in self.__dataclass_fields__ if name.endswith("_m"))
+        _require_within(self, 0, FARTHEST_M, *lengths)
         _require(self.affinity in AFFINITIES, "obstacle.affinity", " or ".join(AFFINITIES))
-        _require_within(self.min_cells, 1, MAX_POINTS, "obstacle.min-cells")
+        _require_within(self, 1, MAX_POINTS, "min_cells")
 
 
 @dataclass(frozen=True)
@@ -280,9 +278,8 @@ class ClusterConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_within(self.depth_gap_m, 0, FARTHEST_M, "cluster.depth-gap-m")
-        _require_within(self.lateral_gap_m, 0, FARTHEST_M, "cluster.lateral-gap-m")
-        _require_within(self.min_points, 0, MAX_POINTS, "cluster.min-points")
+        _require_within(self, 0, FARTHEST_M, "depth_gap_m", "lateral_gap_m")
+        _require_within(self, 0, MAX_POINTS, "min_points")
 
 
 @dataclass(frozen=True)
@@ -316,14 +313,12 @@ class FootprintConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_within(self.vertex_threshold_m, 0, FARTHEST_M, "footprint.vertex-threshold-m")
-        _require_within(self.trim, 0, MAX_POINTS, "footprint.trim")
-        _require_within(self.side_band_per_m, 0, FARTHEST_M, "footprint.side-band-per-m")
-        _require_within(self.near_band_per_m2, 0, FARTHEST_M, "footprint.near-band-per-m2")
+        _require_within(
+            self, 0, FARTHEST_M, "vertex_threshold_m", "side_band_per_m", "near_band_per_m2"
+        )
+        _require_within(self, 0, MAX_POINTS, "trim")
         _require(0 < self.extension_m <= FARTHEST_M, "footprint.extension-m", "above 0, to 1000 m")
-        _require_within(self.margin_m, 0, FARTHEST_M, "footprint.margin-m")
-        _require_within(self.margin_per_m2, 0, FARTHEST_M, "footprint.margin-per-m2")
-        _require_within(self.long_m, 0, FARTHEST_M, "footprint.long-m")
+        _require_within(self, 0, FARTHEST_M, "margin_m", "margin_per_m2", "long_m")
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def assert_same(
     Returns:
         ``(B, 8)`` int32, as the program found it.
     """
-    settings = floor_settings(grid[2][0].size, config, unit).array()
+    settings = floor_settings(grid[2][0].size, config, unit)
     known = prior_units(prior, Scale(unit, config.noise_per_m))
     found = np.asarray(_program(*grid, known, settings, config.max_cells, unit))
     assert_equal(floor_fit(found, prior, unit), find_floor(*grid, prior, config, unit))

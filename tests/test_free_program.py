@@ -11,7 +11,7 @@ import pytest
 from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.reference._detect import _free
-from jaxdet.stages._free import free_floor, free_settings, free_tables
+from jaxdet.stages._free import free_floor, tables
 from jaxdet.types import FreeEnd
 from tests.scenes import small
 from tests.surface_frames import (
@@ -38,9 +38,8 @@ def _program(*arguments: Any) -> Any:
 def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
     """Holds the kernel to the reference; the ends that there are."""
     want = _free(batch.found, batch.unit, config)
-    z, tables = batch.grid.z, free_tables(config, batch.unit)
-    settings = free_settings(config, batch.unit)
-    twin = _program(batch.label, batch.low, z, batch.floor, tables, settings)
+    shared = tables(config, batch.unit)
+    twin = _program(batch.label, batch.low, batch.grid.z, batch.floor, shared)
     for got, expected in zip(twin, want, strict=True):
         np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
     return set(want[1].ravel().tolist())

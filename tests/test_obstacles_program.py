@@ -46,13 +46,13 @@ def assert_twin(
 ) -> list[int]:
     """The program and the reference find the same; the numbers of obstacles."""
     table = affinity(config.affinity, unit)
-    settings, trees = _obstacles.settings_of(farthest, unit, config, table)
+    shared = _obstacles.tables(farthest, unit, config, table)
     parts = zip(*(one.view for one in given), strict=True)
     arrays = [np.stack(part) for part in parts]
-    view = _obstacles.View(*(a if a.dtype == bool else a.astype(np.int32) for a in arrays))
+    view = tuple(a if a.dtype == bool else a.astype(np.int32) for a in arrays)
     label = np.stack([one.label for one in given]).astype(np.int32)
     free = np.stack([one.free for one in given])
-    found, count = program(label, free, view, trees, settings)
+    found, count = program(label, free, view, shared)
     true = [reference(*one, farthest, unit, config) for one in given]
     np.testing.assert_array_equal(np.asarray(found), np.stack(true))
     counts = [int(one.max(initial=-1)) + 1 for one in true]
@@ -160,15 +160,15 @@ def test_a_table_that_could_overflow() -> None:
     table = affinity("surfaces", UNIT)
     large = table._replace(value=table.value * 1000)
     with pytest.raises(ValueError, match="32767"):
-        _obstacles.settings_of(4000, UNIT, CONFIG, large)
+        _obstacles.tables(4000, UNIT, CONFIG, large)
 
 
 def test_too_large_a_grid() -> None:
     none = np.zeros((1, 2, 513), np.int32)
-    view = _obstacles.View(*(6 * [none]), none > 0)
-    settings, trees = _obstacles.settings_of(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
+    view = (*(6 * [none]), none > 0)
+    shared = _obstacles.tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
     with pytest.raises(ValueError, match="513 x 2 cells"):
-        program(none, none > 0, view, trees, settings)
+        program(none, none > 0, view, shared)
 
 
 # twin

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import band_table, unknown_plane
+from jaxdet.floor.plane import unknown_plane
 from jaxdet.reference._detect import _outlines
 from jaxdet.results.metric import extents
-from jaxdet.stages._outlines import outline_settings, outlines
+from jaxdet.stages._outlines import outlines, tables
 from jaxdet.types import MAX_OBSTACLES
 from tests.scenes import assert_equal, small
 from tests.surface_frames import (
@@ -38,11 +38,10 @@ def _program(*arguments: Any) -> Any:
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     """Holds the kernel to the reference; how many obstacles there are."""
     measured, shapes = _outlines(batch.grid, batch.found, batch.unit, config)
-    bands = band_table(config.footprint, batch.unit)
-    settings = outline_settings(config.footprint, batch.unit)
+    shared = tables(config.footprint, batch.unit)
     label = batch.label
     count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
-    twin = _program(label, count, batch.grid, batch.floor, bands, settings)
+    twin = _program(label, count, batch.grid, batch.floor, shared)
     assert_equal(twin.obstacles, measured)
     for got, want in zip(twin[1:], shapes, strict=True):
         np.testing.assert_array_equal(np.asarray(got), want, strict=True)

@@ -16,7 +16,7 @@ from jaxdet.reference._detect import _surfaces
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
-from jaxdet.stages._surfaces import Surfaces, surface_settings, surface_tables, surfaces
+from jaxdet.stages._surfaces import Surfaces, surfaces, tables
 from jaxdet.types import MAX_SURFACES, Calibration, Cells, GroundPlane, Intrinsics
 
 SURFACES, TABLETOP = Config(), preset("tabletop")
@@ -42,9 +42,8 @@ def assert_twin(
     unit: float = UNIT,
 ) -> Surfaces:
     """All that the program says of these cells is what the reference does."""
-    tables, settings = surface_tables(camera(unit), config), surface_settings(config, unit)
     floors, step = floor_frames(plane, unit), step_table(camera(unit), config)
-    out = program(x, y, z, floors, tables, settings)
+    out = program(x, y, z, floors, tables(camera(unit), config))
     got = Surfaces(*map(np.asarray, out))
     grid = Cells(x, y, z, *np.zeros((2, *z.shape, 2), np.int32), z > 0)
     for b in range(len(z)):
@@ -187,9 +186,7 @@ def test_settings_compile_nothing_anew():
     rng = np.random.default_rng(3)
     grid, floor = sideways(slanted(rng, (1, 20, 30))), floor_frames(unknown_plane(1), UNIT)
     labels = [
-        np.asarray(
-            made(*grid, floor, surface_tables(camera(UNIT), c), surface_settings(c, UNIT)).label
-        )
+        np.asarray(made(*grid, floor, tables(camera(UNIT), c)).label)
         for c in (with_surface(min_cells=1), with_surface(min_cells=100))
     ]
     assert labels[0].max() > labels[1].max()

@@ -53,12 +53,13 @@ def align_arrays(
     with jax.named_scope("align"):
 
         def by_lines() -> tuple[jax.Array, jax.Array]:
-            frames = depth.shape[0]
-            images = dict.fromkeys(("depth_out", "z_out"), (frames, *size))
-            scratch = 1, kernels.lines_words(*size)
-            arguments = depth, x, y, parameters, model, fills
-            dims = {**images, "scratch_out": scratch}
-            found, z = _lines(*arguments, frames=frames, output_dims=dims)
+            batch = depth.shape[0]
+            found, z = _lines(
+                depth, x, y, parameters, model, fills,
+                batch=batch,
+                shapes=dict.fromkeys(_lines.outputs, (batch, *size)),
+                scratch=kernels.lines_words(*size),
+            )  # fmt: skip
             return found, z
 
         def by_tiles() -> tuple[jax.Array, jax.Array]:

@@ -46,27 +46,28 @@ class FrameKernel:
         self.name = f"{kernel.func.__module__}.{kernel.func.__qualname__}"
 
     def __call__(
-        self, *arguments: Any, frames: int, output_dims: Mapping[str, tuple[int, ...]]
+        self, *arguments: Any, batch: int, shapes: Mapping[str, tuple[int, ...]], scratch: int
     ) -> Any:
-        """The kernel's outputs but for the scratch memory.
-
-        Args:
-            arguments: The kernel's inputs after ``share`` and ``shares``.
-            frames: ``B``.
-            output_dims: The shape of each output.
+        """The kernel's outputs; takes what :class:`~jaxdet.stages._teams.TeamKernel` takes.
 
         Raises:
             TypeError: An array has not the type or the number of axes that the kernel takes.
         """
         chain = _open.get()
         if chain is not None:
-            return chain.add(self, arguments, frames, output_dims)
-        alone = partial(self, *arguments, frames=frames, output_dims=output_dims)
-        return frame_by_frame(alone)
+            return chain.add(self, arguments, batch, {**shapes, "scratch_out": (1, words(scratch))})
+        return frame_by_frame(
+            partial(self, *arguments, batch=batch, shapes=shapes, scratch=scratch)
+        )
 
     def row(self, name: str, shape: tuple[int, ...]) -> int:
         """Bytes of a frame of an array."""
         return math.prod(shape[1:]) * wp.types.type_size_in_bytes(self.types[name].dtype)
+
+
+def words(scratch: int) -> int:
+    """32-bit words of scratch memory that a team gets: whole 16 bytes, at which it begins."""
+    return 4 * max(-(-scratch // 4), 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,10 +62,8 @@ def strongest_corners(
     found = {"u_out": (batch, slots), "v_out": (batch, slots), "found_out": (batch,)}
 
     def by_frames() -> tuple[jax.Array, jax.Array, jax.Array]:
-        scratch = 1, kernels.features_scratch(height, width)
-        u, v, count = _frames(
-            color, mask, settings, frames=batch, output_dims={**found, "scratch_out": scratch}
-        )
+        scratch = kernels.features_scratch(height, width)
+        u, v, count = _frames(color, mask, settings, batch=batch, shapes=found, scratch=scratch)
         return u, v, count
 
     def by_steps() -> tuple[jax.Array, jax.Array, jax.Array]:

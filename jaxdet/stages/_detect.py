@@ -10,10 +10,18 @@ import numpy as np
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, FloorConfig
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import band_table, depth_range
+from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import FloorFit, Scale, floor_fit, prior_units
-from jaxdet.stages import _cells, _features, _floor, _free, _obstacles, _outlines, _spread
-from jaxdet.stages import _surfaces as surface_stage
+from jaxdet.stages import (
+    _cells,
+    _features,
+    _floor,
+    _free,
+    _obstacles,
+    _outlines,
+    _spread,
+    _surfaces,
+)
 from jaxdet.stages._chain import by_device, frame_by_frame
 from jaxdet.stages._compile import compile_method
 from jaxdet.stages._cover import CellFeatures, features_on_cells
@@ -41,14 +49,10 @@ class _Tables(NamedTuple):
     rays: _features.Rays
     corners: Array
     floor: Array
-    surfaces: surface_stage.SurfaceTables
-    surface: Array
-    trees: _obstacles.Trees
-    obstacle: Array
-    bands: Array
-    outline: Array
-    free: _free.FreeTables
-    free_settings: Array
+    surfaces: _surfaces.Tables
+    obstacles: _obstacles.Tables
+    outlines: _outlines.Tables
+    free: _free.Tables
     depth_range: Array
 
 
@@ -132,20 +136,15 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
     rows, columns = cells.rays.shape[1:]
     bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     table = affinity(config.obstacle.affinity, unit)
-    obstacle, trees = _obstacles.settings_of(bounds[1], unit, config.obstacle, table)
     made = _Tables(
         cells,
         _features.rays(calibration.color),
         _features.corner_settings(config.features),
-        _floor.floor_settings(rows * columns, config.floor, unit).array(),
-        surface_stage.surface_tables(calibration, config),
-        surface_stage.surface_settings(config, unit),
-        trees,
-        obstacle,
-        band_table(config.footprint, unit),
-        _outlines.outline_settings(config.footprint, unit),
-        _free.free_tables(config, unit),
-        _free.free_settings(config, unit),
+        _floor.floor_settings(rows * columns, config.floor, unit),
+        _surfaces.tables(calibration, config),
+        _obstacles.tables(bounds[1], unit, config.obstacle, table),
+        _outlines.tables(config.footprint, unit),
+        _free.tables(config, unit),
         np.array(bounds, np.int32),
     )
     made = jax.tree.map(jnp.asarray, made)
@@ -204,21 +203,15 @@ def _steps(
         grid.x, grid.y, grid.z, given.prior, shared.floor, static.floor, static.unit
     )
     frame = _floor.found_frames(floor, given.frame)
-    surfaces = surface_stage.surfaces(
-        grid.x, grid.y, grid.z, frame, shared.surfaces, shared.surface
-    )
+    surfaces = _surfaces.surfaces(grid.x, grid.y, grid.z, frame, shared.surfaces)
     on_floor = surfaces.right, surfaces.forward, surfaces.height
-    view = _obstacles.View(grid.x, grid.y, grid.z, *on_floor, grid.in_view)
-    label, count = _obstacles.obstacles(
-        surfaces.label, surfaces.free, view, shared.trees, shared.obstacle
-    )
+    view = grid.x, grid.y, grid.z, *on_floor, grid.in_view
+    label, count = _obstacles.obstacles(surfaces.label, surfaces.free, view, shared.obstacles)
     features = features_on_cells(
         color, grid, surfaces.keep, label, shared.rays, shared.corners, shared.depth_range,
         static.slots,
     )  # fmt: skip
-    outlined = _outlines.outlines(label, count, grid, on_floor, shared.bands, shared.outline)
-    free = _free.free_floor(
-        label, surfaces.low, grid.z, on_floor, shared.free, shared.free_settings
-    )
+    outlined = _outlines.outlines(label, count, grid, on_floor, shared.outlines)
+    free = _free.free_floor(label, surfaces.low, grid.z, on_floor, shared.free)
     cells = (label, grid) if static.with_cells else None
     return _Steps(floor, surfaces.num_surfaces, count, features, outlined, free, cells)

@@ -4,7 +4,7 @@ Twin of ``jaxdet/reference/_floor.py``. What is known and found has other units 
 :mod:`jaxdet.floor.units`.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -20,51 +20,13 @@ _frames = TeamKernel(kernels.found_frame)
 _SINES = units.SINES.astype(np.int32)
 
 
-class FloorSettings(NamedTuple):
-    """What the kernel is told; lengths in depth units. ``native/floor_planes.h`` has this order."""
-
-    stride: int  # every so many of the cells are used, in rows and columns
-    max_depth: int
-    noise: int  # of tolerances, as what is per z, see jaxdet.floor.units.Slack
-    rough_base: int
-    rough_per_z: int
-    fine_base: int
-    fine_per_z: int
-    sharp_base: int
-    sharp_per_z: int
-    wide_per_z: int
-    lever_bits: int
-    bin_bits: int
-    span: int  # heights are tried so far from a guess
-    edge: int  # bins at each end that are farther than most planes are looked for
-    lowest: int
-    highest: int
-    rings: tuple[int, ...]
-    max_turn: int
-    max_shift: int
-    min_share: int  # in thousandths
-    min_share_alone: int
-    table: int
-    step: int
-    ramps: int
-    farthest_ramp: int
-    run_bits: int
-    rise_bits: int
-    runs: int
-    half: int  # heights of the profile above the plane, and below
-    profile_base: int
-    ramp_near: int
-    ramp_spread: int
-    start_step: int
-    starts: tuple[int, ...]
-
-    def array(self) -> np.ndarray:
-        """All of them, ``(N,)`` int32."""
-        return np.hstack(list(self)).astype(np.int32)
+def floor_settings(cells: int, config: FloorConfig, unit: float) -> np.ndarray:
+    """What the kernel is told, ``(N,)`` int32, see :func:`_settings`."""
+    return np.hstack(list(_settings(cells, config, unit).values())).astype(np.int32)
 
 
-def floor_settings(cells: int, config: FloorConfig, unit: float) -> FloorSettings:
-    """The settings for frames of so many cells.
+def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
+    """The settings [depth units], in the order of ``native/floor_planes.h``.
 
     Args:
         cells: Rows times columns.
@@ -75,42 +37,41 @@ def floor_settings(cells: int, config: FloorConfig, unit: float) -> FloorSetting
     rough, fine, sharp = scale.rough(units.ROUGH_DEG), scale.fine, scale.sharp
     span, bin_bits = scale.length(units.STEEP_M), scale.bits(units.BIN_M)
     run_bits, rise_bits = scale.bits(units.RUN_M), scale.bits(units.RISE_M)
-    return FloorSettings(
-        stride=stride(cells, config),
-        max_depth=round(config.max_depth_m / unit),
-        noise=rough.noise,
-        rough_base=rough.base,
-        rough_per_z=rough.per_z,
-        fine_base=fine.base,
-        fine_per_z=fine.per_z,
-        sharp_base=sharp.base,
-        sharp_per_z=sharp.per_z,
-        wide_per_z=scale.rough(units.STEP_DEG / 2).per_z,
-        lever_bits=scale.bits(units.LEVER_M),
-        bin_bits=bin_bits,
-        span=span,
-        edge=(span - scale.length(units.NEAR_M)) >> bin_bits,
-        lowest=scale.length(units.HEIGHTS_M[0]),
-        highest=scale.length(units.HEIGHTS_M[1]),
-        rings=tuple(scale.length(m) for m in units.RINGS_M),
-        max_turn=round(config.max_turn_deg * units.ANGLES),
-        max_shift=scale.length(config.max_shift_m),
-        min_share=round(1000 * config.min_share),
-        min_share_alone=round(1000 * config.min_share_alone),
-        table=scale.length(units.TABLE_M),
-        step=scale.length(units.STEP_M),
-        ramps=int(config.ramps),
-        farthest_ramp=scale.length(units.RAMP_M),
-        run_bits=run_bits,
-        rise_bits=rise_bits,
-        runs=round(units.FARTHEST_M / unit) >> run_bits,
-        half=round(units.HIGHEST_M / unit) >> rise_bits,
-        profile_base=scale.length(units.PROFILE_M),
-        ramp_near=round(units.RAMP_NEAR_M / unit),
-        ramp_spread=round(units.SPREAD_M / unit),
-        start_step=round(units.FINE_START_M / unit),
-        starts=tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
-    )
+    return {
+        "stride": stride(cells, config),  # of the cells used, in rows and columns
+        "max_depth": round(config.max_depth_m / unit),
+        "noise": rough.noise,
+        "rough": (rough.base, rough.per_z),
+        "fine": (fine.base, fine.per_z),
+        "sharp": (sharp.base, sharp.per_z),
+        "wide_per_z": scale.rough(units.STEP_DEG / 2).per_z,
+        "lever_bits": scale.bits(units.LEVER_M),
+        "bin_bits": bin_bits,
+        "span": span,  # heights are tried so far from a guess
+        # Bins at each end that are farther than most planes are looked for.
+        "edge": (span - scale.length(units.NEAR_M)) >> bin_bits,
+        "lowest": scale.length(units.HEIGHTS_M[0]),
+        "highest": scale.length(units.HEIGHTS_M[1]),
+        "rings": tuple(scale.length(m) for m in units.RINGS_M),
+        "max_turn": round(config.max_turn_deg * units.ANGLES),
+        "max_shift": scale.length(config.max_shift_m),
+        "min_share": round(1000 * config.min_share),  # in thousandths
+        "min_share_alone": round(1000 * config.min_share_alone),
+        "table": scale.length(units.TABLE_M),
+        "step": scale.length(units.STEP_M),
+        "ramps": int(config.ramps),
+        "farthest_ramp": scale.length(units.RAMP_M),
+        "run_bits": run_bits,
+        "rise_bits": rise_bits,
+        "runs": round(units.FARTHEST_M / unit) >> run_bits,
+        # Heights of the profile above the plane, and below.
+        "half": round(units.HIGHEST_M / unit) >> rise_bits,
+        "profile_base": scale.length(units.PROFILE_M),
+        "ramp_near": round(units.RAMP_NEAR_M / unit),
+        "ramp_spread": round(units.SPREAD_M / unit),
+        "start_step": round(units.FINE_START_M / unit),
+        "starts": tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
+    }
 
 
 def find_floor(
@@ -131,11 +92,11 @@ def find_floor(
         ``(B, 8)`` int32, see :func:`jaxdet.floor.units.floor_fit`.
     """
     batch, rows, columns = z.shape
-    sizes = floor_settings(rows * columns, config, unit)
-    rows, columns = (len(range(sizes.stride // 2, n, sizes.stride)) for n in (rows, columns))
-    heights = 2 * sizes.span, sizes.highest - sizes.lowest
-    near, wide = ((height >> sizes.bin_bits) + 1 for height in heights)
-    words = kernels.floor_scratch_words(rows, columns, near, wide, sizes.runs, 2 * sizes.half)
+    sizes = _settings(rows * columns, config, unit)
+    rows, columns = (len(range(sizes["stride"] // 2, n, sizes["stride"])) for n in (rows, columns))
+    heights = 2 * sizes["span"], sizes["highest"] - sizes["lowest"]
+    near, wide = ((height >> sizes["bin_bits"]) + 1 for height in heights)
+    words = kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"], 2 * sizes["half"])
     inputs, shapes = (x, y, z, prior, settings, _SINES), {"found_out": (batch, 8)}
     [found] = _floor(*inputs, batch=batch, shapes=shapes, scratch=words)
     return found

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import jax
-import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import quadratic_table
@@ -14,32 +13,21 @@ from jaxdet_kernels import free_floor as kernels
 _free_floor = TeamKernel(kernels.free_floor)
 
 
-class FreeSettings(NamedTuple):
-    """What the kernel is told of the configuration, in this order."""
+class Tables(NamedTuple):
+    """What the kernel is told of the configuration, int32 [depth units]."""
 
-    far: int  # end of the range [depth units]
-    gap: int  # the floor ends where so much of it shows no measurement [depth units]
-
-
-class FreeTables(NamedTuple):
-    """Heights by z, each ``(65536,)`` int32 [depth units]."""
-
-    bows: Array  # how far below the plane floor still is
-    drops: Array  # how much lower than the floor before it the floor behind an edge lies
+    bows: Array  # (65536,) by z, how far below the plane floor still is
+    drops: Array  # (65536,) by z, how much lower what lies behind an edge is
+    settings: Array  # (2,) in the order of native/free_floor.h
 
 
-def free_settings(config: Config, depth_unit: float) -> np.ndarray:
-    """:class:`FreeSettings` as ``(2,)`` int32, of a configuration."""
-    lengths = (config.ground.max_depth_m, config.floor.gap_m)
-    return kernel_table(np.array(FreeSettings(*(round(m / depth_unit) for m in lengths))))
-
-
-def free_tables(config: Config, depth_unit: float) -> FreeTables:
+def tables(config: Config, depth_unit: float) -> Tables:
     """The tables of a configuration, on the host."""
-    floor = config.floor
-    bows = quadratic_table(config.ground.step_height_m, floor.bow_per_m, depth_unit)
+    floor, ground = config.floor, config.ground
+    bows = quadratic_table(ground.step_height_m, floor.bow_per_m, depth_unit)
     drops = quadratic_table(floor.drop_m, floor.noise_per_m, depth_unit)
-    return FreeTables(*map(kernel_table, (bows, drops)))
+    settings = [round(m / depth_unit) for m in (ground.max_depth_m, floor.gap_m)]
+    return Tables(*map(kernel_table, (bows, drops, settings)))
 
 
 def free_floor(
@@ -47,19 +35,19 @@ def free_floor(
     low: jax.Array,
     z: jax.Array,
     floor: tuple[jax.Array, jax.Array, jax.Array],
-    tables: FreeTables,
-    settings: jax.Array,
+    shared: Tables,
 ) -> tuple[jax.Array, jax.Array]:
     """Follows the floor in each column of cells, from the robot outward.
 
-    Takes what the kernel takes; ``floor`` is right, forward and height of the cells.
+    Takes what the kernel takes, ``shared`` as of :func:`tables`; ``floor`` is right, forward and
+    height of the cells.
 
     Returns:
         ``(B, C, 2, 2)`` int32, where the floor begins and where it ends, right and forward, and
         ``(B, C)`` int32, what ends it, see :class:`jaxdet.types.FreeEnd`.
     """
     batch, _, columns = label.shape
-    inputs, words = (label, low, z, *floor, *tables, settings), kernels.scratch_words(columns)
+    inputs, words = (label, low, z, *floor, *shared), kernels.scratch_words(columns)
     shapes = {"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)}
     line, end = _free_floor(*inputs, batch=batch, shapes=shapes, scratch=words)
     return line, end

@@ -1,5 +1,6 @@
 """Obstacles from surfaces under ``jax.jit``. Twin of ``jaxdet/reference/_obstacles.py``."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 from jaxdet.affinity import BEYOND, NO_STEP, Affinity
 from jaxdet.config import ObstacleConfig
 from jaxdet.stages._teams import TeamKernel
-from jaxdet.types import MAX_CONTOUR
+from jaxdet.types import MAX_CONTOUR, Array
 from jaxdet_kernels import obstacles as kernel
 
 FARTHEST = 1 << 28
@@ -19,45 +20,16 @@ MOST_EVIDENCE = (1 << 15) - 1
 _obstacles = TeamKernel(kernel.obstacles)
 
 
-class Settings(NamedTuple):
-    """The order of the settings of the kernel, as in ``native/obstacles.h`` [depth units]."""
+class Tables(NamedTuple):
+    """What the kernel is told of the configuration, int32."""
 
-    farthest: int  # end of the range
-    lateral_gap: int
-    forward_gap: int
-    depth_gap: int
-    contact: int
-    bend: int
-    side: int
-    min_size: int
-    min_cells: int
-    no_step: int  # step in depth of surfaces that do not face each other
-    offset: int  # evidence to begin with
+    feature: Array  # (T, 2**D - 1) the trees of jaxdet.affinity.Affinity
+    threshold: Array  # (T, 2**D - 1)
+    value: Array  # (T, 2**D)
+    settings: Array  # (11,) in the order of native/obstacles.h
 
 
-class View(NamedTuple):
-    """:class:`jaxdet.reference._view.View` of a batch, each ``(B, R, C)`` int32 [depth units]."""
-
-    x: jax.Array
-    y: jax.Array
-    z: jax.Array
-    right: jax.Array
-    forward: jax.Array
-    height: jax.Array
-    in_view: jax.Array  # bool
-
-
-class Trees(NamedTuple):
-    """A table of :mod:`jaxdet.affinity`, int32."""
-
-    feature: jax.Array | np.ndarray
-    threshold: jax.Array | np.ndarray
-    value: jax.Array | np.ndarray
-
-
-def settings_of(
-    farthest: int, unit: float, config: ObstacleConfig, table: Affinity
-) -> tuple[np.ndarray, Trees]:
+def tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) -> Tables:
     """What :func:`obstacles` is told, made on the host.
 
     Args:
@@ -66,42 +38,28 @@ def settings_of(
         config: The gaps and sizes.
         table: That of the configuration, in the same depth units.
 
-    Returns:
-        ``(11,)`` int32, the values of :class:`Settings`, and the trees.
-
     Raises:
         ValueError: The table's evidence could overflow when it is added up.
     """
     most = int(np.abs(table.value).max(axis=1).sum()) + abs(table.offset)
     if most > MOST_EVIDENCE:
         raise ValueError(f"evidence of up to {most}, but {MOST_EVIDENCE} is the most there may be")
-    settings = Settings(
-        farthest,
-        round(config.lateral_gap_m / unit),
-        round(config.forward_gap_m / unit),
-        round(config.depth_gap_m / unit),
-        round(config.contact_m / unit),
-        round(config.bend_m / unit),
-        round(config.side_m / unit),
-        round(config.min_size_m / unit),
-        config.min_cells,
-        round(NO_STEP / (1000 * unit)),
-        table.offset,
-    )
-    trees = Trees(
-        table.feature.astype(np.int32),
-        np.clip(table.threshold, -BEYOND, BEYOND).astype(np.int32),
-        table.value.astype(np.int32),
-    )
-    return np.clip(settings, -FARTHEST, FARTHEST).astype(np.int32), trees
+    gaps = config.lateral_gap_m, config.forward_gap_m, config.depth_gap_m, config.contact_m
+    sizes = config.bend_m, config.side_m, config.min_size_m
+    lengths = (round(m / unit) for m in (*gaps, *sizes))
+    settings = farthest, *lengths, config.min_cells, round(NO_STEP / (1000 * unit)), table.offset
+    threshold = np.clip(table.threshold, -BEYOND, BEYOND)
+    found = table.feature, threshold, table.value, np.clip(settings, -FARTHEST, FARTHEST)
+    return Tables(*(part.astype(np.int32) for part in found))
 
 
 def obstacles(
-    label: jax.Array, free: jax.Array, view: View, trees: Trees, settings: jax.Array
+    label: jax.Array, free: jax.Array, view: Sequence[jax.Array], shared: Tables
 ) -> tuple[jax.Array, jax.Array]:
     """Groups the surfaces of frames into obstacles; inside of ``jax.jit``.
 
-    Takes what the kernel takes; ``trees`` and ``settings`` are of :func:`settings_of`.
+    Takes what the kernel takes, ``shared`` as of :func:`tables`; ``view`` is what
+    :class:`jaxdet.reference._view.View` has, of a batch.
 
     Returns:
         ``(B, R, C)`` int32 obstacles in the order of their nearest z, then of their leftmost point,
@@ -113,7 +71,7 @@ def obstacles(
     batch, rows, columns = label.shape
     if max(rows, columns) > MAX_CONTOUR:
         raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
-    inputs, words = (label, free, *view, *trees, settings), kernel.scratch_words(rows, columns)
+    inputs, words = (label, free, *view, *shared), kernel.scratch_words(rows, columns)
     shapes = {"label_out": label.shape, "count_out": (batch,)}
     found, count = _obstacles(*inputs, batch=batch, shapes=shapes, scratch=words)
     return found, count

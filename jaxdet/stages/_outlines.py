@@ -3,16 +3,14 @@
 Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside it.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import jax
-import numpy as np
 
 from jaxdet.config import FootprintConfig
-from jaxdet.floor.plane import direction_table
+from jaxdet.floor.plane import band_table, direction_table
 from jaxdet.stages._teams import TeamKernel, kernel_table
-from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
+from jaxdet.types import MAX_OBSTACLES, Array, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
 
 _outlines = TeamKernel(kernels.outlines)
@@ -27,12 +25,12 @@ SHAPES = {
 """Of each output but the contour, for one obstacle."""
 
 
-class OutlineSettings(NamedTuple):
-    """What the kernel is told of the configuration, in this order."""
+class Tables(NamedTuple):
+    """What the kernel is told of the configuration, int32."""
 
-    trim: int  # cells passed over at each side and in front before A, B and C
-    vertex: int  # how much nearer than A and B a vertex is [depth units]
-    long: int  # longer rectangles pass over a part of their cells at their long sides [depth units]
+    bands: Array  # (65536, 2) see jaxdet.floor.plane.band_table
+    directions: Array  # (90, 2) see jaxdet.floor.plane.direction_table
+    settings: Array  # (3,) in the order of native/outlines.h
 
 
 class Outlined(NamedTuple):
@@ -47,10 +45,11 @@ class Outlined(NamedTuple):
     """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
 
 
-def outline_settings(config: FootprintConfig, depth_unit: float) -> np.ndarray:
-    """:class:`OutlineSettings` as ``(3,)`` int32, of a configuration."""
+def tables(config: FootprintConfig, depth_unit: float) -> Tables:
+    """The tables of a configuration, on the host."""
     vertex, long = (round(m / depth_unit) for m in (config.vertex_threshold_m, config.long_m))
-    return kernel_table(np.array(OutlineSettings(config.trim, vertex, long)))
+    found = band_table(config, depth_unit), direction_table(), [config.trim, vertex, long]
+    return Tables(*map(kernel_table, found))
 
 
 def outlines(
@@ -58,17 +57,16 @@ def outlines(
     count: jax.Array,
     cells: Cells,
     floor: tuple[jax.Array, jax.Array, jax.Array],
-    bands: jax.Array,
-    settings: jax.Array,
+    shared: Tables,
 ) -> Outlined:
     """Measures each obstacle on its cells in the colour image, and outlines it on all of them.
 
-    Takes what the kernel takes; ``floor`` is right, forward and height of the cells. Obstacles from
-    MAX_OBSTACLES on get no slot.
+    Takes what the kernel takes, ``shared`` as of :func:`tables`; ``floor`` is right, forward and
+    height of the cells. Obstacles from MAX_OBSTACLES on get no slot.
     """
     batch, rows, columns = label.shape
     places = cells.x, cells.y, cells.z, *floor, cells.in_view, cells.uv_min, cells.uv_max
-    inputs = label, count, *places, bands, _directions(), settings
+    inputs = label, count, *places, *shared
     shapes = {
         f"{name}_out": (batch, MAX_OBSTACLES, *shape)
         for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
@@ -77,8 +75,3 @@ def outlines(
     named = _outlines(*inputs, batch=batch, shapes=shapes, scratch=words)
     fields = len(Obstacles._fields)
     return Outlined(Obstacles(*named[:fields]), *named[fields:])
-
-
-@lru_cache(maxsize=1)
-def _directions() -> np.ndarray:
-    return direction_table().astype(np.int32)

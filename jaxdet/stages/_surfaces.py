@@ -17,23 +17,13 @@ MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
 """Depths have 16 bits, bends 17: larger steps and limits mean the same."""
 
 
-class SurfaceSettings(NamedTuple):
-    """The numbers of the configuration, in the order of ``native/surfaces.h``."""
+class Tables(NamedTuple):
+    """What the kernel is told of the configuration, int32 [depth units]."""
 
-    nearest: int  # least depth [depth units]
-    farthest: int  # depth up to which surfaces are followed [depth units]
-    crease_cells: int
-    min_cells: int
-    crease_margin: int
-    bent: int  # height up to which surfaces without a steep side are floor [depth units]
-
-
-class SurfaceTables(NamedTuple):
-    """Lengths by z, each ``(65536,)`` int32 [depth units]."""
-
-    steps: Array  # largest step in depth between neighbouring cells of a surface
-    limits: Array  # deeper bends are creases
-    rises: Array  # what is no higher above the floor is floor
+    steps: Array  # (65536,) by z, largest step in depth between neighbouring cells of a surface
+    limits: Array  # (65536,) by z, deeper bends are creases
+    rises: Array  # (65536,) by z, what is no higher above the floor is floor
+    settings: Array  # (6,) in the order of native/surfaces.h
 
 
 class Surfaces(NamedTuple):
@@ -50,41 +40,29 @@ class Surfaces(NamedTuple):
     """``(B,)`` int32, how many surfaces there are, those without a label included."""
 
 
-def surface_settings(config: Config, depth_unit: float) -> np.ndarray:
-    """The configuration's :class:`SurfaceSettings`, ``(6,)`` int32."""
-    ground, surface = config.ground, config.surface
-    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, depth_unit)
-    settings = SurfaceSettings(
-        nearest,
-        round(farthest * surface.beyond),
-        surface.crease_cells,
-        surface.min_cells,
-        surface.crease_margin,
-        round(surface.bent_m / depth_unit),
-    )
-    return kernel_table(np.array(settings))
-
-
-def surface_tables(calibration: Calibration, config: Config) -> SurfaceTables:
-    """The configuration's lengths by z, on the host; where they are larger than any length, cut."""
-    surface, depth_unit = config.surface, calibration.depth_unit
-    tables = (
-        np.minimum(quadratic_table(surface.step_m, surface.step_per_m, depth_unit), MOST_STEP),
-        np.minimum(quadratic_table(surface.crease_m, surface.crease_per_m, depth_unit), MOST_LIMIT),
+def tables(calibration: Calibration, config: Config) -> Tables:
+    """The tables of a configuration, on the host; what is larger than any length is cut."""
+    ground, surface, unit = config.ground, config.surface, calibration.depth_unit
+    nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
+    steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
+    limits = quadratic_table(surface.crease_m, surface.crease_per_m, unit)
+    found = (
+        np.minimum(steps, MOST_STEP),
+        np.minimum(limits, MOST_LIMIT),
         step_table(calibration, config),
-    )
-    return SurfaceTables(*map(kernel_table, tables))
+        [nearest, round(farthest * surface.beyond), surface.crease_cells, surface.min_cells,
+         surface.crease_margin, round(surface.bent_m / unit)],
+    )  # fmt: skip
+    return Tables(*map(kernel_table, found))
 
 
-def surfaces(
-    x: Array, y: Array, z: Array, floor: Array, tables: SurfaceTables, settings: Array
-) -> Surfaces:
+def surfaces(x: Array, y: Array, z: Array, floor: Array, shared: Tables) -> Surfaces:
     """Places the cells of a batch on the floor and groups those above it into surfaces.
 
-    Takes what the kernel takes; ``tables`` and ``settings`` are made above.
+    Takes what the kernel takes, ``shared`` as of :func:`tables`.
     """
     batch, rows, columns = shape = z.shape
     shapes = {**dict.fromkeys(_surfaces.outputs, shape), "count_out": (batch,)}
     scratch = kernels.surfaces_words(rows, columns)
-    out = _surfaces(x, y, z, floor, *tables, settings, batch=batch, shapes=shapes, scratch=scratch)
+    out = _surfaces(x, y, z, floor, *shared, batch=batch, shapes=shapes, scratch=scratch)
     return Surfaces(*out)

@@ -8,8 +8,9 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
-from jaxdet.stages._chain import FrameKernel, by_device
+from jaxdet.stages._chain import FrameKernel, by_device, words
 from jaxdet.stages._launch import BatchKernel
 
 MULTIPROCESSORS = 132
@@ -23,8 +24,8 @@ LIMIT = 1 << 30
 """Of a setting or of an entry of a table: no length is longer."""
 
 
-def kernel_table(values: np.ndarray) -> np.ndarray:
-    """A table as kernels take it: int32, nothing above ``LIMIT``."""
+def kernel_table(values: ArrayLike) -> np.ndarray:
+    """A table or settings as kernels take them: int32, nothing above ``LIMIT``."""
     return np.minimum(values, LIMIT).astype(np.int32)
 
 
@@ -57,17 +58,16 @@ class TeamKernel:
             scratch: 32-bit words of scratch memory of a team; it begins at 16 bytes.
         """
 
-        def dims(teams: int) -> dict[str, tuple[int, ...]]:
-            return {**shapes, "scratch_out": (teams, 4 * max(-(-scratch // 4), 1))}
-
         def by_cores() -> Sequence[jax.Array]:
-            return tuple(self._by_cores(*arguments, frames=batch, output_dims=dims(1)))
+            found = self._by_cores(*arguments, batch=batch, shapes=shapes, scratch=scratch)
+            return tuple(found)
 
         def by_blocks() -> Sequence[jax.Array]:
             fitting = max(_scratch_bytes() // (4 * max(scratch, 1)), 1)
             teams = min(batch, self._most_teams, fitting)
             size = (teams * self._width,)
-            found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims(teams))
+            dims = {**shapes, "scratch_out": (teams, words(scratch))}
+            found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims)
             return tuple(found)[:-1]
 
         return by_device(by_cores, by_blocks)

@@ -56,11 +56,12 @@ def rvl(
 
 
 @native_kernel(
-    "depth_units.h",
     body="""
-    const DepthUnits units{unit_m};
     const size_t size = (size_t)metres.shape[0] * metres.shape[1];
-    for (size_t i = 0; i < size; ++i) units_out.data[i] = units.of(metres.data[i]);
+    for (size_t i = 0; i < size; ++i) {
+        const double units = __builtin_rint(metres.data[i] / unit_m);
+        units_out.data[i] = (unsigned short)(units > 0 && units <= 65535 ? (int)units : 0);
+    }
 """,
 )
 def depth_units(
@@ -68,4 +69,4 @@ def depth_units(
     unit_m: wp.float64,  # metres in a unit
     units_out: wp.array2d[wp.uint16],  # (H, W)
 ):
-    """Metres to the nearest depth unit; 0 where that is not of 1 to 65535."""
+    """Metres to the nearest depth unit, halves to even; 0 where that is not of 1 to 65535."""

@@ -59,7 +59,7 @@ def floor(
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],  # 0 = no measurement
     prior: wp.array2d[wp.int32],  # (B, 4) pitch and roll [angle steps], height, valid
-    settings: wp.array[wp.int32],  # jaxdet.stages._floor.FloorSettings
+    settings: wp.array[wp.int32],  # see native/floor_planes.h
     sines: wp.array[wp.int32],  # from -360 degrees on, by angle steps
     found_out: wp.array2d[wp.int32],  # (B, 8)
 ):

@@ -45,7 +45,7 @@ def free_floor(
     height: wp.array3d[wp.int32],  # above the floor [depth units]
     bows: wp.array[wp.int32],  # (65536,) by z, how far below the plane floor still is
     drops: wp.array[wp.int32],  # (65536,) by z, how much lower what lies behind an edge is
-    settings: wp.array[wp.int32],  # jaxdet.stages._free.FreeSettings
+    settings: wp.array[wp.int32],  # (2,) see native/free_floor.h
     free_out: wp.array4d[wp.int32],  # (B, C, 2, 2) where the free floor begins and where it ends
     free_end_out: wp.array2d[wp.int32],  # (B, C) jaxdet.types.FreeEnd
 ):

@@ -79,7 +79,7 @@ def obstacles(
     feature: wp.array2d[wp.int32],  # (T, 2**D - 1) which of what is seen a node looks at
     threshold: wp.array2d[wp.int32],  # (T, 2**D - 1) what is larger goes to the second child
     value: wp.array2d[wp.int32],  # (T, 2**D) evidence of the leaves
-    settings: wp.array[wp.int32],  # jaxdet.stages._obstacles.Settings
+    settings: wp.array[wp.int32],  # (11,) see native/obstacles.h
     label_out: wp.array3d[wp.int32],  # (B, R, C) obstacles by distance, -1 = none
     count_out: wp.array[wp.int32],  # (B,) how many there are
 ):

@@ -91,7 +91,7 @@ def outlines(
     uv_max: wp.array4d[wp.int16],  # last
     bands: wp.array2d[wp.int32],  # (65536, 2) see jaxdet.floor.plane.band_table
     directions: wp.array2d[wp.int32],  # (90, 2) see jaxdet.floor.plane.direction_table
-    settings: wp.array[wp.int32],  # jaxdet.stages._outlines.OutlineSettings
+    settings: wp.array[wp.int32],  # (3,) see native/outlines.h
     num_points_out: wp.array2d[wp.int32],  # (B, M, ...) from here on as jaxdet.types.Obstacles
     uv_min_out: wp.array3d[wp.int32],
     uv_max_out: wp.array3d[wp.int32],

@@ -3,6 +3,7 @@
 // first, a corner is taken unless one that was taken is nearer than the distance.
 #pragma once
 #include "pixel_bits.h"
+#include "square_root.h"
 
 // Pixels nearer than the distance: those whose squared distance, a whole number, is below `limit`.
 struct CornerDisk {
@@ -15,18 +16,10 @@ struct CornerDisk {
     int half(int dy) const {
         const int left = limit - dy * dy;
         if (left <= 0) return -1;
-        int side = (int)root((float)left);
+        int side = (int)SquareRoot::of((float)left);
         while (side > 0 && side * side >= left) --side;
         while ((side + 1) * (side + 1) < left) ++side;
         return side;
-    }
-
-    static float root(float value) {
-#if defined(__CUDA_ARCH__)
-        return sqrtf(value);
-#else
-        return __builtin_sqrtf(value);
-#endif
     }
 };
 

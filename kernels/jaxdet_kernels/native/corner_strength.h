@@ -19,6 +19,7 @@
 // - Else, for a few pixels in a hundred near edges, `CornerColumn` repeats the reference's sum.
 #pragma once
 #include "pixel_bits.h"
+#include "square_root.h"
 
 struct CornerStrength {
     enum { SUM_BITS = 31 };
@@ -36,15 +37,7 @@ struct CornerStrength {
     // The eigenvalue, of sums of dx dx, dx dy and dy dy.
     static float eigenvalue(float xx, float xy, float yy) {
         const float a = 0.5f * xx, c = 0.5f * yy, t = a - c;
-        return (a + c) - root(t * t + xy * xy);
-    }
-
-    static float root(float value) {
-#if defined(__CUDA_ARCH__)
-        return __fsqrt_rn(value);
-#else
-        return __builtin_sqrtf(value);
-#endif
+        return (a + c) - SquareRoot::of(t * t + xy * xy);
     }
 
     // Both ends of where the size of a sum of dx dy may lie, of the integers' sum.

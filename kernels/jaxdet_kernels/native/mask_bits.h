@@ -1,10 +1,9 @@
 // An image of bytes as bits.
 #pragma once
 #include "pixel_bits.h"
-#include "vectors.h"
 
 struct MaskBits {
-    typedef unsigned long long Word;
+    typedef unsigned long long Word __attribute__((may_alias));
 
     Team team;
     int height, width;
@@ -13,8 +12,6 @@ struct MaskBits {
 
     void run() const {
         const int words = PixelBits::words(width);
-#if defined(__CUDA_ARCH__)
-        // A word a thread.
         for (int i = team.rank; i < height * words; i += team.size) {
             const int y = i / words, x = (i - y * words) * 32;
             const bool* from = mask + (size_t)y * width + x;
@@ -27,21 +24,5 @@ struct MaskBits {
             }
             bits_out[i] = bits;
         }
-#else
-        for (int y = 0; y < height; ++y) {
-            const unsigned char* row = (const unsigned char*)mask + (size_t)y * width;
-            Word* out = (Word*)bits_out + (size_t)y * words / 2;
-            for (int w = 0; w < words / 2; ++w) {
-                const int x = w * Vectors::BYTES;
-                if (x + Vectors::BYTES <= width) {
-                    out[w] = Vectors::bits(*(const Vectors::Bytes*)(row + x));
-                    continue;
-                }
-                Word bits = 0;
-                for (int i = 0; i < width - x; ++i) bits |= (Word)(row[x + i] != 0) << i;
-                out[w] = bits;
-            }
-        }
-#endif
     }
 };

@@ -2,6 +2,7 @@
 // Twin of `project_corners` in jaxdet/reference/_align.py and of jaxdet/reference/_lens.py, operation
 // by operation: compile without fused multiply-add, so that every operation is rounded on its own.
 #pragma once
+#include "square_root.h"
 
 struct Projection {
     enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
@@ -37,21 +38,13 @@ struct Projection {
 
     // Kannala-Brandt, in float64.
     __attribute__((always_inline)) void equidistant(float& x, float& y) const {
-        const double wx = x, wy = y, r = root(wx * wx + wy * wy);
+        const double wx = x, wy = y, r = SquareRoot::of(wx * wx + wy * wy);
         const double theta = arctangent(r), t2 = theta * theta;
         double series = (double)p[18] + t2 * (double)p[19];
         series = 1.0 + t2 * ((double)p[16] + t2 * ((double)p[17] + t2 * series));
         const double scale = r > 1.0e-9 ? (theta * series) / r : 1.0;
         x = (float)(wx * scale);
         y = (float)(wy * scale);
-    }
-
-    __attribute__((always_inline)) static double root(double x) {
-#if defined(__CUDA_ARCH__)
-        return __dsqrt_rn(x);
-#else
-        return __builtin_sqrt(x);
-#endif
     }
 
     // OpenCV's radial and tangential model.

@@ -1,8 +1,15 @@
-// Square roots of integers below 2^44, rounded down.
+// Square roots: of floats rounded to the nearest, of integers below 2^44 rounded down.
 #pragma once
 #include "team.h"
 
 struct SquareRoot {
+#if defined(__CUDA_ARCH__)
+    static float of(float value) { return __fsqrt_rn(value); }
+    static double of(double value) { return __dsqrt_rn(value); }
+#else
+    static float of(float value) { return __builtin_sqrtf(value); }
+    static double of(double value) { return __builtin_sqrt(value); }
+#endif
     static int of(unsigned long long square) {
         unsigned long long left = square, found = 0, bit = 1ull << 42;
         while (bit > square) bit >>= 2;

@@ -63,6 +63,7 @@ struct Team {
 
     static int input(const int* place) { return *place; }
     static bool input(const bool* place) { return *place; }
+    static unsigned long long input(const unsigned long long* place) { return *place; }
 
     static int replace(int* place, int value) {
         const int before = *place;

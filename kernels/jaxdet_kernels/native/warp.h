@@ -24,16 +24,9 @@ struct Warp {
     int from(int value, int lane) const { return __shfl_sync(ALL, value, lane); }
     unsigned those(bool mine) const { return __ballot_sync(ALL, mine); }
 
-    // With compute capability 8.0 a warp's sum, minimum or maximum of integers is one instruction.
-#if __CUDA_ARCH__ >= 800
+    // From compute capability 8.0 on.
     int sum(int value) const { return __reduce_add_sync(ALL, value); }
     int least(int value) const { return __reduce_min_sync(ALL, value); }
-#else
-    int sum(int value) const { return (int)sum((long long)value); }
-    int least(int value) const {
-        return (int)((long long)least((unsigned long long)(value + (1ll << 31))) - (1ll << 31));
-    }
-#endif
     long long sum(long long value) const {
         for (int away = 16; away; away >>= 1) value += __shfl_xor_sync(ALL, value, away);
         return value;
