@@ -20,8 +20,7 @@ from jaxdet.config import Config
 from jaxdet.floor.plane import flat_plane, floor_limits
 from jaxdet.pipeline import detect
 from jaxdet.presets import preset
-from jaxdet.stages._device import on_cuda
-from jaxdet.stages._spread import rows_over
+from jaxdet.stages._spread import on_cuda, rows_over
 from jaxdet.stages._upload import Uploader
 from jaxdet.types import Detections, Frames
 

@@ -228,23 +228,17 @@ def _inverse_brown_conrady_float32(
 class SplatParameters(NamedTuple):
     """What the alignment needs beside the corner rays; all float32 scalars in arrays."""
 
-    rotation: np.ndarray
-    """``(9,)`` float32, row-major ``R`` of ``T_color_depth``."""
-    translation: np.ndarray
-    """``(3,)`` float32 [m]."""
-    pinhole: np.ndarray
-    """``(4,)`` float32, the colour camera's ``fx fy cx cy`` [pixel]."""
-    lens: np.ndarray
-    """``(8,)`` float32, the colour camera's distortion coefficients."""
+    rotation: np.ndarray  # (9,) float32, row-major R of T_color_depth
+    translation: np.ndarray  # (3,) float32 [m]
+    pinhole: np.ndarray  # (4,) float32, the colour camera's fx fy cx cy [pixel]
+    lens: np.ndarray  # (8,) float32, the colour camera's distortion coefficients
     max_r2: np.float32
     """Rays with a larger squared slope can't be in the colour image: a lens polynomial folds
     back far outside the field of view and would project them into it."""
-    depth_unit: np.float32
-    """Metres in one depth unit."""
+    depth_unit: np.float32  # metres in one depth unit
     model: Distortion
     """The colour camera's model; inverse Brown-Conrady counts as none, as in ``rs.align``."""
-    fills_corners: bool
-    """Whether a depth pixel covers all colour pixels between its corners."""
+    fills_corners: bool  # whether a depth pixel covers all colour pixels between its corners
 
 
 @lru_cache(maxsize=16)

@@ -193,6 +193,7 @@ inline int __float_as_int(float v) { return from_word<int>(as_word(v)); }
 inline float __int_as_float(int v) { return from_word<float>(as_word(v)); }
 inline double __longlong_as_double(long long v) { return from_word<double>(as_word(v)); }
 inline float __fsqrt_rn(float v) { return __builtin_sqrtf(v); }
+inline double __dsqrt_rn(double v) { return __builtin_sqrt(v); }
 template <class T> T atomicAdd(T* place, T value) {
     const T before = *place;
     *place = *place + value;

@@ -51,8 +51,7 @@ def gpus() -> tuple[Any, ...]:
     if start_cuda():
         _start_server(LOADED)  # while JAX looks for them
     start_up()
-    from jaxdet.stages._device import on_cuda
-    from jaxdet.stages._spread import devices_for
+    from jaxdet.stages._spread import devices_for, on_cuda
 
     return devices_for(None) if on_cuda() else ()
 

@@ -175,13 +175,6 @@ def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
 
 
 @lru_cache(maxsize=16)
-def linear_table(constant_m: float, per_m: float, depth_unit: float) -> np.ndarray:
-    """A length that grows with depth, ``constant + per z``, by z; as :func:`quadratic_table`."""
-    table = np.rint(constant_m / depth_unit + per_m * np.arange(65536)).astype(np.int64)
-    table.setflags(write=False)
-    return table
-
-
 def step_table(calibration: Calibration, config: Config) -> np.ndarray:
     """The height up to which a cell is floor: ``step_height_m + step_height_per_m z / s``.
 
@@ -194,7 +187,10 @@ def step_table(calibration: Calibration, config: Config) -> np.ndarray:
     """
     side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
     ground, unit = config.ground, calibration.depth_unit
-    return linear_table(ground.step_height_m, ground.step_height_per_m / side, unit)
+    slope = ground.step_height_per_m / side
+    table = np.rint(ground.step_height_m / unit + slope * np.arange(65536)).astype(np.int64)
+    table.setflags(write=False)
+    return table
 
 
 @lru_cache(maxsize=64)

@@ -68,10 +68,8 @@ STEP_M, TABLE_M = 0.05, 0.10
 class Slack(NamedTuple):
     """How far from a plane of height h its cells may lie: ``base + per_z z + noise z h``."""
 
-    base: int
-    """Roughness of a floor [depth units]."""
-    per_z: int
-    """Errors of direction and bowed floors, ``SLACK_BITS`` fraction bits."""
+    base: int  # roughness of a floor [depth units]
+    per_z: int  # errors of direction and bowed floors, SLACK_BITS fraction bits
     noise: int
     """Stereo noise ``c z^2`` along a ray that meets the floor at the angle whose sine is h / z,
     ``SLACK_BITS`` fraction bits."""
@@ -84,10 +82,8 @@ class Slack(NamedTuple):
 class Scale(NamedTuple):
     """Lengths in depth units."""
 
-    unit: float
-    """Metres in one depth unit."""
-    noise_per_m: float
-    """Standard error of depth over its square [1/m]."""
+    unit: float  # metres in one depth unit
+    noise_per_m: float  # standard error of depth over its square [1/m]
 
     def length(self, metres: float) -> int:
         """Rounded, at least one."""

@@ -42,17 +42,12 @@ from jaxdet.types import (
 class Found(NamedTuple):
     """One frame's cells in surfaces or obstacles."""
 
-    label: np.ndarray
-    """``(R, C)`` int64, -1 = none."""
-    keep: np.ndarray
-    """``(R, C)`` bool, in range and above the floor."""
-    free: np.ndarray
-    """``(R, C)`` bool, measured to be free: floor, or beyond the range."""
+    label: np.ndarray  # (R, C) int64, -1 = none
+    keep: np.ndarray  # (R, C) bool, in range and above the floor
+    free: np.ndarray  # (R, C) bool, measured to be free: floor, or beyond the range
     view: View
-    low: np.ndarray
-    """``(R, C)`` bool, measured and no higher than the step."""
-    overflow: bool
-    """There are more surfaces than ``MAX_SURFACES``."""
+    low: np.ndarray  # (R, C) bool, measured and no higher than the step
+    overflow: bool  # there are more surfaces than MAX_SURFACES
 
 
 def detect(

@@ -25,10 +25,8 @@ class Facing(NamedTuple):
     ``MOST_BETWEEN`` runs of cells lie between; in a line they may do so more than once.
     """
 
-    places: np.ndarray
-    """Places where they do."""
-    through: np.ndarray
-    """Of these, those where floor or something farther is seen between them."""
+    places: np.ndarray  # places where they do
+    through: np.ndarray  # of these, those where floor or something farther is seen between them
     hidden: np.ndarray
     """Of these, those where something nearer and nothing farther lies between them."""
     holes: np.ndarray
@@ -36,17 +34,14 @@ class Facing(NamedTuple):
     their depth."""
     agree: np.ndarray
     """Of ``hidden`` and ``holes``, those where their depths agree within the gap and the slope."""
-    steps: np.ndarray
-    """Sum of their steps in depth, but for ``through`` [depth units]."""
+    steps: np.ndarray  # sum of their steps in depth, but for through [depth units]
 
 
 class Pairs(NamedTuple):
     """The pairs of surfaces of a frame that may be one thing."""
 
-    one: np.ndarray
-    """``(P,)`` int64, a surface."""
-    other: np.ndarray
-    """``(P,)`` int64, one with a higher number."""
+    one: np.ndarray  # (P,) int64, a surface
+    other: np.ndarray  # (P,) int64, one with a higher number
     seen: np.ndarray
     """``(P, 26)`` int64, in the order of :data:`jaxdet.affinity.SEEN` [depth units, cells, lines,
     percent]."""

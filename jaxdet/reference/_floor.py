@@ -46,10 +46,8 @@ class _Found(NamedTuple):
 
     plane: Plane
     hinge: Hinge | None
-    on: int
-    """Cells on it."""
-    total: int
-    """All cells."""
+    on: int  # cells on it
+    total: int  # all cells
     refused: Refusal
 
     @property

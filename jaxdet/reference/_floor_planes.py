@@ -41,10 +41,8 @@ RIDGE = 14
 class Sample(NamedTuple):
     """Cells with depth, at most some thousands."""
 
-    xyz: np.ndarray
-    """``(K, 3)`` int64, camera optical frame [depth units]."""
-    inner: np.ndarray
-    """``(K,)`` bool, not at the left or right margin of the image."""
+    xyz: np.ndarray  # (K, 3) int64, camera optical frame [depth units]
+    inner: np.ndarray  # (K,) bool, not at the left or right margin of the image
 
     @property
     def z(self) -> np.ndarray:

@@ -41,10 +41,8 @@ percent anew."""
 class Hinge(NamedTuple):
     """A ramp."""
 
-    start: int
-    """Distance forward at which it begins [depth units]."""
-    turn: int
-    """Its pitch against the plane, uphill positive [angle steps]."""
+    start: int  # distance forward at which it begins [depth units]
+    turn: int  # its pitch against the plane, uphill positive [angle steps]
 
     @property
     def slope(self) -> int:
@@ -55,12 +53,9 @@ class Hinge(NamedTuple):
 class Profile(NamedTuple):
     """Running counts of cells over their height, by distance forward of the camera."""
 
-    counts: np.ndarray
-    """``(T, rises + 1)`` int64."""
-    run: np.ndarray
-    """``(T,)`` int64, the middles of the distances [depth units]."""
-    bits: int
-    """Heights are ``2**bits`` depth units apart."""
+    counts: np.ndarray  # (T, rises + 1) int64
+    run: np.ndarray  # (T,) int64, the middles of the distances [depth units]
+    bits: int  # heights are 2**bits depth units apart
 
     def under(self, height: np.ndarray) -> np.ndarray:
         """Cells below a height over the plane ``(..., T)`` [depth units], by distance."""

@@ -16,18 +16,12 @@ BESIDE = 10
 class FloorView(NamedTuple):
     """One frame's cells as the search for free floor sees them, each ``(R, C)``."""
 
-    label: np.ndarray
-    """Obstacles, -1 = none."""
-    low: np.ndarray
-    """bool, measured, in range or beyond, and no higher than the step."""
-    floor: np.ndarray
-    """bool, of these, those near enough to the plane to be floor."""
-    right: np.ndarray
-    """Ground frame [depth units]."""
-    forward: np.ndarray
-    """Ground frame [depth units]."""
-    height: np.ndarray
-    """Above the plane [depth units]."""
+    label: np.ndarray  # obstacles, -1 = none
+    low: np.ndarray  # bool, measured, in range or beyond, and no higher than the step
+    floor: np.ndarray  # bool, of these, those near enough to the plane to be floor
+    right: np.ndarray  # ground frame [depth units]
+    forward: np.ndarray  # ground frame [depth units]
+    height: np.ndarray  # above the plane [depth units]
     drop: np.ndarray
     """How much lower than the floor before it the floor behind an edge lies [depth units]."""
 

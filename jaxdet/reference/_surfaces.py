@@ -149,15 +149,20 @@ def renumbered(label: np.ndarray) -> np.ndarray:
 
 def without_small(mask: np.ndarray, least: int) -> np.ndarray:
     """A mask without its 8-connected components of fewer than ``least`` cells."""
+    first, second = _neighbours(mask, ((0, 1), (1, -1), (1, 0), (1, 1)))
+    label = components(mask.size, first, second)
+    return mask & (np.bincount(label, minlength=mask.size)[label] >= least).reshape(mask.shape)
+
+
+def _neighbours(mask: np.ndarray, ways: tuple[tuple[int, int], ...]) -> np.ndarray:
+    """Cells of a mask ``(R, C)`` and those so many rows and columns on, as flat indices ``(2, L)``."""
     cell = np.where(mask, np.arange(mask.size).reshape(mask.shape), -1)
-    first, second = [], []
-    for dv, du in ((0, 1), (1, -1), (1, 0), (1, 1)):
+    pairs = []
+    for dv, du in ways:
         there = _shifted(_shifted(cell + 1, -dv, 0), -du, 1) - 1
         both = mask & (there >= 0)
-        first.append(cell[both])
-        second.append(there[both])
-    label = components(mask.size, np.concatenate(first), np.concatenate(second))
-    return mask & (np.bincount(label, minlength=mask.size)[label] >= least).reshape(mask.shape)
+        pairs.append(np.stack([cell[both], there[both]]))
+    return np.concatenate(pairs, axis=1)
 
 
 def dilated(mask: np.ndarray) -> np.ndarray:
@@ -194,17 +199,9 @@ def _smoothed(values: np.ndarray, measured: np.ndarray, near: np.ndarray) -> np.
 
 def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarray:
     """The smallest cell of each cell's component, ``(R, C)``."""
-    cell = np.arange(z.size).reshape(z.shape)
-    first, second = [], []
-    for here, there in (
-        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
-        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
-    ):
-        near = np.abs(z[here] - z[there]) <= np.minimum(step[here], step[there])
-        near &= linked[here] & linked[there]
-        first.append(cell[here][near])
-        second.append(cell[there][near])
-    return components(z.size, np.concatenate(first), np.concatenate(second)).reshape(z.shape)
+    both = _neighbours(linked, ((0, 1), (1, 0)))
+    (one, other), most = z.ravel()[both], step.ravel()[both].min(axis=0)
+    return components(z.size, *both[:, np.abs(one - other) <= most]).reshape(z.shape)
 
 
 def _given_back(

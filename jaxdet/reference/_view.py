@@ -11,42 +11,28 @@ TRIM = 20
 class View(NamedTuple):
     """The cells of one frame, each ``(R, C)`` int64 [depth units]."""
 
-    x: np.ndarray
-    """To the right in the camera."""
-    y: np.ndarray
-    """Down in the camera."""
-    z: np.ndarray
-    """Forward in the camera, 0 = no measurement."""
-    right: np.ndarray
-    """On the floor."""
-    forward: np.ndarray
-    """On the floor."""
-    height: np.ndarray
-    """Above the floor."""
-    in_view: np.ndarray
-    """bool, at least partly in the colour image."""
+    x: np.ndarray  # to the right in the camera
+    y: np.ndarray  # down in the camera
+    z: np.ndarray  # forward in the camera, 0 = no measurement
+    right: np.ndarray  # on the floor
+    forward: np.ndarray  # on the floor
+    height: np.ndarray  # above the floor
+    in_view: np.ndarray  # bool, at least partly in the colour image
 
 
 class Extents(NamedTuple):
     """What is known of each surface, each ``(S,)`` int64: cells, or depth units."""
 
     cells: np.ndarray
-    rows: np.ndarray
-    """From the first to the last, both counted."""
+    rows: np.ndarray  # from the first to the last, both counted
     columns: np.ndarray
-    left: np.ndarray
-    """Smallest ``right``, but for a twentieth of the cells: silhouettes are smeared."""
-    right: np.ndarray
-    """Largest, likewise."""
-    near: np.ndarray
-    """Smallest ``forward``, likewise."""
-    far: np.ndarray
-    """Largest, likewise."""
-    bottom: np.ndarray
-    """Smallest height above the floor."""
+    left: np.ndarray  # smallest right, but for a twentieth of the cells: silhouettes are smeared
+    right: np.ndarray  # largest, likewise
+    near: np.ndarray  # smallest forward, likewise
+    far: np.ndarray  # largest, likewise
+    bottom: np.ndarray  # smallest height above the floor
     top: np.ndarray
-    nearest: np.ndarray
-    """Smallest z."""
+    nearest: np.ndarray  # smallest z
 
     @property
     def width(self) -> np.ndarray:

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxdet.stages._device import on_cuda
 from jaxdet.types import GroundPlane
 
 ROWS = PartitionSpec("frames")
@@ -39,6 +38,13 @@ def devices_for(images: Any) -> Devices:
         return tuple(sorted(images.devices(), key=lambda device: device.id))
     chosen = getattr(jax.config, "jax_default_device", None)
     return (chosen,) if isinstance(chosen, jax.Device) else tuple(jax.local_devices())
+
+
+def on_cuda() -> bool:
+    """Whether JAX's default device is a CUDA device."""
+    chosen = getattr(jax.config, "jax_default_device", None)
+    platform = getattr(chosen, "platform", chosen) or jax.default_backend()
+    return platform in ("gpu", "cuda")
 
 
 def rows_over(among: Devices) -> NamedSharding:

@@ -17,21 +17,11 @@ def scratch_words(columns: int) -> int:
     body="""
         const int rows = label.shape[1], columns = label.shape[2];
         const size_t at = (size_t)b * rows * columns, column = (size_t)b * columns;
-        FreeFloor floor(team);
-        floor.rows = rows;
-        floor.columns = columns;
-        floor.far = settings.data[FreeFloor::FAR];
-        floor.gap = settings.data[FreeFloor::GAP];
-        floor.bows = bows.data;
-        floor.drops = drops.data;
-        floor.label = label.data + at;
-        floor.low = low.data + at;
-        floor.z = z.data + at;
-        floor.right = right.data + at;
-        floor.forward = forward.data + at;
-        floor.height = height.data + at;
-        floor.line_out = free_out.data + 4 * column;
-        floor.end_out = free_end_out.data + column;
+        FreeFloor floor{team, rows, columns, settings.data[FreeFloor::FAR],
+                        settings.data[FreeFloor::GAP], label.data + at, z.data + at,
+                        right.data + at, forward.data + at, height.data + at, low.data + at,
+                        bows.data, drops.data, free_out.data + 4 * column,
+                        free_end_out.data + column};
         floor.lay(scratch);
         floor.run();
 """,

@@ -39,29 +39,18 @@ def _words(cells: int) -> int:
     "obstacles.h",
     body="""
         const size_t at = (size_t)b * label.shape[1] * label.shape[2];
-        Obstacles frame;
 #if defined(__CUDA_ARCH__)
         __shared__ __align__(16) int fast[Obstacles::FAST];
-        frame.fast = fast;
 #else
-        frame.fast = nullptr;
+        int* const fast = nullptr;
 #endif
-        frame.rows = label.shape[1];
-        frame.columns = label.shape[2];
-        frame.settings = settings.data;
-        frame.trees = {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
-                       settings.data[Obstacles::OFFSET]};
-        frame.surface = label.data + at;
-        frame.free = (const unsigned char*)free.data + at;
-        frame.x = x.data + at;
-        frame.y = y.data + at;
-        frame.z = z.data + at;
-        frame.right = right.data + at;
-        frame.forward = forward.data + at;
-        frame.height = height.data + at;
-        frame.in_view = (const unsigned char*)in_view.data + at;
-        frame.label = label_out.data + at;
-        frame.total = count_out.data + b;
+        Obstacles frame{fast, label.shape[1], label.shape[2], label.data + at, x.data + at,
+                        y.data + at, z.data + at, right.data + at, forward.data + at,
+                        height.data + at, (const unsigned char*)free.data + at,
+                        (const unsigned char*)in_view.data + at, settings.data,
+                        {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
+                         settings.data[Obstacles::OFFSET]}, label_out.data + at,
+                        count_out.data + b};
         frame.lay(scratch);
         frame.run(team);
 """,

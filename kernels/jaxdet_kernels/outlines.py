@@ -35,44 +35,21 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
         const size_t at = (size_t)b * grid, slot = (size_t)b * slots;
         const int found = count.data[b] < slots ? count.data[b] : slots;
 
-        ObstacleCells cells(team, grid, columns, found);
-        cells.label = label.data + at;
-        cells.right = right.data + at;
-        cells.forward = forward.data + at;
-        cells.in_view = in_view.data + at;
-
-        Measures measures(cells, warp);
-        measures.trim = settings.data[Outlines::TRIM];
-        measures.threshold = settings.data[Outlines::VERTEX];
-        measures.bands = bands.data;
-        measures.xyz[0] = x.data + at;
-        measures.xyz[1] = y.data + at;
-        measures.xyz[2] = z.data + at;
-        measures.height = height.data + at;
-        measures.uv_min = (const int*)uv_min.data + at;
-        measures.uv_max = (const int*)uv_max.data + at;
-        measures.count_out = num_points_out.data + slot;
-        measures.uv_min_out = uv_min_out.data + 2 * slot;
-        measures.uv_max_out = uv_max_out.data + 2 * slot;
-        measures.xyz_min_out = xyz_min_out.data + 3 * slot;
-        measures.xyz_max_out = xyz_max_out.data + 3 * slot;
-        measures.xyz_sum_out = xyz_sum_out.data + 6 * slot;
-        measures.a_out = a_out.data + 2 * slot;
-        measures.b_out = b_out.data + 2 * slot;
-        measures.c_out = c_out.data + 2 * slot;
-        measures.bottom_top_out = bottom_top_out.data + 2 * slot;
-        measures.vertex_out = has_vertex_out.data + slot;
-
-        Outlines outlines(cells, warp, measures);
-        outlines.slots = slots;
-        outlines.capacity = capacity;
-        outlines.longest = settings.data[Outlines::LONG];
-        outlines.directions = directions.data;
-        outlines.contour_out = contour_out.data + 2 * capacity * slot;
-        outlines.points_out = contour_points_out.data + slot;
-        outlines.direction_out = direction_out.data + 2 * slot;
-        outlines.span_out = span_out.data + 4 * slot;
-
+        ObstacleCells cells{team, grid, columns, found, columns / ObstacleCells::MARGIN,
+                            label.data + at, right.data + at, forward.data + at, in_view.data + at};
+        const Measures measures{cells, warp, settings.data[Outlines::TRIM],
+                                settings.data[Outlines::VERTEX], bands.data,
+                                {x.data + at, y.data + at, z.data + at}, height.data + at,
+                                (const int*)uv_min.data + at, (const int*)uv_max.data + at,
+                                num_points_out.data + slot, uv_min_out.data + 2 * slot,
+                                uv_max_out.data + 2 * slot, xyz_min_out.data + 3 * slot,
+                                xyz_max_out.data + 3 * slot, xyz_sum_out.data + 6 * slot,
+                                a_out.data + 2 * slot, b_out.data + 2 * slot, c_out.data + 2 * slot,
+                                bottom_top_out.data + 2 * slot, has_vertex_out.data + slot};
+        Outlines outlines{cells, warp, measures, slots, capacity, settings.data[Outlines::LONG],
+                          directions.data, contour_out.data + 2 * capacity * slot,
+                          contour_points_out.data + slot, direction_out.data + 2 * slot,
+                          span_out.data + 4 * slot};
         cells.lay(outlines.lay(scratch), slots);
         outlines.run();
 """,

@@ -18,22 +18,12 @@ def surfaces_words(rows: int, columns: int) -> int:
     "surfaces.h",
     body="""
         const size_t at = (size_t)b * z.shape[1] * z.shape[2];
-        Surfaces surfaces = {z.shape[1], z.shape[2], x.data + at, y.data + at, z.data + at};
-        surfaces.floor = floor.data + b * FloorFrame::VALUES;
-        surfaces.steps = steps.data;
-        surfaces.limits = limits.data;
-        surfaces.rises = rises.data;
-        surfaces.settings = settings.data;
-        surfaces.right = right_out.data + at;
-        surfaces.forward = forward_out.data + at;
-        surfaces.height = height_out.data + at;
-        surfaces.label_out = label_out.data + at;
-        surfaces.keep = (unsigned char*)keep_out.data + at;
-        surfaces.free = (unsigned char*)free_out.data + at;
-        surfaces.low = (unsigned char*)low_out.data + at;
-        surfaces.count_out = count_out.data + b;
-        surfaces.scratch = scratch;
-        surfaces.run(team);
+        Surfaces{z.shape[1], z.shape[2], x.data + at, y.data + at, z.data + at,
+                 floor.data + b * FloorFrame::VALUES, steps.data, limits.data, rises.data,
+                 settings.data, right_out.data + at, forward_out.data + at, height_out.data + at,
+                 label_out.data + at, (unsigned char*)keep_out.data + at,
+                 (unsigned char*)free_out.data + at, (unsigned char*)low_out.data + at,
+                 count_out.data + b, scratch}.run(team);
 """,
 )
 def surfaces(

@@ -16,7 +16,7 @@ struct CornerDisk {
     int half(int dy) const {
         const int left = limit - dy * dy;
         if (left <= 0) return -1;
-        int side = (int)SquareRoot::of((float)left);
+        int side = (int)SquareRoot::rounded((float)left);
         while (side > 0 && side * side >= left) --side;
         while ((side + 1) * (side + 1) < left) ++side;
         return side;

@@ -37,7 +37,7 @@ struct CornerStrength {
     // The eigenvalue, of sums of dx dx, dx dy and dy dy.
     static float eigenvalue(float xx, float xy, float yy) {
         const float a = 0.5f * xx, c = 0.5f * yy, t = a - c;
-        return (a + c) - SquareRoot::of(t * t + xy * xy);
+        return (a + c) - SquareRoot::rounded(t * t + xy * xy);
     }
 
     // Both ends of where the size of a sum of dx dy may lie, of the integers' sum.

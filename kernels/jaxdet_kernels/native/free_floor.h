@@ -46,8 +46,6 @@ struct FreeFloor {
     // By column: whether the floor drops; on the CPU what else `Column` has.
     int *falls, *limit, *nearest, *first, *last, *ahead, *high, *ended;
 
-    explicit FreeFloor(const Team& team) : team(team) {}
-
     // Puts the arrays into scratch memory, as `scratch_words` in free_floor.py says.
     void lay(int* scratch) {
         int** const arrays[] = {&falls, &limit, &nearest, &first, &last, &ahead, &high, &ended};

@@ -21,8 +21,6 @@ struct Measures {
     int *a_out, *b_out, *c_out, *bottom_top_out;
     bool* vertex_out;
 
-    Measures(const ObstacleCells& cells, const Warp& warp) : cells(cells), warp(warp) {}
-
     static int clipped(int value) {
         return value < -MOST_LATERAL ? -MOST_LATERAL : value > MOST_LATERAL ? MOST_LATERAL : value;
     }

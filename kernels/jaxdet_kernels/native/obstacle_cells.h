@@ -30,9 +30,6 @@ struct ObstacleCells {
     // By place in the order: the cell, and where it is on the floor.
     int *cell, *right_of, *forward_of;
 
-    ObstacleCells(const Team& team, int cells, int columns, int count)
-        : team(team), cells(cells), columns(columns), count(count), margin(columns / MARGIN) {}
-
     // Puts the arrays into scratch memory with room for `slots` obstacles.
     void lay(int* scratch, int slots) {
         starts = scratch;

@@ -34,9 +34,6 @@ struct Outlines {
     // By place in the order of the cells: along or across the direction.
     int* projected;
 
-    Outlines(const ObstacleCells& cells, const Warp& warp, const Measures& measures)
-        : cells(cells), warp(warp), measures(measures) {}
-
     // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
     int* lay(int* scratch) {
         nearest = (unsigned long long*)scratch;

@@ -38,7 +38,7 @@ struct Projection {
 
     // Kannala-Brandt, in float64.
     __attribute__((always_inline)) void equidistant(float& x, float& y) const {
-        const double wx = x, wy = y, r = SquareRoot::of(wx * wx + wy * wy);
+        const double wx = x, wy = y, r = SquareRoot::rounded(wx * wx + wy * wy);
         const double theta = arctangent(r), t2 = theta * theta;
         double series = (double)p[18] + t2 * (double)p[19];
         series = 1.0 + t2 * ((double)p[16] + t2 * ((double)p[17] + t2 * series));

@@ -11,13 +11,18 @@ struct Runs {
     UnionFind sets;      // of runs
     int* sizes;          // by the root, the cells of a set
 
-    // Numbers the runs, each a set of its own; ends in a sync. All threads must call it, after a
-    // sync. `near` has room for the sets of `most` runs and is used where that is enough.
-    int number(const Team& team, int* sums, int* near, int most) {
+    // Finds `before`; how many runs there are. All threads must call it, after a sync; ends in one.
+    int count(const Team& team, int* sums) const {
         for (int i = team.rank; i < starts.count(); i += team.size)
             before[i] = BitRows::ones(starts[i]);
         team.sync();
-        const int count = PrefixSum::run(team, before, starts.count(), sums);
+        return PrefixSum::run(team, before, starts.count(), sums);
+    }
+
+    // Numbers the runs, each a set of its own; ends in a sync. All threads must call it, after a
+    // sync. `near` has room for the sets of `most` runs and is used where that is enough.
+    int number(const Team& team, int* sums, int* near, int most) {
+        const int count = this->count(team, sums);
         if (count <= most) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;

@@ -4,11 +4,11 @@
 
 struct SquareRoot {
 #if defined(__CUDA_ARCH__)
-    static float of(float value) { return __fsqrt_rn(value); }
-    static double of(double value) { return __dsqrt_rn(value); }
+    static float rounded(float value) { return __fsqrt_rn(value); }
+    static double rounded(double value) { return __dsqrt_rn(value); }
 #else
-    static float of(float value) { return __builtin_sqrtf(value); }
-    static double of(double value) { return __builtin_sqrt(value); }
+    static float rounded(float value) { return __builtin_sqrtf(value); }
+    static double rounded(double value) { return __builtin_sqrt(value); }
 #endif
     static int of(unsigned long long square) {
         unsigned long long left = square, found = 0, bit = 1ull << 42;

@@ -516,10 +516,7 @@ struct Surfaces {
             if (is_surface(run) && !is_bent(in, run))
                 team.set((int*)firsts.bits + word_of(in.first[run]), (int)bit_of(in.first[run]));
         team.sync();
-        for (int i = team.rank; i < firsts.count(); i += team.size)
-            runs.before[i] = BitRows::ones(firsts[i]);
-        team.sync();
-        const int count = PrefixSum::run(team, runs.before, firsts.count(), in.sums);
+        const int count = runs.count(team, in.sums);
         if (team.rank == 0) *count_out = count;
         int* const numbers = in.level;
         for (int run = team.rank; run < all; run += team.size) {

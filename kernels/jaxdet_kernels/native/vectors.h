@@ -17,14 +17,13 @@ struct Vectors {
     typedef float WideFloats __attribute__((vector_size(128), aligned(4), may_alias));
     typedef double Doubles __attribute__((vector_size(128), aligned(8), may_alias));
 
-    // bits   which lanes hold: bit i is lane i; they are 0 or -1, as comparisons give them, or bytes
+    // bits   which lanes hold: bit i is lane i; they are 0 or -1, as comparisons give them
     // any    whether any bit is set
     // pick   `yes` in the lanes of these bits and 0 in the others
     // least, root
 #if defined(__clang__)
     typedef bool Flags16 __attribute__((ext_vector_type(16)));
     typedef bool Flags32 __attribute__((ext_vector_type(32)));
-    typedef bool Flags64 __attribute__((ext_vector_type(64)));
 
     static unsigned bits(const Shorts& condition) {
         const Flags32 packed = __builtin_convertvector(condition, Flags32);
@@ -35,12 +34,6 @@ struct Vectors {
     static unsigned bits(const Ints& condition) {
         const Flags16 packed = __builtin_convertvector(condition, Flags16);
         unsigned short word;
-        __builtin_memcpy(&word, &packed, sizeof word);
-        return word;
-    }
-    static unsigned long long bits(const Bytes& values) {
-        const Flags64 packed = __builtin_convertvector(values, Flags64);
-        unsigned long long word;
         __builtin_memcpy(&word, &packed, sizeof word);
         return word;
     }
@@ -64,11 +57,6 @@ struct Vectors {
     static unsigned bits(const Ints& condition) {
         unsigned word = 0;
         for (int i = 0; i < FLOATS; ++i) word |= (unsigned)(condition[i] != 0) << i;
-        return word;
-    }
-    static unsigned long long bits(const Bytes& values) {
-        unsigned long long word = 0;
-        for (int i = 0; i < BYTES; ++i) word |= (unsigned long long)(values[i] != 0) << i;
         return word;
     }
     static bool any(const Longs& values) {
