@@ -9,16 +9,13 @@ import numpy as np
 from jaxdet.floor.units import ANGLES, FARTHEST, SINE_BITS, SINES, angle_steps
 from jaxdet.types import Array, GroundPlane
 
-FRAME_BITS = 13
-"""Fraction bits of the axes of a floor frame."""
+FRAME_BITS = 13  # fraction bits of the axes of a floor frame
 FLOOR_VALUES = 13
 """Integers of a floor frame: right, forward and down in the camera (three each, ``FRAME_BITS``
 fraction bits), height of the optical centre [depth units], whether the floor is known, where a ramp
 begins [depth units], and its rise over its run (``FRAME_BITS`` fraction bits)."""
-UNKNOWN_HEIGHT = 1 << 20
-"""Of everything, where the floor is not known [depth units]."""
-STEEPEST_SLOPE = 8
-"""Rise over run of a ramp, at most."""
+UNKNOWN_HEIGHT = 1 << 20  # of everything, where the floor is not known [depth units]
+STEEPEST_SLOPE = 8  # rise over run of a ramp, at most
 
 
 def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:

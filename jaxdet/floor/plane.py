@@ -15,12 +15,9 @@ from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
 from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
 
-GROUND_BITS = 13
-"""Fraction bits of the ground frame's axes."""
-DIRECTIONS = 90
-"""Directions tried for a rectangle, a degree apart."""
-DIRECTION_BITS = 9
-"""Fraction bits of a direction, short enough for products in 32 bits."""
+GROUND_BITS = 13  # fraction bits of the ground frame's axes
+DIRECTIONS = 90  # directions tried for a rectangle, a degree apart
+DIRECTION_BITS = 9  # fraction bits of a direction, short enough for products in 32 bits
 
 
 def flat_plane(

@@ -11,47 +11,32 @@ from jaxdet.config import FloorConfig
 from jaxdet.floor.plane import flat_plane
 from jaxdet.types import GroundPlane, Refusal
 
-ANGLES = 32
-"""Steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m."""
-FARTHEST = 1 << 20
-"""Heights and starts of ramps are at most so large [depth units]."""
-SINE_BITS = 15
-"""Fraction bits of sines; the product of two has 32 bits with its sign."""
+ANGLES = 32  # steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m
+FARTHEST = 1 << 20  # heights and starts of ramps are at most so large [depth units]
+SINE_BITS = 15  # fraction bits of sines; the product of two has 32 bits with its sign
 _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
-SINES = np.rint(np.sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)
-"""From -360 degrees on."""
-STEEPEST = 85 * ANGLES
-"""Largest pitch, up or down: beyond it roll means nothing."""
-SLACK_BITS = 26
-"""Fraction bits of what a tolerance has in proportion to depth."""
-SLOPE_BITS = 14
-"""Fraction bits of a slope, its rise over its run."""
+SINES = np.rint(np.sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
+STEEPEST = 85 * ANGLES  # largest pitch, up or down: beyond it roll means nothing
+SLACK_BITS = 26  # fraction bits of what a tolerance has in proportion to depth
+SLOPE_BITS = 14  # fraction bits of a slope, its rise over its run
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
 """Tolerances: roughness [m] where a plane is looked for and where it is known; and how much floors
 and depth images are bowed, for each metre."""
 SHARP_M, SHARP_PER_Z = 0.005, 0.0015
 """The same for the last steps, so that a book on a table moves nothing."""
-PROFILE_M = 0.02
-"""The same for the first lattice of ramps [m]."""
-ROUGH_DEG = 0.5
-"""Turns that a rough tolerance allows."""
-LEVER_M = 0.008
-"""Distances on the floor are measured so, to hold their squares."""
-HEIGHTS_M = (0.05, 3.0)
-"""Heights of a robot's or a hand-held camera."""
-STEP_DEG = 3
-"""Without a prior directions are tried so far apart at first, then a degree."""
-BIN_M = 0.008
-"""Heights are tried so far apart, a power of two of the depth unit."""
+PROFILE_M = 0.02  # the same for the first lattice of ramps [m]
+ROUGH_DEG = 0.5  # turns that a rough tolerance allows
+LEVER_M = 0.008  # distances on the floor are measured so, to hold their squares
+HEIGHTS_M = (0.05, 3.0)  # heights of a robot's or a hand-held camera
+STEP_DEG = 3  # without a prior directions are tried so far apart at first, then a degree
+BIN_M = 0.008  # heights are tried so far apart, a power of two of the depth unit
 NEAR_M, STEEP_M = 0.10, 0.20
 """A plane is looked for so far from a guess: a robot rocks and mounts are wrong by less. And one
 so far: where all that is seen is a ramp, it is that plane."""
 RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
 """Before a ramp, only the cells up to some distance tell the plane."""
-STARTS_M = np.arange(0.4, 3.5, 0.2)
-"""Distances at which a ramp is tried to begin."""
-FINE_START_M = 0.05
-"""Steps of the finer lattice."""
+STARTS_M = np.arange(0.4, 3.5, 0.2)  # distances at which a ramp is tried to begin
+FINE_START_M = 0.05  # steps of the finer lattice
 RUN_M, RISE_M = 0.064, 0.004
 """A cell of the profile; both are rounded to powers of two of the depth unit."""
 FARTHEST_M, HIGHEST_M = 6.0, 1.3
@@ -59,8 +44,7 @@ FARTHEST_M, HIGHEST_M = 6.0, 1.3
 RAMP_NEAR_M, SPREAD_M = 0.5, 0.4
 """A ramp must be seen this near to where it can be told from the plane, and over such a distance; a
 hinge through an obstacle's top or face is seen in one place."""
-RAMP_M = 3.6
-"""A plane far from the prior is a ramp where it crosses the prior so near."""
+RAMP_M = 3.6  # a plane far from the prior is a ramp where it crosses the prior so near
 STEP_M, TABLE_M = 0.05, 0.10
 """Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
 

@@ -12,8 +12,7 @@ from jaxdet.types import Calibration, Cells, Intrinsics
 
 MARGIN = 8
 """This part of the columns at each side is the image's margin: stereo depth bends up there."""
-LEAST = 2
-"""One of so many pixels of a cell must be measured."""
+LEAST = 2  # one of so many pixels of a cell must be measured
 
 
 def cells(depth: np.ndarray, calibration: Calibration, config: SurfaceConfig) -> Cells:

@@ -11,10 +11,8 @@ from jaxdet.reference._view import Extents, View, extents
 
 MOST_BETWEEN = 11
 """Surfaces of a line with more runs of cells between them are not looked at together."""
-SLOPE = 10
-"""Surfaces are seen obliquely: depths may differ by a tenth of what lies between them."""
-CONTACT = 2
-"""Contours so many gaps apart are near, whether or not the surfaces face each other."""
+SLOPE = 10  # surfaces are seen obliquely: depths may differ by a tenth of what lies between them
+CONTACT = 2  # contours so many gaps apart are near, whether or not the surfaces face each other
 PERCENT = 100
 
 

@@ -30,12 +30,10 @@ from jaxdet.reference._floor_ramp import (
 from jaxdet.reference._floor_search import PITCHES_DEG, ROLLS_DEG, any_plane, near_planes
 from jaxdet.types import GroundPlane, Refusal
 
-MIN_CELLS = 50
-"""Of fewer cells, nothing is said."""
+MIN_CELLS = 50  # of fewer cells, nothing is said
 FAR_GAIN = 5
 """A plane far from the prior is believed where so many percent more of the cells lie on it."""
-OBSTACLE = (95, 85)
-"""Largest share of obstacle, with a prior and without [percent]."""
+OBSTACLE = (95, 85)  # largest share of obstacle, with a prior and without [percent]
 UNDER = ((10, 2), (3, 8))
 """With a prior and without: a plane is a table's where more than so many percent of the cells lie
 under it, and more than one for so many on it: a glossy floor mirrors a few."""

@@ -22,20 +22,14 @@ from jaxdet.floor.units import (
 )
 from jaxdet.reference._rounding import rounded
 
-DOWN_BITS = 12
-"""Fraction bits of a direction: with the largest position its product has 32 bits."""
-RADIAN = round(180 * ANGLES / np.pi)
-"""Angle steps in a radian."""
-LARGEST_TURN = 8 * ANGLES
-"""Most that a round of refinement turns a plane."""
-BELOW = 4
-"""A cell so many tolerances below a plane lies clearly below it."""
-BELOW_COST = 2
-"""And counts so many times as much as one on it: nothing is seen through a floor."""
+DOWN_BITS = 12  # fraction bits of a direction: with the largest position its product has 32 bits
+RADIAN = round(180 * ANGLES / np.pi)  # angle steps in a radian
+LARGEST_TURN = 8 * ANGLES  # most that a round of refinement turns a plane
+BELOW = 4  # a cell so many tolerances below a plane lies clearly below it
+BELOW_COST = 2  # and counts so many times as much as one on it: nothing is seen through a floor
 TURN_BITS = 24
 """Bits of the sums that the refinement multiplies: two products and an angle fit into 64."""
-RIDGE = 14
-"""Square of 3 cm in levers of 8 mm: floor seen over a few centimetres tells no tilt."""
+RIDGE = 14  # square of 3 cm in levers of 8 mm: floor seen over a few centimetres tells no tilt
 
 
 class Sample(NamedTuple):

@@ -29,10 +29,8 @@ LEAST_TURN, MOST_TURN = 3 * ANGLES, 12 * ANGLES
 TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
 """Slopes tried: a smaller one is no more than a floor's own waves, and robots on wheels drive no
 larger one."""
-FINE_TURN = ANGLES // 4
-"""Step of the finer lattice."""
-MIN_GAIN = 4
-"""A ramp must explain so many percent more of the cells."""
+FINE_TURN = ANGLES // 4  # step of the finer lattice
+MIN_GAIN = 4  # a ramp must explain so many percent more of the cells
 MIN_SHARE = 40
 """Of the cells near the floor that tell the ramp from the plane, it must explain at least so many
 percent anew."""

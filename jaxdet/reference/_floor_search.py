@@ -27,16 +27,12 @@ from jaxdet.reference._floor_planes import (
 
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
 """Its tilts; a wall in front of a level camera is as a floor at 90 degrees."""
-WINNERS = 10
-"""So many of the first planes are looked at more closely."""
-APART = 12
-"""Planes of neighbouring directions within so many bins are one."""
+WINNERS = 10  # so many of the first planes are looked at more closely
+APART = 12  # planes of neighbouring directions within so many bins are one
 NEAR_DEG, STEEP_DEG = 4, 8
 """Planes are looked for so far in pitch from a guess, in roll within the first, and one so far."""
-LEAST = np.iinfo(np.int64).min
-"""Fewer votes than any plane has."""
-MIN_SHARE = 3
-"""They must be so many percent of all."""
+LEAST = np.iinfo(np.int64).min  # fewer votes than any plane has
+MIN_SHARE = 3  # they must be so many percent of all
 
 
 def vote(

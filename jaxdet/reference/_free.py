@@ -6,11 +6,9 @@ import numpy as np
 
 from jaxdet.types import FreeEnd
 
-RUN = 3
-"""So many measured cells one after the other, all a drop lower than the last floor."""
+RUN = 3  # so many measured cells one after the other, all a drop lower than the last floor
 
-BESIDE = 10
-"""Columns on both sides of one that drops, more than half of which must drop too."""
+BESIDE = 10  # columns on both sides of one that drops, more than half of which must drop too
 
 
 class FloorView(NamedTuple):

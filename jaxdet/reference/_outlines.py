@@ -7,12 +7,9 @@ import numpy as np
 from jaxdet.floor.plane import DIRECTION_BITS, direction_table
 from jaxdet.types import MAX_CONTOUR
 
-LONG_TRIM = 20
-"""One of so many cells of a long thing is passed over at each of its long sides."""
-FAR_BEHIND = 4
-"""Where a contour jumps, a corner lies so many times the bend behind the chord."""
-FAR = 1 << 40
-"""Farther than any edge."""
+LONG_TRIM = 20  # one of so many cells of a long thing is passed over at each of its long sides
+FAR_BEHIND = 4  # where a contour jumps, a corner lies so many times the bend behind the chord
+FAR = 1 << 40  # farther than any edge
 
 
 def contours(

@@ -8,8 +8,7 @@ from jaxdet.reference._cells import margins
 from jaxdet.reference._components import components
 from jaxdet.reference._rounding import rounded
 
-FRACTION_BITS = 4
-"""Fraction bits of smoothed depths."""
+FRACTION_BITS = 4  # fraction bits of smoothed depths
 
 
 def surfaces(
@@ -155,7 +154,7 @@ def without_small(mask: np.ndarray, least: int) -> np.ndarray:
 
 
 def _neighbours(mask: np.ndarray, ways: tuple[tuple[int, int], ...]) -> np.ndarray:
-    """Cells of a mask ``(R, C)`` and those so many rows and columns on, as flat indices ``(2, L)``."""
+    """Cells of a mask and those so many rows and columns on, as flat indices ``(2, L)``."""
     cell = np.where(mask, np.arange(mask.size).reshape(mask.shape), -1)
     pairs = []
     for dv, du in ways:

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-TRIM = 20
-"""One of so many cells of a surface is passed over at each side when it is measured."""
+TRIM = 20  # one of so many cells of a surface is passed over at each side when it is measured
 
 
 class View(NamedTuple):

@@ -21,11 +21,10 @@ import numpy as np
 import warp as wp
 
 from jaxdet.stages import _threads, _xla
-from jaxdet.stages._launch import check_array
+from jaxdet.stages._launch import split_arguments
 from jaxdet_kernels.chain import frame_loop
 
-_LINE = 64
-"""Bytes of a cache line, at which all memory begins."""
+_LINE = 64  # bytes of a cache line, at which all memory begins
 
 
 class FrameKernel:
@@ -111,11 +110,7 @@ class _Chain:
         output_dims: Mapping[str, tuple[int, ...]],
     ) -> list[_Value]:
         given = dict(zip(kernel.inputs, arguments, strict=True))
-        arrays = {name: value for name, value in given.items() if np.ndim(value)}
-        for name, value in arrays.items():
-            check_array(name, value, kernel.types[name])
-        shapes = {**{name: np.shape(value) for name, value in arrays.items()}, **output_dims}
-        scalars = {name: value for name, value in given.items() if name not in arrays}
+        arrays, scalars, shapes = split_arguments(given, kernel.types, output_dims)
         sources = {name: self._source(value) for name, value in arrays.items()}
         step, self.frames = len(self.steps), frames
         self.steps.append(_Step(kernel, scalars, sources, shapes))
@@ -146,8 +141,7 @@ class _Chain:
         return tree.unflatten([of_value[value.step, value.name] for value in values])
 
 
-_open: ContextVar[_Chain | None] = ContextVar("chain", default=None)
-"""What is being put together."""
+_open: ContextVar[_Chain | None] = ContextVar("chain", default=None)  # what is being put together
 
 
 def frame_by_frame(method: Callable[[], Any]) -> Any:
@@ -320,8 +314,7 @@ def _layout(values: Sequence[Any]) -> Any:
     return type("_Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
 
 
-_kept: dict[int, np.ndarray] = {}
-"""Of each thread, its memory."""
+_kept: dict[int, np.ndarray] = {}  # of each thread, its memory
 
 
 def _memory(thread: int, size: int) -> int:
@@ -333,10 +326,8 @@ def _memory(thread: int, size: int) -> int:
 
 
 _NAME = "jaxdet.frames"
-_programs: dict[int, _Program] = {}
-"""By number."""
-_lock = Lock()
-"""One program runs at a time, on all cores."""
+_programs: dict[int, _Program] = {}  # by number
+_lock = Lock()  # one program runs at a time, on all cores
 
 
 def _run(number: int, addresses: Sequence[int]) -> None:

@@ -14,9 +14,8 @@ from jaxdet.stages._teams import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
 LAST = jnp.iinfo(jnp.int32).max
-RANK_BITS = 13
+RANK_BITS = 13  # a frame has at most 2^13 points; what is sorted has 19 bits
 RANK_MASK = (1 << RANK_BITS) - 1
-"""A frame has at most 2^13 points; what is sorted has 19 bits."""
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:

@@ -54,12 +54,7 @@ class BatchKernel:
             TypeError: An array has not the type or the number of axes that the kernel takes.
         """
         given = dict(zip(self.types, arguments, strict=False))
-        arrays = {name: value for name, value in given.items() if np.ndim(value)}
-        for name, value in arrays.items():
-            check_array(name, value, self.types[name])
-        shapes = {name: np.shape(value) for name, value in arrays.items()}
-        shapes.update(output_dims or {})
-        scalars = {name: value for name, value in given.items() if name not in arrays}
+        arrays, scalars, shapes = split_arguments(given, self.types, output_dims or {})
         # Where an output is given, both have one address.
         places = {name: place for place, name in enumerate([*arrays, *self.outputs])}
         launch = _Launch(self, launch_dims, scalars, shapes, places)
@@ -137,11 +132,21 @@ _Recorded = tuple[Any, list[tuple[Any, int]], dict[int, wp.Stream]]
 streams."""
 
 
-def check_array(name: str, value: Any, of: Any) -> None:
-    """Raises TypeError where an array has not the type or the axes that a kernel takes."""
-    wanted = jax.numpy.dtype(wp.dtype_to_jax(of.dtype)), of.ndim
-    if (jax.numpy.dtype(value.dtype), value.ndim) != wanted:
-        raise TypeError(f"{name} is {value.dtype} of {value.ndim} axes, not {wanted}")
+def split_arguments(
+    given: Mapping[str, Any], types: Mapping[str, Any], output_dims: Mapping[str, tuple[int, ...]]
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, tuple[int, ...]]]:
+    """The arrays and the scalars among a kernel's arguments, and the shapes of all arrays.
+
+    Raises:
+        TypeError: An array has not the type or the number of axes that the kernel takes.
+    """
+    arrays = {name: value for name, value in given.items() if np.ndim(value)}
+    for name, value in arrays.items():
+        wanted = jax.numpy.dtype(wp.dtype_to_jax(types[name].dtype)), types[name].ndim
+        if (jax.numpy.dtype(value.dtype), value.ndim) != wanted:
+            raise TypeError(f"{name} is {value.dtype} of {value.ndim} axes, not {wanted}")
+    scalars = {name: value for name, value in given.items() if name not in arrays}
+    return arrays, scalars, {**{k: np.shape(v) for k, v in arrays.items()}, **output_dims}
 
 
 _NAME = "jaxdet.launch"

@@ -14,8 +14,7 @@ from jaxdet_kernels import obstacles as kernel
 
 FARTHEST = 1 << 28
 """Longer than any length that is compared [depth units]; products with it fit in 64 bits."""
-MOST_EVIDENCE = (1 << 15) - 1
-"""Of a pair; 256 by 256 of them, added up, fit in 32 bits."""
+MOST_EVIDENCE = (1 << 15) - 1  # of a pair; 256 by 256 of them, added up, fit in 32 bits
 
 _obstacles = TeamKernel(kernel.obstacles)
 

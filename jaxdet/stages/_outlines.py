@@ -41,8 +41,7 @@ class Outlined(NamedTuple):
     """``(B, M, C, 2)`` int32, the nearest cell of each column, right and forward on the
     floor, from left to right [depth units]; then zeros."""
     contour_points: jax.Array  # (B, M) int32, how many of them are used
-    bottom_top: jax.Array
-    """``(B, M, 2)`` int32, lowest and highest cell above the floor [depth units]."""
+    bottom_top: jax.Array  # (B, M, 2) int32, lowest and highest cell above the floor [depth units]
 
 
 def tables(config: FootprintConfig, depth_unit: float) -> Tables:

@@ -11,10 +11,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxdet.types import GroundPlane
 
-ROWS = PartitionSpec("frames")
-"""An array with a row for each frame."""
-WHOLE = PartitionSpec()
-"""An array that every device needs."""
+ROWS = PartitionSpec("frames")  # an array with a row for each frame
+WHOLE = PartitionSpec()  # an array that every device needs
 _COPIES = 256
 PART_BYTES = 96 << 20
 """Of images that the CPU works on together, 64 frames of 640x480: results are what then has memory,
@@ -22,8 +20,7 @@ and a call's own time is little beside that of so many frames."""
 STAGED_PART_BYTES = 12 << 20
 """The same of a program that goes through its stages with all frames: temporaries of that size are
 memory that the process keeps, and larger ones come from the system as fresh pages at every call."""
-_FEW = 8
-"""Fewer frames a device are padded."""
+_FEW = 8  # fewer frames a device are padded
 
 Devices = tuple[jax.Device, ...]
 

@@ -20,8 +20,7 @@ SCRATCH_SHARE = 8
 """Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
 teams work where theirs is larger."""
 
-LIMIT = 1 << 30
-"""Of a setting or of an entry of a table: no length is longer."""
+LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
 
 
 def kernel_table(values: ArrayLike) -> np.ndarray:

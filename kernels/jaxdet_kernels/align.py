@@ -9,14 +9,12 @@ from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel, team_kernel
 
 wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-PARAMETERS = 26
-"""Length of ``parameters``, see ``native/projection.h``."""
+PARAMETERS = 26  # length of parameters, see native/projection.h
 
 TILE_BLOCK, TILE_ROWS, TILE_COLUMNS = 256, 16, 32
 """Threads of a block on CUDA, and its tile of the depth image; see ``native/alignment.h``."""
 
-SPARE = 20
-"""Keys behind each image and line on the CPU, likewise."""
+SPARE = 20  # keys behind each image and line on the CPU, likewise
 
 
 def lines_words(height: int, width: int) -> int:

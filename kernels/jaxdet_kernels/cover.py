@@ -10,8 +10,7 @@ from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 
-TILE = 8
-"""Rows and columns of a tile of ``native/cover.h``."""
+TILE = 8  # rows and columns of a tile of native/cover.h
 
 
 def cover_scratch(height: int, width: int, slots: int) -> int:

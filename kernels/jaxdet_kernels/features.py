@@ -12,20 +12,17 @@ from jaxdet_kernels.native_source import native_kernel, team_kernel
 # With Warp's own flags for the CPU, which inline more: corners are 7 % faster.
 wp.set_module_options({"fuse_fp": False, "enable_backward": False})
 
-MAX_SIZE = 4096
-"""Most columns and rows of a colour image."""
+MAX_SIZE = 4096  # most columns and rows of a colour image
 
 SUPPRESS_THREADS, SUPPRESS_ROWS, SUPPRESS_COLUMNS = 256, 48, 128
 """Threads of a block, and its tile of an image."""
 
-HYSTERESIS_THREADS = 512
-"""Of a block, which has a frame."""
+HYSTERESIS_THREADS = 512  # of a block, which has a frame
 
 MAXIMA_THREADS, MAXIMA_ROWS, MAXIMA_COLUMNS = 128, 48, 64
 """Threads of a block, and its tile of an image."""
 
-SELECT_THREADS = 1024
-"""Of a block, which has a frame."""
+SELECT_THREADS = 1024  # of a block, which has a frame
 
 
 def row_words(width: int) -> int:

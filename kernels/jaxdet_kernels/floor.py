@@ -6,16 +6,12 @@ from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-_DIRECTIONS = 30 * 21
-"""Without a prior."""
+_DIRECTIONS = 30 * 21  # without a prior
 _NEAR_DIRECTIONS = 17 * 9
-_FIXED_WORDS = 2048
-"""More than all that does not grow with the frame or the lattices."""
+_FIXED_WORDS = 2048  # more than all that does not grow with the frame or the lattices
 _WARP = 32
-WIDTH = 256
-"""Threads of a team on CUDA."""
-_BLOCKS = 4
-"""On a multiprocessor at once: a thread has up to 64 registers."""
+WIDTH = 256  # threads of a team on CUDA
+_BLOCKS = 4  # on a multiprocessor at once: a thread has up to 64 registers
 _COPIES = 8
 
 

@@ -6,10 +6,8 @@ from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-MAX_SURFACES = 512
-"""Most surfaces of a frame."""
-MAX_LABELS = 1024
-"""Most parts of obstacles, once those that bend are split."""
+MAX_SURFACES = 512  # most surfaces of a frame
+MAX_LABELS = 1024  # most parts of obstacles, once those that bend are split
 
 
 def scratch_words(rows: int, columns: int) -> int:

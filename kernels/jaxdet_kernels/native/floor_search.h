@@ -352,35 +352,17 @@ struct FloorSearch {
 
     // A lattice of planes around one.
     FloorVotes around(FloorPlane middle, int turn, int roll) const {
-        const int span = settings[FloorSetting::SPAN], bits = settings[FloorSetting::BIN_BITS];
-        FloorVotes lattice = empty();
-        lattice.pitch0 = middle.pitch - turn * FloorAngles::ANGLES;
-        lattice.roll0 = middle.roll - roll * FloorAngles::ANGLES;
-        lattice.step = FloorAngles::ANGLES;
-        lattice.pitches = 2 * turn + 1;
-        lattice.rolls = 2 * roll + 1;
-        lattice.lowest = middle.height - span;
-        lattice.bins = (2 * span >> bits) + 1;
-        return lattice;
+        const int one = FloorAngles::ANGLES, span = settings[FloorSetting::SPAN];
+        return lattice(middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
+                       2 * roll + 1, middle.height - span, 2 * span);
     }
 
-    FloorVotes empty() const {
-        FloorVotes lattice;
-        lattice.angles = angles;
-        lattice.cells = cells;
-        lattice.slack = slack;
-        lattice.ring_ends = ring_ends;
-        lattice.rings = 1;
-        lattice.fewest = 0;
-        lattice.edge_pitches = lattice.edge_bins = 0;
-        lattice.bits = settings[FloorSetting::BIN_BITS];
-        lattice.votes = votes;
-        lattice.copies = copies;
-        lattice.room = room;
-        lattice.best = keys;
-        lattice.whole = keys + RINGS;
-        lattice.of_direction = keys + RINGS + 1;
-        return lattice;
+    FloorVotes lattice(int pitch0, int roll0, int step, int pitches, int rolls, int lowest,
+                       int span) const {
+        const int rings = 1, fewest = 0, edges = 0, bits = settings[FloorSetting::BIN_BITS];
+        return {angles, cells, slack, ring_ends, rings, fewest, pitch0, roll0, step, pitches, rolls,
+                lowest, (span >> bits) + 1, bits, edges, edges, votes, copies, room, keys,
+                keys + RINGS, keys + RINGS + 1};
     }
 
     // The votes for each of some planes. Groups take parts of the cells, so that none waits for one
@@ -449,14 +431,10 @@ struct FloorSearch {
     // WINNERS places each.
     FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
         const int lowest = settings[FloorSetting::LOWEST];
-        FloorVotes wide = empty();
-        wide.pitch0 = PITCH_LEAST * FloorAngles::ANGLES;
-        wide.roll0 = -ROLL_MOST * FloorAngles::ANGLES;
-        wide.step = STEP_DEG * FloorAngles::ANGLES;
-        wide.pitches = (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1;
-        wide.rolls = 2 * ROLL_MOST / STEP_DEG + 1;
-        wide.lowest = lowest;
-        wide.bins = ((settings[FloorSetting::HIGHEST] - lowest) >> wide.bits) + 1;
+        const int one = FloorAngles::ANGLES, range = settings[FloorSetting::HIGHEST] - lowest;
+        const FloorVotes wide = lattice(
+            PITCH_LEAST * one, -ROLL_MOST * one, STEP_DEG * one,
+            (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1, 2 * ROLL_MOST / STEP_DEG + 1, lowest, range);
         coarse(team, settings[FloorSetting::WIDE_PER_Z]);
         wide.run(team);
         for (int n = 0; n < WINNERS; n++) {

@@ -171,7 +171,8 @@ struct Surfaces {
 
     // Where runs of linked cells start, and which cells are linked with the one above.
 #if defined(__CUDA_ARCH__)
-    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
+    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up,
+                    const Parts&) const {
         // A lane looks whether a word has cells; then all lanes see FEW such words at a time.
         const Warp warp(team);
         for (int first = warp.index * Warp::size; first < on.count();
@@ -558,11 +559,7 @@ struct Surfaces {
         team.sync();
         starts.clear_rest(team);
         up.clear_rest(team);
-#if defined(__CUDA_ARCH__)
-        find_links(team, on, starts, up);
-#else
         find_links(team, on, starts, up, in);
-#endif
         Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
         const int all = label(team, in, runs, up, up);
         const BitRows has = give_back(team, kept, up, on);
