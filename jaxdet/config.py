@@ -246,7 +246,7 @@ class ObstacleConfig:
     bend_m: float = 0.15
     """Obstacles whose contour lies so far behind the chord of its ends are split there: walls of a
     room [m]. 0: off."""
-    side_m: float = 0.4
+    side_m: float = 1.0
     """Their sides are at least so long, and at the corner neighbouring points of the contour at
     most so far apart [m]."""
     min_size_m: float = 0.05

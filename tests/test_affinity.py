@@ -95,7 +95,7 @@ def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = rng.integers(0, 1000, (3000, len(SEEN)))
     same = (seen[:, SEEN.index("gap")] < 300) & (seen[:, SEEN.index("agree")] > 400)
     found = learning.Examples(seen, same, rng.random(len(seen)) + 0.5)
-    how = learning.Learning(trees=12, depth=3, rate=0.3, leaf=20, bias=0.0)
+    how = learning.Learning(trees=12, depth=3, rate=0.3, leaf=20, ridge=1.0, bias=0.0)
     monkeypatch.setattr(learning, "TABLES", tmp_path)
     learning.write("made", learning.learn(found, how))
 

@@ -145,11 +145,12 @@ def test_no_more_labels_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) 
     column, row = np.arange(512), np.arange(64)
     label = np.tile(column // 16, (64, 1)) + 32 * (row // 4)[:, None]
     bends = np.array([0, 300, 600, 900, 900, 600, 300, 0] * 2)[column % 16]
-    z = 1000 + np.tile(bends, (64, 1)) + 2000 * (label % 7) + 500 * (label // 32)
+    z = 1000 + np.tile(bends, (64, 1)) + 2000 * (label // 32)
     side = np.tile(column * 300, (64, 1))
     height = np.tile(100 * row[:, None], (1, 512))
     view = View(side, -height, z, side, z, height, z > 0)
-    config = replace(CONFIG, bend_m=0.02, lateral_gap_m=0.0, forward_gap_m=0.0, min_cells=1)
+    near = replace(CONFIG, lateral_gap_m=0.0, forward_gap_m=0.0, min_cells=1)
+    config = replace(near, bend_m=0.02, side_m=0.4)
     given = Given(renumbered(label), z < 0, view)
     assert given.label.max() == 511
     counts = assert_twin([given], config, farthest=65535)

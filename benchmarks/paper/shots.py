@@ -112,10 +112,15 @@ def draw(task: tuple[Path, tuple[Spec, ...]]) -> None:
     """Draws specs into their files; a worker's task."""
     folder, specs = task
     for spec in specs:
-        shots = [shot_of(spec, frame) for frame in _frames(spec)]
+        shots = drawn(spec)
         part = folder / f"{spec.name}.part"
         part.write_bytes(zstandard.compress(pickle.dumps(shots, protocol=5), 1))
         part.rename(folder / f"{spec.name}.zst")
+
+
+def drawn(spec: Spec) -> list[Shot]:
+    """Its frames, drawn anew."""
+    return [shot_of(spec, frame) for frame in _frames(spec)]
 
 
 def _frames(spec: Spec) -> Iterable[SimFrame]:
