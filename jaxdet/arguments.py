@@ -99,7 +99,7 @@ def check_fields(part: Any) -> None:
     section = type(part).__name__.removesuffix("Config").removesuffix("Options").lower()
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
-        if not _is(value, field.type):
+        if not fits(value, field.type):
             raise ConfigError(
                 f"{type(value).__name__} is not what it takes",
                 topic=f"{section}.{field.name.replace('_', '-')}".lstrip("."),
@@ -107,17 +107,18 @@ def check_fields(part: Any) -> None:
             )
 
 
-def _is(value: Any, kind: Any) -> bool:
+def fits(value: Any, kind: Any) -> bool:
     """Whether a value is of a type, as annotations of fields have them."""
     if isinstance(kind, UnionType):
-        return any(_is(value, one) for one in get_args(kind))
+        return any(fits(value, one) for one in get_args(kind))
     if get_origin(kind) is tuple:
         each = get_args(kind)
         many = isinstance(value, tuple | list) and len(value) == len(each)
-        return many and all(map(_is, value, each))
+        return many and all(map(fits, value, each))
     if kind in (float, int):
         number = isinstance(value, Real if kind is float else Integral)
-        return number and not isinstance(value, bool)
+        small = not isinstance(value, Integral) or abs(value) < 1 << 63
+        return number and small and not isinstance(value, bool)
     return isinstance(value, kind)
 
 

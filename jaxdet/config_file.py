@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from jaxdet.angles import parse_angle
+from jaxdet.arguments import fits
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.io.options import LogOptions
@@ -154,7 +155,7 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
             raise ConfigError(problem, path=path, remedy=f"{meant(key, hints)}it takes {known}")
         if field in clean:
             raise ConfigError(f"[{name}] {key} is given twice, as {field}", path=path)
-        if not _fits(given, hints[field]):
+        if not fits(given, hints[field]):
             raise ConfigError(f"[{name}] {key} = {value!r} is not {_said(hints[field])}", path=path)
         clean[field] = _as(given, hints[field])
     try:
@@ -167,19 +168,6 @@ def meant(word: str, known: Iterable[str]) -> str:
     """``did you mean X? `` where a known word is near, else nothing."""
     near = difflib.get_close_matches(word, list(known), 1)
     return f"did you mean {near[0]}? " if near else ""
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    origin = typing.get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        return any(_fits(value, part) for part in typing.get_args(hint))
-    if origin is tuple:
-        parts = typing.get_args(hint)
-        same = isinstance(value, list) and len(value) == len(parts)
-        return same and all(_fits(v, part) for v, part in zip(value, parts, strict=True))
-    if hint in (float, int) and isinstance(value, int):
-        return not isinstance(value, bool) and abs(value) < 1 << 63
-    return isinstance(value, hint)
 
 
 def _said(hint: Any) -> str:

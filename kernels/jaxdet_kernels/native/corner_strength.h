@@ -22,8 +22,6 @@
 #include "square_root.h"
 
 struct CornerStrength {
-    enum { SUM_BITS = 31 };
-
     // What OpenCV multiplies gradients of bytes by, in float32: 1 / (4 * 3 * 255), and twice that.
     static float scale() { return (float)(1.0 / (4.0 * 3.0 * 255.0)); }
     static float twice_scale() { return (float)(2.0 / (4.0 * 3.0 * 255.0)); }
@@ -31,7 +29,7 @@ struct CornerStrength {
     // Of a step from 0 to 255.
     static float step() { return (float)(255.0 * (double)scale()); }
 
-    static float unit() { return 1.0f / 2147483648.0f; }    // 2^-SUM_BITS
+    static float unit() { return 1.0f / 2147483648.0f; }    // 2^-31
     static float per_unit() { return 2147483648.0f; }
 
     // The eigenvalue, of sums of dx dx, dx dy and dy dy.

@@ -49,9 +49,12 @@ struct CoverMask {
     // range.
     bool take() const {
         bool some = false;
-#if defined(__CUDA_ARCH__)
         const Team& team = cover.team;
+#if defined(__CUDA_ARCH__)
         __shared__ int listed;
+#else
+        int listed;
+#endif
         const Warp warp(team);
         if (team.rank == 0) listed = 0;
         team.sync();
@@ -64,36 +67,16 @@ struct CoverMask {
             const int up_to = warp.sum_up_to(BitRows::ones(those));
             int place = 0;
             if (warp.rank == Warp::size - 1 && up_to) place = team.add(&listed, up_to);
-            place = __shfl_sync(0xffffffff, place, Warp::size - 1) + up_to - BitRows::ones(those);
+            place = warp.from(place, Warp::size - 1) + up_to - BitRows::ones(those);
             if (those) paint(first, those);
             for (; those; those &= those - 1)
                 cover.taken[place++] = first + BitRows::first(those);
         }
         team.sync();
         if (team.rank == 0) *cover.count = listed;
-#else
-        int n = 0;
-        for (int first = 0; first < cover.cells; first += BitRows::WIDTH) {
-            unsigned char taken[BitRows::WIDTH];
-            const int left = cover.cells - first;
-            const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
-            for (int k = 0; k < wide; ++k) {
-                const int depth = cover.z[first + k];
-                taken[k] = cover.keep[first + k] & cover.in_view[first + k] &
-                    (depth <= cover.range[1]);
-                some |= taken[k] & (depth >= cover.range[0]);
-            }
-            unsigned those = BitRows::packed(taken, 0, wide);
-            for (int k = 0; k < BitRows::WIDTH; k += GROUP)
-                if (those >> k & 0xff) paint(first + k, those >> k & 0xff);
-            for (; those; those &= those - 1) cover.taken[n++] = first + BitRows::first(those);
-        }
-        *cover.count = n;
-#endif
         return some;
     }
 
-#if defined(__CUDA_ARCH__)
     // Bit k: cell `first + k` takes part. `some` becomes true where one of these is in range.
     unsigned group_of(int first, bool* some) const {
         typedef unsigned long long Eight;
@@ -110,10 +93,8 @@ struct CoverMask {
         if (those == 0) return 0;
         const int nearest = cover.range[0], farthest = cover.range[1];
         int depth[GROUP];
-        #pragma unroll
         for (int k = 0; k < GROUP; ++k)
             depth[k] = those >> k & 1 ? cover.z[first + k] : 0;
-        #pragma unroll
         for (int k = 0; k < GROUP; ++k) {
             const bool is_taken = (those >> k & 1) & (depth[k] <= farthest);
             taken |= (unsigned)is_taken << k;
@@ -121,7 +102,6 @@ struct CoverMask {
         }
         return taken;
     }
-#endif
 
     bool any_in_range() const {
         enum { AHEAD = 64 };
@@ -239,11 +219,7 @@ struct CoveredCorners {
         CELL_BITS = 18,
         TILE = 8,
         RAY_BITS = 20,
-#if defined(__CUDA_ARCH__)
-        AHEAD = 4  // the loads of so many cells wait together
-#else
-        AHEAD = 1
-#endif
+        AHEAD = Warp::size > 1 ? 4 : 1  // the loads of so many cells wait together
     };
 
     void run() const {

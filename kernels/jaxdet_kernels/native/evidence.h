@@ -28,11 +28,7 @@ struct Trees {
 struct Evidence {
     typedef unsigned long long Sum;
     // Threads that share the search for the smallest distance of two contours.
-#if defined(__CUDA_ARCH__)
-    enum { PARTS = 8 };
-#else
-    enum { PARTS = 1 };
-#endif
+    enum { PARTS = Warp::size > 1 ? 8 : 1 };
     enum { CONTACT = 2, PERCENT = 100, SEEN = 26, SHORT = (1 << 15) - 1 };
     // Pairs that a block of BATCH threads or a multiple of it weighs at a time.
     enum { BATCH = 64, FAST = (SEEN + 1) * BATCH, NOT_NEAR = 1 << 30 };

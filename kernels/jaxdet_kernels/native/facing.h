@@ -1,7 +1,6 @@
 // How surfaces face each other along lines. Twin of `facing` in jaxdet/reference/_evidence.py.
 #pragma once
-#include "bits.h"
-#include "team.h"
+#include "warp.h"
 
 // The surface of a cell and its depth, in one word.
 struct Packed {
@@ -32,11 +31,7 @@ struct Facing {
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
     // On CUDA the loads of so many cells wait together.
-#if defined(__CUDA_ARCH__)
-    enum { AHEAD = 8 };
-#else
-    enum { AHEAD = 1 };
-#endif
+    enum { AHEAD = Warp::size > 1 ? 8 : 1 };
     // A run of cells of one label in a line. `before` and `after` are the free cells of the line
     // up to its first cell and up to behind its last.
     struct Run {

@@ -21,26 +21,20 @@ struct FloorRamps {
         FINE_TURN = FloorAngles::ANGLES / 4,
         MIN_GAIN = 4,
         MIN_SHARE = 40,
-        MOST_PLANES = 10,
-        KEY_WORDS = 2,
         // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
         // told (2), where the next cell goes.
         ROW_ARRAYS = 8,
         // Ramps taken together: three degrees of turns, and so many starts side by side.
         SECTOR = 3 * FloorAngles::ANGLES,
         SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
-#if defined(__CUDA_ARCH__)
-        ABREAST = 1
-#else
-        ABREAST = STARTS
-#endif
+        ABREAST = Warp::size > 1 ? 1 : STARTS
     };
     FloorAngles angles;
     const int* settings;
     // The inner cells.
     FloorCells cells;
-    // Scratch: KEY_WORDS; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words;
-    // MOST_PLANES words twice.
+    // Scratch: a key; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words; twice a
+    // word a plane.
     unsigned long long* key;
     int *rows, *places, *table, *alone, *bound;
 

@@ -1,7 +1,7 @@
 // How far the floor is seen in each column of cells, and what ends it. Twin of
 // jaxdet/reference/_free.py.
 #pragma once
-#include "team.h"
+#include "warp.h"
 
 struct FreeFloor {
     enum { FAR, GAP, SETTINGS };
@@ -17,11 +17,7 @@ struct FreeFloor {
         // up the floor, and behind its end.
         SEEK = 8,
         AHEAD = 4,
-#if defined(__CUDA_ARCH__)
-        BEHIND = 4,
-#else
-        BEHIND = 1,
-#endif
+        BEHIND = Warp::size > 1 ? 4 : 1,
         // On the CPU so many columns are followed side by side.
         ABREAST = 256
     };

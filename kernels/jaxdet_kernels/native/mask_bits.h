@@ -3,7 +3,7 @@
 #include "pixel_bits.h"
 
 struct MaskBits {
-    typedef unsigned long long Word __attribute__((may_alias));
+    typedef unsigned long long Word;
 
     Team team;
     int height, width;

@@ -35,11 +35,7 @@ struct Obstacles {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
     };
     // Words of fast memory: on CUDA, what the threads of a block share.
-#if defined(__CUDA_ARCH__)
-    enum { FAST = 4096 };
-#else
-    enum { FAST = 0 };
-#endif
+    enum { FAST = Warp::size > 1 ? 4096 : 0 };
     static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
     int* fast;  // for one use after the other, at 16 bytes
     int rows, columns;

@@ -63,7 +63,12 @@ struct Team {
 
     static int input(const int* place) { return *place; }
     static bool input(const bool* place) { return *place; }
-    static unsigned long long input(const unsigned long long* place) { return *place; }
+    // Also of eight bytes that were written as such.
+    static unsigned long long input(const unsigned long long* place) {
+        unsigned long long word;
+        __builtin_memcpy(&word, place, sizeof word);
+        return word;
+    }
 
     static int replace(int* place, int value) {
         const int before = *place;

@@ -1,10 +1,10 @@
-// Threads of a team that work on one thing together: all of them, or a warp of 32. On the CPU a
-// group is the one thread there is.
+// Threads of a team that work on one thing together: all of them, or a warp. On the CPU a group
+// is the one thread there is.
 #pragma once
-#include "team.h"
+#include "warp.h"
 
 struct ThreadGroup {
-    enum { WARP = 32, MOST_SUMS = 10, MOST_SHARED = 4 };
+    enum { WARP = Warp::size, MOST_SUMS = 10, MOST_SHARED = 4 };
     const Team* team;
     // Of a whole team: two rows of the warps' sums, used in turn. Null: the group is a warp.
     unsigned long long* rows;
@@ -25,12 +25,12 @@ struct ThreadGroup {
     //               would do the same
     // broadcast     what it then tells the others: at most MOST_SHARED values; a sum is between any two
     // sum           each of the values, at most MOST_SUMS, becomes its sum over the group; all must ask
-#if defined(__CUDA_ARCH__)
     int rank() const { return rows ? team->rank : team->rank % WARP; }
-    int size() const { return rows ? team->size : WARP; }
+    int size() const { return rows ? team->size : (int)WARP; }
     int index() const { return rows ? 0 : team->rank / WARP; }
     int count() const { return rows ? 1 : team->size / WARP; }
     bool leads() const { return rank() < WARP; }
+#if defined(__CUDA_ARCH__)
     void broadcast(int* values, int n) const {
         if (!rows) return;
         volatile int* shared = (volatile int*)(rows + 2 * MOST_SUMS * (team->size / WARP));
@@ -58,11 +58,6 @@ struct ThreadGroup {
         for (int k = 0; k < n; k++) values[k] = __shfl_sync(0xffffffffu, total, k);
     }
 #else
-    int rank() const { return 0; }
-    int size() const { return 1; }
-    int index() const { return 0; }
-    int count() const { return 1; }
-    bool leads() const { return true; }
     void broadcast(int*, int) const {}
     void sum(long long*, int) {}
 #endif
