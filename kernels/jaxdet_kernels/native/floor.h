@@ -116,7 +116,6 @@ struct Floor {
             return ring;
         };
         const auto is_used = [&](int depth) { return (depth > 0) & (depth <= deepest); };
-#if defined(__CUDA_ARCH__)
         for (int i = team.rank; i < r * c; i += team.size) {
             const int row = i / c, column = i % c;
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
@@ -127,25 +126,6 @@ struct Floor {
             cells[2 * most + k] = depth;
             if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
         }
-#else
-        // Each cell is written, and the next one over it where it is not used.
-        int all = 0;
-        for (int row = 0; row < r; row++) {
-            const int first = (half + row * stride) * columns + half;
-            for (int column = 0, p = first; column < c; column++, p += stride) {
-                const int depth = z[p];
-                cells[all] = x[p];
-                cells[most + all] = y[p];
-                cells[2 * most + all] = depth;
-                all += is_used(depth);
-            }
-            for (int column = 0; column < c && row % 2 == 0; column += 2) {
-                const int depth = z[first + column * stride];
-                counts[ENDS + ring_of(depth)] += is_used(depth);
-            }
-        }
-        counts[ALL] = all;
-#endif
         team.sync();
         if (team.rank == 0) {
             int sum = 0;
