@@ -3,8 +3,7 @@
 #pragma once
 #include "thread_group.h"
 
-// What the kernel is told, in whole depth units; the order of FloorSettings in
-// jaxdet/stages/_floor.py.
+// What the kernel is told, in whole depth units, in the order of jaxdet/stages/_floor.py.
 struct FloorSetting {
     enum {
         STRIDE, MAX_DEPTH, NOISE,

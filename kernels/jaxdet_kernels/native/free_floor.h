@@ -4,6 +4,7 @@
 #include "warp.h"
 
 struct FreeFloor {
+    // End of the range; the floor ends where so much of it shows no measurement.
     enum { FAR, GAP, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {

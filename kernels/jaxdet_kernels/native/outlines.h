@@ -6,6 +6,8 @@
 #include "ranks.h"
 
 struct Outlines {
+    // Cells passed over before A, B and C; how much nearer a vertex is than A and B; longer rectangles
+    // pass over a part of their cells at their long sides.
     enum { TRIM, VERTEX, LONG, SETTINGS };
     enum {
         DIRECTIONS = 90,

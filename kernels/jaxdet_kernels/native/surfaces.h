@@ -18,7 +18,8 @@ struct Surfaces {
         AHEAD = 4,  // on CUDA loads of so many cells wait together
         FEW = 2,    // where there are more of each cell
     };
-    // Where each setting is.
+    // Where each setting is: depths up to which surfaces are followed; the height up to which those
+    // without a steep side are floor.
     enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, SETTINGS };
     int rows, columns;
     const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
