@@ -117,7 +117,7 @@ def fits(value: Any, kind: Any) -> bool:
         return many and all(map(fits, value, each))
     if kind in (float, int):
         number = isinstance(value, Real if kind is float else Integral)
-        small = not isinstance(value, Integral) or abs(value) < 1 << 63
+        small = not isinstance(value, Integral) or abs(int(value)) < 1 << 63
         return number and small and not isinstance(value, bool)
     return isinstance(value, kind)
 
