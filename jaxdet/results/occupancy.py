@@ -231,7 +231,7 @@ def load_map(path: Path) -> MapImage:
         InputError: It is missing, or no map.
     """
     try:
-        with np.load(path) as parts:
+        with path.open("rb") as file, np.load(file) as parts:  # NumPy leaves a damaged one open
             x, y = parts["origin"].tolist()
             cell = float(parts["cell_m"])
             return MapImage(parts["counts"], parts["free"], (x, y), cell, parts["path"])
