@@ -1,8 +1,6 @@
 """Processes that work on units: how many, how they start, and what is done when one fails."""
 
-import importlib.util
 import multiprocessing
-import os
 import signal
 import threading
 import time
@@ -18,7 +16,7 @@ from jaxdet.config import Config
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
-from jaxdet.engine.startup import start_cuda, start_up
+from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
 from jaxdet.engine.unit import lose_unit
 from jaxdet.engine.worker import Failure, Worker, work_on
@@ -46,7 +44,7 @@ _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main
 
 def gpus() -> tuple[Any, ...]:
     """The GPUs that JAX computes on; without its plugin for them JAX needn't be loaded."""
-    if os.environ.get("JAX_PLATFORMS") == "cpu" or not importlib.util.find_spec("jax_plugins"):
+    if not may_use_gpus():
         return ()
     if start_cuda():
         _start_server(LOADED)  # while JAX looks for them

@@ -1,6 +1,7 @@
 """What each process does before it computes: caches between runs, and a quiet Warp."""
 
 import ctypes
+import importlib.util
 import os
 import platform
 import threading
@@ -101,6 +102,12 @@ def _check_platforms() -> None:
         raise ConfigError(problem, remedy="unset JAX_PLATFORMS, or set it to cpu")
 
 
+def may_use_gpus() -> bool:
+    """Whether JAX has a plugin for GPUs and is not kept from them; loads nothing."""
+    kept = os.environ.get("JAX_PLATFORMS") == "cpu"
+    return not kept and importlib.util.find_spec("jax_plugins") is not None
+
+
 @cache
 def start_cuda() -> bool:
     """Begins to load the driver's part of CUDA in a thread, while this one imports what uses it.
@@ -108,10 +115,9 @@ def start_cuda() -> bool:
     It takes a quarter of a second, without Python's lock. What goes wrong is said by who uses it.
 
     Returns:
-        Whether there is a device, and JAX is not kept from it.
+        Whether there is a device that JAX may use.
     """
-    there = next(Path("/dev").glob("nvidia[0-9]*"), None) is not None
-    there = there and os.environ.get("JAX_PLATFORMS") != "cpu"
+    there = may_use_gpus() and next(Path("/dev").glob("nvidia[0-9]*"), None) is not None
     if there:
         threading.Thread(target=_make_contexts, name="jaxdet-cuda", daemon=True).start()
     return there
