@@ -4,7 +4,6 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
@@ -19,6 +18,7 @@ from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
 from jaxdet.engine.unit import lose_unit
+from jaxdet.engine.unit_queue import UnitQueue
 from jaxdet.engine.worker import Failure, Worker, work_on
 from jaxdet.errors import FrameStatus, WorkerError
 from jaxdet.pipeline import BackendName
@@ -192,14 +192,14 @@ class Pool:
             WorkerError: A worker failed in a way that nobody foresaw.
             JaxdetError: As :func:`jaxdet.engine.unit.run_unit` raises it.
         """
-        todo = deque(units)
+        todo = UnitQueue(units, self.count)
         while todo:
             lost = yield from self._until_one_is_lost(plan, todo, save(plan))
             if lost:
                 yield self._once_more(plan, lost, save)
 
     def _until_one_is_lost(
-        self, plan: LogPlan, todo: deque[Unit], path: Path
+        self, plan: LogPlan, todo: UnitQueue, path: Path
     ) -> Generator[Counts, None, _Lost | None]:
         """Takes units from ``todo`` until none is left, or a worker failed; then all have ended."""
         self.start()
@@ -210,7 +210,7 @@ class Pool:
                     if isinstance(told, _Problem):
                         lost = _Lost(worker.given[0], *told)
                         left = {unit for one in self._workers for unit in one.given} - {lost.unit}
-                        todo.extendleft(sorted(left, reverse=True))
+                        todo.put_back(left)
                         return lost
                     for unit, counts in told:
                         if isinstance(counts, Failure):
@@ -222,12 +222,12 @@ class Pool:
             if any(worker.given for worker in self._workers):
                 self.close()
 
-    def _give(self, todo: deque[Unit], path: Path) -> bool:
+    def _give(self, todo: UnitQueue, path: Path) -> bool:
         """Gives workers units to do; whether any has some."""
-        for worker in self._workers:
-            while todo and len(worker.given) < WAITING:
-                unit = todo.popleft()
-                worker.give(unit, work_on, path, unit)
+        for most in range(1, WAITING + 1):
+            for number, worker in enumerate(self._workers):
+                if len(worker.given) < most and (unit := todo.take(number)):
+                    worker.give(unit, work_on, path, unit)
         return any(worker.given for worker in self._workers)
 
     def _drain(self) -> None:

@@ -4,8 +4,8 @@ A frame's number is its rank by header stamp. A stream's messages are nearly in 
 already: it is checked that no two that are ``REACH`` or more messages apart (by log time) are in
 the wrong order, so that ranks follow from messages near by. It is enough to compare messages
 ``REACH`` to ``2 REACH - 1`` apart: of two in the wrong order that are farther apart, one in
-between is in the wrong order with one of them. Each message is compared with those before it
-by the window that answers for it, and each message of a log belongs to one window of any division
+between is in the wrong order with one of them. Both are known to the window that holds the message
+``REACH`` after the first of them, and each message of a log belongs to one window of any division
 of its frames. So whoever reads all frames either gets the ranks of a whole scan or an error.
 """
 
@@ -68,7 +68,7 @@ class StreamWindows:
             RescanError: Messages are too far from the order of their stamps.
             DamageError: One of them is not where the index says.
         """
-        start, stop = max(0, first - 2 * REACH), min(len(self), last + REACH)
+        start, stop = max(0, first - REACH), min(len(self), last + REACH)
         self._load(start, stop)
         stamps = self.stamp[start:stop]
         if len(stamps) > REACH:

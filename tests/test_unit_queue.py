@@ -1,0 +1,61 @@
+"""UnitQueue: every unit once, neighbours to the same worker."""
+
+import random
+from itertools import pairwise
+
+import pytest
+
+from jaxdet.engine.plan import Unit, UnitSizes, units_of
+from jaxdet.engine.unit_queue import UnitQueue
+
+UNITS = list(units_of(range(1000), UnitSizes(32, 128, 8)))
+
+
+def taken(queue: UnitQueue, workers: list[int]) -> dict[int, list[Unit]]:
+    """What workers take that come in an order, until none is left."""
+    found: dict[int, list[Unit]] = {worker: [] for worker in workers}
+    while queue:
+        for worker in workers:
+            if unit := queue.take(worker):
+                found[worker].append(unit)
+    return found
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5, 50])
+def test_each_unit_is_taken_once(workers):
+    queue = UnitQueue(UNITS, workers)
+    order = [random.Random(workers).randrange(workers) for _ in range(1000)]
+    found = [unit for unit in map(queue.take, order) if unit]
+    assert sorted(found) == UNITS
+    assert not queue
+    assert queue.take(0) is None
+
+
+def test_one_worker_takes_them_in_order():
+    assert taken(UnitQueue(UNITS, 1), [0])[0] == UNITS
+
+
+def test_neighbours_go_to_the_same_worker():
+    for units in taken(UnitQueue(UNITS, 3), [0, 1, 2]).values():
+        apart = sum(a.stop != b.start for a, b in pairwise(units))
+        assert len(units) > 10
+        assert apart <= 3  # from the large units to the small ones, and where one has none left
+
+
+def test_large_units_go_first():
+    sizes = [unit.stop - unit.start for unit in taken(UnitQueue(UNITS, 3), [1])[1]]
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_the_later_half_of_a_run_is_taken_over():
+    queue = UnitQueue(UNITS[:8], 2)  # runs of 4
+    assert [queue.take(0) for _ in range(4)] == UNITS[:4]
+    assert queue.take(0) == UNITS[6]
+    assert [queue.take(1) for _ in range(2)] == UNITS[4:6]
+
+
+def test_what_was_not_done_comes_back():
+    queue = UnitQueue(UNITS, 2)
+    given = [queue.take(0), queue.take(1), queue.take(1)]
+    queue.put_back([unit for unit in given[1:] if unit])
+    assert sorted(unit for units in taken(queue, [0, 1]).values() for unit in units) == UNITS[1:]
