@@ -75,6 +75,18 @@ def test_walls_are_no_floor(known):
     assert_refused(fit, Refusal(int(fit.refused[0])), prior)
 
 
+@pytest.mark.parametrize(("pose", "measured_share"), [((0.06, -6, 1.4), 0.5), ((0.1, -5, 2), 0.5)])
+def test_a_wall_has_more_cells_than_the_floor(pose, measured_share):
+    """A camera just above a glossy floor, of which half is measured, sees walls at a metre."""
+    pose = Pose(*pose)
+    walls: list[Box] = [((-3, 1.0, 0), (-0.35, 1.1, 2)), ((-0.35, 1.7, 0), (0.4, 1.8, 2))]
+    walls.append(((0.4, 1.2, 0), (3, 1.3, 2)))
+    whole, bare = cast(pose, walls), cast(pose, [])
+    lost = np.random.default_rng(0).random(whole.shape) > measured_share
+    z = np.where(lost & (whole == bare), 0, measured(whole))
+    assert_found(found(z, unknown_plane(1)), pose, angle=0.3)
+
+
 TABLE: list[Box] = [((-0.8, 0.2, 0.70), (0.8, 1.0, 0.74)), ((-4.0, 3.5, 0.0), (4.0, 3.6, 2.5))]
 
 

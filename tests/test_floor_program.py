@@ -20,7 +20,17 @@ from jaxdet.sim.config import calibration_of
 from jaxdet.stages._floor import find_floor as floor_program
 from jaxdet.stages._floor import floor_settings
 from jaxdet.types import GroundPlane
-from tests.floor_cells import BOXES, CAMERA, CONFIG, POSES, UNIT, cast, measured, positions
+from tests.floor_cells import (
+    BOXES,
+    CAMERA,
+    CONFIG,
+    POSES,
+    UNIT,
+    Pose,
+    cast,
+    measured,
+    positions,
+)
 from tests.scenes import assert_equal
 
 SURFACE = Config().surface
@@ -104,10 +114,11 @@ def test_tables_walls_and_little() -> None:
         ([((-4.0, 1.1, 0.0), (4.0, 1.2, 3.0))], True),
         ([], True),
     ]
+    low = measured(cast(Pose(0.06, -6.0, 1.4), [((-4.0, 1.1, 0.0), (4.0, 1.2, 3.0))]))
     few = np.zeros((120, 160), np.uint16)
     few[100:104, 20:60] = 1000
     depths = [measured(cast(pose, boxes, floor=floor)) for boxes, floor in things]
-    grid = positions(np.stack([*depths, few, 0 * few]), CAMERA)
+    grid = positions(np.stack([*depths, low, few, 0 * few]), CAMERA)
     refused = [
         assert_same(grid, prior)[:, 7] for prior in priors(repeat_plane(pose.plane(), len(grid[2])))
     ]

@@ -27,7 +27,7 @@ from jaxdet.reference._floor_ramp import (
     ramp_plane,
     rises,
 )
-from jaxdet.reference._floor_search import PITCHES_DEG, ROLLS_DEG, any_plane, near_planes
+from jaxdet.reference._floor_search import any_plane, is_usual, near_planes
 from jaxdet.types import GroundPlane, Refusal
 
 MIN_CELLS = 50  # of fewer cells, nothing is said
@@ -137,6 +137,8 @@ def _find(
     votes = [int(score(below(p, few), scale.fine.of(few.z, p.height))) for p in planes]
     near = [_is_near(p, prior, config, scale) for p in planes]
     allowed = [(v, p) for v, p, n in zip(votes, planes, near, strict=True) if n]
+    if not allowed:
+        allowed = [(votes[0], guess)]
     plane, hinge = max(allowed, key=lambda pair: pair[0])[1], None
     if config.ramps:
         plane, hinge = find_hinge(plane, [p for _, p in allowed], few, scale)
@@ -144,7 +146,7 @@ def _find(
     found = _judge(plane, hinge, cells, prior, config, scale)
     best = votes.index(max(votes))
     least = (100 * found.on + FAR_GAIN * found.total) * len(few.z)
-    if not near[best] and 100 * votes[best] * found.total > least:
+    if prior and not near[best] and 100 * votes[best] * found.total > least:
         steep = planes[best]
     elif found.refused == Refusal.FAR:
         steep = plane
@@ -170,16 +172,10 @@ def _refined(
     return plane, ahead if ahead and 0 < ahead.start <= scale.length(RAMP_M) else hinge
 
 
-def _is_usual(plane: Plane) -> bool:
-    """Whether a camera on a robot or in a hand can be so tilted: no wall is a floor."""
-    low, high = (n * ANGLES for n in PITCHES_DEG)
-    return low <= plane.pitch <= high and abs(plane.roll) <= ROLLS_DEG[1] * ANGLES
-
-
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
-    """Whether a plane is no farther from the prior than that is corrected."""
+    """Whether a plane is no farther from the prior than that is corrected; without one, usual."""
     if prior is None:
-        return True
+        return is_usual(plane)
     turn = round(config.max_turn_deg * ANGLES)
     return (
         abs(plane.pitch - prior.pitch) <= turn
@@ -218,7 +214,7 @@ def _judge(
     enough = on if known else int(score(deep, slack))
     least = round(1000 * (config.min_share if known else config.min_share_alone))
     refused = Refusal.NONE
-    if not (_is_near(plane, prior, config, scale) if prior else _is_usual(plane)):
+    if not _is_near(plane, prior, config, scale):
         refused = Refusal.FAR
     elif 100 * low > share * total and part * low > on:
         refused = Refusal.TABLE

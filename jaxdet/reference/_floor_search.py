@@ -32,6 +32,7 @@ APART = 12  # planes of neighbouring directions within so many bins are one
 NEAR_DEG, STEEP_DEG = 4, 8
 """Planes are looked for so far in pitch from a guess, in roll within the first, and one so far."""
 LEAST = np.iinfo(np.int64).min  # fewer votes than any plane has
+RINGS = len(RINGS_M) + 1  # planes are also looked for among the cells up to each
 MIN_SHARE = 3  # they must be so many percent of all
 
 
@@ -127,6 +128,23 @@ class _Lattice:
         ]
 
 
+def rings(cells: Sample, scale: Scale) -> np.ndarray:
+    """The ring of each cell, ``(K,)`` int64, by depth."""
+    return np.searchsorted([scale.length(m) for m in RINGS_M], cells.z)
+
+
+def shown(ring: np.ndarray) -> np.ndarray:
+    """The rings up to which there are enough cells to tell a plane."""
+    count = np.cumsum(np.bincount(ring, minlength=RINGS))
+    return np.flatnonzero(100 * count >= MIN_SHARE * len(ring))
+
+
+def is_usual(plane: Plane) -> bool:
+    """Whether a camera on a robot or in a hand can be so tilted: no wall is a floor."""
+    low, high = (n * ANGLES for n in PITCHES_DEG)
+    return low <= plane.pitch <= high and abs(plane.roll) <= ROLLS_DEG[1] * ANGLES
+
+
 def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
     """Planes near a guess: for each ring the best of the cells up to it, and of all cells three.
 
@@ -144,19 +162,15 @@ def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) 
         _lattice(guess.roll, (-NEAR_DEG, NEAR_DEG), 1),
         _heights(guess.height - span, guess.height + span, scale),
     )
-    ends = np.array([scale.length(m) for m in RINGS_M])
-    ring = np.searchsorted(ends, cells.z)
-    votes = lattice.votes(cells, scale.coarse(cells.z, 1), ring, len(ends) + 1)
+    ring = rings(cells, scale)
+    votes = lattice.votes(cells, scale.coarse(cells.z, 1), ring, RINGS)
     near = votes.copy()
     edge = (span - scale.length(NEAR_M)) >> scale.bits(BIN_M)
     for axis, n in ((1, STEEP_DEG - NEAR_DEG), (3, edge)):
         np.moveaxis(near, axis, 0)[np.r_[:n, near.shape[axis] - n : near.shape[axis]]] = LEAST
     out = []
-    for n in range(len(ends) + 1):
-        some = cells.take(ring <= n)
-        if 100 * len(some.z) < MIN_SHARE * len(cells.z):
-            continue
-        whole = n == len(ends)
+    for n in shown(ring):
+        some, whole = cells.take(ring <= n), n == RINGS - 1
         planes = lattice.best(near[n], 2 if whole else 1)
         planes += lattice.best(votes[n], 1) if whole else []
         out += [refined(plane, some, (2, 2, 1), prior, scale) for plane in planes]
@@ -164,7 +178,12 @@ def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) 
 
 
 def any_plane(cells: Sample, scale: Scale) -> Plane:
-    """The best floor of any camera that a robot or a hand holds."""
+    """The best floor of any camera that a robot or a hand holds.
+
+    For each ring the best plane of the cells up to it is looked at more closely, and of all cells
+    ``WINNERS``: far walls fill the picture of a low camera, and where little of its floor is
+    measured, it has most votes only among the nearest cells.
+    """
     once, span = np.zeros(len(cells.z), np.int64), scale.length(STEEP_M)
     low, high = (scale.length(m) for m in HEIGHTS_M)
     wide = _Lattice(
@@ -172,9 +191,11 @@ def any_plane(cells: Sample, scale: Scale) -> Plane:
         _lattice(0, ROLLS_DEG, STEP_DEG),
         _heights(low, high, scale),
     )
-    first = wide.votes(cells, scale.coarse(cells.z, STEP_DEG), once, 1)[0]
+    ring = rings(cells, scale)
+    votes = wide.votes(cells, scale.coarse(cells.z, STEP_DEG), ring, RINGS)
+    planes = [p for n in shown(ring) for p in wide.best(votes[n], WINNERS if n == RINGS - 1 else 1)]
     best = []
-    for plane in wide.best(first, WINNERS):
+    for plane in planes:
         close = _Lattice(
             _lattice(plane.pitch, (-1, 1), 1),
             _lattice(plane.roll, (-1, 1), 1),
@@ -183,5 +204,5 @@ def any_plane(cells: Sample, scale: Scale) -> Plane:
         [plane] = close.best(close.votes(cells, scale.coarse(cells.z, 1), once, 1)[0], 1)
         plane = refined(plane, cells, (2, 2, 0), None, scale)
         slack = scale.fine.of(cells.z, plane.height)
-        best.append((int(score(below(plane, cells), slack)), plane))
-    return max(best, key=lambda pair: pair[0])[1]
+        best.append((is_usual(plane), int(score(below(plane, cells), slack)), plane))
+    return max(best, key=lambda found: found[:2])[-1]

@@ -15,7 +15,8 @@ struct Floor {
         UNDER_ALONE = 3,
         UNDER_PART_ALONE = 8,
         MARGIN = 8,
-        PLANES = 1 + FloorSearch::NEAR_PLANES,
+        // Looked at together: near a guess there are fewer.
+        PLANES = FloorSearch::ANY_PLANES,
         RESULTS = 8,
         PRIOR = 4,
         NONE = 0,
@@ -194,13 +195,14 @@ struct Floor {
             if (votes[n] > votes[best]) best = n;
             if (is_near(all[n]) && (first < 0 || votes[n] > votes[first])) first = n;
         }
+        if (first < 0) first = 0;
         FloorPlane plane = all[first];
         FloorHinge hinge = {0, 0};
         if (settings[FloorSetting::RAMPS]) {
             int others = 0;
             for (int n = -1; n < count; n++) {
                 const FloorPlane one = all[n < 0 ? first : n];
-                bool is_new = is_near(one);
+                bool is_new = n < 0 || is_near(one);
                 for (int k = 0; k < others; k++) is_new = is_new && !(different[k] == one);
                 // All threads count, and read only what the first has written already itself.
                 if (is_new && team.rank == 0) different[others] = one;
@@ -216,7 +218,7 @@ struct Floor {
         const long long least = (100LL * found[0] + (long long)FAR_GAIN * found[1]) * number;
         FloorPlane steep = plane;
         bool far = found[2] == FAR;
-        if (!is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
+        if (known && !is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
             steep = all[best];
             far = true;
         }
@@ -239,21 +241,13 @@ struct Floor {
         return hinge.turn && hinge.start > 0 && hinge.start <= settings[FloorSetting::FARTHEST_RAMP];
     }
 
-    // Whether a plane is no farther from the prior than that is corrected.
+    // Whether a plane is no farther from the prior than that is corrected; without one, usual.
     bool is_near(FloorPlane plane) const {
+        if (!known) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
         const int turn = settings[FloorSetting::MAX_TURN];
-        return !known || (apart(plane.pitch, prior.pitch) <= turn &&
-                          apart(plane.roll, prior.roll) <= turn &&
-                          apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT]);
-    }
-
-    // Whether a camera on a robot or in a hand can be so tilted.
-    bool is_usual(FloorPlane plane) const {
-        const int one = FloorAngles::ANGLES, roll = FloorSearch::ROLL_MOST * one;
-        return plane.pitch >= FloorSearch::PITCH_LEAST * one &&
-               plane.pitch <= FloorSearch::PITCH_MOST * one && plane.roll <= roll &&
-               -plane.roll <= roll;
+        return apart(plane.pitch, prior.pitch) <= turn && apart(plane.roll, prior.roll) <= turn &&
+               apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
     }
 
     // A plane refined on all cells, or on those before its ramp, and the ramp on those after.
@@ -322,7 +316,7 @@ struct Floor {
         const int least = settings[known ? FloorSetting::MIN_SHARE : FloorSetting::MIN_SHARE_ALONE];
         const int share = known ? UNDER : UNDER_ALONE, portion = known ? UNDER_PART : UNDER_PART_ALONE;
         int refused = NONE;
-        if (known ? !is_near(plane) : !is_usual(plane))
+        if (!is_near(plane))
             refused = FAR;
         else if (100 * sums[1] > share * total && portion * sums[1] > sums[0])
             refused = TABLE;

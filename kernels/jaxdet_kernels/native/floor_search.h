@@ -317,6 +317,7 @@ struct FloorSearch {
         STEP_DEG = 3,
         WINNERS = 10,
         NEAR_PLANES = 9,
+        ANY_PLANES = RINGS - 1 + WINNERS,
         MOST_DIRECTIONS = 30 * 21,
         KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
     };
@@ -331,6 +332,13 @@ struct FloorSearch {
     unsigned long long* keys;
     int *votes, *copies;
     int room;
+
+    // Whether a camera on a robot or in a hand can be so tilted.
+    static bool is_usual(FloorPlane plane) {
+        const int one = FloorAngles::ANGLES, roll = ROLL_MOST * one;
+        return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
+               plane.roll <= roll && -plane.roll <= roll;
+    }
 
     // Bins of the largest lattice, and one more.
     static int most_bins(const int* settings) {
@@ -390,23 +398,29 @@ struct FloorSearch {
         team.sync();
     }
 
-    // Up to NEAR_PLANES planes near a guess, which is the prior or not, and how many.
-    int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
-        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
-        FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
+    // Votes by rings; the best plane of the cells up to each, and how many cells these are.
+    int best_of_rings(const Team& team, FloorVotes& lattice, FloorPlane* planes, int* ends) const {
         lattice.rings = RINGS;
         lattice.fewest = (MIN_SHARE * cells.count + 99) / 100;
-        lattice.edge_pitches = STEEP_DEG - NEAR_DEG;
-        lattice.edge_bins = settings[FloorSetting::EDGE];
         lattice.run(team);
         int count = 0;
-        int ends[NEAR_PLANES];
         for (int n = 0; n < RINGS; n++) {
             if (ring_ends[n] < lattice.fewest) continue;
             ends[count] = ring_ends[n];
             if (team.rank == 0) planes[count] = lattice.plane(lattice.best[n]);
             count++;
         }
+        return count;
+    }
+
+    // Up to NEAR_PLANES planes near a guess, which is the prior or not, and how many.
+    int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
+        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
+        lattice.edge_pitches = STEEP_DEG - NEAR_DEG;
+        lattice.edge_bins = settings[FloorSetting::EDGE];
+        int ends[NEAR_PLANES];
+        int count = best_of_rings(team, lattice, planes, ends);
         lattice.next(team);
         if (team.rank == 0) {
             planes[count] = lattice.plane(lattice.best[RINGS - 1]);
@@ -428,22 +442,24 @@ struct FloorSearch {
     }
 
     // The best floor of any camera that a robot or a hand holds; `planes` and `scores` have
-    // WINNERS places each.
+    // ANY_PLANES places each.
     FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
         const int lowest = settings[FloorSetting::LOWEST];
         const int one = FloorAngles::ANGLES, range = settings[FloorSetting::HIGHEST] - lowest;
-        const FloorVotes wide = lattice(
+        FloorVotes wide = lattice(
             PITCH_LEAST * one, -ROLL_MOST * one, STEP_DEG * one,
             (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1, 2 * ROLL_MOST / STEP_DEG + 1, lowest, range);
         coarse(team, settings[FloorSetting::WIDE_PER_Z]);
-        wide.run(team);
-        for (int n = 0; n < WINNERS; n++) {
-            if (n) wide.next(team);
-            if (team.rank == 0) planes[n] = wide.plane(wide.best[0]);
+        int ends[ANY_PLANES];
+        int count = best_of_rings(team, wide, planes, ends);
+        for (int n = 1; n < WINNERS; n++) {
+            wide.next(team);
+            if (team.rank == 0) planes[count] = wide.plane(wide.best[RINGS - 1]);
+            count++;
         }
         team.sync();
         coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
-        for (int n = 0; n < WINNERS; n++) {
+        for (int n = 0; n < count; n++) {
             const FloorVotes close = around(planes[n], 1, 1);
             close.run(team);
             if (team.rank == 0) planes[n] = close.plane(close.best[0]);
@@ -452,15 +468,17 @@ struct FloorSearch {
         ThreadGroup group(team);
         const FloorRefine refine = {angles, settings, {0, 0, 0}, false,
                                     weights + group.index() * cells.count};
-        for (int n = group.index(); n < WINNERS; n += group.count()) {
+        for (int n = group.index(); n < count; n += group.count()) {
             const FloorPlane plane = refine.run(group, planes[n], cells, 2, 2, 0);
             if (group.rank() == 0) planes[n] = plane;
         }
         team.sync();
-        score(team, planes, WINNERS, scores);
+        score(team, planes, count, scores);
         int best = 0;
-        for (int n = 1; n < WINNERS; n++)
-            if (scores[n] > scores[best]) best = n;
+        for (int n = 1; n < count; n++) {
+            const bool usual = is_usual(planes[n]), best_is = is_usual(planes[best]);
+            if (usual == best_is ? scores[n] > scores[best] : usual) best = n;
+        }
         return planes[best];
     }
 };
