@@ -26,9 +26,6 @@ from jaxdet.pipeline import detect
 from jaxdet.results.rows import row_inputs, to_host
 from jaxdet.types import Calibration, Detections, Frames
 
-_warming = threading.Lock()
-"""Warp's modules are loaded by one thread at a time."""
-
 
 class Served(NamedTuple):
     """What logs have in common that are served by the same threads, one after the other."""
@@ -119,9 +116,8 @@ class FittingLane:
             raise self._broken
         while self._lane is None:
             try:
-                with _warming:
-                    self._lane = Lane(self.log, self.device, self.pieces)
-                    self._lane.finish([], self._lane.start([], self._lane.copied([])))
+                self._lane = Lane(self.log, self.device, self.pieces)
+                self._lane.finish([], self._lane.start([], self._lane.copied([])))
             except Exception as error:
                 self._broken = error
                 self._halve(error)
