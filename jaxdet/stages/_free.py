@@ -47,7 +47,7 @@ def free_floor(
         ``(B, C)`` int32, what ends it, see :class:`jaxdet.types.FreeEnd`.
     """
     batch, _, columns = label.shape
-    inputs, words = (label, low, z, *floor, *shared), kernels.scratch_words(columns)
+    inputs = label, low, z, *floor, *shared
     shapes = {"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)}
-    line, end = _free_floor(*inputs, batch=batch, shapes=shapes, scratch=words)
+    line, end = _free_floor(*inputs, batch=batch, shapes=shapes, scratch=columns)
     return line, end

@@ -7,11 +7,6 @@ from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
 
-def scratch_words(columns: int) -> int:
-    """32-bit words of scratch memory of a team, for so many columns of cells."""
-    return 8 * columns
-
-
 @team_kernel(
     "free_floor.h",
     body="""
@@ -21,8 +16,7 @@ def scratch_words(columns: int) -> int:
                         settings.data[FreeFloor::GAP], label.data + at, z.data + at,
                         right.data + at, forward.data + at, height.data + at, low.data + at,
                         bows.data, drops.data, free_out.data + 4 * column,
-                        free_end_out.data + column};
-        floor.lay(scratch);
+                        free_end_out.data + column, scratch};
         floor.run();
 """,
 )
@@ -39,4 +33,4 @@ def free_floor(
     free_out: wp.array4d[wp.int32],  # (B, C, 2, 2) where the free floor begins and where it ends
     free_end_out: wp.array2d[wp.int32],  # (B, C) jaxdet.types.FreeEnd
 ):
-    """``scratch_words`` of scratch memory."""
+    """A word of scratch memory a column."""

@@ -14,25 +14,23 @@ struct FreeFloor {
         BESIDE = 10,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
-        // On CUDA the loads of so many cells wait together: up to the nearest obstacle, on the way
-        // up the floor, and behind its end.
-        SEEK = 8,
-        AHEAD = 4,
+        // On CUDA a thread follows one column, and the loads of so many cells wait together: up to
+        // the nearest obstacle, on the way up the floor, and behind its end. On the CPU so many
+        // columns are followed side by side, in loops that become vectors.
+        SEEK = Warp::size > 1 ? 8 : 1,
+        AHEAD = Warp::size > 1 ? 4 : 1,
         BEHIND = Warp::size > 1 ? 4 : 1,
-        // On the CPU so many columns are followed side by side.
-        ABREAST = 256
+        ABREAST = Warp::size > 1 ? 1 : 256
     };
 
-    // What is known of a column while one goes up its cells.
-    struct Column {
+    // What is known of columns that are followed side by side.
+    struct Columns {
         // The nearest obstacle's distance and row, or the range and -1.
-        int limit, nearest;
-        // Rows where the floor begins and where it has come to, -1 = none yet.
-        int first, last;
-        // Of the last cell of the floor.
-        int forward, height;
+        int limit[ABREAST], nearest[ABREAST];
+        // Rows where the floor begins and where it has come to, -1 = none yet; its last cell's place.
+        int first[ABREAST], last[ABREAST], forward[ABREAST], height[ABREAST];
         // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
-        int ended, falls;
+        int ended[ABREAST], falls[ABREAST];
     };
     const Team& team;
     int rows, columns, far, gap;
@@ -40,58 +38,22 @@ struct FreeFloor {
     const bool* low;
     const int *bows, *drops;  // (DEPTHS,), by z
     int *line_out, *end_out;
-    // By column: whether the floor drops; on the CPU what else `Column` has.
-    int *falls, *limit, *nearest, *first, *last, *ahead, *high, *ended;
-
-    // Puts the arrays into scratch memory, as `scratch_words` in free_floor.py says.
-    void lay(int* scratch) {
-        int** const arrays[] = {&falls, &limit, &nearest, &first, &last, &ahead, &high, &ended};
-        for (int** array : arrays) {
-            *array = scratch;
-            scratch += columns;
-        }
-    }
+    int* falls;  // scratch, by column: whether the floor drops
 
     void run() const {
-#if defined(__CUDA_ARCH__)
-        // A column a thread.
-        for (int c = team.rank; c < columns; c += team.size) {
-            Column column = nearest_of(c);
-            for (int bottom = rows - 1; bottom >= 0 && !column.ended; bottom -= AHEAD) {
-                int ahead[AHEAD], high[AHEAD], depth[AHEAD], bow[AHEAD], drop[AHEAD];
-                bool on[AHEAD];
-                for (int n = 0; n < AHEAD; ++n) {
-                    const int k = (bottom > n ? bottom - n : 0) * columns + c;
-                    on[n] = bottom >= n && low[k];
-                    ahead[n] = forward[k], high[n] = height[k], depth[n] = z[k];
-                }
-                for (int n = 0; n < AHEAD; ++n) {
-                    on[n] &= (ahead[n] < column.limit) & (depth[n] <= far);
-                    bow[n] = on[n] ? bows[depth[n]] : 0;
-                    drop[n] = on[n] ? drops[depth[n]] : 0;
-                }
-                for (int n = 0; n < AHEAD && !column.ended; ++n)
-                    if (on[n] && high[n] >= -bow[n])
-                        follow(column, bottom - n, c, ahead[n], high[n], drop[n]);
+        for (int left = team.rank * ABREAST; left < columns; left += team.size * ABREAST) {
+            const bool fits = ABREAST == 1 || columns - left >= ABREAST;
+            const int n = fits ? (int)ABREAST : columns - left;
+            Columns of;
+            find_obstacles(of, left, n);
+            int open = n;
+            for (int bottom = rows - 1; bottom >= 0 && open; bottom -= AHEAD) {
+                follow(of, bottom, left, n);
+                open = 0;
+                for (int c = 0; c < n; ++c) open += !of.ended[c];
             }
-            put(column, c);
+            for (int c = 0; c < n; ++c) put(of, c, left + c);
         }
-#else
-        // Row by row, as the cells lie in memory.
-        find_obstacles();
-        for (int c = 0; c < columns; ++c) {
-            limit[c] = nearest[c] >= 0 ? limit[c] : far;
-            first[c] = last[c] = falls[c] = -1;
-            ahead[c] = high[c] = ended[c] = 0;
-        }
-        for (int row = rows - 1; row >= 0; --row)
-            for (int c = 0; c < columns; c += ABREAST)
-                follow_columns(row, c, columns - c < ABREAST ? columns - c : (int)ABREAST);
-        for (int c = 0; c < columns; ++c) {
-            Column column = column_of(c);
-            put(column, c);
-        }
-#endif
         team.sync();
         for (int c = team.rank; c < columns; c += team.size) {
             int beside = 0;
@@ -102,140 +64,82 @@ struct FreeFloor {
         team.sync();
     }
 
-    // A column before one goes up its cells; its nearest obstacle's distance, and row or -1.
-    Column start(int distance, int row) const {
-        return {row >= 0 ? distance : far, row, -1, -1, 0, 0, 0, -1};
-    }
-
-    // The nearest obstacle of each column, of equal ones the uppermost.
-#if defined(__CUDA_ARCH__)
-    Column nearest_of(int c) const {
-        int distance = LARGEST, found = -1;
+    // The nearest obstacle of each column, of equal ones the uppermost; no floor is known yet.
+    void find_obstacles(Columns& __restrict__ of, int left, int n) const {
+        for (int c = 0; c < n; ++c) {
+            of.limit[c] = LARGEST;
+            of.nearest[c] = of.first[c] = of.last[c] = of.falls[c] = -1;
+            of.forward[c] = of.height[c] = of.ended[c] = 0;
+        }
         for (int top = 0; top < rows; top += SEEK) {
-            int own[SEEK], ahead[SEEK];
-            for (int n = 0; n < SEEK; ++n) {
-                const int row = top + n;
-                own[n] = row < rows ? label[row * columns + c] : -1;
+            int own[SEEK][ABREAST], ahead[SEEK][ABREAST];
+            for (int i = 0; i < SEEK; ++i)
+                for (int c = 0; c < n; ++c)
+                    own[i][c] = top + i < rows ? label[(top + i) * columns + left + c] : -1;
+            for (int i = 0; i < SEEK; ++i)
+                for (int c = 0; c < n; ++c)
+                    ahead[i][c] =
+                        own[i][c] >= 0 ? forward[(top + i) * columns + left + c] : (int)LARGEST;
+            for (int i = 0; i < SEEK; ++i)
+                for (int c = 0; c < n; ++c) {
+                    const bool nearer = ahead[i][c] < of.limit[c];
+                    of.limit[c] = nearer ? ahead[i][c] : of.limit[c];
+                    of.nearest[c] = nearer ? top + i : of.nearest[c];
+                }
+        }
+        for (int c = 0; c < n; ++c) of.limit[c] = of.nearest[c] >= 0 ? of.limit[c] : far;
+    }
+
+    // Goes on with AHEAD cells of each column, from row `bottom` up.
+    void follow(Columns& __restrict__ of, int bottom, int left, int n) const {
+        int on[AHEAD][ABREAST], ahead[AHEAD][ABREAST], high[AHEAD][ABREAST], depth[AHEAD][ABREAST];
+        int bow[AHEAD][ABREAST], drop[AHEAD][ABREAST], jumps[ABREAST], some = 0;
+        for (int i = 0; i < AHEAD; ++i)
+            for (int c = 0; c < n; ++c) {
+                const int k = (bottom > i ? bottom - i : 0) * columns + left + c;
+                ahead[i][c] = forward[k], high[i][c] = height[k], depth[i][c] = z[k];
+                on[i][c] = (bottom >= i) & low[k] & !of.ended[c] & (ahead[i][c] < of.limit[c]) &
+                           (depth[i][c] <= far);
+                some |= on[i][c];
             }
-            for (int n = 0; n < SEEK; ++n)
-                ahead[n] = own[n] >= 0 ? forward[(top + n) * columns + c] : (int)LARGEST;
-            for (int n = 0; n < SEEK; ++n) {
-                if (ahead[n] >= distance) continue;
-                distance = ahead[n];
-                found = top + n;
+        if (!some) return;
+        for (int i = 0; i < AHEAD; ++i)
+            for (int c = 0; c < n; ++c) {
+                bow[i][c] = bows[depth[i][c]];
+                drop[i][c] = drops[depth[i][c]];
             }
-        }
-        return start(distance, found);
-    }
-#else
-    void find_obstacles() const {
-        for (int c = 0; c < columns; ++c) {
-            limit[c] = LARGEST;
-            nearest[c] = -1;
-        }
-        const int wide = columns;
-        int *__restrict limits = limit, *__restrict rows_of = nearest;
-        for (int row = 0; row < rows; ++row) {
-            const int *own = label + row * wide, *ahead = forward + row * wide;
-            for (int c = 0; c < wide; ++c) {
-                const bool nearer = (own[c] >= 0) & (ahead[c] < limits[c]);
-                limits[c] = nearer ? ahead[c] : limits[c];
-                rows_of[c] = nearer ? row : rows_of[c];
+        for (int i = 0; i < AHEAD; ++i) {
+            int any = 0;
+            for (int c = 0; c < n; ++c) {
+                const int floor = on[i][c] & !of.ended[c] & (high[i][c] >= -bow[i][c]);
+                const int goes_on = floor & (of.first[c] >= 0);
+                const int is_gap = goes_on & (ahead[i][c] - of.forward[c] > gap);
+                const int jump = goes_on & ~is_gap & (of.height[c] - high[i][c] > drop[i][c]);
+                const int next = floor & ~is_gap & ~jump;
+                of.ended[c] |= is_gap;
+                of.first[c] = floor & ~goes_on ? bottom - i : of.first[c];
+                of.last[c] = next ? bottom - i : of.last[c];
+                of.forward[c] = next ? ahead[i][c] : of.forward[c];
+                of.height[c] = next ? high[i][c] : of.height[c];
+                of.falls[c] = next ? -1 : of.falls[c];
+                jumps[c] = jump;
+                any |= jump;
             }
-        }
-    }
-#endif
-
-#if defined(__CUDA_ARCH__)
-    // Goes on with a cell that may be floor, from the bottom row up.
-    void follow(Column& column, int row, int c, int ahead, int high, int drop) const {
-        if (column.first < 0) {
-            column.first = row;
-        } else if (ahead - column.forward > gap) {
-            column.ended = 1;
-            return;
-        } else if (column.height - high > drop) {
-            if (column.falls < 0) column.falls = falls_after(column, c);
-            column.ended = column.falls;
-            return;
-        }
-        column.last = row;
-        column.forward = ahead;
-        column.height = high;
-        column.falls = -1;
-    }
-
-#else
-    Column column_of(int c) const {
-        return {limit[c], nearest[c], first[c], last[c], ahead[c], high[c], ended[c], falls[c]};
-    }
-
-    // The same for a cell of each of n columns: in loops that become vectors, but for drops.
-    void follow_columns(int row, int column, int n) const {
-        const int k = row * columns + column, *depth = z + k;
-        int on[ABREAST], bow[ABREAST], drop[ABREAST], jumps[ABREAST];
-        if (!find_low(low + k, depth, forward + k, limit + column, ended + column, far, on, n)) return;
-        for (int c = 0; c < n; ++c) {
-            bow[c] = bows[depth[c]];
-            drop[c] = drops[depth[c]];
-        }
-        if (!follow_low(row, gap, on, bow, drop, forward + k, height + k, first + column,
-                        last + column, ahead + column, high + column, ended + column,
-                        falls + column, jumps, n))
-            return;
-        for (int c = column; c < column + n; ++c) {
-            if (!jumps[c - column]) continue;
-            if (falls[c] < 0) falls[c] = falls_after(column_of(c), c);
-            ended[c] = falls[c];
+            for (int c = 0; any && c < n; ++c)
+                if (jumps[c]) of.ended[c] = falls_after(of, c, left + c);
         }
     }
 
-    // Which cells are low and before the nearest obstacle; whether any is.
-    static bool find_low(
-        const bool* __restrict low, const int* __restrict depth, const int* __restrict forward,
-        const int* __restrict limit, const int* __restrict ended, int far, int* __restrict on, int n
-    ) {
-        int some = 0;
-        for (int c = 0; c < n; ++c) some |= low[c];
-        if (!some) return false;
-        some = 0;
-        for (int c = 0; c < n; ++c) {
-            on[c] = low[c] & (ended[c] == 0) & (forward[c] < limit[c]) & (depth[c] <= far);
-            some |= on[c];
-        }
-        return some;
+    // Whether the next RUN measured cells up a column are a drop lower than its last floor, and lie
+    // flat.
+    int falls_after(Columns& of, int i, int c) const {
+        if (of.falls[i] < 0) of.falls[i] = look_behind(of.last[i], of.height[i], c);
+        return of.falls[i];
     }
 
-    // Goes on with them; which are a drop lower than the last, and whether any is.
-    static bool follow_low(
-        int row, int gap, const int* __restrict on, const int* __restrict bow,
-        const int* __restrict drop, const int* __restrict forward, const int* __restrict height,
-        int* __restrict first, int* __restrict last, int* __restrict ahead, int* __restrict high,
-        int* __restrict ended, int* __restrict falls, int* __restrict jumps, int n
-    ) {
-        int some = 0;
-        for (int c = 0; c < n; ++c) {
-            const int floor = on[c] & (height[c] >= -bow[c]), goes_on = floor & (first[c] >= 0);
-            const int is_gap = goes_on & (forward[c] - ahead[c] > gap);
-            const int jump = goes_on & ~is_gap & (high[c] - height[c] > drop[c]);
-            const int next = floor & ~is_gap & ~jump;
-            ended[c] |= is_gap;
-            first[c] = floor & ~goes_on ? row : first[c];
-            last[c] = next ? row : last[c];
-            ahead[c] = next ? forward[c] : ahead[c];
-            high[c] = next ? height[c] : high[c];
-            falls[c] = next ? -1 : falls[c];
-            jumps[c] = jump;
-            some |= jump;
-        }
-        return some;
-    }
-#endif
-
-    // Whether the next RUN measured cells up a column are a drop lower, and lie flat.
-    int falls_after(const Column& column, int c) const {
+    int look_behind(int last, int floor, int c) const {
         int found = 0, before_height = 0, before_forward = 0;
-        for (int first = column.last - 1; first >= 0; first -= BEHIND) {
+        for (int first = last - 1; first >= 0; first -= BEHIND) {
             int own[BEHIND];
             bool on[BEHIND];
             for (int n = 0; n < BEHIND; ++n) {
@@ -247,7 +151,7 @@ struct FreeFloor {
                 if (own[n] >= 0) return 0;
                 if (!on[n]) continue;
                 const int k = (first - n) * columns + c;
-                if (column.height - height[k] <= drops[z[k]]) return 0;
+                if (floor - height[k] <= drops[z[k]]) return 0;
                 const int rise = height[k] - before_height, run = forward[k] - before_forward;
                 if (found > 0 && (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run)) return 0;
                 if (++found == RUN) return 1;
@@ -259,15 +163,14 @@ struct FreeFloor {
     }
 
     // Where the free floor of a column begins and ends, but for drops that are too narrow.
-    void put(Column& column, int c) const {
-        const int obstacle = column.nearest, last = column.last;
-        const bool blocked = obstacle >= 0, seen = column.first >= 0;
-        if (seen && column.falls < 0) column.falls = falls_after(column, c);
-        const bool falls_off = column.falls > 0;
-        const bool close = seen && column.limit - column.forward <= gap;
+    void put(Columns& of, int i, int c) const {
+        const int obstacle = of.nearest[i];
+        const bool blocked = obstacle >= 0, seen = of.first[i] >= 0;
+        const bool falls_off = seen && falls_after(of, i, c);
+        const bool close = seen && of.limit[i] - of.forward[i] <= gap;
         const bool up_to = blocked && (!seen || (close && !falls_off));
-        put_place(0, seen ? column.first : obstacle, c);
-        put_place(1, up_to ? obstacle : last, c);
+        put_place(0, seen ? of.first[i] : obstacle, c);
+        put_place(1, up_to ? obstacle : of.last[i], c);
         falls[c] = falls_off;
         end_out[c] = falls_off ? DROP : up_to ? OBSTACLE : close ? RANGE : UNKNOWN;
     }
