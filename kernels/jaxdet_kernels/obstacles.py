@@ -20,10 +20,10 @@ def scratch_words(rows: int, columns: int) -> int:
     cells = rows * columns
     slots, labels = min(cells, MAX_SURFACES), min(cells, MAX_LABELS)
     pairs, keys = slots * slots, slots * columns
-    longs = [max(2 * pairs, keys, 128 * labels), keys, slots, 6]
+    longs = [max(2 * pairs, keys), keys, slots, 6]
     words = [2 * one for one in longs] + [pairs, pairs // 2, (pairs // 2 + 3) // 4]
     words += 2 * [cells + slots] + 7 * [cells] + 3 * [19 * labels] + 4 * [labels]
-    words += [labels + 1, 2 * labels, 6 * labels, 2 * labels + 1, 6]
+    words += [labels + 1, 2 * labels + 1, 2 * labels + 1, 6]
     words += [2 * (rows * _words(columns) + columns * _words(rows))]
     return sum(-(-one // 16) * 16 for one in words)
 

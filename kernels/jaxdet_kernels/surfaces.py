@@ -11,7 +11,7 @@ def surfaces_words(rows: int, columns: int) -> int:
     """Words of scratch memory that a team needs for frames of so many cells."""
     cells, grid = rows * columns, (rows + 2) * (columns + 16) + 16
     words = 1 << (-(-columns // 32) - 1).bit_length()
-    return 3 * grid + 6 * cells + 32 + 5 * rows * words
+    return 3 * grid + 6 * cells + 5 * rows * words + 1
 
 
 @team_kernel(

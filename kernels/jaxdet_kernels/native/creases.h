@@ -29,7 +29,7 @@ struct Creases {
     // Which cells are kept. Scratch memory: what is found, and where runs start.
     BitRows kept, found, wide;
     Runs runs;
-    int *sums, *near;
+    int* near;
     int most_near;
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
@@ -260,7 +260,7 @@ struct Creases {
         const int count = found.count(), words = found.at(1, 0);
         for (int i = team.rank; i < count; i += team.size) wide[i] = found[i] & ~found.before(i);
         team.sync();
-        runs.number(team, sums, near, most_near);
+        runs.number(team, near, most_near);
         for (int i = words + team.rank; i < count; i += team.size) {
             const int j = i - words;
             const unsigned here = found[i], above = found[j];

@@ -3,6 +3,7 @@
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
+#include "ranks.h"
 
 struct Extents {
     enum { TRIM = 20, SUMS = 2, LEAST = 10, FIELDS = 19, KNOWN = 15, NONE = 1 << 30 };
@@ -117,122 +118,38 @@ struct Extents {
     }
 };
 
-// The k-th smallest and the k-th largest value of each label, by histograms of ever narrower ranges.
+// The k-th smallest and the k-th largest value of each label.
 struct Trimmed {
-    enum { BITS = 7, BUCKETS = 1 << BITS, STATE = 6 };
     int count, all;
     const int *label, *value;  // of each of all listed cells
     // Of each label: how many cells it has, its extremes, and how many cells to pass over at either
     // end; where that is 0 the results are the extremes.
     const int *cells, *low, *high, *over;
-    int *least, *most;        // results
-    int *state, *histograms;  // STATE words and 2 histograms a label
-    int *fast, room;          // so many words of fast memory hold the first histograms
-
-    // Where the bucket of an end begins, and how many cells of it lie below.
-    int* begin(int l) const { return state + STATE * l; }
-    int* below(int l) const { return state + STATE * l + 2; }
-    // The binary logarithms of a bucket's width, -1 when done, and of that of the last round.
-    int& bits(int l) const { return state[STATE * l + 4]; }
-    int& span(int l) const { return state[STATE * l + 5]; }
-    int* histogram(int l, int end) const {
-        const int at = (2 * l + end) * BUCKETS;
-        return at + BUCKETS <= room ? fast + at : histograms + at;
-    }
+    int *least, *most;  // results
+    // Scratch: where the values of each label begin, one word more; where the next goes; the values.
+    int *start, *next, *sorted;
 
     // Ends in a sync.
     void run(const Team& team) const {
         const Warp warp(team);
-        bool open = false;
-        for (int l = team.rank; l < count; l += team.size) {
-            least[l] = low[l];
-            most[l] = high[l];
-            bits(l) = -1;
-            if (over[l] <= 0) continue;
-            open = true;
-            bits(l) = 0;
-            while ((high[l] - low[l]) >> bits(l) >= BUCKETS) ++bits(l);
-            begin(l)[0] = begin(l)[1] = low[l];
-            below(l)[0] = over[l];
-            below(l)[1] = cells[l] - 1 - over[l];
+        for (int l = team.rank; l < count; l += team.size) start[l] = over[l] ? cells[l] : 0;
+        team.sync();
+        if (warp.index == 0) {
+            warp.run_up(start, count);
+            for (int l = warp.rank; l < count; l += warp.size) next[l] = start[l];
         }
-        // In the first round the ends of a label have one histogram: all its values lie in it.
-        for (int ends = 1; team.any(open); ends = 2) {
-            clear(team);
-            team.sync();
-            fill(team, ends == 2);
-            team.sync();
-            for (int i = warp.index; i < 2 * count; i += warp.count) {
-                const int l = i >> 1, end = i & 1;
-                if (bits(l) >= 0) narrow(warp, l, end, histogram(l, ends == 1 ? 0 : end));
-            }
-            team.sync();
-            open = false;
-            for (int l = team.rank; l < count; l += team.size) {
-                const int width = bits(l);
-                if (width > 0) {
-                    span(l) = width;
-                    bits(l) = width > BITS ? width - BITS : 0;
-                    open = true;
-                } else if (width == 0) {
-                    least[l] = begin(l)[0];
-                    most[l] = begin(l)[1];
-                    bits(l) = -1;
-                }
-            }
-        }
-    }
-
-    // Goes to the bucket that holds the cell looked for.
-    void narrow([[maybe_unused]] const Warp& warp, int l, int end, const int* found) const {
-        int bucket = 0, left = below(l)[end];
-#if defined(__CUDA_ARCH__)
-        enum { EACH = BUCKETS / Warp::size };
-        int own[EACH], sum = 0;
-        for (int k = 0; k < EACH; ++k) sum += own[k] = found[warp.rank * EACH + k];
-        const int to = warp.sum_up_to(sum);
-        // By the lane whose buckets hold it.
-        if (left >= to || left < to - sum) return;
-        left -= to - sum;
-        bucket = warp.rank * EACH;
-        for (int k = 0; k < EACH - 1; ++k) {
-            if (left < own[k]) break;
-            left -= own[k];
-            ++bucket;
-        }
-#else
-        while (left >= found[bucket]) left -= found[bucket++];
-#endif
-        below(l)[end] = left;
-        begin(l)[end] += bucket << bits(l);
-    }
-
-    void clear(const Team& team) const {
-        const Warp warp(team);
+        team.sync();
+        for (int i = team.rank; i < all; i += team.size)
+            if (over[label[i]]) sorted[team.count(next + label[i])] = value[i];
+        team.sync();
+        const Ranks ranks(warp);
         for (int i = warp.index; i < 2 * count; i += warp.count) {
-            if (bits(i >> 1) < 0) continue;
-            int* own = histogram(i >> 1, i & 1);
-            for (int k = warp.rank; k < BUCKETS; k += warp.size) own[k] = 0;
+            const int l = i >> 1, flip = -(i & 1);
+            const int first = flip ? ~high[l] : low[l], last = flip ? ~low[l] : high[l];
+            const int found = over[l]
+                ? ranks.at(sorted, flip, start[l], start[l + 1], over[l], first, last) : first;
+            if (warp.rank == 0) (flip ? most : least)[l] = found ^ flip;
         }
-    }
-
-    // Counts the cells in the buckets, of the second end too if `ends`.
-    void fill(const Team& team, bool ends) const {
-        for (int i = team.rank, next; i < all; i = next) {
-            next = i + team.size;
-            const int l = label[i], width = bits(l);
-#if !defined(__CUDA_ARCH__)
-            // Cells of one label that follow each other.
-            while (next < all && label[next] == l) ++next;
-#endif
-            if (width < 0) continue;
-            const int range = ends ? span(l) : 31, low = begin(l)[0], high = begin(l)[1];
-            int *const lower = histogram(l, 0), *const upper = histogram(l, 1);
-            for (int k = i; k < next; k += team.size) {
-                const unsigned a = value[k] - low, b = value[k] - high;
-                if (a >> range == 0) team.add(lower + (a >> width), 1);
-                if (ends && b >> range == 0) team.add(upper + (b >> width), 1);
-            }
-        }
+        team.sync();
     }
 };

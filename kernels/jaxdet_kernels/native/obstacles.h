@@ -48,8 +48,8 @@ struct Obstacles {
     int* label;  // result, of each cell
     int* total;  // result: how many obstacles there are
 
-    // Scratch. `pairs` holds one thing after the other: how often surfaces touch, histograms, sums of
-    // pairs, and the nearest cells of obstacles' contours.
+    // Scratch. `pairs` holds one thing after the other: how often surfaces touch, values of
+    // surfaces, sums of pairs, and the nearest cells of obstacles' contours.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
@@ -57,7 +57,7 @@ struct Obstacles {
     int* bits;
     CellList listed;  // with their label as it changes: surface, whole surface, part of an obstacle
     Extents first, whole, last;
-    int *group, *number, *small, *spare, *over, *state, *counts, *parts, *part_of;
+    int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
 
     // As many words as `scratch_words` in jaxdet_kernels/obstacles.py says.
     void lay(int* scratch) {
@@ -67,9 +67,7 @@ struct Obstacles {
         const size_t labels = cells < MAX_LABELS ? cells : (size_t)MAX_LABELS;
         Store store = {scratch};
         const size_t sums = Facing::SUMS * all / 2, keys = (size_t)slots * columns;
-        const size_t counted = labels * Trimmed::BUCKETS;
-        const size_t most = keys > counted ? keys : counted;
-        pairs = store.longs(sums > most ? sums : most);
+        pairs = store.longs(sums > keys ? sums : keys);
         of_surfaces = store.longs(keys);
         best = store.longs(slots);
         turns = store.longs(2 * Contraction::TURNS);
@@ -83,8 +81,7 @@ struct Obstacles {
         for (Extents* of : known) of->lay(store.words(Extents::FIELDS * labels), (int)labels);
         int** const by_label[] = {&group, &number, &small, &over};
         for (int** array : by_label) *array = store.words(labels);
-        spare = store.words(2 * labels);
-        state = store.words(Trimmed::STATE * labels);
+        spare = store.words(2 * labels + 1);
         parts = store.words(2 * labels + 1);
         counts = store.words(COUNTS);
         listed.count = counts + LISTED;
@@ -132,10 +129,9 @@ struct Obstacles {
         const Team& team, const Extents& known, int count, const int* value, const int* low,
         const int* high, int* least, int* most
     ) const {
-        const int words = count * Trimmed::STATE, used = words <= FAST ? words : 0;
+        int* const start = 2 * count < FAST ? fast : spare;
         const Trimmed trimmed = {count, *listed.count, listed.label, value, known.cells, low, high,
-                                 over, least, most, used ? fast : state, (int*)pairs, fast + used,
-                                 FAST - used};
+                                 over, least, most, start, start + count + 1, (int*)pairs};
         trimmed.run(team);
     }
 

@@ -1,28 +1,31 @@
 // Connected components of the cells of a frame, made of runs: cells of a row that hang together.
 #pragma once
 #include "bits.h"
-#include "scan.h"
 #include "union_find.h"
+#include "warp.h"
 
 // The runs of all rows, numbered from the upper left, and the sets that they are linked to.
 struct Runs {
     BitRows on, starts;  // cells of runs, and which of them a run begins with
-    int* before;         // how many runs begin before each word
+    int* before;         // how many runs begin before each word, and how many there are
     UnionFind sets;      // of runs
     int* sizes;          // by the root, the cells of a set
 
     // Finds `before`; how many runs there are. All threads must call it, after a sync; ends in one.
-    int count(const Team& team, int* sums) const {
-        for (int i = team.rank; i < starts.count(); i += team.size)
-            before[i] = BitRows::ones(starts[i]);
+    int count(const Team& team) const {
+        const int words = starts.count();
+        for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::ones(starts[i]);
         team.sync();
-        return PrefixSum::run(team, before, starts.count(), sums);
+        const Warp warp(team);
+        if (warp.index == 0) warp.run_up(before, words);
+        team.sync();
+        return before[words];
     }
 
     // Numbers the runs, each a set of its own; ends in a sync. All threads must call it, after a
     // sync. `near` has room for the sets of `most` runs and is used where that is enough.
-    int number(const Team& team, int* sums, int* near, int most) {
-        const int count = this->count(team, sums);
+    int number(const Team& team, int* near, int most) {
+        const int count = this->count(team);
         if (count <= most) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;

@@ -7,7 +7,6 @@
 #include "grid.h"
 #include "warp.h"
 #include "runs.h"
-#include "scan.h"
 #include "team.h"
 
 struct Surfaces {
@@ -40,7 +39,6 @@ struct Surfaces {
         // By run; of surfaces, by the run that is their root: the cells, the first one, the top, and
         // 2 for each of its lowest cells that have floor below them, less 3 for each steep one.
         int *parent, *label, *sizes, *first, *top, *level;
-        int* sums;
         // Planes of bits, how many runs begin before each word of one, and room for sets; in
         // shared memory if they fit.
         BitRows kept, on, starts, up;
@@ -54,21 +52,20 @@ struct Surfaces {
             for (int** plane : planes) *plane = scratch, scratch += grid.size;
             int** const arrays[] = {&parent, &label, &sizes, &first, &top, &level};
             for (int** array : arrays) *array = scratch, scratch += cells;
-            sums = scratch;
-            before = sums + PrefixSum::WORDS;
+            before = scratch;
             near = parent;
             most_near = 0;
             const int count = kept.count();
 #if defined(__CUDA_ARCH__)
             enum { SHARED = 8192 };
             __shared__ int shared[SHARED];
-            if (5 * count <= SHARED) {
+            if (5 * count < SHARED) {
                 before = shared;
-                near = before + 5 * count;
-                most_near = SHARED - 5 * count;
+                near = before + 5 * count + 1;
+                most_near = SHARED - 5 * count - 1;
             }
 #endif
-            kept.bits = (unsigned*)(before + count);
+            kept.bits = (unsigned*)(before + count + 1);
             on.bits = kept.bits + count;
             starts.bits = on.bits + count;
             up.bits = starts.bits + count;
@@ -244,7 +241,7 @@ struct Surfaces {
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
         const BitRows &on = runs.on, &starts = runs.starts;
         const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
-        const int all = runs.number(team, in.sums, in.near, in.most_near);
+        const int all = runs.number(team, in.near, in.most_near);
         for (int i = words + team.rank; i < count; i += team.size) {
             const int j = i - words;
             // Where two runs meet first.
@@ -518,7 +515,7 @@ struct Surfaces {
             if (is_surface(run) && !is_bent(in, run))
                 team.set((int*)firsts.bits + word_of(in.first[run]), (int)bit_of(in.first[run]));
         team.sync();
-        const int count = runs.count(team, in.sums);
+        const int count = runs.count(team);
         if (team.rank == 0) *count_out = count;
         int* const numbers = in.level;
         for (int run = team.rank; run < all; run += team.size) {
@@ -553,7 +550,7 @@ struct Surfaces {
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
             steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
-            {starts, up, in.before, {in.parent}, in.sizes}, in.sums, in.near, in.most_near,
+            {starts, up, in.before, {in.parent}, in.sizes}, in.near, in.most_near,
         };
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
