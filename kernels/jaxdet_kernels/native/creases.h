@@ -177,49 +177,32 @@ struct Creases {
                           down[c - 1], down[c], down[c + 1]);
     }
 
-    // Words of each row, a bit a word: those of `rows` and as many rows around, and the words beside.
-    void widen(const unsigned* words, int around, unsigned* out) const {
-        for (int r = 0; r < grid.rows; ++r) {
-            const int first = r < around ? 0 : r - around;
-            unsigned all = 0;
-            for (int k = first; k <= r + around && k < grid.rows; ++k) all |= words[k];
-            out[r] = (all | all << 1 | all >> 1) & ((1u << kept.words) - 1);
-        }
-    }
-
-    // The columns from the first word that is set to the first that is not; these are taken off.
-    int next(unsigned* words, int* begin) const {
-        const int first = BitRows::first(*words), end = first + BitRows::first(~(*words >> first));
-        *words &= ~0u << end;
-        *begin = first * BitRows::WIDTH;
-        return (end * BitRows::WIDTH < grid.columns ? end * BitRows::WIDTH : grid.columns) - *begin;
-    }
-
-    // Where it is used.
+    // Rows near kept cells; `other` has those of the first smoothing.
     void smoothed(const Team&) const {
-        unsigned some[Grid::MOST_COLUMNS], twice[Grid::MOST_COLUMNS], once[Grid::MOST_COLUMNS];
+        const int wide = grid.stride, n = grid.columns;
+        int used[Grid::MOST_COLUMNS];
         for (int r = 0; r < grid.rows; ++r) {
-            some[r] = 0;
-            for (int w = 0; w < kept.words; ++w) some[r] |= (unsigned)(kept[kept.at(r, w)] != 0) << w;
+            used[r] = 0;
+            for (int w = 0; w < kept.words; ++w) used[r] |= kept[kept.at(r, w)] != 0;
         }
-        widen(some, reach, twice);
-        widen(twice, 1, once);
-        const int wide = grid.stride;
-        int c;
-        for (int r = 0; r < grid.rows; ++r)
-            for (unsigned words = once[r]; words;) {
-                const int n = next(&words, &c), at = grid.row(r) + c;
-                const int* depths = z + r * grid.columns + c;
-                for (int k = 0; k < n; ++k) step[at + k] = steps[depths[k]];
-                const int* here = smooth + at;
-                smooth_row(here - wide, here, here + wide, step + at, other + at, n);
-            }
-        for (int r = 0; r < grid.rows; ++r)
-            for (unsigned words = twice[r]; words;) {
-                const int n = next(&words, &c), at = grid.row(r) + c;
-                const int* here = other + at;
-                smooth_row(here - wide, here, here + wide, step + at, smooth + at, n);
-            }
+        const auto is_used = [&](int r, int around) {
+            int some = 0;
+            for (int k = r - around; k <= r + around; ++k)
+                some |= k >= 0 && k < grid.rows ? used[k] : 0;
+            return some;
+        };
+        for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach + 1)) continue;
+            const int at = grid.row(r);
+            for (int c = 0; c < n; ++c) step[at + c] = steps[z[r * n + c]];
+            const int* here = smooth + at;
+            smooth_row(here - wide, here, here + wide, step + at, other + at, n);
+        }
+        for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach)) continue;
+            const int* here = other + grid.row(r);
+            smooth_row(here - wide, here, here + wide, step + grid.row(r), smooth + grid.row(r), n);
+        }
     }
 
     static void bends_of_row(
