@@ -51,7 +51,8 @@ struct CellList {
             const int from = has.row(i) * columns + has.column(i), left = columns - has.column(i);
             const int wide = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
             if (wide <= 0) continue;
-            copy_word(labels + from, out + from, some, wide);
+            for (int k = 0; k < wide; ++k) out[from + k] = labels[from + k];
+            for (int k = 0; k < wide; ++k) some[k] = labels[from + k] >= 0;
             has[i] = BitRows::packed(some, 0, wide);
             open[i] = BitRows::packed(free + from, 0, wide);
         }
@@ -67,16 +68,6 @@ struct CellList {
 #endif
         if (largest >= 0) team.most(most, largest + 1);
         team.sync();
-    }
-
-    // Labels of the cells of a word, and which have one.
-    static void copy_word(
-        const int* __restrict__ labels, int* __restrict__ out, unsigned char* __restrict__ some, int n
-    ) {
-        for (int k = 0; k < n; ++k) {
-            out[k] = labels[k];
-            some[k] = labels[k] >= 0;
-        }
     }
 
     // The same for the labels 0 .. limit - 1 of `cells` cells, and no more than that.

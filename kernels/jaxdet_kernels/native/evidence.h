@@ -29,7 +29,7 @@ struct Evidence {
     typedef unsigned long long Sum;
     // Threads that share the search for the smallest distance of two contours.
     enum { PARTS = Warp::size > 1 ? 8 : 1 };
-    enum { CONTACT = 2, PERCENT = 100, SEEN = 26, SHORT = (1 << 15) - 1 };
+    enum { CONTACT = 2, PERCENT = 100, SEEN = 26 };
     // Pairs that a block of BATCH threads or a multiple of it weighs at a time.
     enum { BATCH = 64, FAST = (SEEN + 1) * BATCH, NOT_NEAR = 1 << 30 };
     int count, lateral_gap, forward_gap, gap, no_step;
@@ -116,10 +116,6 @@ struct Evidence {
     void measure(const Team& team, int pair, int part) const {
         int a = pair >> 16, b = pair & 0xffff;
         Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
-        const int r0 = least(known.right_low[a], known.right_low[b]);
-        const int r1 = most(known.right_high[a], known.right_high[b]);
-        const int f0 = least(known.forward_low[a], known.forward_low[b]);
-        const int f1 = most(known.forward_high[a], known.forward_high[b]);
         if (!facing(own)) {
             const int x = most(known.right_low[a], known.right_low[b]) -
                           least(known.right_high[a], known.right_high[b]);
@@ -134,24 +130,15 @@ struct Evidence {
         }
         const int points = start[b + 1] - start[b];
         const int *x = contours.x + start[b], *y = contours.y + start[b];
-        const bool is_short = r1 - r0 <= SHORT && f1 - f0 <= SHORT;
-        int best = 0x7fffffff;
-        long long best_far = ~0ull >> 1;
+        long long best = ~0ull >> 1;
         for (int i = start[a] + part; i < start[a + 1]; i += PARTS) {
             const int ax = contours.x[i], ay = contours.y[i];
-            if (is_short) {
-                for (int k = 0; k < points; ++k) {
-                    const int dx = x[k] - ax, dy = y[k] - ay, apart = dx * dx + dy * dy;
-                    best = apart < best ? apart : best;
-                }
-            } else {
-                for (int k = 0; k < points; ++k) {
-                    const long long apart = squared(x[k] - ax, y[k] - ay);
-                    best_far = apart < best_far ? apart : best_far;
-                }
+            for (int k = 0; k < points; ++k) {
+                const long long apart = squared(x[k] - ax, y[k] - ay);
+                best = apart < best ? apart : best;
             }
         }
-        team.least(own + Facing::DISTANCE, (Sum)(is_short ? best : best_far));
+        team.least(own + Facing::DISTANCE, (Sum)best);
     }
 
     int part(Sum sum, int k) const {

@@ -159,18 +159,9 @@ struct Outlines {
         const int turn = low > 0 ? 1 : high < 0 ? -1 : 0, other = first > 0 ? 1 : last < 0 ? -1 : 0;
         const int shift = low > 0 ? -low : high, away = first > 0 ? -first : last;
         const int ax = turn * dx, ay = turn * dy, bx = -other * dy, by = other * dx;
-        // Sums distances of at most `most`, as many in 32 bits as fit.
-        auto sum = [&](int most, auto distance) {
-            const unsigned fit = 0xffffffffu / (unsigned)(most > 0 ? most : 1);
-            const int block = fit < (unsigned)n ? (int)fit : n;
+        auto sum = [&](auto distance) {
             long long total = 0;
-            for (int start = 0; start < n; start += block) {
-                const int end = n - start < block ? n : start + block;
-                unsigned part = 0;
-                for (int j = start; j < end; ++j)
-                    part += (unsigned)distance(line[2 * j], line[2 * j + 1]);
-                total += part;
-            }
+            for (int j = 0; j < n; ++j) total += distance(line[2 * j], line[2 * j + 1]);
             return (int)(total >> DIRECTION_BITS);
         };
         auto to_side = [&](int x, int y) { return ax * x + ay * y + shift; };
@@ -179,9 +170,9 @@ struct Outlines {
             const int one = to_side(x, y), two = to_front(x, y);
             return one < two ? one : two;
         };
-        cost[i] = turn && other ? sum(wide < deep ? wide : deep, to_nearer)
-                  : turn        ? sum(wide, to_side)
-                  : other       ? sum(deep, to_front)
+        cost[i] = turn && other ? sum(to_nearer)
+                  : turn        ? sum(to_side)
+                  : other       ? sum(to_front)
                                 : NO_EDGE;
     }
 
