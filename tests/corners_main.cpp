@@ -13,7 +13,6 @@
 #include "corner_selection.h"
 #include "corner_settings.h"
 #include "hysteresis.h"
-#include "mask_bits.h"
 
 struct Image {
     int height, width, slots;
@@ -34,10 +33,6 @@ int corners(Image& image) {
     unsigned *allowed = image.rows(0), *weak = image.rows(1), *strong = image.rows(2);
     unsigned *edges = image.rows(3), *maxima = image.rows(4);
     Simt& simt = Simt::one();
-    simt.run(256, [&] {
-        const Team team(threadIdx.x, 0);
-        MaskBits{team, height, width, (const bool*)image.mask.data(), allowed}.run();
-    });
     typedef CannySuppressTile Tile;
     for (int top = 0; top < height; top += Tile::ROWS)
         for (int left = 0; left < width; left += Tile::COLUMNS)
@@ -74,8 +69,6 @@ int corners(Image& image) {
     const int height = image.height, width = image.width;
     const CornerSettings& given = image.given;
     unsigned *allowed = image.rows(0), *edges = image.rows(3), *blocked = image.rows(4);
-    const Team team(0, 0);
-    MaskBits{team, height, width, (const bool*)image.mask.data(), allowed}.run();
     std::vector<unsigned long long> memory[2];
     for (auto& words : memory) words.assign(Hysteresis::spaced(height, width), ~0ull);
     auto *weak = Hysteresis::rows(memory[0].data(), height, width);
@@ -108,6 +101,12 @@ int main(int, char** arguments) {
     if (fread(image.color.data(), image.color.size(), 1, file) != 1) return 1;
     if (fread(image.mask.data(), image.mask.size(), 1, file) != 1) return 1;
     fclose(file);
+    for (auto& word : image.bits[0]) word = 0;
+    for (size_t i = 0; i < image.pixels(); ++i) {
+        const int y = (int)i / image.width, x = (int)i % image.width;
+        unsigned* row = image.rows(0) + (size_t)y * PixelBits::words(image.width);
+        row[x / 32] |= (unsigned)(image.mask[i] != 0) << x % 32;
+    }
     printf("%d\n", corners(image));
     for (int i = 0; i < image.slots; ++i) printf("%d %d\n", image.u[i], image.v[i]);
     return 0;

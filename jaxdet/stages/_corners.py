@@ -6,15 +6,13 @@ import struct
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxdet.config import FeaturesConfig
 from jaxdet.stages._chain import FrameKernel, by_device
 from jaxdet.stages._launch import BatchKernel
-from jaxdet.stages._teams import TeamKernel
-from jaxdet_kernels import cover as mask_kernels
 from jaxdet_kernels import features as kernels
 
-_mask_bits = TeamKernel(mask_kernels.mask_bits)
 _frames = FrameKernel(kernels.features_frames)
 _suppress = BatchKernel(kernels.canny_suppress, kernels.SUPPRESS_THREADS)
 _hysteresis = BatchKernel(kernels.canny_hysteresis, kernels.HYSTERESIS_THREADS)
@@ -38,9 +36,9 @@ def corner_settings(config: FeaturesConfig) -> np.ndarray:
 def mask_bits(mask: jax.Array) -> jax.Array:
     """A mask ``(B, H, W)`` bool as bits ``(B, H, words)`` uint32; see ``native/pixel_bits.h``."""
     batch, height, width = mask.shape
-    shapes = {"bits_out": (batch, height, kernels.row_words(width))}
-    (bits,) = _mask_bits(mask, batch=batch, shapes=shapes, scratch=1)
-    return bits
+    whole = jnp.pad(mask, ((0, 0), (0, 0), (0, -width % 64)))
+    octets = jnp.packbits(whole, axis=-1, bitorder="little")
+    return lax.bitcast_convert_type(octets.reshape(batch, height, -1, 4), jnp.uint32)
 
 
 def strongest_corners(

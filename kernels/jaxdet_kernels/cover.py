@@ -1,4 +1,4 @@
-"""Masks of the colour image as bits, and features on cells: twin of ``cover`` and ``_points``.
+"""Features on cells: twin of the reference's ``cover`` and ``_points``.
 
 Bits are laid out as ``native/pixel_bits.h`` says: ``words`` 32-bit words a row, an even number.
 """
@@ -25,21 +25,6 @@ _COVER = """
                           (const int*)uv_min.data + i, (const int*)uv_max.data + i,
                           depth_range.data, num_taken.data + b, taken.data + i};
 """
-
-
-@team_kernel(
-    "mask_bits.h",
-    body="""
-        const int height = mask.shape[1], width = mask.shape[2];
-        MaskBits{team, height, width, mask.data + (size_t)b * height * width,
-                 bits_out.data + (size_t)b * height * PixelBits::words(width)}.run();
-""",
-)
-def mask_bits(
-    mask: wp.array3d[wp.bool],  # (B, H, W)
-    bits_out: wp.array3d[wp.uint32],  # (B, H, words)
-):
-    """A bit a pixel."""
 
 
 @team_kernel(
