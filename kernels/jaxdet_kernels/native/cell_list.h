@@ -88,17 +88,9 @@ struct CellList {
             append(team, warp, own, from, at_right, at_forward);
         }
 #else
-        // Most blocks of cells have none.
-        enum { BLOCK = 64 };
         int n = 0;
-        for (int first = 0; first < cells; first += BLOCK) {
-            const int end = cells - first < BLOCK ? cells : first + BLOCK;
-            int all = -1;
-            for (int i = first; i < end; ++i) all &= labels[i];
-            if (all < 0) continue;
-            for (int i = first; i < end; ++i)
-                if (labels[i] >= 0 && labels[i] < limit) put(n++, i, labels[i], at_right, at_forward);
-        }
+        for (int i = 0; i < cells; ++i)
+            if (labels[i] >= 0 && labels[i] < limit) put(n++, i, labels[i], at_right, at_forward);
         *count = n;
 #endif
         team.sync();

@@ -104,17 +104,12 @@ struct CoverMask {
     }
 
     bool any_in_range() const {
-        enum { AHEAD = 64 };
         const Team& team = cover.team;
-        const int cells = cover.cells, nearest = cover.range[0], farthest = cover.range[1];
-        for (int first = 0; first < cells; first += AHEAD * team.size) {
-            const int last = first + AHEAD * team.size < cells ? first + AHEAD * team.size : cells;
-            bool some = false;
-            for (int i = first + team.rank; i < last; i += team.size)
-                some |= cover.in_view[i] & (cover.z[i] >= nearest) & (cover.z[i] <= farthest);
-            if (team.any(some)) return true;
-        }
-        return false;
+        const int nearest = cover.range[0], farthest = cover.range[1];
+        bool some = false;
+        for (int i = team.rank; i < cover.cells; i += team.size)
+            some |= cover.in_view[i] & (cover.z[i] >= nearest) & (cover.z[i] <= farthest);
+        return team.any(some);
     }
 
     // Of a group of cells: bit k says whether to paint cell `first + k`. Boxes of the same rows that

@@ -205,21 +205,8 @@ struct Creases {
         }
     }
 
-    static void bends_of_row(
-        const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
-        const int* __restrict__ step, const int* __restrict__ limit,
-        unsigned char* __restrict__ out, int reach, int n
-    ) {
-        for (int c = 0; c < n; ++c) {
-            const int most = reach * step[c] << BITS, deep = limit[c] << (BITS + 1);
-            out[c] = bends(here[c], here[c - reach], here[c + reach], most, deep) |
-                     bends(here[c], up[c], down[c], most, deep);
-        }
-    }
-
     void find(const Team&) const {
         unsigned char bent[BitRows::WIDTH];
-        int limit[BitRows::WIDTH];
         for (int i = 0; i < found.count(); ++i) {
             found[i] = 0;
             if (!kept[i]) continue;
@@ -231,8 +218,15 @@ struct Creases {
             const int up = inside ? at - reach * grid.stride : none;
             const int down = inside ? at + reach * grid.stride : none;
             const int* depths = z + r * grid.columns + c;
-            for (int k = 0; k < n; ++k) limit[k] = limits[depths[k]];
-            bends_of_row(smooth + up, smooth + at, smooth + down, step + at, limit, bent, reach, n);
+            const int *here = smooth + at, *above = smooth + up, *below = smooth + down;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int k = 0; k < n; ++k) {
+                const int most = reach * step[at + k] << BITS, deep = limits[depths[k]] << (BITS + 1);
+                bent[k] = bends(here[k], here[k - reach], here[k + reach], most, deep) |
+                          bends(here[k], above[k], below[k], most, deep);
+            }
             found[i] = BitRows::packed(bent, 0, n) & kept[i];
         }
     }

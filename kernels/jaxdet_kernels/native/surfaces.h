@@ -72,14 +72,31 @@ struct Surfaces {
         }
     };
 
-#if defined(__CUDA_ARCH__)
+    // What is known of a cell at (a, b, d); whether it is kept. What is no higher than `rise` is floor.
+    __attribute__((always_inline)) bool place(
+        const FloorFrame& frame, int k, int a, int b, int d, int rise
+    ) const {
+        const int ahead = frame.forward(a, b, d);
+        int high = frame.level(a, b, d);
+        if (frame.has_ramp()) high -= frame.rise(ahead);
+        const bool above = high > rise;
+        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above;
+        right[k] = frame.right(a, b, d);
+        forward[k] = ahead;
+        height[k] = high;
+        keep[k] = on;
+        free[k] = (d >= settings[NEAREST]) & !on;
+        low[k] = (d > 0) & !above;
+        return on;
+    }
+
     // Everything that is known of single cells.
     void start(const Team& team, const Parts& in) const {
         const FloorFrame frame(floor);
+        in.grid.frame(team, in.depth, Creases::NONE);
+#if defined(__CUDA_ARCH__)
         const Warp warp(team);
         const int words = in.kept.words, all = rows * words;
-        const int nearest = settings[NEAREST], farthest = settings[FARTHEST];
-        in.grid.frame(team, in.depth, Creases::NONE);
         in.kept.clear_rest(team);
         for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
             int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
@@ -91,77 +108,33 @@ struct Surfaces {
             }
             for (int k = 0; k < AHEAD; ++k) rise[k] = rises[d[k]];
             for (int k = 0; k < AHEAD; ++k) {
-                const int ahead = frame.forward(a[k], b[k], d[k]);
-                int high = frame.level(a[k], b[k], d[k]);
-                if (frame.has_ramp()) high -= frame.rise(ahead);
-                const bool above = high > rise[k], there = at[k] >= 0;
-                const bool on = there & (d[k] >= nearest) & (d[k] <= farthest) & above;
+                const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
                 const unsigned those = warp.those(on);
                 const int i = first + k;
                 if (warp.rank == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
-                if (!there) continue;
-                right[at[k]] = frame.right(a[k], b[k], d[k]);
-                forward[at[k]] = ahead;
-                height[at[k]] = high;
-                keep[at[k]] = on;
-                free[at[k]] = (d[k] >= nearest) & !on;
-                low[at[k]] = (d[k] > 0) & !above;
             }
         }
         team.sync();
-    }
 #else
-    // Where the cells of a row are on the floor.
-    static void place_row(
-        const FloorFrame& frame, const int* __restrict__ x, const int* __restrict__ y,
-        const int* __restrict__ z, int* __restrict__ right, int* __restrict__ forward,
-        int* __restrict__ height, int n
-    ) {
-        for (int c = 0; c < n; ++c) {
-            right[c] = frame.right(x[c], y[c], z[c]);
-            forward[c] = frame.forward(x[c], y[c], z[c]);
-            height[c] = frame.level(x[c], y[c], z[c]);
-        }
-        if (frame.has_ramp())
-            for (int c = 0; c < n; ++c) height[c] -= frame.rise(forward[c]);
-    }
-
-    static void keep_row(
-        const int* __restrict__ z, const int* __restrict__ height, const int* __restrict__ rise,
-        unsigned char* __restrict__ keep, unsigned char* __restrict__ free,
-        unsigned char* __restrict__ low, int* __restrict__ depth, int nearest, int farthest, int n
-    ) {
-        for (int c = 0; c < n; ++c) {
-            const int d = z[c];
-            const bool above = height[c] > rise[c], on = (d >= nearest) & (d <= farthest) & above;
-            keep[c] = on;
-            free[c] = (d >= nearest) & !on;
-            low[c] = (d > 0) & !above;
-            depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
-        }
-    }
-
-    // Everything that is known of single cells.
-    void start(const Team& team, const Parts& in) const {
-        const FloorFrame frame(floor);
-        int rise[Grid::MOST_COLUMNS];
-        in.grid.frame(team, in.depth, Creases::NONE);
         in.grid.frame(team, in.other, Creases::NONE);
         for (int r = 0; r < rows; ++r) {
-            const int k = r * columns, at = in.grid.row(r);
-            place_row(frame, x + k, y + k, z + k, right + k, forward + k, height + k, columns);
-            for (int c = 0; c < columns; ++c) rise[c] = rises[z[k + c]];
-            keep_row(
-                z + k, height + k, rise, keep + k, free + k, low + k, in.depth + at,
-                settings[NEAREST], settings[FARTHEST], columns
-            );
+            const int first = r * columns;
+            int* const depth = in.depth + in.grid.row(r);
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int c = 0; c < columns; ++c) {
+                const int k = first + c, d = z[k];
+                place(frame, k, x[k], y[k], d, rises[d]);
+                depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+            }
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
                 const int c = in.kept.column(i);
-                in.kept[i] = BitRows::packed(keep + k + c, 0, columns - c);
+                in.kept[i] = BitRows::packed(keep + first + c, 0, columns - c);
             }
         }
-    }
 #endif
+    }
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
@@ -208,15 +181,6 @@ struct Surfaces {
         team.sync();
     }
 #else
-    static void links_of_row(
-        const int* __restrict__ z, const int* __restrict__ above, const int* __restrict__ step,
-        const int* __restrict__ step_above, unsigned char* __restrict__ out, int first, int n
-    ) {
-        for (int c = first; c < n; ++c)
-            out[c] = is_near(z[c], z[c - 1], step[c], step[c - 1]) |
-                     is_near(z[c], above[c], step[c], step_above[c]) << 1;
-    }
-
     void find_links(const Team&, const BitRows& on, const BitRows& starts, const BitRows& up,
                     const Parts& in) const {
         unsigned char row[Grid::MOST_COLUMNS];
@@ -224,7 +188,13 @@ struct Surfaces {
             const int at = in.grid.row(r), over = r ? r - 1 : 0, at_over = in.grid.row(over);
             const int *own = z + r * columns, *above = z + over * columns;
             row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
-            links_of_row(own, above, in.step + at, in.step + at_over, row, 1, columns);
+            const int *step = in.step + at, *step_above = in.step + at_over;
+#if defined(__clang__)
+#pragma clang loop vectorize(assume_safety)
+#endif
+            for (int c = 1; c < columns; ++c)
+                row[c] = is_near(own[c], own[c - 1], step[c], step[c - 1]) |
+                         is_near(own[c], above[c], step[c], step_above[c]) << 1;
             for (int i = on.at(r, 0); i < on.at(r + 1, 0); ++i) {
                 const int c = on.column(i);
                 const unsigned goes_on = BitRows::packed(row + c, 0, columns - c);
