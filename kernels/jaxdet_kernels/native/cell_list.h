@@ -55,9 +55,6 @@ struct CellList {
             for (int k = 0; k < wide; ++k) some[k] = labels[from + k] >= 0;
             has[i] = BitRows::packed(some, 0, wide);
             open[i] = BitRows::packed(free + from, 0, wide);
-        }
-        for (int i = 0; i < has.count(); ++i) {
-            const int from = has.row(i) * columns + has.column(i);
             for (unsigned those = has[i]; those; those &= those - 1) {
                 const int at = from + BitRows::first(those), own = labels[at];
                 put(n++, at, own, at_right, at_forward);
