@@ -26,6 +26,7 @@ from jaxdet.stages._chain import by_device, frame_by_frame
 from jaxdet.stages._compile import compile_method
 from jaxdet.stages._cover import CellFeatures, features_on_cells
 from jaxdet.stages._points import clusters
+from jaxdet.stages._teams import Tables
 from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
@@ -45,14 +46,14 @@ from jaxdet.types import (
 class _Tables(NamedTuple):
     """What all frames share: arrays, so that no camera and no setting compiles anew."""
 
-    cells: _cells.Tables
+    cells: Tables
     rays: _features.Rays
     corners: Array
     floor: Array
-    surfaces: _surfaces.Tables
-    obstacles: _obstacles.Tables
-    outlines: _outlines.Tables
-    free: _free.Tables
+    surfaces: Tables
+    obstacles: Tables
+    outlines: Tables
+    free: Tables
     depth_range: Array
 
 
@@ -133,7 +134,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
         compile_method()
     unit = calibration.depth_unit
     cells, static = _cells.tables(calibration, config.surface)
-    rows, columns = cells.rays.shape[1:]
+    rows, columns = cells["rays"].shape[1:]
     bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     table = affinity(config.obstacle.affinity, unit)
     made = _Tables(

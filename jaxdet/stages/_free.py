@@ -1,24 +1,13 @@
 """Free floor of obstacles made of surfaces. Twin of ``jaxdet/reference/_free.py``."""
 
-from typing import NamedTuple
-
 import jax
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import quadratic_table
-from jaxdet.stages._teams import TeamKernel, kernel_table
-from jaxdet.types import Array
+from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
 from jaxdet_kernels import free_floor as kernels
 
 _free_floor = TeamKernel(kernels.free_floor)
-
-
-class Tables(NamedTuple):
-    """What the kernel is told of the configuration, int32 [depth units]."""
-
-    bows: Array  # (65536,) by z, how far below the plane floor still is
-    drops: Array  # (65536,) by z, how much lower what lies behind an edge is
-    settings: Array  # (2,) in the order of native/free_floor.h
 
 
 def tables(config: Config, depth_unit: float) -> Tables:
@@ -27,7 +16,7 @@ def tables(config: Config, depth_unit: float) -> Tables:
     bows = quadratic_table(ground.step_height_m, floor.bow_per_m, depth_unit)
     drops = quadratic_table(floor.drop_m, floor.noise_per_m, depth_unit)
     settings = [round(m / depth_unit) for m in (ground.max_depth_m, floor.gap_m)]
-    return Tables(*map(kernel_table, (bows, drops, settings)))
+    return kernel_tables(bows=bows, drops=drops, settings=settings)
 
 
 def free_floor(
@@ -47,7 +36,7 @@ def free_floor(
         ``(B, C)`` int32, what ends it, see :class:`jaxdet.types.FreeEnd`.
     """
     batch, _, columns = label.shape
-    inputs = label, low, z, *floor, *shared
+    inputs = label, low, z, *floor
     shapes = {"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)}
-    line, end = _free_floor(*inputs, batch=batch, shapes=shapes, scratch=columns)
+    line, end = _free_floor(*inputs, **shared, batch=batch, shapes=shapes, scratch=columns)
     return line, end

@@ -1,15 +1,14 @@
 """Obstacles from surfaces under ``jax.jit``. Twin of ``jaxdet/reference/_obstacles.py``."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from jaxdet.affinity import BEYOND, NO_STEP, Affinity
 from jaxdet.config import ObstacleConfig
-from jaxdet.stages._teams import TeamKernel
-from jaxdet.types import MAX_CONTOUR, Array
+from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
+from jaxdet.types import MAX_CONTOUR
 from jaxdet_kernels import obstacles as kernel
 
 FARTHEST = 1 << 28
@@ -17,15 +16,6 @@ FARTHEST = 1 << 28
 MOST_EVIDENCE = (1 << 15) - 1  # of a pair; 256 by 256 of them, added up, fit in 32 bits
 
 _obstacles = TeamKernel(kernel.obstacles)
-
-
-class Tables(NamedTuple):
-    """What the kernel is told of the configuration, int32."""
-
-    feature: Array  # (T, 2**D - 1) the trees of jaxdet.affinity.Affinity
-    threshold: Array  # (T, 2**D - 1)
-    value: Array  # (T, 2**D)
-    settings: Array  # (11,) in the order of native/obstacles.h
 
 
 def tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) -> Tables:
@@ -47,9 +37,12 @@ def tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) 
     sizes = config.bend_m, config.side_m, config.min_size_m
     lengths = (round(m / unit) for m in (*gaps, *sizes))
     settings = farthest, *lengths, config.min_cells, round(NO_STEP / (1000 * unit)), table.offset
-    threshold = np.clip(table.threshold, -BEYOND, BEYOND)
-    found = table.feature, threshold, table.value, np.clip(settings, -FARTHEST, FARTHEST)
-    return Tables(*(part.astype(np.int32) for part in found))
+    return kernel_tables(
+        feature=table.feature,
+        threshold=np.clip(table.threshold, -BEYOND, BEYOND),
+        value=table.value,
+        settings=np.clip(settings, -FARTHEST, FARTHEST),
+    )
 
 
 def obstacles(
@@ -70,7 +63,7 @@ def obstacles(
     batch, rows, columns = label.shape
     if max(rows, columns) > MAX_CONTOUR:
         raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
-    inputs, words = (label, free, *view, *shared), kernel.scratch_words(rows, columns)
+    inputs, words = (label, free, *view), kernel.scratch_words(rows, columns)
     shapes = {"label_out": label.shape, "count_out": (batch,)}
-    found, count = _obstacles(*inputs, batch=batch, shapes=shapes, scratch=words)
+    found, count = _obstacles(*inputs, **shared, batch=batch, shapes=shapes, scratch=words)
     return found, count

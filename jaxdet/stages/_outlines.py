@@ -9,8 +9,8 @@ import jax
 
 from jaxdet.config import FootprintConfig
 from jaxdet.floor.plane import band_table, direction_table
-from jaxdet.stages._teams import TeamKernel, kernel_table
-from jaxdet.types import MAX_OBSTACLES, Array, Cells, Obstacles
+from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
+from jaxdet.types import MAX_OBSTACLES, Cells, Obstacles
 from jaxdet_kernels import outlines as kernels
 
 _outlines = TeamKernel(kernels.outlines)
@@ -23,14 +23,6 @@ SHAPES = {
     "span": (4,),
 }
 """Of each output but the contour, for one obstacle."""
-
-
-class Tables(NamedTuple):
-    """What the kernel is told of the configuration, int32."""
-
-    bands: Array  # (65536, 2) see jaxdet.floor.plane.band_table
-    directions: Array  # (90, 2) see jaxdet.floor.plane.direction_table
-    settings: Array  # (3,) in the order of native/outlines.h
 
 
 class Outlined(NamedTuple):
@@ -47,8 +39,11 @@ class Outlined(NamedTuple):
 def tables(config: FootprintConfig, depth_unit: float) -> Tables:
     """The tables of a configuration, on the host."""
     vertex, long = (round(m / depth_unit) for m in (config.vertex_threshold_m, config.long_m))
-    found = band_table(config, depth_unit), direction_table(), [config.trim, vertex, long]
-    return Tables(*map(kernel_table, found))
+    return kernel_tables(
+        bands=band_table(config, depth_unit),
+        directions=direction_table(),
+        settings=(config.trim, vertex, long),
+    )
 
 
 def outlines(
@@ -65,12 +60,12 @@ def outlines(
     """
     batch, rows, columns = label.shape
     places = cells.x, cells.y, cells.z, *floor, cells.in_view, cells.uv_min, cells.uv_max
-    inputs = label, count, *places, *shared
+    inputs = label, count, *places
     shapes = {
         f"{name}_out": (batch, MAX_OBSTACLES, *shape)
         for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
     }
     words = kernels.scratch_words(rows, columns, MAX_OBSTACLES)
-    named = _outlines(*inputs, batch=batch, shapes=shapes, scratch=words)
+    named = _outlines(*inputs, **shared, batch=batch, shapes=shapes, scratch=words)
     fields = len(Obstacles._fields)
     return Outlined(Obstacles(*named[:fields]), *named[fields:])

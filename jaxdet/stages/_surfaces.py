@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.floor.plane import depth_range, quadratic_table, step_table
-from jaxdet.stages._teams import TeamKernel, kernel_table
+from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
 
@@ -15,15 +15,6 @@ _surfaces = TeamKernel(kernels.surfaces)
 
 MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17
 """Depths have 16 bits, bends 17: larger steps and limits mean the same."""
-
-
-class Tables(NamedTuple):
-    """What the kernel is told of the configuration, int32 [depth units]."""
-
-    steps: Array  # (65536,) by z, largest step in depth between neighbouring cells of a surface
-    limits: Array  # (65536,) by z, deeper bends are creases
-    rises: Array  # (65536,) by z, what is no higher above the floor is floor
-    settings: Array  # (6,) in the order of native/surfaces.h
 
 
 class Surfaces(NamedTuple):
@@ -46,14 +37,14 @@ def tables(calibration: Calibration, config: Config) -> Tables:
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
     limits = quadratic_table(surface.crease_m, surface.crease_per_m, unit)
-    found = (
-        np.minimum(steps, MOST_STEP),
-        np.minimum(limits, MOST_LIMIT),
-        step_table(calibration, config),
-        [nearest, round(farthest * surface.beyond), surface.crease_cells, surface.min_cells,
-         surface.crease_margin, round(surface.bent_m / unit)],
-    )  # fmt: skip
-    return Tables(*map(kernel_table, found))
+    farthest, bent = round(farthest * surface.beyond), round(surface.bent_m / unit)
+    creases = surface.crease_cells, surface.min_cells, surface.crease_margin
+    return kernel_tables(
+        steps=np.minimum(steps, MOST_STEP),
+        limits=np.minimum(limits, MOST_LIMIT),
+        rises=step_table(calibration, config),
+        settings=(nearest, farthest, *creases, bent),
+    )
 
 
 def surfaces(x: Array, y: Array, z: Array, floor: Array, shared: Tables) -> Surfaces:
@@ -64,5 +55,5 @@ def surfaces(x: Array, y: Array, z: Array, floor: Array, shared: Tables) -> Surf
     batch, rows, columns = shape = z.shape
     shapes = {**dict.fromkeys(_surfaces.outputs, shape), "count_out": (batch,)}
     scratch = kernels.surfaces_words(rows, columns)
-    out = _surfaces(x, y, z, floor, *shared, batch=batch, shapes=shapes, scratch=scratch)
+    out = _surfaces(x, y, z, floor, **shared, batch=batch, shapes=shapes, scratch=scratch)
     return Surfaces(*out)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from jaxdet.stages._chain import FrameKernel, by_device, words
 from jaxdet.stages._launch import BatchKernel
+from jaxdet.types import Array
 
 MULTIPROCESSORS = 132
 """Of the largest CUDA device there is; a launch has as many blocks as fit on so many at once."""
@@ -23,9 +24,18 @@ teams work where theirs is larger."""
 LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
 
 
+Tables = dict[str, Array]
+"""What a kernel is told of the configuration, by the names of its arguments."""
+
+
 def kernel_table(values: ArrayLike) -> np.ndarray:
     """A table or settings as kernels take them: int32, nothing above ``LIMIT``."""
     return np.minimum(values, LIMIT).astype(np.int32)
+
+
+def kernel_tables(**values: ArrayLike) -> Tables:
+    """The same of several arguments, by name."""
+    return {name: kernel_table(one) for name, one in values.items()}
 
 
 class TeamKernel:
@@ -46,16 +56,23 @@ class TeamKernel:
         self._by_blocks = BatchKernel(kernel, self._width)
 
     def __call__(
-        self, *arguments: Any, batch: int, shapes: Mapping[str, tuple[int, ...]], scratch: int
+        self,
+        *first: Any,
+        batch: int,
+        shapes: Mapping[str, tuple[int, ...]],
+        scratch: int,
+        **others: Any,
     ) -> Sequence[jax.Array]:
         """The kernel's outputs but for the scratch memory.
 
         Args:
-            arguments: The kernel's inputs after ``share`` and ``shares``.
+            first: The first of the kernel's inputs after ``share`` and ``shares``.
+            others: Those after them, by name.
             batch: ``B``.
             shapes: The shape of each output but for the scratch memory.
             scratch: 32-bit words of scratch memory of a team; it begins at 16 bytes.
         """
+        arguments = *first, *(others[name] for name in self._by_cores.inputs[len(first) :])
 
         def by_cores() -> Sequence[jax.Array]:
             found = self._by_cores(*arguments, batch=batch, shapes=shapes, scratch=scratch)
