@@ -34,8 +34,9 @@ def tables(
     different, which = np.unique(rows, axis=0, return_inverse=True)
     planes = tuple(map(tuple, different.tolist()))
     limits, of_planes = _limits(calibration.color, planes, settings, unit)
-    bounds = _bounds(*depth_range(settings.min_depth_m, settings.max_depth_m, unit))
-    return limits, jnp.asarray(of_planes[which.reshape(-1)]), *bounds
+    bounds = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
+    nearest, farthest = (jnp.asarray(np.uint16(bound)) for bound in bounds)
+    return limits, jnp.asarray(of_planes[which.reshape(-1)]), nearest, farthest
 
 
 @lru_cache(maxsize=8)
@@ -49,11 +50,6 @@ def _limits(
     if spare:
         limits = np.concatenate([limits, np.repeat(limits[-1:], spare, axis=0)])
     return jnp.asarray(limits), which
-
-
-@lru_cache(maxsize=16)
-def _bounds(nearest: int, farthest: int) -> tuple[jax.Array, jax.Array]:
-    return jnp.asarray(np.uint16(nearest)), jnp.asarray(np.uint16(farthest))
 
 
 @jax.jit

@@ -152,13 +152,13 @@ struct FeatureSlots {
     bool *valid, *kept;
     int most;  // Labels from here on become -1.
 
-    void put(int i, int column, int row, bool is_valid) const {
+    void put(
+        int i, int column, int row, int right, int down, int depth, int own, bool is_valid,
+        bool is_kept
+    ) const {
         u[i] = column;
         v[i] = row;
         valid[i] = is_valid;
-    }
-
-    void place(int i, int right, int down, int depth, int own, bool is_kept) const {
         x[i] = right;
         y[i] = down;
         z[i] = depth;
@@ -191,8 +191,7 @@ struct SampledCells {
                 const int depth = Team::input(cover.z + k), own = Team::input(label + k);
                 const PixelPair low(Team::input(cover.low + k)), high(Team::input(cover.high + k));
                 out.put(to + i, (low.column() + high.column()) >> 1, (low.row() + high.row()) >> 1,
-                        is_kept);
-                out.place(to + i, right, down, depth, seen ? own : -1, is_kept);
+                        right, down, depth, seen ? own : -1, is_kept, is_kept);
             }
         }
     }
@@ -266,8 +265,8 @@ struct CoveredCorners {
             const int cell = (int)(nearest[i] & ((1ull << CELL_BITS) - 1));
             const int depth = is_covered ? Team::input(cover.z + cell) : 0;
             const int own = is_covered ? Team::input(label + cell) : -1;
-            out.put(i, column, row, i < count);
-            out.place(i, lateral(right, depth), lateral(down, depth), depth, own, is_covered);
+            out.put(i, column, row, lateral(right, depth), lateral(down, depth), depth, own,
+                    i < count, is_covered);
         }
     }
 
