@@ -29,9 +29,8 @@ struct CannySuppress {
         short grey[3][RING], magnitude[3][RING], dx[2][RING], dy[2][RING];
         // What a column's three pixels add to the gradients of its neighbours.
         short smooth[RING], change[RING];
-        // Magnitudes above the lower bound, a bit a pixel, and which words have some.
+        // Magnitudes above the lower bound, a bit a pixel.
         unsigned above[2][MAX_SIZE / STEP];
-        unsigned long long some[2][MAX_SIZE / STEP / 64];
     };
 
     void run() const {
@@ -111,22 +110,16 @@ struct CannySuppress {
             put(rows.change, x, at(c, x) - at(a, x));
         }
         const short *smooth = rows.smooth + BEFORE, *change = rows.change + BEFORE;
-        for (int half = 0; half < 2; ++half) {
-            const int first = half * 64 * STEP, end = half ? width : 64 * STEP;
-            unsigned long long some = 0;  // A local word, as the others are written at once.
-            for (int x = first; x < end && x < width; x += STEP) {
-                const Shorts dx = at(smooth, x + 1) - at(smooth, x - 1);
-                const Shorts dy = at(change, x - 1) + at(change, x) * 2 + at(change, x + 1);
-                const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
-                put(rows.dx[y % 2], x, dx);
-                put(rows.dy[y % 2], x, dy);
-                put(rows.magnitude[y % 3], x, size);
-                unsigned above = Vectors::bits(size > (short)low);
-                if (width - x < STEP) above &= (1u << (width - x)) - 1;
-                rows.above[y % 2][x / STEP] = above;
-                some |= (unsigned long long)(above != 0) << (x - first) / STEP;
-            }
-            rows.some[y % 2][half] = some;
+        for (int x = 0; x < width; x += STEP) {
+            const Shorts dx = at(smooth, x + 1) - at(smooth, x - 1);
+            const Shorts dy = at(change, x - 1) + at(change, x) * 2 + at(change, x + 1);
+            const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
+            put(rows.dx[y % 2], x, dx);
+            put(rows.dy[y % 2], x, dy);
+            put(rows.magnitude[y % 3], x, size);
+            unsigned above = Vectors::bits(size > (short)low);
+            if (width - x < STEP) above &= (1u << (width - x)) - 1;
+            rows.above[y % 2][x / STEP] = above;
         }
     }
 
@@ -135,13 +128,13 @@ struct CannySuppress {
         unsigned* weak = weak_out + (size_t)y * stride;
         unsigned* strong = strong_out + (size_t)y * stride;
         for (int w = 0; w < stride; ++w) weak[w] = strong[w] = 0;
-        for (int half = 0; half < 2; ++half)
-            for (unsigned long long left = rows.some[y % 2][half]; left; left &= left - 1) {
-                const int w = half * 64 + __builtin_ctzll(left), x = w * STEP;
-                weak[w] = rows.above[y % 2][w] & maxima(rows, y, x);
-                const short* own = rows.magnitude[y % 3] + BEFORE;
-                strong[w] = weak[w] & Vectors::bits(at(own, x) > (short)high);
-            }
+        const short* own = rows.magnitude[y % 3] + BEFORE;
+        for (int x = 0; x < width; x += STEP) {
+            const int w = x / STEP;
+            if (!rows.above[y % 2][w]) continue;
+            weak[w] = rows.above[y % 2][w] & maxima(rows, y, x);
+            strong[w] = weak[w] & Vectors::bits(at(own, x) > (short)high);
+        }
     }
 
     // Those of row y's pixels from column x on that are larger than both beside them along the
