@@ -27,10 +27,14 @@ struct CannySuppress {
     // Rings of rows; column x is at BEFORE + x, and what is outside the image is at both ends.
     struct Rows {
         short grey[3][RING], magnitude[3][RING], dx[2][RING], dy[2][RING];
-        // What a column's three pixels add to the gradients of its neighbours.
-        short smooth[RING], change[RING];
-        // Magnitudes above the lower bound, a bit a pixel.
+        // Magnitudes above the lower bound, a bit a pixel, and which words have some.
         unsigned above[2][MAX_SIZE / STEP];
+        unsigned long long some[2][MAX_SIZE / STEP / 64];
+    };
+
+    // What a column's three pixels add to the gradients of its neighbours.
+    struct Column {
+        Shorts smooth, change;
     };
 
     void run() const {
@@ -105,22 +109,45 @@ struct CannySuppress {
         const short* a = rows.grey[(y > 0 ? y - 1 : 0) % 3] + BEFORE;
         const short* g = rows.grey[y % 3] + BEFORE;
         const short* c = rows.grey[(y + 1 < height ? y + 1 : y) % 3] + BEFORE;
-        for (int x = -STEP; x <= width; x += STEP) {
-            put(rows.smooth, x, at(a, x) + at(g, x) * 2 + at(c, x));
-            put(rows.change, x, at(c, x) - at(a, x));
+        Column before = column(a, g, c, -STEP), own = column(a, g, c, 0);
+        for (int half = 0; half < 2; ++half) {
+            const int first = half * 64 * STEP, end = half ? width : 64 * STEP;
+            unsigned long long some = 0;  // A local word, as the others are written at once.
+            for (int x = first; x < end && x < width; x += STEP) {
+                const Column after = column(a, g, c, x + STEP);
+                Shorts left, right;
+                beside(before.smooth, own.smooth, after.smooth, &left, &right);
+                const Shorts dx = right - left;
+                beside(before.change, own.change, after.change, &left, &right);
+                const Shorts dy = left + own.change * 2 + right;
+                const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
+                put(rows.dx[y % 2], x, dx);
+                put(rows.dy[y % 2], x, dy);
+                put(rows.magnitude[y % 3], x, size);
+                unsigned above = Vectors::bits(size > (short)low);
+                if (width - x < STEP) above &= (1u << (width - x)) - 1;
+                rows.above[y % 2][x / STEP] = above;
+                some |= (unsigned long long)(above != 0) << (x - first) / STEP;
+                before = own;
+                own = after;
+            }
+            rows.some[y % 2][half] = some;
         }
-        const short *smooth = rows.smooth + BEFORE, *change = rows.change + BEFORE;
-        for (int x = 0; x < width; x += STEP) {
-            const Shorts dx = at(smooth, x + 1) - at(smooth, x - 1);
-            const Shorts dy = at(change, x - 1) + at(change, x) * 2 + at(change, x + 1);
-            const Shorts size = (dx < 0 ? -dx : dx) + (dy < 0 ? -dy : dy);
-            put(rows.dx[y % 2], x, dx);
-            put(rows.dy[y % 2], x, dy);
-            put(rows.magnitude[y % 3], x, size);
-            unsigned above = Vectors::bits(size > (short)low);
-            if (width - x < STEP) above &= (1u << (width - x)) - 1;
-            rows.above[y % 2][x / STEP] = above;
-        }
+    }
+
+    static Column column(const short* a, const short* g, const short* c, int x) {
+        return {at(a, x) + at(g, x) * 2 + at(c, x), at(c, x) - at(a, x)};
+    }
+
+    // Values of the columns left and right of each.
+    static void beside(const Shorts& before, const Shorts& own, const Shorts& after, Shorts* left,
+                       Shorts* right) {
+        *left = __builtin_shufflevector(
+            before, own, 31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 48, 49,
+            50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62);
+        *right = __builtin_shufflevector(
+            own, after, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21,
+            22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32);
     }
 
     // Row y, whose neighbours' magnitudes are known.
@@ -128,13 +155,13 @@ struct CannySuppress {
         unsigned* weak = weak_out + (size_t)y * stride;
         unsigned* strong = strong_out + (size_t)y * stride;
         for (int w = 0; w < stride; ++w) weak[w] = strong[w] = 0;
-        const short* own = rows.magnitude[y % 3] + BEFORE;
-        for (int x = 0; x < width; x += STEP) {
-            const int w = x / STEP;
-            if (!rows.above[y % 2][w]) continue;
-            weak[w] = rows.above[y % 2][w] & maxima(rows, y, x);
-            strong[w] = weak[w] & Vectors::bits(at(own, x) > (short)high);
-        }
+        for (int half = 0; half < 2; ++half)
+            for (unsigned long long left = rows.some[y % 2][half]; left; left &= left - 1) {
+                const int w = half * 64 + __builtin_ctzll(left), x = w * STEP;
+                weak[w] = rows.above[y % 2][w] & maxima(rows, y, x);
+                const short* own = rows.magnitude[y % 3] + BEFORE;
+                strong[w] = weak[w] & Vectors::bits(at(own, x) > (short)high);
+            }
     }
 
     // Those of row y's pixels from column x on that are larger than both beside them along the
