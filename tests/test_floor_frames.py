@@ -162,6 +162,17 @@ def test_ramp_is_found_or_is_the_plane(slope, wrong):
         assert abs(fit.plane.ramp_start[0] - start) < 0.2
 
 
+def test_a_ramp_between_cabinets_is_found():
+    """Most of the picture shows cabinets and a wall; of the floor, a tenth lies on the ramp."""
+    pose, start, slope = Pose(0.3, 10.0, 1.0), 1.8, 5.0
+    things: list[Box] = [((-4, 3.2, 0), (4, 3.3, 3)), ((-2, 1.0, 0), (-0.1, 1.2, 2))]
+    things.append(((0.1, 1.0, 0), (2, 1.2, 2)))
+    z = cast(pose, things, ramp=(start, float(np.tan(np.radians(slope)))))
+    plane = found(measured(z), pose.plane()).plane
+    assert abs(plane.ramp_start[0] - start) < 0.1
+    assert abs(np.degrees(np.arctan(plane.ramp_slope[0])) - slope) < 0.5
+
+
 @pytest.mark.parametrize("slope", [-4.0, 4.0])
 def test_without_ramps_none_is_found(slope):
     pose = Pose(0.4, 15.0, 2.0)

@@ -30,7 +30,9 @@ TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
 """Slopes tried: a smaller one is no more than a floor's own waves, and robots on wheels drive no
 larger one."""
 FINE_TURN = ANGLES // 4  # step of the finer lattice
-MIN_GAIN = 4  # a ramp must explain so many percent more of the cells
+MIN_GAIN = 5
+"""A ramp must explain so many percent more cells than the best plane alone: of the floor, not of the
+frame, which walls may fill."""
 MIN_SHARE = 40
 """Of the cells near the floor that tell the ramp from the plane, it must explain at least so many
 percent anew."""
@@ -122,7 +124,7 @@ def find_hinge(
     if not best:
         return flat, None
     votes, plane, hinge = max(best, key=lambda found: found[0])
-    if 100 * (votes - max(alone)) <= MIN_GAIN * len(inner.z):
+    if 100 * (votes - max(alone)) <= MIN_GAIN * max(*alone, 0):
         return flat, None
     return plane, hinge
 

@@ -19,7 +19,7 @@ struct FloorRamps {
         AROUND = 4,
         FINE = 2 * AROUND + 1,
         FINE_TURN = FloorAngles::ANGLES / 4,
-        MIN_GAIN = 4,
+        MIN_GAIN = 5,
         MIN_SHARE = 40,
         // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
         // told (2), where the next cell goes.
@@ -422,7 +422,8 @@ struct FloorRamps {
             limit(team, fine(), bound + n);
             team.sync();
         }
-        const long long least = 100LL * most_alone + (long long)MIN_GAIN * cells.count;
+        const int gain = most_alone > 0 ? MIN_GAIN : 0;
+        const long long least = (100LL + gain) * most_alone;
         const int needed = (int)angles.quotient(least, 100) + 1;
         int best_plane = -1, best_votes = -0x7fffffff, sorted = count - 1;
         for (int n = 0; n < count; n++) {
