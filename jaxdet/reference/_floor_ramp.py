@@ -31,8 +31,8 @@ TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
 larger one."""
 FINE_TURN = ANGLES // 4  # step of the finer lattice
 MIN_GAIN = 5
-"""A ramp must explain so many percent more cells than the best plane alone: of the floor, not of the
-frame, which walls may fill."""
+"""A ramp must explain so many percent more cells than the best plane alone does: of the floor, not
+of the frame, which walls may fill."""
 MIN_SHARE = 40
 """Of the cells near the floor that tell the ramp from the plane, it must explain at least so many
 percent anew."""
