@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,13 @@ hypothesis.settings.load_profile("jaxdet")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def quiet_warp() -> None:
-    """Warp reports warnings and errors only."""
+def caches() -> None:
+    """What is compiled is kept, as by commands; Warp reports warnings and errors only."""
     import warp
 
+    from jaxdet.engine import use_caches
+
+    use_caches()
     warp.config.log_level = warp.LOG_WARNING
 
 
@@ -51,11 +55,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """One device of each kind that is present, as JAX's default while the test runs."""
+    """One device of each kind that is present, as JAX's default while the test runs.
+
+    Where it is the default already nothing is set, as programs are compiled anew for what is.
+    """
     import jax
 
     chosen = jax.devices(request.param)[0]
-    with jax.default_device(chosen):
+    with nullcontext() if chosen == jax.devices()[0] else jax.default_device(chosen):
         yield chosen
 
 

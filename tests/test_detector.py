@@ -22,6 +22,9 @@ from jaxdet.io import LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
 
+BATCH = 5
+"""Frames at a time, in most tests, as each number of them is a program to compile."""
+
 
 @pytest.fixture(scope="module")
 def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -31,7 +34,7 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(path: Path, output: Path, config: Config) -> list[list[dict[str, Any]]]:
-    options = RunOptions(output, pictures=0)
+    options = RunOptions(output, pictures=0, batch_size=BATCH)
     engine.run(find_logs(path), config, LogOptions(), options)
     tables = (pq.read_table(output / f"{name}.parquet") for name in ("frames", "obstacles"))
     return [table.to_pylist() for table in tables]
@@ -77,7 +80,7 @@ def assert_rows_of_run(path: Path, output: Path, config: Config, **options: Any)
     of_frames, of_obstacles = run(path, output, config)
     with jaxdet.open_log(path) as log:
         detector = Detector.from_log(log, config=config, **options)
-        found = list(detector.run(log, 5))
+        found = list(detector.run(log, BATCH))
     seen = [row for one in found for row in rows_of(one)]
     assert seen == [as_attributes(row) for row in of_obstacles]
     assert len(of_obstacles) > 10 and len(found) == len(of_frames)
@@ -128,7 +131,7 @@ def test_time_windows_have_their_floors(sim_log, tmp_path):
 def test_frames_one_by_one_are_those_of_a_run(sim_log):
     with jaxdet.open_log(str(sim_log)) as log:
         detector = Detector.from_log(log)
-        together = list(detector.run(log))
+        together = list(detector.run(log, BATCH))
         for frame, want in zip(log, together, strict=True):
             found = detector(
                 frame.color,
@@ -162,14 +165,14 @@ def test_a_log_is_a_sequence_of_frames(sim_log):
     with jaxdet.open_log(sim_log, LogOptions(every=3)) as log:
         assert [frame.number for frame in log] == [0, 3, 6] == [log[i].number for i in range(3)]
         assert len(log) == 3 and [frame.number for frame in log[1:]] == [3, 6]
-        found = list(Detector.from_log(log).run(log))
+        found = list(Detector.from_log(log).run(log, BATCH))
         assert [one.number for one in found] == [0, 3, 6]
 
 
 def test_what_a_notebook_shows_is_a_line(sim_log):
     with jaxdet.open_log(sim_log) as log:
         detector = Detector.from_log(log)
-        found = next(detector.run(log))
+        found = next(detector.run(log, BATCH))
         shown = [repr(one) for one in (log, log[0], log[:2], detector, found, found[0])]
         assert log.name in shown[0] and log.name in shown[3] and "fx " in shown[3]
     assert all("\n" not in text and "array" not in text and len(text) < 160 for text in shown)
@@ -282,7 +285,7 @@ def test_points_and_masks_are_those_of_the_obstacles():
     nothing = detector()(COLOR[0], np.zeros_like(DEPTH[0]))
     assert (nothing.status, len(nothing), nothing.nearest_m) == ("no_depth", 0, None)
     assert not (nothing.labels >= 0).any() and nothing.points.shape == (0, 3)
-    paper = detector(config="paper")(COLOR[0], DEPTH[0])
+    paper = detector(config="paper", backend="reference")(COLOR[0], DEPTH[0])
     assert [len(one.points) for one in paper] == [one.num_points for one in paper] != []
     with pytest.raises(ConfigError, match="another preset"):
         paper[0].mask()

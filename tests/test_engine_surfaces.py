@@ -27,9 +27,25 @@ def simulated(folder: Path, **settings: Any) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def tf_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("tf"))
+
+
 @pytest.fixture(scope="module", params=["tf", "no tf"])
-def sim_log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulated(tmp_path_factory.mktemp("surfaces"), mount_tf=request.param == "tf")
+def sim_log(
+    request: pytest.FixtureRequest, tf_log: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    if request.param == "tf":
+        return tf_log
+    return simulated(tmp_path_factory.mktemp("no_tf"), mount_tf=False)
+
+
+@pytest.fixture(scope="module")
+def results(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LogSummary]:
+    """Of one process that takes a frame at a time, with a picture."""
+    folder = tmp_path_factory.mktemp("results")
+    return folder, run(sim_log, folder, batch_size=1, workers=1, pictures=1)
 
 
 def run(log: Path, output: Path, config: Config | None = None, **options: Any) -> LogSummary:
@@ -43,20 +59,22 @@ def tables(folder: Path) -> tuple[list[dict], list[dict]]:
     return frames, obstacles
 
 
-def test_bytes_depend_on_neither_batch_nor_workers(sim_log: Path, tmp_path: Path) -> None:
-    ways = [(1, 1), (4, 1), (4, 2)]
-    for batch, workers in ways:
-        run(sim_log, tmp_path / f"{batch}{workers}", batch_size=batch, workers=workers)
-    names = sorted(path.name for path in (tmp_path / "11").iterdir() if path.suffix != ".json")
-    assert set(TABLES) <= set(names)
-    for name in names:
-        found = {(tmp_path / f"{b}{w}" / name).read_bytes() for b, w in ways}
-        assert len(found) == 1, name
+def test_bytes_depend_on_neither_batch_nor_workers(
+    sim_log: Path, results: tuple[Path, LogSummary], tmp_path: Path
+) -> None:
+    files = [path for path in results[0].rglob("*") if path.suffix not in ("", ".json")]
+    names = [str(path.relative_to(results[0])) for path in files]
+    assert {*TABLES, "pictures/sim_000000.png"} <= {*names}
+    for workers in (1, 2):
+        output = tmp_path / f"{workers}"
+        run(sim_log, output, batch_size=4, workers=workers, pictures=1)
+        for name in names:
+            assert (output / name).read_bytes() == (results[0] / name).read_bytes(), name
 
 
-def test_rows_and_summary(sim_log: Path, tmp_path: Path) -> None:
-    about = run(sim_log, tmp_path, pictures=1)
-    frames, obstacles = tables(tmp_path)
+def test_rows_and_summary(results: tuple[Path, LogSummary]) -> None:
+    folder, about = results
+    frames, obstacles = tables(folder)
     assert [row["floor_source"] for row in frames] == ["frame"] * FRAMES
     assert all(row["floor_refused"] is None for row in frames)
     for row in frames:
@@ -68,20 +86,19 @@ def test_rows_and_summary(sim_log: Path, tmp_path: Path) -> None:
     assert all(0 < row["distance_m"] < 6 for row in obstacles)
     assert all(row["bottom_m"] < row["top_m"] for row in obstacles)
     assert dict(about.floor_sources) == {"frame": FRAMES} and about.floor_warning is None
-    read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["logs"][0]
+    read = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["logs"][0]
     assert read["floor_sources"] == {"frame": FRAMES} and read["floor_refused"] == {}
     assert read["ground"][0]["source"] == "estimate"
-    assert (tmp_path / "pictures" / "sim_000000.png").is_file()
 
 
-def test_the_map_knows_what_is_free(tmp_path: Path) -> None:
-    run(simulated(tmp_path), tmp_path / "out")
-    grid = np.load(tmp_path / "out" / "map_sim.npz")
+@pytest.mark.parametrize("sim_log", ["tf"], indirect=True)
+def test_the_map_knows_what_is_free(results: tuple[Path, LogSummary]) -> None:
+    grid = np.load(results[0] / "map_sim.npz")
     assert grid["free"].shape == grid["counts"].shape and 0 < grid["free"].max() <= FRAMES
     assert (grid["free"] > 0).sum() > 500
 
 
-def test_each_frame_is_as_alone(sim_log: Path, tmp_path: Path) -> None:
+def test_each_frame_is_as_alone(sim_log: Path, results: tuple[Path, LogSummary]) -> None:
     """What is found with the prior of the log is what ``detect`` finds with it."""
     config = Config()
     with open_log(find_logs([str(sim_log)])[0]) as log:
@@ -89,8 +106,7 @@ def test_each_frame_is_as_alone(sim_log: Path, tmp_path: Path) -> None:
         frames = log.read(range(FRAMES)).frames
     frames = frames._replace(plane=planes.of(frames.stamp_ns), T_world_camera=None)
     want = detect(frames, config, backend="reference")
-    run(sim_log, tmp_path, config)
-    rows, _ = tables(tmp_path)
+    rows, _ = tables(results[0])
     assert [row["num_obstacles"] for row in rows] == want.labels.num_obstacles.tolist()
     assert [row["num_features"] for row in rows] == want.features.valid.sum(axis=1).tolist()
 
@@ -102,11 +118,13 @@ def test_a_wrong_mount_is_corrected(tmp_path: Path) -> None:
     assert "tf: 0.300 m up, 10.0° down" in about.ground[0].message
 
 
-def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path) -> None:
-    log, config = simulated(tmp_path), Config()
+def test_far_from_the_mount_every_frame_is_refused_with_a_warning(
+    tf_log: Path, tmp_path: Path
+) -> None:
+    config = Config()
     flags = replace(config.ground, camera_height_m=0.7, camera_pitch_rad=0.5)
-    about = run(log, tmp_path / "out", replace(config, ground=flags))
-    frames, _ = tables(tmp_path / "out")
+    about = run(tf_log, tmp_path, replace(config, ground=flags))
+    frames, _ = tables(tmp_path)
     assert {row["floor_source"] for row in frames} == {"flags"}
     assert {row["camera_height_m"] for row in frames} == {np.float32(0.7)}
     assert about.floor_sources == {"flags": FRAMES}
@@ -116,11 +134,11 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(tmp_path: Path
     assert f"{FRAMES} have that of flags: give" in warning and "--ground.camera-height-m" in warning
 
 
-def test_source_none_drops_nothing_as_floor(tmp_path: Path) -> None:
-    log, config = simulated(tmp_path), Config()
+def test_source_none_drops_nothing_as_floor(tf_log: Path, tmp_path: Path) -> None:
+    config = Config()
     nothing = replace(config, ground=replace(config.ground, source="none"))
-    about = run(log, tmp_path / "out", nothing)
-    frames, obstacles = tables(tmp_path / "out")
+    about = run(tf_log, tmp_path, nothing)
+    frames, obstacles = tables(tmp_path)
     assert {row["floor_source"] for row in frames} == {"none"}
     for name in ("camera_height_m", "floor_refused"):
         assert [row[name] for row in frames] == [None] * FRAMES
@@ -128,8 +146,8 @@ def test_source_none_drops_nothing_as_floor(tmp_path: Path) -> None:
     assert about.floor_warning is None
 
 
-def test_on_a_table(tmp_path: Path) -> None:
-    run(simulated(tmp_path), tmp_path / "out", preset("tabletop"), batch_size=2)
-    frames, obstacles = tables(tmp_path / "out")
+def test_on_a_table(tf_log: Path, tmp_path: Path) -> None:
+    run(tf_log, tmp_path, preset("tabletop"), batch_size=2)
+    frames, obstacles = tables(tmp_path)
     assert len(frames) == FRAMES and obstacles
     assert {row["status"] for row in frames} == {"ok"}
