@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +26,21 @@ hypothesis.settings.load_profile("jaxdet")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def caches() -> None:
-    """What is compiled is kept, as by commands; Warp reports warnings and errors only."""
+def started() -> None:
+    """What is compiled is kept, as by commands; Warp reports warnings and errors only.
+
+    One of the CPU's devices is JAX's default, as where there is one, so that tests share programs;
+    ``test_spread.py`` uses both.
+    """
+    import jax
     import warp
 
     from jaxdet.engine import use_caches
 
     use_caches()
     warp.config.log_level = warp.LOG_WARNING
+    if jax.default_backend() == "cpu":
+        jax.config.update("jax_default_device", jax.devices()[0])
 
 
 def present_devices() -> list:
@@ -55,14 +61,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """One device of each kind that is present, as JAX's default while the test runs.
-
-    Where it is the default already nothing is set, as programs are compiled anew for what is.
-    """
+    """One device of each kind that is present, as JAX's default while the test runs."""
     import jax
 
     chosen = jax.devices(request.param)[0]
-    with nullcontext() if chosen == jax.devices()[0] else jax.default_device(chosen):
+    with jax.default_device(chosen):
         yield chosen
 
 

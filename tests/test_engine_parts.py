@@ -53,6 +53,15 @@ def rows_of(table: pa.Table, column: str, values: Collection) -> pa.Table:
 
 
 @pytest.fixture(scope="module")
+def both(two_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of both cameras, with a picture of each."""
+    folder = tmp_path_factory.mktemp("both")
+    summary = run(two_cameras, folder, pictures=1)
+    assert [(log.log, log.camera) for log in summary.logs] == [("two", "front"), ("two", "rear")]
+    return folder
+
+
+@pytest.fixture(scope="module")
 def whole(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[pa.Table]:
     folder = tmp_path_factory.mktemp("whole")
     run(sim_log, folder)
@@ -86,34 +95,31 @@ def test_a_part_in_units_of_several_workers(sim_log, whole, tmp_path):
         assert found.equals(rows_of(all_rows, "frame", range(2, 12, 2)))
 
 
-def test_cameras_are_run_one_after_the_other(two_cameras, sim_log, whole, tmp_path):
-    summary = run(two_cameras, tmp_path / "both", pictures=1)
-    assert [(log.log, log.camera) for log in summary.logs] == [("two", "front"), ("two", "rear")]
-    rear = whole
+def test_cameras_are_run_one_after_the_other(both, two_cameras, whole, tmp_path):
+    for camera in ("front", "rear"):
+        run(two_cameras, tmp_path / camera, LogOptions(camera=camera))
     for number, name in enumerate(TABLES):
-        found = pq.read_table(tmp_path / "both" / name)
+        found = pq.read_table(both / name)
         assert found.schema.names[:3] == ["log", "camera", "frame"]
         cameras = found["camera"].to_pylist()
         assert cameras == sorted(cameras) and set(cameras) == {"front", "rear"}
         for camera in ("front", "rear"):
-            run(two_cameras, tmp_path / camera, LogOptions(camera=camera), overwrite=True)
             alone = pq.read_table(tmp_path / camera / name)
             assert rows_of(found, "camera", (camera,)).equals(alone)
         drop = ["log", "camera"]
-        assert alone.drop(drop).equals(rear[number].drop(drop))
-    assert {path.name for path in (tmp_path / "both" / "pictures").iterdir()} == {
+        assert alone.drop(drop).equals(whole[number].drop(drop))
+    assert {path.name for path in (both / "pictures").iterdir()} == {
         "two@front_000000.png",
         "two@rear_000000.png",
     }
-    assert {path.name for path in (tmp_path / "both").glob("map_*.npz")} == {
+    assert {path.name for path in both.glob("map_*.npz")} == {
         "map_two@front.npz",
         "map_two@rear.npz",
     }
 
 
-def test_results_of_several_cameras_are_read_back(two_cameras, tmp_path):
-    run(two_cameras, tmp_path, pictures=1)
-    with Results(tmp_path) as results:
+def test_results_of_several_cameras_are_read_back(both, two_cameras):
+    with Results(both) as results:
         assert [log.label for log in results.logs] == ["two, front", "two, rear"]
         assert [log.file_name for log in results.logs] == ["two@front", "two@rear"]
         log = results.log("two, rear")

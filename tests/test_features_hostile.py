@@ -1,6 +1,7 @@
 """features: the twin on images made to break it, and on what hypothesis finds."""
 
 from dataclasses import replace
+from itertools import product
 
 import cv2
 import numpy as np
@@ -109,8 +110,15 @@ def test_sums_of_products_are_whole_numbers_but_for_residues():
     assert 9 * residue + 2 * 4096 * 2.0**-54 < 2.0**-33
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-@pytest.mark.parametrize("size", [(48, 64), (33, 97), (20, 1100), (3, 3), (7, 4096), (4096, 5)])
+SIZES = [(48, 64), (33, 97), (20, 1100), (3, 3)]
+LONGEST = [(7, 4096), (4096, 5)]
+OF_THE_LONGEST = ("default", "full", "weak corners", "far apart")
+
+
+@pytest.mark.parametrize(
+    ("size", "name"),
+    [*product(SIZES, SETTINGS), *product(LONGEST, OF_THE_LONGEST)],
+)
 def test_hostile_images(device, size, name):
     grey = np.stack(list(hostile(*size).values()))
     rng = np.random.default_rng(1)
