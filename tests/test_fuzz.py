@@ -47,7 +47,7 @@ def test_a_wrong_pixel_and_a_frame_lost_in_silence_are_failures(fuzzer, monkeypa
         assert "silently lost" in {fuzzer.one(seed).verdict.kind for seed in range(60)}
 
 
-@pytest.mark.parametrize(("subject", "count"), [("calibrations", 100), ("calls", 500)])
+@pytest.mark.parametrize(("subject", "count"), [("calibrations", 50), ("calls", 500)])
 def test_hostile_calibrations_and_calls(tmp_path, subject, count):
     """In processes of their own, where one that dies is seen; compiled programs are kept."""
     command = ["tests.fuzz.run", subject, "--count", f"{count}", "--corpus", str(tmp_path)]
