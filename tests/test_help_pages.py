@@ -35,6 +35,10 @@ OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only",
 """Flags of other programs."""
 
 
+SIM = "sim drive.mcap --frames 8 --width 320"
+"""How pages make the log that others take as given; one page does, the others get that."""
+
+
 def blocks(text: str) -> Iterator[tuple[str, str]]:
     """Language and text of each fenced block."""
     for match in re.finditer(r"^```([^\n]*)\n(.*?)^```$", text, re.S | re.M):
@@ -66,6 +70,9 @@ def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
         if language == "sh":
             for program, *args in commands(block):
                 assert program == "jaxdet"
+                if " ".join(args[:6]) == SIM and name != "logs":
+                    (tmp_path / "drive.mcap").hardlink_to(drive)
+                    continue
                 assert main(args) == 0, (args, capsys.readouterr().err)
         elif language == "sql":
             assert duckdb.sql(block).fetchall()

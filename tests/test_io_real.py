@@ -20,6 +20,7 @@ def test_real_unaligned_log(shared_data):
         assert log.calibration.color_from_depth is not None
         assert log.calibration.color_from_depth.translation == (0.0148, 0.0, 0.0)
         assert sum(batch.frames.valid.sum() for batch in log.batches(8)) == 18
+        assert is_indexed(log)
 
 
 def test_real_pair_with_factory_calibration(shared_data):
@@ -48,13 +49,14 @@ def test_real_logs_without_depth_end_in_one_clear_line(shared_data):
 
 
 def test_real_logs_are_the_same_by_their_index_and_scanned(shared_data):
+    """But for the one of ``test_real_unaligned_log``."""
     found = 0
     for path in sorted(shared_data.rglob("*.mcap")):
-        if path.parent.name != "mcap_real":
+        if path.parent.name not in ("mcap_real", "aims_slam"):
             with open_log(str(path)) as log:
                 assert is_indexed(log)
                 found += 1
-    assert found >= 6
+    assert found >= 5
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" * 2, b"not mcap" * 99])

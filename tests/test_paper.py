@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
+from benchmarks.baselines.registry import Baseline
 from benchmarks.paper import (
     case_list,
     main,
@@ -63,13 +64,15 @@ SMALLER = {
 
 @pytest.fixture(scope="module")
 def smaller():
-    """Fewer cells in every experiment."""
+    """Fewer cells in every experiment, and fewer parameters to choose from."""
     with pytest.MonkeyPatch.context() as patch:
         kept = ("benchmarks.paper.goals", "benchmarks.paper.plan")
         for name, module in [item for item in sys.modules.items() if item[0] not in kept]:
             for constant, value in SMALLER.items():
                 if name.startswith("benchmarks.paper.") and hasattr(module, constant):
                     patch.setattr(module, constant, value)
+        trials = Baseline.trials
+        patch.setattr(Baseline, "trials", lambda baseline: trials(baseline)[:2])
         yield
 
 
