@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxdet import open_log
+from jaxdet import open_log, reference
 from jaxdet.camera import pixel_rays
+from jaxdet.config import Config
 from jaxdet.floor.plane import down_vector, flat_plane, unknown_plane
 from jaxdet.reference import align
 from jaxdet.reference._floor import find_floor
@@ -82,11 +83,15 @@ def test_stills_before_walls(shared_data):
     RANSAC on the lower rows of frame 5, of whose floor a fifth is measured: 5 to 7 cm, -6 to -7
     degrees.
     """
-    cells, _, _ = grids(shared_data / "d435_boxes_felixchenfy")
-    alone = [find_floor(*one, unknown_plane(1), CONFIG, UNIT) for one in cells]
-    assert len(alone) == 10
-    assert all(fit.own[0] for fit in alone)
-    plane = alone[5].plane
+    config, alone = Config(), []
+    with open_log(str(shared_data / "d435_boxes_felixchenfy")) as log:
+        for batch in log.batches(5):
+            frames = batch.frames
+            grid = reference.cells(frames.depth, frames.calibration, config.surface)
+            unit, nothing = frames.calibration.depth_unit, unknown_plane(len(frames.depth))
+            alone.append(find_floor(grid.x, grid.y, grid.z, nothing, config.floor, unit))
+    assert np.concatenate([fit.own for fit in alone]).tolist() == [True] * 10
+    plane = alone[1].plane
     assert 0.05 < plane.height[0] < 0.07
     assert -7.5 < np.degrees(plane.pitch[0]) < -5
     assert abs(np.degrees(plane.roll[0])) < 2
