@@ -13,17 +13,15 @@ from jaxdet.floor.plane import depth_gap_units
 from jaxdet.stages._teams import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
-LAST = jnp.iinfo(jnp.int32).max
-RANK_BITS = 13  # a frame has at most 2^13 points; what is sorted has 19 bits
-RANK_MASK = (1 << RANK_BITS) - 1
+PLACE_BITS = 13  # a frame has at most 2^13 points; what is sorted has 19 bits
+LAST = (1 << 19) - 1  # beyond all of these
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Equals :func:`jaxdet.reference.cluster`.
 
-    Every frame is an array program of its own, mapped over the batch: sort by set and depth, flag
-    gaps, count each set; the same by set and x; number what is left. z is below 65536, x at most
-    MAX_LATERAL.
+    An array program over all frames: sort by depth, flag gaps, number and count the sets between
+    them; the same by set and x; number what is left. z is below 65536, x at most MAX_LATERAL.
 
     Raises:
         ConfigError: There are more than 8192 points a frame.
@@ -52,94 +50,96 @@ def most_obstacles(points: int, config: ClusterConfig) -> int:
 def labels(features: Features, settings: jax.Array, most: int) -> Labels:
     """The labels of points, from :func:`gap_settings` and :func:`most_obstacles`."""
     with jax.named_scope("cluster"):
-        split, number = partial(_gap_parts, settings=settings), partial(_number, most=most)
-        x, z = features.x, features.z
-        part = jax.vmap(split)(x, z, features.kept)
-        return Labels(*jax.vmap(number)(part, x, z))
+        depth_gap, lateral_gap, min_points = settings
+        x, z, n = features.x, features.z, features.z.shape[1]
+        by_x, x_rank = _rank(x + MAX_LATERAL)
+        depth, slot = _sorted(jnp.where(features.kept, z, LAST), _positions(z))
+        part = _parts(depth, jnp.where(depth < LAST, 0, n), depth_gap, min_points)
+        part, rank = _sorted(part, _take(x_rank, slot))
+        slot = _take(by_x, rank)
+        x, z = _take(x, slot), _take(z, slot)
+        part = _parts(x, part, lateral_gap, min_points)
+        found, count = _numbers(part, x, z, most)
+        return Labels(_put(slot, found), count)
 
 
-def _gap_parts(x: jax.Array, z: jax.Array, kept: jax.Array, settings: jax.Array) -> jax.Array:
-    """The sets of Steps 1-5 of one frame, ``(N,)`` each: a number a set, N for none.
-
-    The points are ranked along both axes once. A set's points are then in order after one sort
-    of ``set << RANK_BITS | place``: every sort has a single 32-bit key, which is what XLA sorts
-    quickly on every device.
-    """
-    n = z.shape[0]
-    depth_gap, lateral_gap, min_points = settings
-    by_z, z_rank = _rank(z)
-    by_x, x_rank = _rank(x + MAX_LATERAL)
-    group = jnp.where(kept, 0, n)
-    for values, order, place, gap in (
-        (z, by_z, z_rank, depth_gap),
-        (x, by_x, x_rank, lateral_gap),
-    ):
-        key = jnp.sort((group.astype(jnp.uint32) << RANK_BITS) | place)
-        slot = order[key & RANK_MASK]
-        sorted_group = (key >> RANK_BITS).astype(jnp.int32)
-        part = _gap_sets(values[slot], sorted_group, gap, min_points)
-        group = jnp.zeros(n, jnp.int32).at[slot].set(part, unique_indices=True)
-    return group
-
-
-def _rank(values: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Sorts ``(N,)`` int32 values in [0, 2^19).
-
-    Returns:
-        The slots in rising order, and each slot's rank, both ``(N,)``, int32 and uint32.
-    """
-    n = values.shape[0]
-    slot = jnp.arange(n, dtype=jnp.uint32)
-    order = jnp.sort((values.astype(jnp.uint32) << RANK_BITS) | slot) & RANK_MASK
-    order = order.astype(jnp.int32)
-    return order, jnp.zeros(n, jnp.uint32).at[order].set(slot, unique_indices=True)
-
-
-def _gap_sets(
-    values: jax.Array, group: jax.Array, gap: jax.Array, min_points: jax.Array
-) -> jax.Array:
+def _parts(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: jax.Array) -> jax.Array:
     """Numbers the runs of ``values`` without a gap, in order.
 
     Args:
-        values: ``(N,)`` int32, rising within each group.
-        group: ``(N,)`` int32, rising; a new group starts a new run; N takes no part.
+        values: ``(B, N)`` int32, rising within each group.
+        group: ``(B, N)`` int32, rising; a new group starts a new run; N takes no part.
         gap: The largest step from an entry to the next.
         min_points: Runs of this many entries or fewer are dropped.
 
     Returns:
-        ``(N,)`` int32, the run's number among all runs, or N where dropped.
+        ``(B, N)`` int32, the run's number among all runs, or N where dropped.
     """
-    n = values.shape[0]
-    position = jnp.arange(n, dtype=jnp.int32)
-    valid = group != n
-    steps = (values[1:] - values[:-1] > gap) | (group[1:] != group[:-1])
-    starts = jnp.concatenate([jnp.ones(1, bool), steps]) | ~valid
-    first = lax.cummax(jnp.where(starts, position, 0))
-    next_start = jnp.concatenate([jnp.where(starts, position, n)[1:], jnp.full(1, n, jnp.int32)])
-    size = lax.cummin(next_start, reverse=True) - first
-    return jnp.where(valid & (size > min_points), jnp.cumsum(starts, dtype=jnp.int32) - 1, n)
+    n = values.shape[1]
+    starts = (values[:, 1:] - values[:, :-1] > gap) | (group[:, 1:] != group[:, :-1])
+    run = jnp.pad(jnp.cumsum(starts, axis=1, dtype=jnp.int32), ((0, 0), (1, 0)))
+    size = jnp.zeros_like(run).at[_rows(run), run].add(1)
+    return jnp.where((group < n) & (_take(size, run) > min_points), run, n)
 
 
-def _number(part: jax.Array, x: jax.Array, z: jax.Array, most: int) -> tuple[jax.Array, jax.Array]:
+def _numbers(part: jax.Array, x: jax.Array, z: jax.Array, most: int) -> tuple[jax.Array, jax.Array]:
     """Numbers the parts by nearest z, then smallest x.
 
     Args:
-        part: ``(N,)`` int32, equal within a part; N takes no part.
-        x: ``(N,)`` int32.
-        z: ``(N,)`` int32.
+        part: ``(B, N)`` int32, equal within a part, whose entries follow each other; N takes no
+            part.
+        x: ``(B, N)`` int32.
+        z: ``(B, N)`` int32.
         most: As many parts as there can be.
 
     Returns:
-        ``labels`` ``(N,)`` int32 and their number, int32.
+        The number of each entry's part, -1 for none, ``(B, N)``, and how many parts there are,
+        ``(B,)``, both int32.
     """
-    n, m = part.shape[0], most
-    used = jnp.zeros(n, jnp.int32).at[part].set(1, mode="drop")
-    index = jnp.where(
-        part < n, (jnp.cumsum(used, dtype=jnp.int32) - 1)[jnp.minimum(part, n - 1)], m
-    )
-    nearest = jnp.full(m, LAST).at[index].min(z, mode="drop")
-    leftmost = jnp.full(m, LAST).at[index].min(x, mode="drop")
-    *_, order = lax.sort((nearest, leftmost, jnp.arange(m, dtype=jnp.int32)), num_keys=2)
-    label = jnp.zeros(m, jnp.int32).at[order].set(jnp.arange(m, dtype=jnp.int32))
-    labels = jnp.where(part < n, label[jnp.minimum(index, m - 1)], -1)
-    return labels, jnp.sum(nearest != LAST, dtype=jnp.int32)
+    valid = part < part.shape[1]
+    starts = jnp.diff(part, axis=1, prepend=part.shape[1]) != 0
+    index = jnp.where(valid, jnp.cumsum(starts & valid, axis=1, dtype=jnp.int32) - 1, most)
+    at = _rows(index), index
+    none = jnp.full((len(part), most), LAST)
+    nearest = none.at[at].min(z, mode="drop")
+    by_x, x_rank = _rank(none.at[at].min(x + MAX_LATERAL, mode="drop"))
+    _, rank = _sorted(nearest, x_rank)
+    order = _take(by_x, rank)
+    number = _take(_put(order, _positions(order)), jnp.minimum(index, most - 1))
+    return jnp.where(valid, number, -1), jnp.sum(nearest < LAST, axis=1, dtype=jnp.int32)
+
+
+def _rank(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The places of ``(B, N)`` values in rising order, and each value's rank, both int32."""
+    _, order = _sorted(values, _positions(values))
+    return order, _put(order, _positions(order))
+
+
+def _sorted(values: jax.Array, places: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Values in [0, 2^19) of each row in rising order, of equal ones by their places below 2^13.
+
+    Both are one 32-bit key, which is what XLA sorts quickly on every device.
+    """
+    key = jnp.sort(values.astype(jnp.uint32) << PLACE_BITS | places.astype(jnp.uint32), axis=1)
+    place = key & ((1 << PLACE_BITS) - 1)
+    return (key >> PLACE_BITS).astype(jnp.int32), place.astype(jnp.int32)
+
+
+def _take(values: jax.Array, place: jax.Array) -> jax.Array:
+    """Of each row, the values at places, ``(B, N)``."""
+    return jnp.take_along_axis(values, place, axis=1, mode="promise_in_bounds")
+
+
+def _put(place: jax.Array, values: jax.Array) -> jax.Array:
+    """Of each row, values put at places that are a permutation, ``(B, N)``."""
+    return jnp.zeros_like(values).at[_rows(place), place].set(values, unique_indices=True)
+
+
+def _positions(values: jax.Array) -> jax.Array:
+    """``(B, N)`` int32, the place of each value in its row."""
+    return lax.broadcasted_iota(jnp.int32, values.shape, 1)
+
+
+def _rows(values: jax.Array) -> jax.Array:
+    """``(B, 1)``, the row of each value."""
+    return jnp.arange(len(values))[:, None]
