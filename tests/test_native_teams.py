@@ -15,6 +15,7 @@ import pytest
 import warp as wp
 
 from jaxdet.config import Config
+from jaxdet.floor.plane import unknown_plane
 from jaxdet.pipeline import detect
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
@@ -105,8 +106,9 @@ def test_threads_of_a_block_find_what_one_thread_does(tmp_path: Path) -> None:
     found = []
     for shown in sample_frames("ramps", 300, 4, width=320, height=240, depth_error=1.0):
         images = shown.color[None], shown.depth[None]
-        given = frames(calibration_of(shown.config), *images, plane=level(1, 0.4, 0.1))
-        found.append(all_launches(partial(detect, given, Config())))
+        for plane in (level(1, 0.4, 0.1), unknown_plane(1)):
+            given = frames(calibration_of(shown.config), *images, plane=plane)
+            found.append(all_launches(partial(detect, given, Config())))
     for name in KERNELS:
         (tmp_path / "kernel.h").write_text(source(found[0][name]), encoding="utf-8")
         program, main = tmp_path / "program", str(ROOT / "tests/team_main.cpp")

@@ -250,7 +250,9 @@ class Lane:
         color, depth = copied.images
         frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
         found = detect(frames, log.served.config)
-        packed = _pack()(_without_prior(found))
+        with _packing:
+            pack = _pack()
+        packed = pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
         return _Started(found, packed, begin, copied.seconds, ready)
 
@@ -280,6 +282,10 @@ def _time_when_ready(found: Any) -> float:
     """Waits for an array; now, by ``time.perf_counter`` [s]."""
     found.block_until_ready()
     return time.perf_counter()
+
+
+_packing = threading.Lock()
+"""All lanes get one function, which is compiled for each device once."""
 
 
 @lru_cache(maxsize=1)

@@ -18,8 +18,9 @@ from jaxdet.stages import _xla
 
 _ADDRESS = 64
 """Of arrays while a launch is recorded."""
-_recording = Lock()
-"""Warp loads a module twice that two threads ask for, and drops the first."""
+registering = Lock()
+"""Warp keeps contexts, streams and kernels of all devices in tables without a lock, and loads a
+module twice that two threads ask for, and drops the first."""
 
 
 class BatchKernel:
@@ -96,13 +97,14 @@ class _Launch:
         """Launches the kernel."""
         with self.lock:
             if device not in self.recorded:
-                with _recording:
+                with registering:
                     self.recorded[device] = self._record(device)
             launch, pointers, streams = self.recorded[device]
             for array, place in pointers:
                 array.data = addresses[place]
             if stream not in streams:
-                streams[stream] = wp.Stream(launch.device, cuda_stream=stream)
+                with registering:
+                    streams[stream] = wp.Stream(launch.device, cuda_stream=stream)
             launch.launch(streams[stream])
 
     def _record(self, number: int) -> "_Recorded":

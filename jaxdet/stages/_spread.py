@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxdet.errors import ConfigError
 from jaxdet.types import GroundPlane
 
 ROWS = PartitionSpec("frames")  # an array with a row for each frame
@@ -23,6 +24,8 @@ memory that the process keeps, and larger ones come from the system as fresh pag
 _FEW = 8  # fewer frames a device are padded
 
 Devices = tuple[jax.Device, ...]
+LEAST_CAPABILITY = 8.0
+"""Of CUDA's GPUs: from here on a warp adds up integers in one instruction."""
 
 
 def devices_for(images: Any) -> Devices:
@@ -30,11 +33,25 @@ def devices_for(images: Any) -> Devices:
 
     Images on devices are worked on there. Those on the host go to all devices of the default
     kind, or to the one that is chosen as default.
+
+    Raises:
+        ConfigError: One is a GPU of an earlier kind than kernels are made for.
     """
-    if isinstance(images, jax.Array):
-        return tuple(sorted(images.devices(), key=lambda device: device.id))
     chosen = getattr(jax.config, "jax_default_device", None)
-    return (chosen,) if isinstance(chosen, jax.Device) else tuple(jax.local_devices())
+    found: Devices
+    if isinstance(images, jax.Array):
+        found = tuple(sorted(images.devices(), key=lambda device: device.id))
+    else:
+        found = (chosen,) if isinstance(chosen, jax.Device) else tuple(jax.local_devices())
+    for device in found:
+        capability = getattr(device, "compute_capability", None)
+        if capability and float(capability) < LEAST_CAPABILITY:
+            raise ConfigError(
+                f"{device.device_kind} has compute capability {capability}, and "
+                f"{LEAST_CAPABILITY} (Ampere) is needed: choose another GPU by "
+                "CUDA_VISIBLE_DEVICES, or JAX_PLATFORMS=cpu"
+            )
+    return found
 
 
 def on_cuda() -> bool:

@@ -10,6 +10,8 @@ import jax
 import numpy as np
 import warp as wp
 
+from jaxdet.stages._launch import registering
+
 UINT8: Any = wp.uint8
 UINT16: Any = wp.uint16
 INT32: Any = wp.int32
@@ -48,15 +50,16 @@ class Uploader:
         device: Any,
         depth: int = 3,
     ) -> None:
-        self.device = wp.device_from_jax(device)
-        self.stream, self.back = wp.Stream(self.device), wp.Stream(self.device)
-        self.ring = [
-            (
-                wp.zeros(color_shape, dtype=UINT8, device=self.device),
-                wp.zeros(depth_shape, dtype=UINT16, device=self.device),
-            )
-            for _ in range(depth)
-        ]
+        with registering:
+            self.device = wp.device_from_jax(device)
+            self.stream, self.back = wp.Stream(self.device), wp.Stream(self.device)
+            self.ring = [
+                (
+                    wp.zeros(color_shape, dtype=UINT8, device=self.device),
+                    wp.zeros(depth_shape, dtype=UINT16, device=self.device),
+                )
+                for _ in range(depth)
+            ]
         wp.synchronize_device(self.device)  # the zeros are written on another stream
         self.uploads = 0
 
@@ -148,6 +151,8 @@ def wait_asleep(device: Any) -> None:
         OSError: CUDA refuses it.
     """
     of, number = wp.device_from_jax(device), ctypes.c_int()
+    with registering:
+        _ = of.context  # which Warp makes when it is asked for
     _call(of, "cuCtxGetDevice", ctypes.byref(number))
     _call(of, "cuDevicePrimaryCtxSetFlags_v2", number, ctypes.c_uint(_BLOCKING_SYNC))
 
