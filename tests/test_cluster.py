@@ -11,7 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from jaxdet import reference, stages
 from jaxdet.config import ClusterConfig, Config
 from jaxdet.errors import ConfigError
-from jaxdet.types import Features
+from jaxdet.types import MAX_LATERAL, Features
 from tests.scenes import assert_equal, points
 
 SLOTS = 12
@@ -155,6 +155,16 @@ def random_points(seed: int, batch: int, n: int, spread: int) -> Features:
 def test_twin(device, batch, n, spread, min_points):
     features = random_points(n + spread, batch, n, spread)
     given_ = features, 0.001, config(30, 60, min_points)
+    assert_equal(stages.cluster(*given_), reference.cluster(*given_))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.9])
+@pytest.mark.parametrize("lateral_gap", [5, 10**6])
+def test_twin_of_as_many_parts_as_points(device, lateral_gap, share):
+    """The last part's last point is as far right as a point can be."""
+    x = MAX_LATERAL - 9 * np.arange(8192)[::-1]
+    features = points(x, 7 * np.arange(8192), np.random.default_rng(0).random(8192) < share)
+    given_ = features, 0.001, config(5, lateral_gap, 0)
     assert_equal(stages.cluster(*given_), reference.cluster(*given_))
 
 

@@ -13,8 +13,9 @@ from jaxdet.floor.plane import depth_gap_units
 from jaxdet.stages._teams import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
-PLACE_BITS = 13  # a frame has at most 2^13 points; what is sorted has 19 bits
-LAST = (1 << 19) - 1  # beyond all of these
+PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and so many parts
+LAST = (1 << VALUE_BITS) - 1  # beyond all values
+NONE = np.uint32(0xFFFFFFFF)  # beyond all keys, as x + MAX_LATERAL is below LAST
 
 
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
@@ -52,15 +53,17 @@ def labels(features: Features, settings: jax.Array, most: int) -> Labels:
     with jax.named_scope("cluster"):
         depth_gap, lateral_gap, min_points = settings
         x, z, n = features.x, features.z, features.z.shape[1]
-        by_x, x_rank = _rank(x + MAX_LATERAL)
-        depth, slot = _sorted(jnp.where(features.kept, z, LAST), _positions(z))
+        depth, slot = _sorted(jnp.where(features.kept, z, LAST))
         part = _parts(depth, jnp.where(depth < LAST, 0, n), depth_gap, min_points)
-        part, rank = _sorted(part, _take(x_rank, slot))
-        slot = _take(by_x, rank)
-        x, z = _take(x, slot), _take(z, slot)
-        part = _parts(x, part, lateral_gap, min_points)
-        found, count = _numbers(part, x, z, most)
-        return Labels(_put(slot, found), count)
+        part = _put(slot, part)
+        key = part.astype(jnp.uint32) << VALUE_BITS | (x + MAX_LATERAL).astype(jnp.uint32)
+        key = jnp.where(part < n, key, NONE)
+        keys = jnp.sort(key, axis=1)
+        group = jnp.where(keys < NONE, (keys >> VALUE_BITS).astype(jnp.int32), n)
+        part = _parts((keys & LAST).astype(jnp.int32), group, lateral_gap, min_points)
+        # Equal keys are neighbours, so any of them will do.
+        place = jax.vmap(jnp.searchsorted)(keys, key)
+        return _numbered(part, place, z, most)
 
 
 def _parts(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: jax.Array) -> jax.Array:
@@ -82,45 +85,36 @@ def _parts(values: jax.Array, group: jax.Array, gap: jax.Array, min_points: jax.
     return jnp.where((group < n) & (_take(size, run) > min_points), run, n)
 
 
-def _numbers(part: jax.Array, x: jax.Array, z: jax.Array, most: int) -> tuple[jax.Array, jax.Array]:
+def _numbered(part: jax.Array, place: jax.Array, z: jax.Array, most: int) -> Labels:
     """Numbers the parts by nearest z, then smallest x.
 
+    Parts that are equally near are of one set of neighbours in depth, so in the order of x already.
+
     Args:
-        part: ``(B, N)`` int32, equal within a part, whose entries follow each other; N takes no
-            part.
-        x: ``(B, N)`` int32.
-        z: ``(B, N)`` int32.
+        part: ``(B, N)`` int32, the part at each place, N for none; those of a part follow each
+            other.
+        place: ``(B, N)`` int32, where each point is.
+        z: ``(B, N)`` int32, of the points.
         most: As many parts as there can be.
-
-    Returns:
-        The number of each entry's part, -1 for none, ``(B, N)``, and how many parts there are,
-        ``(B,)``, both int32.
     """
-    valid = part < part.shape[1]
-    starts = jnp.diff(part, axis=1, prepend=part.shape[1]) != 0
-    index = jnp.where(valid, jnp.cumsum(starts & valid, axis=1, dtype=jnp.int32) - 1, most)
-    at = _rows(index), index
-    none = jnp.full((len(part), most), LAST)
-    nearest = none.at[at].min(z, mode="drop")
-    by_x, x_rank = _rank(none.at[at].min(x + MAX_LATERAL, mode="drop"))
-    _, rank = _sorted(nearest, x_rank)
-    order = _take(by_x, rank)
+    n = part.shape[1]
+    starts = (jnp.diff(part, axis=1, prepend=n) != 0) & (part < n)
+    index = jnp.where(part < n, jnp.cumsum(starts, axis=1, dtype=jnp.int32) - 1, most)
+    index = _take(index, place)
+    nearest = jnp.full((len(z), most), LAST).at[_rows(z), index].min(z, mode="drop")
+    _, order = _sorted(nearest)
     number = _take(_put(order, _positions(order)), jnp.minimum(index, most - 1))
-    return jnp.where(valid, number, -1), jnp.sum(nearest < LAST, axis=1, dtype=jnp.int32)
+    found = jnp.where(index < most, number, -1)
+    return Labels(found, jnp.sum(nearest < LAST, axis=1, dtype=jnp.int32))
 
 
-def _rank(values: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The places of ``(B, N)`` values in rising order, and each value's rank, both int32."""
-    _, order = _sorted(values, _positions(values))
-    return order, _put(order, _positions(order))
-
-
-def _sorted(values: jax.Array, places: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Values in [0, 2^19) of each row in rising order, of equal ones by their places below 2^13.
+def _sorted(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Values of each row in rising order, and their places, ``(B, N)`` int32.
 
     Both are one 32-bit key, which is what XLA sorts quickly on every device.
     """
-    key = jnp.sort(values.astype(jnp.uint32) << PLACE_BITS | places.astype(jnp.uint32), axis=1)
+    key = values.astype(jnp.uint32) << PLACE_BITS | _positions(values).astype(jnp.uint32)
+    key = jnp.sort(key, axis=1)
     place = key & ((1 << PLACE_BITS) - 1)
     return (key >> PLACE_BITS).astype(jnp.int32), place.astype(jnp.int32)
 
