@@ -12,7 +12,7 @@ _FIXED_WORDS = 2048  # more than all that does not grow with the frame or the la
 _WARP = 32
 WIDTH = 256  # threads of a team on CUDA
 _BLOCKS = 4  # on a multiprocessor at once: a thread has up to 64 registers
-_COPIES = 8
+_LANES = 16  # directions that a vector has on the CPU
 
 
 def floor_scratch_words(
@@ -28,8 +28,8 @@ def floor_scratch_words(
     near, wide = (-(-n // _WARP) * _WARP for n in (_NEAR_DIRECTIONS, _DIRECTIONS))
     lattice = max(near * (near_bins + 1), wide * (wide_bins + 1))
     table = max(lattice, runs * (rises + 1))
-    copies = _COPIES * (max(near_bins, wide_bins) + 1)
-    words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + copies + table
+    ends = _LANES * (max(near_bins, wide_bins) + 1)
+    words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + ends + table
     return words + words % 2
 
 

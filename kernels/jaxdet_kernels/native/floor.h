@@ -38,7 +38,7 @@ struct Floor {
     // Scratch.
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *alone, *bound, *cells, *parts, *few, *inner, *slack, *weights;
-    int *rows, *places, *table, *lattice, *copies;
+    int *rows, *places, *table, *lattice, *ends;
     int most, most_few, room;
 
     // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum. On
@@ -88,8 +88,8 @@ struct Floor {
         places = now(4 * most_few);
         const int groups = (team.size + ThreadGroup::WARP - 1) / ThreadGroup::WARP * most_few;
         weights = now(groups > most ? groups : most);
-        copies = room ? quick : at;
-        at += room ? 0 : FloorVotes::COPIES * FloorSearch::most_bins(settings);
+        ends = room ? quick : at;
+        at += room ? 0 : FloorVotes::LANES * FloorSearch::most_bins(settings);
         // Votes of a search and the profile of a plane follow each other.
         lattice = table = at;
     }
@@ -182,7 +182,7 @@ struct Floor {
     void find(int number, int* out) const {
         const FloorCells sample = of(few, most_few, 0, number);
         const FloorSearch search = {angles, settings, sample, counts + ENDS,
-                                    slack,  weights,  keys,   lattice, copies, room};
+                                    slack,  weights,  keys,   lattice, ends, room};
         FloorPlane* all = (FloorPlane*)planes;
         FloorPlane* different = all + PLANES;
         const FloorPlane guess = known ? prior : search.any_plane(team, different, votes);

@@ -2,20 +2,24 @@
 // Twin of jaxdet/reference/_floor_search.py; the constants are its.
 #pragma once
 #include "floor_planes.h"
+#include "vectors.h"
 #include "warp.h"
 
 // Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring: the ends of
-// cells' ranges of heights are counted and summed up. On the CPU one direction follows the other.
-// On CUDA each lane of a warp has a direction, the warps share the cells, and as many directions
-// are counted at once as there is shared memory for.
+// cells' ranges of heights are counted and summed up. On the CPU the directions of a vector go
+// through all cells together. On CUDA each lane of a warp has a direction, the warps share the
+// cells, and as many directions are counted at once as there is shared memory for.
 struct FloorVotes {
-    enum {
-        APART = 12,
-        // On the CPU the ends of so many cells are placed at once, and, since a core adds to one place
-        // only every few cycles, counted in so many copies.
-        CHUNK = 64,
-        COPIES = 8
-    };
+    // Directions that a thread sums up together.
+#if defined(__CUDA_ARCH__)
+    enum { LANES = 1 };
+    typedef int Lanes;
+#else
+    enum { LANES = 16 };
+    typedef Vectors::Ints Lanes;
+#endif
+    // A lattice has fewer than 2^BIN_BITS heights.
+    enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
     FloorAngles angles;
     FloorCells cells;
     // Tolerance of each cell.
@@ -27,9 +31,9 @@ struct FloorVotes {
     int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
     // What is left out of the nearer part: pitches and heights at each end.
     int edge_pitches, edge_bins;
-    // Votes of all cells, bins + 1 words a direction; and COPIES as many words, or on CUDA `room`
+    // Votes of all cells, bins + 1 words a direction; and LANES as many words, or on CUDA `room`
     // words of shared memory.
-    int *votes, *copies;
+    int *votes, *counts;
     int room;
     // The best of each ring in the nearer part, of all of the lattice, and of each direction.
     unsigned long long *best, *whole, *of_direction;
@@ -52,96 +56,39 @@ struct FloorVotes {
         return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)(d * bins + bin);
     }
 
-    // Whether a direction is in the nearer part.
-    bool is_near(int d) const {
-        const int p = d / rolls;
-        return p >= edge_pitches && p < pitches - edge_pitches;
+    // The same of votes with their bin, larger where there are more votes or the bin comes first.
+    unsigned long long key(int most, int d) const {
+        const int bin = -most & ((1 << BIN_BITS) - 1);
+        return key((most + bin) >> BIN_BITS, d, bin);
     }
 
-#if defined(__CUDA_ARCH__)
-    // Directions with those that fill up the last warp.
-    int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
-    bool are_fast() const { return padded() * (bins + 1) <= room; }
-    // Votes of a direction, and how far those of its bins are apart.
-    int* row_of(int d) const { return (are_fast() ? copies : votes) + d; }
-    int bin_step() const { return padded(); }
-#else
-    int* row_of(int d) const { return votes + d * (bins + 1); }
-    int bin_step() const { return 1; }
+    // The directions of the nearer part.
+    int first_near() const { return edge_pitches * rolls; }
+    int end_near() const { return (pitches - edge_pitches) * rolls; }
+    bool is_near(int d) const { return d >= first_near() && d < end_near(); }
 
-    // The best of some bins of a row; there are fewer than 2^MOST_BITS.
-    unsigned long long least(const int* row, int from, int to, int d) const {
-        enum { MOST_BITS = 10 };
-        int most = -0x7fffffff;
-        for (int b = from; b < to; b++) {
-            const int here = row[b] * (1 << MOST_BITS) - b;
-            most = here > most ? here : most;
-        }
-        const int bin = -most & ((1 << MOST_BITS) - 1);
-        return key((most + bin) >> MOST_BITS, d, bin);
-    }
-
-    void clear(int* __restrict__ counted) const {
-        const int n = COPIES * (bins + 1);
-        for (int b = 0; b < n; b++) counted[b] = 0;
-    }
-
-    // The votes, from the ends that were counted of so many cells.
-    void sum_up(const int* __restrict__ counted, int* __restrict__ row, int cells) const {
-        const int n = bins + 1;
-        for (int b = 0; b < n; b++) {
-            int sum = 0;
-            for (int k = 0; k < COPIES; k++) sum += counted[k * n + b];
-            row[b] = sum;
-        }
-        int sum = -FloorScore::BELOW_COST * cells;
-        for (int b = 0; b < n; b++) row[b] = sum += row[b];
-    }
-
-    // Adds the ends of the ranges of some cells.
-    void count(const FloorDirection& direction, int from, int to, int* ends) const {
-        const FloorDirection down = direction;
-        const int low = lowest, shift = bits, last = bins;
-        const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y;
-        const int *__restrict__ zs = cells.z, *__restrict__ slacks = slack;
-        for (int start = from; start < to; start += CHUNK) {
-            const int n = to - start < CHUNK ? to - start : CHUNK;
-            int begin[CHUNK], end[CHUNK], under[CHUNK];
-            for (int k = 0; k < n; k++) {
-                const int i = start + k, s = slacks[i];
-                const int height = down.along(xs[i], ys[i], zs[i]) - low;
-                const int a = -((s - height) >> shift), b = ((height + s) >> shift) + 1;
-                const int c = ((height - FloorScore::BELOW * s - 1) >> shift) + 1;
-                begin[k] = a < 0 ? 0 : a > last ? last : a;
-                end[k] = b < 0 ? 0 : b > last ? last : b;
-                under[k] = c < 0 ? 0 : c > last ? last : c;
-            }
-            for (int k = 0; k < n; k++) {
-                int* one = ends + (k & (COPIES / 2 - 1)) * (last + 1);
-                int* other = one + COPIES / 2 * (last + 1);
-                one[begin[k]]++;
-                one[end[k]]--;
-                other[under[k]] += FloorScore::BELOW_COST;
-            }
-        }
-    }
-#endif
-
-#if defined(__CUDA_ARCH__)
-    // How counts lie in memory: those of direction k and bin b at `table[b * span + k]`, or where
-    // they are packed those of bins 2 n and 2 n + 1 in the halves of `table[n * span + k]`.
+    // How counts lie in memory: those of direction k and bin b at `words[b * span + k]`, or where
+    // they are packed those of bins 2 n and 2 n + 1 in the halves of `words[n * span + k]`.
     struct Table {
         enum { MOST_PACKED = 10000 };  // Cells: all counts of a bin stay below 2^15.
         int* words;
         int span;
         bool is_shared, is_packed;
 
-        int at(int k, int b) const {
-            if (!is_packed) return words[b * span + k];
-            const int word = words[(b >> 1) * span + k], low = (short)word;
-            return b & 1 ? (word - low) >> 16 : low;
+        void add(int k, int b, Lanes* sum) const {
+            const Lanes word = *(const Lanes*)(words + (is_packed ? b >> 1 : b) * span + k);
+            const Lanes high = (word + (1 << 15)) >> 16;
+            *sum += !is_packed ? word : b & 1 ? high : word - high * (1 << 16);
         }
     };
+
+#if defined(__CUDA_ARCH__)
+    // Directions with those that fill up the last warp.
+    int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
+    bool are_fast() const { return padded() * (bins + 1) <= room; }
+    // Votes of a direction, and how far those of its bins are apart.
+    int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
+    int bin_step() const { return padded(); }
 
     // Adds the ends of the ranges of some cells: each lane for direction k of the table.
     void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
@@ -176,50 +123,102 @@ struct FloorVotes {
         }
     }
 
+    void count(const Team& team, int first, int from, int to, const Table& table) const {
+        const Warp warp(team);
+        const int groups = table.span / Warp::size, share = to - from;
+        for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
+            // Each warp takes another part of the cells for each group, so none waits long.
+            const int group = unit / warp.count, part = (warp.index + group) % warp.count;
+            const int k = group * Warp::size + warp.rank;
+            count(warp, direction(first + k), from + share * part / warp.count,
+                  from + share * (part + 1) / warp.count, table, k);
+        }
+        team.sync();
+    }
+#else
+    int padded() const { return (directions() + LANES - 1) / LANES * LANES; }
+    int* row_of(int d) const { return votes + d / LANES * LANES * (bins + 1) + d % LANES; }
+    int bin_step() const { return LANES; }
+
+    // The place of a bin in each lane's counts.
+    void place(const Lanes& bin, int* out) const {
+        const Lanes none = {}, last = none + bins;
+        const Lanes at = (bin < none ? none : bin > last ? last : bin) * (int)LANES;
+        __builtin_memcpy(out, &at, sizeof at);
+    }
+
+    // Adds the ends of the ranges of some cells.
+    void count(const Team&, int first, int from, int to, const Table& table) const {
+        Lanes dx, dy, dz;
+        for (int k = 0; k < LANES; k++) {
+            const FloorDirection down = direction(first + k);
+            dx[k] = down.x;
+            dy[k] = down.y;
+            dz[k] = down.z;
+        }
+        const int half = 1 << (FloorDirection::DOWN_BITS - 1), shift = bits;
+        int* const ends = table.words;
+        const int left = directions() - first, used = left < LANES ? left : (int)LANES;
+        int begin[LANES], end[LANES], under[LANES];
+        for (int i = from; i < to; i++) {
+            const int s = slack[i];
+            const Lanes sum = dx * cells.x[i] + dy * cells.y[i] + dz * cells.z[i] + half;
+            const Lanes height = (sum >> (int)FloorDirection::DOWN_BITS) - lowest;
+            place(-((s - height) >> shift), begin);
+            place(((height + s) >> shift) + 1, end);
+            place(((height - (int)FloorScore::BELOW * s - 1) >> shift) + 1, under);
+            for (int k = 0; k < used; k++) {
+                ends[begin[k] + k]++;
+                ends[end[k] + k]--;
+                ends[under[k] + k] += FloorScore::BELOW_COST;
+            }
+        }
+    }
+#endif
+
+    // The best of each of some directions, from counts of so many cells: of nearer planes and, from
+    // all cells, of all planes; then votes are written, too.
+    void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
+        const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
+        Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells, most = Lanes{} + (int)NOTHING, highest = most;
+        for (int b = 0; b < bins; b++) {
+            table.add(k, b, &sum);
+            if (out) *(Lanes*)(out + b * step) = sum;
+            const Lanes here = sum * (1 << BIN_BITS) - b;
+            if (b >= from && b < to) most = here > most ? here : most;
+            highest = here > highest ? here : highest;
+        }
+        nearer = most;
+        all = highest;
+    }
+
     // All votes of the directions of a table, from `first` on.
     void run(const Team& team, int first, const Table& table) const {
         const Warp warp(team);
-        const int span = table.span, groups = span / Warp::size, step = bin_step();
+        const int span = table.span, end_of_all = directions();
         const int size = span * (table.is_packed ? bins / 2 + 1 : bins + 1);
         for (int k = team.rank; k < size; k += team.size) table.words[k] = 0;
         team.sync();
         int done = 0;
         for (int n = 0; n < rings; n++) {
             const bool is_last = n == rings - 1;
-            if (!is_last && ring_ends[n] < fewest) continue;
-            const int end = is_last ? cells.count : ring_ends[n], share = end - done;
-            for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
-                // Each warp takes another part of the cells for each group, so none waits long.
-                const int group = unit / warp.count;
-                const int part = (warp.index + group) % warp.count;
-                const int k = group * Warp::size + warp.rank;
-                count(warp, direction(first + k), done + share * part / warp.count,
-                      done + share * (part + 1) / warp.count, table, k);
-            }
-            team.sync();
-            for (int k = team.rank; k < span; k += team.size) {
-                const int d = first + k;
-                const bool near = is_near(d) && d < directions();
+            const bool some_near = first < end_near() && first + span > first_near();
+            if (!is_last && (ring_ends[n] < fewest || !some_near)) continue;
+            const int end = is_last ? cells.count : ring_ends[n];
+            count(team, first, done, end, table);
+            for (int k = team.rank * LANES; k < span; k += team.size * LANES) {
+                Lanes most, highest;
+                sum_up(table, k, end, is_last ? row_of(first + k) : nullptr, most, highest);
                 unsigned long long nearer = ~0ull, all = ~0ull;
-                if (near || (is_last && d < directions())) {
-                    int* out = row_of(d);
-                    int sum = -FloorScore::BELOW_COST * end, most = -0x7fffffff, bin = 0;
-                    int highest = -0x7fffffff, top = 0;
-                    for (int b = 0; b < bins; b++) {
-                        sum += table.at(k, b);
-                        if (is_last) out[b * step] = sum;
-                        if (sum > most && b >= edge_bins && b < bins - edge_bins) {
-                            most = sum;
-                            bin = b;
-                        }
-                        if (sum > highest) {
-                            highest = sum;
-                            top = b;
-                        }
-                    }
-                    if (near) nearer = key(most, d, bin);
-                    all = key(highest, d, top);
-                    if (is_last) of_direction[d] = nearer;
+                for (int lane = 0; lane < LANES; lane++) {
+                    const int d = first + k + lane;
+                    if (d >= end_of_all) break;
+                    const unsigned long long own =
+                        is_near(d) ? key(((const int*)&most)[lane], d) : ~0ull;
+                    const unsigned long long any = key(((const int*)&highest)[lane], d);
+                    nearer = own < nearer ? own : nearer;
+                    all = any < all ? any : all;
+                    if (is_last) of_direction[d] = own;
                 }
                 nearer = warp.least(nearer);
                 if (warp.rank == 0) team.least(best + n, nearer);
@@ -231,40 +230,23 @@ struct FloorVotes {
             done = end;
         }
     }
-#endif
 
     // All votes. `best` and `whole` are set before the sync.
     void run(const Team& team) const {
         for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
         if (team.rank == 0) *whole = ~0ull;
         team.sync();
-#if defined(__CUDA_ARCH__)
         const int all = padded();
+#if defined(__CUDA_ARCH__)
         const bool is_packed = !are_fast() && cells.count <= Table::MOST_PACKED;
         const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Warp::size * Warp::size;
         const int span = most && most < all ? most : all;
         for (int first = 0; first < all; first += span)
-            run(team, first, {most ? copies : votes, all - first < span ? all - first : span,
+            run(team, first, {most ? counts : votes, all - first < span ? all - first : span,
                               most > 0, is_packed && most});
 #else
-        for (int d = 0; d < directions(); d++) {
-            const FloorDirection down = direction(d);
-            const bool near = is_near(d);
-            int* row = row_of(d);
-            clear(copies);
-            int done = 0;
-            for (int n = 0; n < rings; n++) {
-                const bool is_last = n == rings - 1;
-                if (!is_last && (!near || ring_ends[n] < fewest)) continue;
-                const int end = is_last ? cells.count : ring_ends[n];
-                count(down, done, end, copies);
-                done = end;
-                sum_up(copies, row, end);
-                of_direction[d] = near ? least(row, edge_bins, bins - edge_bins, d) : ~0ull;
-                team.least(best + n, of_direction[d]);
-            }
-            team.least(whole, least(row, 0, bins, d));
-        }
+        for (int first = 0; first < all; first += LANES)
+            run(team, first, {counts, LANES, false, false});
 #endif
         team.sync();
     }
@@ -327,10 +309,10 @@ struct FloorSearch {
     FloorCells cells;
     const int* ring_ends;
     // Scratch: a word a cell; the weights of all groups; KEY_WORDS; votes of all directions and
-    // FloorVotes::COPIES of one, or on CUDA `room` words of shared memory.
+    // of FloorVotes::LANES of them, or on CUDA `room` words of shared memory.
     int *slack, *weights;
     unsigned long long* keys;
-    int *votes, *copies;
+    int *votes, *counts;
     int room;
 
     // Whether a camera on a robot or in a hand can be so tilted.
@@ -369,7 +351,7 @@ struct FloorSearch {
                        int span) const {
         const int rings = 1, fewest = 0, edges = 0, bits = settings[FloorSetting::BIN_BITS];
         return {angles, cells, slack, ring_ends, rings, fewest, pitch0, roll0, step, pitches, rolls,
-                lowest, (span >> bits) + 1, bits, edges, edges, votes, copies, room, keys,
+                lowest, (span >> bits) + 1, bits, edges, edges, votes, counts, room, keys,
                 keys + RINGS, keys + RINGS + 1};
     }
 
