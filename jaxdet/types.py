@@ -307,7 +307,8 @@ class Features(NamedTuple):
     valid: Array
     """``(B, N)`` bool, the slot holds a feature."""
     kept: Array
-    """``(B, N)`` bool, its depth is in range and above the floor."""
+    """``(B, N)`` bool, above the floor, and its depth is in range or it is a cell of an obstacle,
+    which may go on beyond."""
     overflow: Array
     """``(B,)`` bool, more corners qualified than there are slots, or there are more surfaces than
     ``MAX_SURFACES`` or more obstacles than ``MAX_OBSTACLES``."""

@@ -52,7 +52,8 @@ def test_corners(size: tuple[int, int], use_mask: bool, is_aligned: bool, device
     def sample(values: np.ndarray) -> np.ndarray:
         return values[SAMPLED_CELLS].reshape(batch, -1)
 
-    shown = keep & grid.in_view
+    shown = keep & grid.in_view & ((grid.z <= bounds[1]) | (label >= 0))
+    assert (keep & grid.in_view & ~shown).any()
     middle = np.moveaxis(grid.middle.astype(np.int32), -1, 0)
     columns = [*middle, grid.x, grid.y, grid.z, shown, shown]
     sampled = Features(*map(sample, columns), overflow=expected.overflow)

@@ -185,7 +185,8 @@ def _points(
     of_corners = np.where(corners.kept & (cell >= 0), label[frame[..., 0], cell], -1)
 
     u, v = np.moveaxis(grid.middle, -1, 0)
-    columns = {"u": u, "v": v, "x": grid.x, "y": grid.y, "z": grid.z, "valid": keep, "kept": keep}
+    asked = keep & ((grid.z <= farthest) | (label.reshape(keep.shape) >= 0))
+    columns = {"u": u, "v": v, "x": grid.x, "y": grid.y, "z": grid.z, "valid": asked, "kept": asked}
     sampled = {k: a[SAMPLED_CELLS].reshape(batch, -1) for k, a in columns.items()}
     of_cells = np.where(grid.in_view, label.reshape(grid.z.shape), -1)[SAMPLED_CELLS]
     of_cells = of_cells.reshape(batch, -1)

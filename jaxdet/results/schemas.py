@@ -42,7 +42,10 @@ FRAMES_SCHEMA = _schema(
     _Column("log_time_ns", _I64, "ns", "when the log received the colour image", True),
     _Column("status", _STRING, "", "ok, or why the frame has no result"),
     _Column(
-        "num_features", _I32, "", "corners and sampled cells with depth in range, above the floor"
+        "num_features",
+        _I32,
+        "",
+        "corners and sampled cells above the floor, in range or of obstacles",
     ),
     _Column("num_obstacles", _I32, "", "rows of the frame in obstacles.parquet"),
     _Column("overflow", _BOOL, "", "more corners, surfaces or obstacles than there are slots"),

@@ -177,7 +177,7 @@ struct SampledCells {
 
     void run() const {
         const Warp warp(cover.team);
-        const int across = columns / 2;
+        const int across = columns / 2, farthest = cover.range[1];
         for (int row = warp.index; row < rows / 2; row += warp.count) {
             const int from = (2 * row + 1) * columns + 1, to = first + row * across;
 #if defined(__clang__)
@@ -186,9 +186,10 @@ struct SampledCells {
             for (int i = warp.rank; i < across; i += Warp::size) {
                 const int k = from + 2 * i;
                 const bool seen = Team::input(cover.in_view + k);
-                const bool is_kept = seen & Team::input(cover.keep + k);
                 const int right = Team::input(x + k), down = Team::input(y + k);
                 const int depth = Team::input(cover.z + k), own = Team::input(label + k);
+                const bool is_kept = seen & Team::input(cover.keep + k) &
+                                     ((depth <= farthest) | (own >= 0));
                 const PixelPair low(Team::input(cover.low + k)), high(Team::input(cover.high + k));
                 out.put(to + i, (low.column() + high.column()) >> 1, (low.row() + high.row()) >> 1,
                         right, down, depth, seen ? own : -1, is_kept, is_kept);
