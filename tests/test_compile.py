@@ -1,5 +1,6 @@
 """Kernels that are compiled by several processes."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -70,6 +71,12 @@ with open(Path(sys.argv[1], ".compiling"), "w") as other:
 waiting.join()
 assert seen == [module.__name__ for module in _compile._MODULES], seen  # each of them once
 """
+_UNSET = """
+from jaxdet.stages import _compile
+from jaxdet_kernels import cover
+_compile._MODULES = (cover,)
+_compile.compile_method()
+"""
 _KEPT = """
 print(*(module.__name__ for module in _compile._MODULES if _compile._is_kept(module)))
 """
@@ -94,3 +101,12 @@ def test_a_compilation_that_is_stopped_waits_for_nobody(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="needs fcntl")
 def test_of_processes_that_start_together_one_compiles(tmp_path: Path) -> None:
     assert len(kept(_WAITS, tmp_path)) == 2
+
+
+def test_where_no_cache_is_named_it_is_warps(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    named = {"WARP_CACHE_PATH": str(tmp_path / "warp"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    command, env = [sys.executable, "-c", _UNSET], {**os.environ, **named}
+    subprocess.run(command, capture_output=True, check=True, cwd=tmp_path / "here", env=env)
+    assert not list((tmp_path / "here").iterdir())
+    assert list((tmp_path / "warp").rglob("*.o"))

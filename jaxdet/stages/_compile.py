@@ -38,6 +38,7 @@ def compile_method() -> None:
     All cores compile, however many this process computes on. Of processes that start together one
     has it done, and the others wait for it.
     """
+    wp.init()  # decides where its cache is
     if not _missing():
         return
     with _alone(Path(str(wp.config.kernel_cache_dir))):
