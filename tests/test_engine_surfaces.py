@@ -140,8 +140,10 @@ def test_source_none_drops_nothing_as_floor(tf_log: Path, tmp_path: Path) -> Non
     about = run(tf_log, tmp_path, nothing)
     frames, obstacles = tables(tmp_path)
     assert {row["floor_source"] for row in frames} == {"none"}
-    for name in ("camera_height_m", "floor_refused"):
+    for name in ("camera_height_m", "floor_refused", "free_to_m", "drop_m"):
         assert [row[name] for row in frames] == [None] * FRAMES
+    assert obstacles and all(row["corners_world"] is None for row in obstacles)
+    assert not list(tmp_path.glob("map_*"))
     assert obstacles and all(row["bottom_m"] is None for row in obstacles)
     assert about.floor_warning is None
 

@@ -225,6 +225,15 @@ def test_a_thing_that_comes_into_sight_does_not_move():
     assert not shelf.moving
 
 
+def test_what_would_be_too_fast_stands():
+    """Four sightings of 0.3 m to the side each, at 15 Hz."""
+    frames = [[corners_of(0.3 * f, 3.0)] for f in range(4)]
+    (track,), _ = follow(frames)
+    assert not track.moving and not track.mean_speed_mps
+    (track,), _ = follow(frames, config=TrackConfig(max_speed_mps=6.0))
+    assert track.moving and 4.0 < track.mean_speed_mps < 5.0
+
+
 def test_a_track_longer_than_its_pieces():
     """Something stands in sight for five pieces, then walks on; another walks all the time. Their
     ways are those of the same in one window."""

@@ -49,7 +49,8 @@ def moments(results: Results, log: ResultLog) -> Iterator[Moment]:
 
 
 def _transforms(row: Row, *, own_poses: bool) -> Iterator[Transform]:
-    yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
+    if row["camera_height_m"] is not None:
+        yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
     T = T_world_camera(row)
     if own_poses and T is not None and row["world_frame"]:
         yield Transform(row["world_frame"], camera_name(row), T)

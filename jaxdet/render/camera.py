@@ -50,9 +50,7 @@ def camera_view(
         corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
         canvas.polygon(image, corners, (0, 0, 0), width=4)
         canvas.polygon(image, corners, canvas.color_of(label))
-    nearest = found.obstacles.c[row, :, 1] * depth_unit
-    if found.scene is not None:
-        nearest = distances(found)[row] * depth_unit
+    nearest = distances(found)[row] * depth_unit
     texts = [f"{label}   {nearest[label]:.2f} m" for label in range(len(boxes))]
     for chip in _chips(boxes, texts, image.shape[1], image.shape[0]):
         _draw_chip(image, chip)

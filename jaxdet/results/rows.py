@@ -215,15 +215,18 @@ def batch_rows(
     frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
     frame_columns |= _pose_columns(batch, count)
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
-    frame_columns |= free_columns(free, good) if free else no_free_columns(count)
-    obstacle_columns = _obstacle_columns(frames, plane, found, good, config)
+    known = good & plane.valid  # without a floor nothing has a place on it
+    frame_columns |= free_columns(free, known) if free else no_free_columns(count)
+    poses = frames.T_world_camera
+    if poses is not None:
+        poses = np.where(known[:, None, None], poses[:count], np.nan)
+    obstacle_columns = _obstacle_columns(frames, poses, plane, found, good, config)
     for columns in (frame_columns, obstacle_columns):
         rows = len(columns["frame"])
         columns["log"], columns["camera"] = (np.full(rows, n, object) for n in (log, camera))
-    world, poses = None, frames.T_world_camera
+    world = None
     if free is not None and poses is not None:
-        shown = free._replace(seen=free.seen & good[:, None])
-        world = shown.in_world(poses[:count])
+        world = free._replace(seen=free.seen & known[:, None]).in_world(poses)
     return Rows(frame_columns, obstacle_columns, plane, world)
 
 
@@ -310,6 +313,7 @@ def _floor_columns(
 
 def _obstacle_columns(
     frames: Frames,
+    poses: np.ndarray | None,
     plane: GroundPlane,
     found: RowInputs,
     good: np.ndarray,
@@ -328,7 +332,7 @@ def _obstacle_columns(
         "num_points": obstacles.num_points,
         "vertices": obstacles.has_vertex.astype(np.int8),
         "corners_ground": corners.reshape(-1, 8).astype(np.float32),
-        "corners_world": _world_corners(corners, frames.T_world_camera, row),
+        "corners_world": _world_corners(corners, poses, row),
     }
     columns |= _shape_columns(obstacles, found.scene, plane.valid, row, slot, unit)
     for i, axis in enumerate("uv"):

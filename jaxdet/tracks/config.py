@@ -12,7 +12,7 @@ class TrackConfig:
     """When obstacles of different frames are one thing, and when that moves."""
 
     max_speed_mps: float = 3.0
-    """Nothing moves faster [m/s]."""
+    """Nothing moves faster [m/s]; a track that seems to stands."""
     gate_m: float = 0.3
     """So much more may the nearest edges of an outline move between frames [m]."""
     max_gap_frames: int = 3

@@ -59,8 +59,11 @@ def motion_of(
     edges = _edges(things) + np.hstack([shift, shift])
     edges, weight = _filled(things, edges, starts, first, stamp)
     line, slope = _fitted(track, time, edges, weight, config.smooth_s)
-    moving = _moves(line, edges, weight, starts, track, usual, config)
-    velocity = _middle(slope) * moving[track, None]
+    velocity = _middle(slope)
+    # Over a few frames noise alone can be such a speed.
+    possible = _medians(np.hypot(*velocity.T), track, starts) <= config.max_speed_mps
+    moving = _moves(line, edges, weight, starts, track, usual, config) & possible
+    velocity *= moving[track, None]
     return Motion(starts, _middle(line), velocity, moving)
 
 
@@ -81,8 +84,13 @@ def _lengths(things: Things, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Of each sighting, ``(N,)``, the longer side, and its median in each track, ``(K,)`` [m]."""
     track = np.searchsorted(first, np.arange(len(things.frame)), "right") - 1
     length = 2 * things.outline.half.max(axis=1)
-    seen = np.diff(np.append(first, len(length)))
-    return length, length[np.lexsort((length, track))][first + seen // 2]
+    return length, _medians(length, track, first)
+
+
+def _medians(values: np.ndarray, track: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The upper median of the values ``(N,)`` of each track, which begins at ``first`` ``(K,)``."""
+    count = np.diff(np.append(first, len(values)))
+    return values[np.lexsort((values, track))][first + count // 2]
 
 
 def _moves(
