@@ -119,7 +119,8 @@ class LogSummary(Counts):
         nothing = self.floor_sources["none"]
         others = [f"{n} have that of {name}" for name, n in self.floor_sources.items() if n]
         others = [text for text in others if not text.endswith((" frame", " none"))]
-        others += [f"in {nothing} nothing is dropped as floor"] if nothing else []
+        if nothing:
+            others.append(f"in {nothing} no floor is known, distances are as of a level camera")
         remedy = "give the camera's true --ground.camera-height-m and --ground.camera-pitch"
         if self.floor_sources["flags"]:
             remedy += ", or leave both out"

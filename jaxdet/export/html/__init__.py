@@ -153,6 +153,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         "status": {k: n for k, n in summary["status"].items() if n},
         "obstacles": log.num_obstacles,
         "overflow": summary["overflow_frames"],
+        "floorless": summary["floor_sources"].get("none", 0),
         "nearest": [nearest[least], int(line.frame[least])] if known else None,
         "begin": round(begin_s, 3) if begin_s > FIRST_DATE_S else None,
         "duration": (stop - start) / 1e9 if start is not None and stop is not None else None,
@@ -182,7 +183,8 @@ def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
     """A log that is not in the tables."""
     nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "tracks"))
     nothing |= dict.fromkeys(("per_frame", "per_obstacle"))
-    counts = {"frames": 0, "obstacles": 0, "overflow": 0, "stride": 1, "status": {}}
+    counts = dict.fromkeys(("frames", "obstacles", "overflow", "floorless"), 0)
+    counts |= {"stride": 1, "status": {}}
     lines = {"floor": "", "warnings": entry["warnings"], "errors": []}
     return {"log": entry["log"], "error": entry["error"], **nothing, **counts, **lines}
 

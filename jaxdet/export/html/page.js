@@ -63,6 +63,7 @@
     const node = clear($("figures"));
     const frames = sum((l) => l.frames), ok = sum((l) => l.status.ok || 0);
     const obstacles = sum((l) => l.obstacles), overflow = sum((l) => l.overflow);
+    const floorless = sum((l) => l.floorless);
     const whole = picked().filter((l) => !l.error), failed = picked().length - whole.length;
     const nearest = whole.filter((l) => l.nearest).sort((a, b) => a.nearest[0] - b.nearest[0])[0];
     const card = (name, value, below) => {
@@ -76,7 +77,8 @@
     card("Without a result", (frames - ok).toLocaleString("en"), frames - ok ? share(frames - ok, frames) : "none lost");
     card("Obstacles", obstacles.toLocaleString("en"), ok ? `${(obstacles / ok).toFixed(1)} a frame` : "");
     card("Nearest", nearest ? metres(nearest.nearest[0]) : "–", nearest ? `${data.logs.length > 1 ? nearest.log + ", " : ""}frame ${nearest.nearest[1]}` : "");
-    card("Overflow", overflow.toLocaleString("en"), overflow ? "frames hold more than is kept" : "no frame");
+    if (floorless) card("No floor", floorless.toLocaleString("en"), "frames; distances as of a level camera");
+    card("Overflow", overflow.toLocaleString("en"), overflow ? "frames: more corners, surfaces or obstacles than slots" : "no frame");
   }
 
   function drawLost() {
@@ -485,7 +487,7 @@
     const node = clear($("warnings"));
     const lines = picked().flatMap((l) => l.warnings.map((w) => (data.logs.length > 1 ? `${l.log}: ${w}` : w)));
     if (!lines.length) return;
-    const more = add(node, "details", { open: lines.length < 6 ? "" : null });
+    const more = add(node, "details", { open: lines.length < 6 || sum((l) => l.floorless) ? "" : null });
     add(more, "summary", {}, many(lines.length, "warning"));
     const list = add(more, "ul");
     for (const text of lines.slice(0, 200)) add(list, "li", {}, text);
