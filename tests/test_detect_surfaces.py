@@ -34,7 +34,7 @@ from jaxdet.types import (
     Refusal,
 )
 from tests.floor_cells import CAMERA, Pose, cast
-from tests.scenes import D435, assert_equal, frames
+from tests.scenes import D435, assert_equal, blocks, frames
 
 SURFACES = Config()
 UNIT = 0.001
@@ -349,6 +349,15 @@ def test_no_floor_is_looked_for() -> None:
     config = replace(SURFACES, ground=GroundConfig(source="none"))
     scene = found(made(cast(POSE, [BOX])[None], None), config).scene
     assert scene and not floors(scene, UNIT).own[0] and not floors(scene, UNIT).plane.valid[0]
+
+
+def test_more_corners_than_slots_lose_no_obstacle() -> None:
+    given = made(cast(POSE, [BOX])[None], unknown_plane(1))
+    given = given._replace(color=blocks(1, *given.color.shape[1:3]))
+    few = replace(SURFACES, features=replace(SURFACES.features, max_corners=2))
+    many, some = (found(given, config) for config in (SURFACES, few))
+    assert many.features.valid[0, : SURFACES.features.max_corners].sum() > 2
+    assert not some.features.overflow[0] and count(some) == count(many) >= 1
 
 
 def test_more_obstacles_than_there_is_room_for() -> None:

@@ -169,7 +169,8 @@ def test_a_torn_log_without_a_calibration_says_both(tmp_path: Path) -> None:
 
 def test_an_overflow_names_its_page(log: Path, tmp_path: Path, capsys: Captured) -> None:
     run = ["run", str(log), "--output", str(tmp_path / "out"), "--backend", "reference"]
-    assert main([*run, "--pictures", "0", "--features.max-corners", "8"]) == 0
+    few = ["--preset", "paper", "--features.max-corners", "8"]
+    assert main([*run, "--pictures", "0", *few]) == 0
     assert "than slots, see jaxdet help tuning" in capsys.readouterr().out
     main(["help", "tuning"])
     assert "`overflow`" in capsys.readouterr().out

@@ -93,8 +93,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
         text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:
         frames = many(log.overflow_frames, "frame")
-        what = "had more corners (no obstacle is lost by that but with preset paper), surfaces or"
-        what += " obstacles than slots, see jaxdet help tuning"
+        what = "had more surfaces, obstacles or (paper) corners than slots, see jaxdet help tuning"
         text.append(f"overflow   {frames} {what}")
     if score := log.observed.get("score"):
         text += _score_lines(score)

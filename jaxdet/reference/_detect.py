@@ -193,7 +193,7 @@ def _points(
     count = label.max(axis=1, initial=-1) + 1
     points = Features(
         **{k: np.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
-        overflow=corners.overflow | (count > MAX_OBSTACLES) | [one.overflow for one in found],
+        overflow=(count > MAX_OBSTACLES) | [one.overflow for one in found],
     )
     labels = np.concatenate([of_corners, of_cells], axis=1)
     labels = np.where(labels < MAX_OBSTACLES, labels, -1).astype(np.int32)

@@ -48,7 +48,7 @@ FRAMES_SCHEMA = _schema(
         "corners and sampled cells above the floor, in range or of obstacles",
     ),
     _Column("num_obstacles", _I32, "", "rows of the frame in obstacles.parquet"),
-    _Column("overflow", _BOOL, "", "more corners, surfaces or obstacles than there are slots"),
+    _Column("overflow", _BOOL, "", "obstacles may be lost: too many surfaces, or paper's corners"),
     _Column("camera_height_m", _F32, "m", "optical centre above the floor used", True),
     _Column("camera_pitch_rad", _F32, "rad", "downward tilt of the camera", True),
     _Column("camera_roll_rad", _F32, "rad", "clockwise turn, seen from behind the camera", True),

@@ -21,8 +21,6 @@ class CellFeatures(NamedTuple):
     slots: tuple[jax.Array, ...]
     """:class:`~jaxdet.types.Features` but for ``overflow``: ``N`` slots of corners a frame, then
     the sample."""
-    num_corners: jax.Array
-    """``(B,)`` int32, how many qualify, where they are more than N perhaps too few."""
     label: jax.Array  # (B, N + S) int32, the cells' labels below MAX_OBSTACLES, or -1
     has_depth: jax.Array  # (B,) bool, some cell in view is in range
 
@@ -75,4 +73,4 @@ def features_on_cells(
             shapes=dict.fromkeys(_features.outputs, (batch, slots + sampled[0] * sampled[1])),
             scratch=kernels.cover_scratch(height, width, slots),
         )  # fmt: skip
-        return CellFeatures((*places, valid, kept), count, of_cells, has_depth)
+        return CellFeatures((*places, valid, kept), of_cells, has_depth)

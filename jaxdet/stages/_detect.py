@@ -180,8 +180,7 @@ def _detect(
 ) -> Detections:
     steps = partial(_steps, color, depth, *tables, static)
     found = by_device(partial(frame_by_frame, steps), steps)
-    too_many = (found.num_obstacles > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)
-    overflow = too_many | (found.features.num_corners > static.slots)
+    overflow = (found.num_obstacles > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)
     points = Features._make((*found.features.slots, overflow))
     labels = Labels(found.features.label, jnp.minimum(found.num_obstacles, MAX_OBSTACLES))
     lost = cast(GroundPlane, None)  # it stays on the host

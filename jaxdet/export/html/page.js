@@ -78,7 +78,7 @@
     card("Obstacles", obstacles.toLocaleString("en"), ok ? `${(obstacles / ok).toFixed(1)} a frame` : "");
     card("Nearest", nearest ? metres(nearest.nearest[0]) : "–", nearest ? `${data.logs.length > 1 ? nearest.log + ", " : ""}frame ${nearest.nearest[1]}` : "");
     if (floorless) card("No floor", floorless.toLocaleString("en"), "frames; distances as of a level camera");
-    card("Overflow", overflow.toLocaleString("en"), overflow ? "frames: more corners, surfaces or obstacles than slots" : "no frame");
+    card("Overflow", overflow.toLocaleString("en"), overflow ? "frames in which obstacles may be lost" : "no frame");
   }
 
   function drawLost() {
