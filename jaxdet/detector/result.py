@@ -47,12 +47,14 @@ class Obstacle:
         xyz_min: ``(3,)`` float32, least x, y and z in the colour optical frame [m].
         xyz_max: ``(3,)`` float32, largest x, y and z [m].
         centroid: ``(3,)`` float32, x, y and z [m].
-        bottom_m: Its lowest cell above the floor [m]; None where the floor is not known.
+        bottom_m: Its lowest cell seen above the floor [m], what stands on it has about the step's
+            height; None where the floor is not known.
         top_m: Its highest cell above the floor [m]; None likewise.
         contour: ``(P, 2)`` float32, its visible edge on the floor from left to right, right and
             forward of the camera [m]; None for clusters of points.
         corners: ``(4, 2)`` float32, its outline on the floor, right and forward [m].
-        corners_world: ``(4, 2)`` float32, the same in the world, X and Y [m]; None without a pose.
+        corners_world: ``(4, 2)`` float32, the same in the world, X and Y [m]; None without a pose
+            or a floor.
         num_points: Its depth cells in the colour image; of clusters of points its corners.
     """
 
