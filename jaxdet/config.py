@@ -43,7 +43,7 @@ class GroundConfig:
     min_depth_m: float = 0.15
     """Nearest depth used [m]."""
     max_depth_m: float = 4.0
-    """Farthest depth used [m]."""
+    """Farthest depth used [m]; obstacles begin nearer, see surface.beyond."""
     step_height_m: float = 0.05
     """What the wheels can climb [m]: lower points are floor."""
     step_height_per_m: float = 0.003

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Finds the obstacles in every frame of logs and writes frames.parquet, obstacles.parquet,
-config.json, summary.json, pictures and a map of each log.
+config.json, summary.json, pictures and, where a log has poses, a map of it.
 
 Examples:
   jaxdet run drive.mcap --output results
