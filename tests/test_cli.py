@@ -344,6 +344,8 @@ def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: C
     assert main([*args, "--overwrite", "--truth", str(sim_log)]) == 0
     captured = capfd.readouterr()
     assert "visible obstacles found" in captured.out
+    score = json.loads((tmp_path / "a" / "summary.json").read_text())["logs"][0]["score"]
+    assert score["ignored"] and f"), {score['ignored']} not counted, F1 " in captured.out
     assert captured.out.endswith(f"results: {tmp_path / 'a'} (tables, 2 pictures, 1 map)\n")
     assert "2/2 frames" in captured.err
     assert main([*args, "--overwrite", "--quiet"]) == 0

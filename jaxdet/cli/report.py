@@ -121,11 +121,12 @@ def _floor_text(log: "LogSummary") -> str:
 
 def _score_lines(score: Mapping[str, Any]) -> list[str]:
     """The comparison with the truth."""
+    others = f", {score['ignored']} not counted" if score["ignored"] else ""
     return [
         f"truth      {score['found']} of {score['visible']} visible obstacles found "
         f"(recall {score['recall']:.3f}), {score['found']} of "
         f"{score['found'] + score['false']} detections right "
-        f"(precision {score['precision']:.3f}), F1 {score['f1']:.3f}",
+        f"(precision {score['precision']:.3f}){others}, F1 {score['f1']:.3f}",
         f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
         f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "
         f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
