@@ -107,7 +107,8 @@ class LogSummary(Counts):
         """As JSON has it, what observers say under their names."""
         values = {"log": self.log, "bottleneck": self.bottleneck, "rates": plain(self.rates)}
         values |= plain(self)
-        return {"score": None, **values, **values.pop("observed")}
+        seen = values.pop("observed")
+        return {"score": None, **values, **seen}
 
     @property
     def floor_warning(self) -> str | None:
