@@ -86,6 +86,14 @@ def test_tum_has_stamps_and_poses(tmp_path, scan):
         assert not any("stamps" in text for text in log.description.warnings)
 
 
+@pytest.mark.parametrize("unit", [None, 0.0002])
+def test_tum_without_a_depth_unit_is_doubted(tmp_path, unit):
+    options = LogOptions(color_intrinsics=K, depth_unit_m=unit)
+    with open_log(str(write_tum(tmp_path / "desk")), options) as log:
+        said = [text for text in log.description.warnings if "--log.depth-unit-m 0.0002" in text]
+        assert len(said) == (unit is None)
+
+
 def test_names_are_stamps_where_nothing_lists_them(tmp_path):
     folder = write_tum(tmp_path / "desk")
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):

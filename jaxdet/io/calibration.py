@@ -1,6 +1,7 @@
 """The calibration of the chosen topics, each part with where it comes from."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from jaxdet.checks import check_calibration
 from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.extrinsics import find_extrinsics
+from jaxdet.io.image_folder import LISTED_DEPTH
 from jaxdet.io.index import LogIndex
 from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
@@ -18,6 +20,8 @@ from jaxdet.types import Calibration, Intrinsics
 
 DEPTH_UNIT_M = 0.001
 """Metres in one depth unit, where nothing else is said."""
+_ASSUMED = "the default"
+"""Where that depth unit comes from."""
 
 
 class Calibrated(NamedTuple):
@@ -51,7 +55,7 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     depth_source = _source(index, depth_stream, True, options, path)
     unit, unit_source = _depth_unit(index, options, choice.depth, path)
     origins = [_line("colour", color.intrinsics, color.origin)]
-    warnings = list(color.warnings)
+    warnings = [*color.warnings, *_unit_doubts(unit_source, path)]
     same_frame = bool(color_frame) and _frame(color_stream, False) == depth_frame
     aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
     if aligned:
@@ -95,7 +99,7 @@ def _depth_unit(
         return options.depth_unit_m, "--log.depth-unit-m"
     near = [name for name in sorted(index.depth_units) if affinity(name, depth_topic) > 1]
     if not near:
-        return DEPTH_UNIT_M, "the default"
+        return DEPTH_UNIT_M, _ASSUMED
     topic = max(near, key=lambda name: affinity(name, depth_topic))
     # The shortest decimal that is this float32: 0.001, not 0.0010000000475.
     unit = float(str(np.float32(index.depth_units[topic])))
@@ -103,6 +107,16 @@ def _depth_unit(
         problem, remedy = f"a depth unit of {unit:g} m", "give --log.depth-unit-m"
         raise CalibrationError(problem, path=path, topic=printable(topic), remedy=remedy)
     return unit, f"topic {printable(topic)}"
+
+
+def _unit_doubts(source: str, path: str) -> list[str]:
+    """A line where nothing tells the depth unit of what looks like TUM's benchmark."""
+    if source != _ASSUMED or not Path(path, LISTED_DEPTH).is_file():
+        return []
+    return [
+        f"the depth unit is not told, and taken to be {DEPTH_UNIT_M:g} m: for TUM's benchmark give "
+        "--log.depth-unit-m 0.0002"
+    ]
 
 
 def _aligned(

@@ -33,6 +33,7 @@ COLOR_NAMES = ("rgb", "color", "colour")
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
+LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
 """Stamp of frame 0 where frames have numbers only [s]; 0 would count as none."""
@@ -156,7 +157,7 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
 
 def stamp_note(folder: Path) -> str:
     """What is to be said of the stamps of a folder's images; empty where they are recorded."""
-    if (folder / "rgb.txt").exists() and (folder / "depth.txt").exists():
+    if (folder / LISTED_COLOR).exists() and (folder / LISTED_DEPTH).exists():
         return ""
     names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
     if all("." in name for name in names):
@@ -167,8 +168,8 @@ def stamp_note(folder: Path) -> str:
 def _messages(folder: Path) -> list[_Message]:
     """The messages of a folder in order of time."""
     found = [
-        *_image_messages(folder, _COLOR, "rgb.txt", COLOR_NAMES, COLOR_SUFFIXES),
-        *_image_messages(folder, _DEPTH, "depth.txt", DEPTH_NAMES, DEPTH_SUFFIXES),
+        *_image_messages(folder, _COLOR, LISTED_COLOR, COLOR_NAMES, COLOR_SUFFIXES),
+        *_image_messages(folder, _DEPTH, LISTED_DEPTH, DEPTH_NAMES, DEPTH_SUFFIXES),
     ]
     first = min((item.log_ns for item in found), default=0)
     found += _calibration(folder, first)
