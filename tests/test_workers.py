@@ -25,7 +25,7 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, local, log_run, pool, station
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.slots import SLOTS, attached
-from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError
+from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, write_log
@@ -462,6 +462,28 @@ def descendants(pid: int | str) -> list[str]:
     except OSError:
         return []
     return children + [below for child in children for below in descendants(child)]
+
+
+def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
+    """It comes as XLA calls a kernel back, where no exception can leave."""
+    sent = []
+
+    def send(frame: Any, event: str, _: Any) -> None:
+        if event == "call" and frame.f_code.co_name == "handle":
+            sys.setprofile(None)
+            sent.append(frame.f_code.co_filename)
+            signal.raise_signal(signal.SIGINT)
+
+    def progress(now: engine.Progress) -> None:
+        if now.doing == "looking for the floor":
+            sys.setprofile(send)
+
+    try:
+        with pytest.raises(Interrupted):
+            run(sim_logs, tmp_path, progress=progress, workers=1, pictures=0)
+    finally:
+        sys.setprofile(None)
+    assert [Path(name).name for name in sent] == ["_xla.py"]
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")

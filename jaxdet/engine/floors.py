@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxdet.config import Config, GroundConfig
+from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import (
     flagged_plane,
@@ -211,9 +212,10 @@ def _look(
         frames = log.read(sample[first : first + size].tolist()).frames
         if frames.valid.any():
             frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            fit = find_floors(frames, config, backend=backend)
-            shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
-            own.append(fit.own[frames.valid])
+            with stops_held_back():  # XLA calls kernels back in this thread, see OwnDevice
+                fit = find_floors(frames, config, backend=backend)
+                shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
+                own.append(np.asarray(fit.own)[frames.valid])
     if not shown:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane
     found = sampled_floor(join_planes(shown), np.concatenate(own))
