@@ -169,6 +169,55 @@ def test_a_bug_in_the_49th_log_costs_that_log(many: list, tmp_path: Path, monkey
     assert 'raise ZeroDivisionError("by nothing")' in report and "48.mcap" in report
 
 
+@pytest.fixture
+def on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
+    """Four logs of ten frames, each with a file in the folder ``disk``."""
+
+    def open_log(files: LogFiles, options: LogOptions, memory: Any) -> Any:
+        if not files.paths[0].exists():
+            raise InputError("can't be read", path=str(files.paths[0]))
+        return named(files.name)
+
+    monkeypatch.setattr(log_run, "open_log", open_log)
+    monkeypatch.setattr(device, "detect", COMPUTED)
+    (tmp_path / "disk").mkdir()
+    logs = [LogFiles(name, (tmp_path / "disk" / f"{name}.mcap",)) for name in "abcd"]
+    for log in logs:
+        log.paths[0].write_text(log.name, encoding="utf-8")
+    return logs
+
+
+@pytest.mark.parametrize(
+    ("count", "last", "standing"),
+    [(4, "b", "2 of 4 logs"), (1, "a", "0 of 1 logs and 1 of 2 units of a")],
+)
+def test_a_disk_of_logs_that_is_gone_for_a_while(
+    on_disk: list, tmp_path: Path, count: int, last: str, standing: str
+) -> None:
+    disk = tmp_path / "disk"
+
+    def unplug() -> None:
+        disk.rename(tmp_path / "unplugged")
+        if count == 1:  # the log is read no further
+            raise InputError("can't be read")
+
+    text = f"see that its disk is there; the same command goes on: {standing} are done"
+    with pytest.raises(InputError, match=f"[ac].mcap: is not there any more; {text}"):
+        run(on_disk[:count], tmp_path / "a", progress=stop_at(last, unplug))
+    (tmp_path / "unplugged").rename(disk)
+    said: list[str] = []
+    assert not run(on_disk[:count], tmp_path / "a", say=said.append).failed
+    assert said == [f"continuing: {standing} are there"]
+    run(on_disk[:count], tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_log_that_is_removed_costs_no_other(on_disk: list, tmp_path: Path) -> None:
+    stop = stop_at("a", on_disk[1].paths[0].unlink)
+    summary = run(on_disk, tmp_path / "a", progress=stop)
+    assert [log.log for log in summary.failed] == ["b"] and summary.frames == 30
+
+
 def crash_in_the_49th(output: Path) -> None:
     """In a process of its own, which ends there."""
     log_run.open_log, device.detect = opened, COMPUTED

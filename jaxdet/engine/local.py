@@ -22,10 +22,10 @@ from jaxdet.engine.record import digest, make_record
 from jaxdet.engine.sharing import open_store
 from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import CamerasError, ConfigError, Interrupted, OutputError
+from jaxdet.errors import CamerasError, ConfigError, InputError, Interrupted, OutputError
 from jaxdet.memory import size_text
 from jaxdet.results.durable import writing
-from jaxdet.results.manifest import MANIFEST, make_manifest
+from jaxdet.results.manifest import MANIFEST, fingerprint, make_manifest
 from jaxdet.results.names import file_names
 from jaxdet.results.summary import Summary
 from jaxdet.results.writer import ResultWriter, write_json
@@ -68,7 +68,8 @@ def run(
         ConfigError: It holds an unfinished run with other inputs, configuration or versions;
             another run works there; it is in a log that is a folder; or the backend has no program
             for the configuration; or there is too little memory for any log.
-        InputError: The output folder can't be written to.
+        InputError: The output folder can't be written to; or the logs are gone, as their disk is;
+            what is done is kept.
         OutputError: The disk is full or broken; what is done is kept.
         Interrupted: A signal ended it; what is done is kept.
     """
@@ -94,7 +95,7 @@ def run(
             there = f"{there} done; the same command goes on" if there else "nothing is done yet"
             number = getattr(stop, "signal", signal.SIGINT)
             raise Interrupted(number, f"interrupted; {there}") from None
-        except OutputError as error:
+        except (InputError, OutputError) as error:
             if there := whole.standing():
                 error.add_remedy(f"the same command goes on: {there} done")
             raise
@@ -194,6 +195,8 @@ class _Run:
             except CamerasError as error:
                 each = [replace(options, camera=camera) for camera in error.cameras]
                 found = [one.take(folder / f"{i + 1}", each[i]) for i in range(len(each))]
+            if any(about.error for about in found):
+                self._check_there(files)
             self.summary.logs += found
             fetched += one.fetched
             if not (self.options.share or any(about.error for about in found)):
@@ -207,3 +210,23 @@ class _Run:
         elif self.store:
             units = "1 unit was" if fetched == 1 else f"{fetched} units were"
             self.say(f"{units} in {self.store}")
+
+    def _check_there(self, failed: "LogFiles") -> None:
+        """Makes sure that the disk of a log that failed is still there.
+
+        It is gone where others of the run are gone with the log. One that is gone alone was
+        removed, and costs no other.
+
+        Raises:
+            InputError: It is gone; nothing that is done is lost.
+        """
+        others = (log for log in self.logs if log is not failed)
+        if self._gone(failed) and (len(self.logs) == 1 or any(map(self._gone, others))):
+            path, remedy = str(failed.paths[0]), "see that its disk is there"
+            raise InputError("is not there any more", path=path, remedy=remedy)
+
+    def _gone(self, log: "LogFiles") -> bool:
+        """Whether a file of a log can't be read that could be when the run began."""
+        before = self.work.record["about"]["inputs"][log.name]
+        found = zip(before, map(fingerprint, log.paths), strict=True)
+        return any("size" in was and "size" not in is_now for was, is_now in found)
