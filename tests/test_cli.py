@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from jaxdet.errors import ConfigError, OutputError
 from jaxdet.io import LogOptions
 from jaxdet.presets import PRESETS
 from jaxdet.sim import SimConfig, load_truth, write_log
+from tests.test_workers import same_results
 
 Captured = pytest.CaptureFixture[str]
 PITCH = ("--ground.camera-height-m", "0.3", "--ground.camera-pitch")
@@ -350,6 +352,22 @@ def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: C
     assert "2/2 frames" in captured.err
     assert main([*args, "--overwrite", "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+@pytest.mark.parametrize("way", ["full", "gone"])
+def test_progress_that_nobody_takes_costs_nothing(sim_log: Path, tmp_path: Path, way: str) -> None:
+    args = ["run", str(sim_log), "--backend", "reference", "--pictures", "0", "--output"]
+    assert main([*args, str(tmp_path / "quiet"), "--quiet"]) == 0
+    if way == "full":
+        errors = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reader, errors = os.pipe()
+        os.close(reader)
+    command = [sys.executable, "-m", "jaxdet", *args, str(tmp_path / "told")]
+    assert not subprocess.run(command, stdout=subprocess.PIPE, stderr=errors).returncode
+    os.close(errors)
+    same_results(tmp_path / "told", tmp_path / "quiet")
 
 
 def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:

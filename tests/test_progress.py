@@ -1,13 +1,17 @@
 """What a run says while it goes on: the step that others wait for, and the rate of each."""
 
+import os
 import re
+import sys
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands
+from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands, reporting
 from jaxdet.cli.report import MANY_LOGS, summary_lines
+from jaxdet.cli.tell import tell
 from jaxdet.engine import LogSummary, Progress
 from jaxdet.results.summary import Summary
 
@@ -58,6 +62,24 @@ def test_a_terminal_of_80_columns_shows_all_of_a_bar(monkeypatch, capsys) -> Non
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
         assert f"[2/12] {name[:7]}" in plain
         assert "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals on this system")
+def test_a_terminal_that_goes_away_ends_nothing(monkeypatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        with reporting(silent=False) as show:
+            assert show
+            show(Progress("a", 0, 2, 10, 20, 0, None))
+            os.close(ours)
+            for log in "aab":
+                show(Progress(log, "ab".index(log), 2, 20, 20, 0, None))
+        tell("and the lines after it")
+        monkeypatch.undo()
+        with suppress(OSError):
+            terminal.close()
 
 
 def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:

@@ -1,7 +1,6 @@
 """``jaxdet doctor``: versions, devices, and whether both backends agree on a small case."""
 
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import jaxdet
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 
 DESCRIPTION = """\
 Checks this installation: versions, the devices that JAX and Warp find, and whether the compiled
@@ -46,7 +46,7 @@ def main(args: list[str]) -> int:
     for name, (passed, text) in checks.items():
         print(f"{name:<24} {'ok' if passed else 'FAILED'}: {text}")
     if failed:
-        print(f"jaxdet: error: failed: {', '.join(failed)}", file=sys.stderr)
+        tell(f"jaxdet: error: failed: {', '.join(failed)}")
     return 1 if failed else 0
 
 

@@ -1,6 +1,5 @@
 """``jaxdet export``: results in the formats of other programs."""
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Literal
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 from jaxdet.export import FORMATS
 
 DESCRIPTION = """\
@@ -56,7 +56,7 @@ def main(args: list[str]) -> int:
         with Results(command.results) as results:
             recordings = find(results, command.log)
             export(results, command.to, command.output, recordings)
-    print(f"written: {command.output}", file=sys.stderr)
+    tell(f"written: {command.output}")
     see = FORMATS[command.to].shown_by.replace("{}", str(command.output))
-    print(f"to see it: {see}", file=sys.stderr)
+    tell(f"to see it: {see}")
     return 0

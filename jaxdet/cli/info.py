@@ -1,6 +1,5 @@
 """``jaxdet info``: what is in a log, and what a run would use of it and why."""
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -9,6 +8,7 @@ from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import ground_text, many
 from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import CamerasError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
@@ -84,7 +84,7 @@ def main(args: list[str]) -> int:
             failed += 1
             camera = {"camera": options.camera} if options.camera else {}
             found.append({"log": files.name, **camera, "error": str(error)})
-            print(f"jaxdet: error: {error}", file=sys.stderr)
+            tell(f"jaxdet: error: {error}")
         else:
             found.append(about)
             if not command.json:

@@ -10,6 +10,7 @@ from tempfile import NamedTemporaryFile
 
 import jaxdet
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 from jaxdet.engine.signals import stops_raised
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, printable
 from jaxdet.results.fault import fault_text
@@ -130,5 +131,5 @@ def _reported(error: Exception) -> str:
 
 def _fail(message: str, code: int) -> int:
     SPINNER.stop()
-    print(f"jaxdet: error: {printable(' '.join(message.split()))}", file=sys.stderr)
+    tell(f"jaxdet: error: {printable(' '.join(message.split()))}")
     return code

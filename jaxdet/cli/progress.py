@@ -3,10 +3,11 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 
 if TYPE_CHECKING:
     from jaxdet.engine import Progress, ProgressCallback
@@ -48,25 +49,31 @@ def _bars() -> Iterator["ProgressCallback"]:
     """Number and name of the log of each bar; the last one is moving."""
 
     def show(now: "Progress") -> None:
-        SPINNER.stop()
-        bars.start()
-        which = now.log_number, now.log
-        if not known or known[-1] != which:
-            # A log that has not been opened yet turns out to have several cameras.
-            if known and known[-1][0] == now.log_number and bars.tasks[-1].total is None:
-                known[-1] = which
-            else:
-                for task in bars.tasks[: len(known) + 1 - MAX_BARS]:
-                    bars.update(task.id, visible=False)
-                bars.add_task("", total=None, text="")
-                known.append(which)
-        state = {"total": now.total or None, "completed": now.done, "text": _text(now, _slowest)}
-        bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
+        with suppress(OSError):  # the terminal is gone
+            SPINNER.stop()
+            bars.start()
+            which = now.log_number, now.log
+            if not known or known[-1] != which:
+                # A log that has not been opened yet turns out to have several cameras.
+                if known and known[-1][0] == now.log_number and bars.tasks[-1].total is None:
+                    known[-1] = which
+                else:
+                    for task in bars.tasks[: len(known) + 1 - MAX_BARS]:
+                        bars.update(task.id, visible=False)
+                    bars.add_task("", total=None, text="")
+                    known.append(which)
+            state = {
+                "total": now.total or None,
+                "completed": now.done,
+                "text": _text(now, _slowest),
+            }
+            bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
 
     try:
         yield show
     finally:
-        bars.stop()
+        with suppress(OSError):
+            bars.stop()
 
 
 class _Lines:
@@ -79,7 +86,7 @@ class _Lines:
         if now.doing or (now.done < now.total and time.monotonic() - self.last < LINE_EVERY_S):
             return
         self.last = time.monotonic()
-        print(f"{_which(now)}{now.log}: {_text(now, _steps)}", file=sys.stderr, flush=True)
+        tell(f"{_which(now)}{now.log}: {_text(now, _steps)}")
 
 
 def _which(now: "Progress") -> str:

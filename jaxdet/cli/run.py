@@ -2,7 +2,6 @@
 
 import json
 import signal
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.settings import defaults, given
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
 from jaxdet.errors import Interrupted, ResultsError
@@ -158,7 +158,7 @@ def _exit_code(told: Mapping[str, Any]) -> int:
 
     errors = problems(told)
     for error in errors:
-        print(f"jaxdet: error: {error}", file=sys.stderr)
+        tell(f"jaxdet: error: {error}")
     return 1 if errors else 0
 
 
@@ -180,4 +180,4 @@ def _link(command: RunCommand) -> None:
 
 def _say(text: str) -> None:
     SPINNER.stop()
-    print(f"jaxdet: {text}", file=sys.stderr, flush=True)
+    tell(f"jaxdet: {text}")

@@ -1,6 +1,5 @@
 """``jaxdet sim``: a simulated log with its truth beside it."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.tell import tell
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig
 
@@ -67,8 +67,8 @@ def main(args: list[str]) -> int:
         raise InputError(reason, path=str(command.path)) from error
     if not command.quiet:
         objects = int((~truth.is_wall).sum())
-        print(f"{command.path}: {len(truth.stamp_ns)} frames, {objects} obstacles", file=sys.stderr)
-        print(f"{truth_path(command.path)}: the truth", file=sys.stderr)
+        tell(f"{command.path}: {len(truth.stamp_ns)} frames, {objects} obstacles")
+        tell(f"{truth_path(command.path)}: the truth")
     return 0
 
 

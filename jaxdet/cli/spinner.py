@@ -3,7 +3,7 @@
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 _FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 _EVERY_S = 0.1
@@ -46,14 +46,15 @@ class Spinner:
 
     def _turn(self) -> None:
         number = 0
-        while True:
-            sys.stderr.write(f"{_ERASE}{_FRAMES[number % len(_FRAMES)]} {self.text}")
+        with suppress(OSError):  # the terminal is gone
+            while True:
+                sys.stderr.write(f"{_ERASE}{_FRAMES[number % len(_FRAMES)]} {self.text}")
+                sys.stderr.flush()
+                number += 1
+                if self._stopped.wait(_EVERY_S):
+                    break
+            sys.stderr.write(_ERASE)
             sys.stderr.flush()
-            number += 1
-            if self._stopped.wait(_EVERY_S):
-                break
-        sys.stderr.write(_ERASE)
-        sys.stderr.flush()
 
 
 SPINNER = Spinner()
