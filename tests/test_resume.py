@@ -218,6 +218,15 @@ def test_a_log_that_is_removed_costs_no_other(on_disk: list, tmp_path: Path) -> 
     assert [log.log for log in summary.failed] == ["b"] and summary.frames == 30
 
 
+def test_a_log_that_changes_before_it_is_opened(on_disk: list, tmp_path: Path) -> None:
+    """The manifest names what was there when the run began."""
+    path = on_disk[1].paths[0]
+    stop = stop_at("a", lambda: path.write_text("longer", encoding="utf-8"))
+    (failed,) = run(on_disk, tmp_path / "a", progress=stop).failed
+    text = "was changed since the run began; read it again when nothing writes to it"
+    assert failed.error == f"{path}: {text}"
+
+
 def crash_in_the_49th(output: Path) -> None:
     """In a process of its own, which ends there."""
     log_run.open_log, device.detect = opened, COMPUTED

@@ -31,12 +31,13 @@ from jaxdet.engine.startup import start_up
 from jaxdet.engine.unit import LogWork, save_work
 from jaxdet.engine.watch import Watch
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import CamerasError, ChunkMemoryError, JaxdetError, OutputError
+from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
 from jaxdet.results.durable import flush, read_checked, writing
 from jaxdet.results.fault import fault_text
+from jaxdet.results.manifest import fingerprint
 from jaxdet.results.names import camera_file_name
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import ROWS_PER_GROUP, ResultWriter
@@ -185,9 +186,23 @@ class LogRun:
             share = self.number, *self.options.share_numbers
             self.shared = SharedLog(self.run.store, self.folder, share, scan=options.scan)
         with open_log(self.files, options, self.memory.reading) as log:
+            self._check_unchanged()  # from now on the open log sees a change itself
             about.camera, about.file_name = log.camera, self._stem(log)
             if not self.options.share or self._left(log):
                 self._run(log, plan, scan=options.scan)
+
+    def _check_unchanged(self) -> None:
+        """Makes sure that the files are those that the manifest names.
+
+        Raises:
+            InputError: One is not.
+        """
+        before = self.run.work.record["about"]["inputs"][self.files.name]
+        for path, was in zip(self.files.paths, before, strict=True):
+            if fingerprint(path) != was:
+                problem = "was changed since the run began"
+                remedy = "read it again when nothing writes to it"
+                raise InputError(problem, path=str(path), remedy=remedy)
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
         about, frames = self.about, len(log.frames)
