@@ -31,6 +31,7 @@ from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import fingerprint, result_files, sha256
+from jaxdet.results.writer import ResultWriter
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import track_results
 from jaxdet.verify import verify
@@ -225,6 +226,30 @@ def test_a_log_that_changes_before_it_is_opened(on_disk: list, tmp_path: Path) -
     (failed,) = run(on_disk, tmp_path / "a", progress=stop).failed
     text = "was changed since the run began; read it again when nothing writes to it"
     assert failed.error == f"{path}: {text}"
+
+
+def test_no_memory_for_the_rows_of_a_log(many: list, tmp_path: Path, monkeypatch) -> None:
+    """Some are in the tables by then, and would stay there without the log."""
+    added: list[Any] = []
+
+    def add(writer: ResultWriter, rows: Any) -> None:
+        added.append(rows)
+        if len(added) == 4:  # the second half of the second log
+            raise MemoryError("malloc of size 67108864 failed")
+        real(writer, rows)
+
+    real = ResultWriter.add
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultWriter, "add", add)
+        text = "01: no memory for its rows; end other programs; the same command goes on: 1 of 3"
+        with pytest.raises(OutputError, match=text):
+            run(many[:3], tmp_path / "a")
+    assert not (tmp_path / "a" / "frames.parquet").exists()
+    said: list[str] = []
+    run(many[:3], tmp_path / "a", say=said.append)
+    assert said == ["continuing: 1 of 3 logs are there"]
+    run(many[:3], tmp_path / "b")
+    same_results(tmp_path / "a", tmp_path / "b")
 
 
 def crash_in_the_49th(output: Path) -> None:

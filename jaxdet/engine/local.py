@@ -70,7 +70,8 @@ def run(
             for the configuration; or there is too little memory for any log.
         InputError: The output folder can't be written to; or the logs are gone, as their disk is;
             what is done is kept.
-        OutputError: The disk is full or broken; what is done is kept.
+        OutputError: The disk is full or broken, or there is no memory for the rows of a log; what
+            is done is kept.
         Interrupted: A signal ended it; what is done is kept.
     """
     Memory(options.memory, 1)  # too little is said before anything is touched

@@ -107,17 +107,11 @@ class LogRun:
 
         Raises:
             CamerasError: There are several cameras, and the options choose none.
-            OutputError: The disk is full or broken.
+            OutputError: The disk is full or broken, or there is no memory for the rows.
         """
         self.folder, self.about, summary = folder, self._new(), self.run.summary
-        files = self.run.files
         try:
             self._make_whole(log_options)
-            if not self.options.share:
-                for part in parts_of(self.run.work.read(folder / PLAN)._replace(folder=folder)):
-                    self.run.writer.add(part.rows)
-                files.update({name: folder / name for name in self.about.pictures})
-                files.update(map_files(self.about, folder))
         except (OutputError, CamerasError):
             raise
         except Exception as error:
@@ -127,13 +121,27 @@ class LogRun:
             if not isinstance(error, JaxdetError) or hasattr(error, "__notes__"):
                 report = f"report_{self.about.file_name or self.file_name}.txt"
                 self.about.error += f"; a fault of jaxdet: please send its developers {report}"
-                files[report] = self.run.work.result / report
-                with writing(files[report]):
-                    text = fault_text(error, self.files.paths)
-                    files[report].write_text(text, encoding="utf-8")
+                self.run.files[report] = path = self.run.work.result / report
+                with writing(path):
+                    path.write_text(fault_text(error, self.files.paths), encoding="utf-8")
+        # What fails from here on ends the run: rows that are once in a table stay there.
+        if not (self.about.error or self.options.share):
+            self._add_results()
         summary.workers = max(summary.workers, self.workers)
         summary.batch_size = max(summary.batch_size, self.batch)
         return self.about
+
+    def _add_results(self) -> None:
+        """Rows, pictures and map of a log that is whole go into the results."""
+        plan: LogPlan = self.run.work.read(self.folder / PLAN)
+        try:
+            for part in parts_of(plan._replace(folder=self.folder)):
+                self.run.writer.add(part.rows)
+        except MemoryError as error:
+            how = {"path": self.files.name, "remedy": "end other programs"}
+            raise OutputError("no memory for its rows", **how) from error
+        self.run.files.update({name: self.folder / name for name in self.about.pictures})
+        self.run.files.update(map_files(self.about, self.folder))
 
     def _new(self) -> LogSummary:
         paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
