@@ -33,6 +33,7 @@ from jaxdet.stages import _upload
 from jaxdet.verify import verify
 
 FRAMES = 23
+START_METHODS = multiprocessing.get_all_start_methods()
 
 
 class Odd:
@@ -462,6 +463,30 @@ def descendants(pid: int | str) -> list[str]:
     except OSError:
         return []
     return children + [below for child in children for below in descendants(child)]
+
+
+def command(logs: list[Path], output: Path, temporary: Path) -> subprocess.CompletedProcess[str]:
+    """A run with workers in a process of its own, with its own folder for temporary files."""
+    words = ["run", *map(str, logs), "--output", str(output), "--workers", "2", "--pictures", "0"]
+    words += ["--backend", "reference", "--quiet"]
+    return subprocess.run(
+        [sys.executable, "-m", "jaxdet", *words],
+        env={**os.environ, "TMPDIR": str(temporary)},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.skipif("forkserver" not in START_METHODS, reason="no fork server on this system")
+def test_a_temporary_folder_whose_name_is_too_long(sim_logs, tmp_path):
+    temporary = tmp_path / ("long" * 25)
+    temporary.mkdir()
+    found = command(sim_logs[:1], tmp_path / "out", temporary)
+    assert found.returncode == 1 and not (tmp_path / "out").exists()
+    assert found.stderr == (
+        "jaxdet: error: workers can't be started (AF_UNIX path too long); "
+        "set TMPDIR to a folder with a short name and room, for instance /tmp\n"
+    )
 
 
 def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):

@@ -39,6 +39,7 @@ LOADED_TO_COMPUTE = ["jaxdet.stages"]
 each of them; none of it may start a thread, or Warp."""
 _LOOK_S = 1.0
 """So often workers are looked after."""
+_SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
 
 
@@ -59,11 +60,19 @@ def _start_method() -> str:
 
 
 def _start_server(loaded: list[str]) -> None:
-    """Starts the process that workers are forked from, if there is to be one and it isn't there."""
+    """Starts the process that workers are forked from, if there is to be one and it isn't there.
+
+    Raises:
+        WorkerError: The temporary folder has no room for its socket, whose name is short.
+    """
     if _start_method() == "forkserver":
         with _stops_kept_from_processes():
             multiprocessing.set_forkserver_preload(loaded)
-            forkserver.ensure_running()
+            try:
+                forkserver.ensure_running()
+            except OSError as error:
+                problem = f"workers can't be started ({error.strerror or error})"
+                raise WorkerError(problem, remedy=_SHORT_TMPDIR) from error
 
 
 SaveWork = Callable[[LogPlan], Path]
