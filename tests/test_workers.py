@@ -25,6 +25,7 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, local, log_run, pool, station
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.slots import SLOTS, attached
+from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
@@ -223,6 +224,26 @@ def test_a_worker_that_dies_or_stops_costs_nothing(sim_logs, plain_run, tmp_path
     assert sent and not summary.failed and not summary.logs[0].lost
     same_results(tmp_path / "a", plain_run)
     assert not any(alive(int(pid)) for pid in sent)
+
+
+class SlowLog:
+    """A log whose time windows have a frame each, which takes a while to read and has no depth."""
+
+    name, T_base_camera, num_frames = "slow", None, 15
+    frames, stamps_ns = range(num_frames), np.arange(num_frames) * 10**9
+
+    def read(self, numbers: list[int]) -> Any:
+        time.sleep(0.2)
+        return SimpleNamespace(frames=SimpleNamespace(valid=np.zeros(len(numbers), bool)))
+
+
+def test_floors_of_many_time_windows_are_progress(monkeypatch):
+    config = Config(ground=GroundConfig(source="estimate", window_s=1.0))
+    with pool.Pool(1, "reference") as workers:
+        workers.call(len, "")  # it has started
+        monkeypatch.setattr(pool, "NO_PROGRESS_S", 2.0)
+        planes = workers.call(decide_floors, SlowLog(), config, "reference")
+    assert len(planes.windows) == 15
 
 
 def same_results(one: Path, other: Path) -> None:

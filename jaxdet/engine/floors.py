@@ -7,6 +7,7 @@ depend on how a run is split. Each frame's own depth then corrects it; for clust
 the floor.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -103,6 +104,7 @@ def decide_planes(
     backend: BackendName,
     frames: np.ndarray | None = None,
     at_once: int | None = None,
+    alive: Callable[[], object] = lambda: None,
 ) -> Planes:
     """What is known of the floor of a log's frames, in the order flags, TF, none.
 
@@ -120,6 +122,7 @@ def decide_planes(
         backend: Backend that finds the floors.
         frames: Numbers of the frames whose planes are wanted; None: all that are read.
         at_once: Most frames of a sample that are in memory together; None: all.
+        alive: Called after each part of a sample.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -135,7 +138,8 @@ def decide_planes(
     wanted = np.array(log.frames, int) if frames is None else frames
     for number, all_frames in _windows(log, window_ns, wanted):
         sample = evenly(all_frames, config.ground.sample_frames)
-        record, windows[number] = _look(log, sample, known, plane, config, backend, at_once)
+        given = known, plane, config, backend, at_once, alive
+        record, windows[number] = _look(log, sample, *given)
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
     unknown = sum(not one.valid[0] for one in windows.values())
@@ -204,6 +208,7 @@ def _look(
     config: Config,
     backend: BackendName,
     at_once: int | None,
+    alive: Callable[[], object],
 ) -> tuple[GroundRecord, GroundPlane]:
     """The prior that a sample of frames gives: what they show, else what is known."""
     shown, own = [], []
@@ -216,6 +221,7 @@ def _look(
                 fit = find_floors(frames, config, backend=backend)
                 shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
                 own.append(np.asarray(fit.own)[frames.valid])
+        alive()
     if not shown:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane
     found = sampled_floor(join_planes(shown), np.concatenate(own))

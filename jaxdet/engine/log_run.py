@@ -30,6 +30,7 @@ from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.unit import LogWork, save_work
 from jaxdet.engine.watch import Watch
+from jaxdet.engine.worker import decide_floors
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
 from jaxdet.io import RescanError, open_log
@@ -256,7 +257,7 @@ class LogRun:
             self.report(self.about, log.label, len(log.frames), "looking for the floor")
             together = self._start(log, share, alone=alone)
             here = alone or bool(self.pool.devices)  # else this process has no need of JAX
-            decide = decide_planes if here else partial(self.pool.call, decide_planes)
+            decide = decide_planes if here else partial(self.pool.call, decide_floors)
             planes = decide(log, self.config, self.options.backend, None, self.batch)
             begun = self._plan(log, together, planes, scan=scan)
             if shared and shares:

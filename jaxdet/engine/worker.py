@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.floors import Planes, decide_planes
 from jaxdet.engine.plan import Unit
 from jaxdet.engine.signals import ignore_stops
 from jaxdet.engine.slots import Piped
@@ -147,6 +148,11 @@ _progress: Callable[[], Any] = int
 def work_on(path: Path, unit: Unit) -> Counts:
     """In a worker: :func:`jaxdet.engine.unit.run_unit`."""
     return run_unit(path, unit, _piped, _progress)
+
+
+def decide_floors(*args: Any) -> Planes:
+    """In a worker: :func:`jaxdet.engine.floors.decide_planes`."""
+    return decide_planes(*args, alive=_progress)
 
 
 def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:
