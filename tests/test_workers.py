@@ -246,6 +246,16 @@ def test_floors_of_many_time_windows_are_progress(monkeypatch):
     assert len(planes.windows) == 15
 
 
+def test_workers_that_are_killed_while_they_start_far_apart():
+    with pool.Pool(1, "reference") as workers:
+        for _ in range(3):
+            workers.start()
+            workers._awake.wait()
+            workers._workers[0].process.kill()
+            assert workers.call(len, "abc") == 3
+            workers.close()
+
+
 def same_results(one: Path, other: Path) -> None:
     """All files but the summary, with its times, and the checksum of that."""
     names = [path.relative_to(one) for path in sorted(one.rglob("*")) if path.is_file()]

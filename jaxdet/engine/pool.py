@@ -113,7 +113,7 @@ class Pool:
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
-        """Workers, one after the other, that died before they had begun."""
+        """Workers that died before they had begun, since one has answered."""
         self._ended, self._awake = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
@@ -306,6 +306,8 @@ class Pool:
                 worker.end()
                 self._workers.remove(worker)
                 continue
+            if answers:
+                self._early = 0
             short = [one for one, found in answers if isinstance(found, Failure) and found.memory]
             yield worker, [answer for answer in answers if answer[0] not in short]
             if short:
