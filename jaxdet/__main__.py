@@ -14,12 +14,19 @@ def command() -> NoReturn:
     takes a second or two.
     """
     code = main(sys.argv[1:])
+    _remove_temporary()
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:
             stream.flush()
         except OSError:  # whoever read it has gone, or the disk is full
             code = code or 1
     os._exit(code)
+
+
+def _remove_temporary() -> None:
+    """Removes the folder of the fork server's socket, as Python would at its end."""
+    if used := sys.modules.get("multiprocessing.util"):
+        used._run_finalizers()
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from concurrent.futures import Future
 from pathlib import Path
@@ -518,6 +519,13 @@ def test_a_temporary_folder_whose_name_is_too_long(sim_logs, tmp_path):
         "jaxdet: error: workers can't be started (AF_UNIX path too long); "
         "set TMPDIR to a folder with a short name and room, for instance /tmp\n"
     )
+
+
+def test_a_run_with_workers_leaves_no_temporary_files(sim_logs, tmp_path):
+    with tempfile.TemporaryDirectory(prefix="t") as temporary:  # of a short name
+        found = command(sim_logs[:1], tmp_path / "out", Path(temporary))
+        assert (found.returncode, found.stderr) == (0, "")
+        assert not list(Path(temporary).iterdir())
 
 
 def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
