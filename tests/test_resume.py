@@ -252,6 +252,21 @@ def test_no_memory_for_the_rows_of_a_log(many: list, tmp_path: Path, monkeypatch
     same_results(tmp_path / "a", tmp_path / "b")
 
 
+def test_times_of_what_was_there_count_when_a_run_goes_on(many: list, tmp_path: Path) -> None:
+    """As its frames do."""
+    with pytest.raises(Interrupted):
+        run(many[:1], tmp_path, progress=stop_at("00", interrupt))
+    folder, unit = part_of(tmp_path, "00000/0/00000000").parent, engine.Unit(0, 0, 5)
+    part = Part.load(folder, unit)
+    assert part and part.counts.busy_s["compute"] > 0
+    part.counts.busy_s["compute"] += 1000
+    part.save(folder, unit)
+    rates: list[Any] = []
+    log = run(many[:1], tmp_path, progress=lambda now: rates.append(now.rates)).logs[0]
+    assert log.frames == 10 and log.rates["compute"] == pytest.approx(10 / 1000, rel=0.01)
+    assert rates[-1]["compute"] == pytest.approx(10 / 1000, rel=0.01)
+
+
 def crash_in_the_49th(output: Path) -> None:
     """In a process of its own, which ends there."""
     log_run.open_log, device.detect = opened, COMPUTED

@@ -52,7 +52,7 @@ def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int) -> list["Notes"
     Returns:
         What reading told beside the frames.
     """
-    occupancy, notes, busy = OccupancyMap(), [], about.busy_s
+    occupancy, notes = OccupancyMap(), []
     seen: dict[str, list[Any]] = {name: [] for name in plan.observers}
     about.clear()
     for part in parts_of(plan):
@@ -64,7 +64,6 @@ def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int) -> list["Notes"
         about.frame_errors += part.errors[: MAX_FRAME_ERRORS - len(about.frame_errors)]
         for name, made in part.seen.items():
             seen[name] += made
-    about.busy_s = busy
     for name, observer in plan.observers.items():
         about.observed[name] = observer.summary(seen[name])
     _write_map(occupancy, plan, about, map_bytes)

@@ -110,11 +110,13 @@ class LogWork:
         self.batch_done()
         if piece.numbers[-1] + 1 == piece.unit.stop:
             part: Part = self._timed("write", building.pop().whole)
+            # With the file, as who goes on with the run counts its frames; the time that it takes
+            # to write it is the next one's.
+            busy, self._busy = self._busy, Counter()
+            part.counts.busy_s.update(busy)
             self._timed("write", part.save, self.plan.folder, piece.unit)
             if self.plan.store:
                 self._timed("write", send, self.plan.store, self.plan, piece.unit)
-            busy, self._busy = self._busy, Counter()
-            part.counts.busy_s.update(busy)
             yield part.counts
 
     def _timed(self, what: str, function: Callable[..., Any], *args: Any) -> Any:
