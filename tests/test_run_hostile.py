@@ -70,6 +70,41 @@ def test_a_working_folder_that_is_a_link_is_left_alone(two, tmp_path):
     assert (tmp_path / "mine" / "letters.txt").read_text(encoding="utf-8") == "mine"
 
 
+def block(place: Path, way: str) -> None:
+    """Puts something where results would be."""
+    place.parent.mkdir()
+    if way == "folder":
+        place.mkdir()
+    elif way == "file":
+        place.write_text("mine", encoding="utf-8")
+    else:
+        place.symlink_to(way)
+
+
+@pytest.mark.parametrize(
+    ("name", "way", "said"),
+    [
+        ("frames.parquet", "folder", "is a folder, where a file of the results would be"),
+        ("manifest.json", "folder", "is a folder, where a file of the results would be"),
+        ("pictures", "file", "is no folder, where one of the results would be"),
+        ("pictures", "nowhere", "is no folder, where one of the results would be"),
+        ("pictures", "/dev/shm", "is on another disk than the folder that it is in"),
+    ],
+)
+def test_what_results_can_not_replace_is_found_at_the_start(two, tmp_path, name, way, said):
+    if way == "/dev/shm" and (
+        not Path(way).is_dir() or Path(way).stat().st_dev == tmp_path.stat().st_dev
+    ):
+        pytest.skip("no other file system here")
+    place, seen = tmp_path / "out" / name, []
+    block(place, way)
+    with pytest.raises(ConfigError, match=f"out/{name}: {said}; move it or give another --output"):
+        run(tmp_path / "out", two, pictures=2, overwrite=True, progress=seen.append)
+    assert not seen and [path.name for path in place.parent.iterdir()] == [name]
+    if way in ("file", "nowhere"):
+        run(tmp_path / "out", two, pictures=0)  # which has no need of the place
+
+
 def test_results_that_are_replaced_while_they_are_opened(two, tmp_path, monkeypatch):
     """Of as many rows, so that nothing else tells."""
     run(tmp_path, two)

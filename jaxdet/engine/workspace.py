@@ -25,14 +25,14 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from jaxdet.engine.record import difference, digest
 from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
-from jaxdet.results.manifest import WORKING, files_like_results, made_by, result_files
+from jaxdet.results.manifest import RESULTS, WORKING, files_like_results, made_by, result_files
 
 _LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
 """Working folders of older versions."""
@@ -53,8 +53,8 @@ class Workspace:
 
     Raises:
         ResultsError: The folder holds results and ``overwrite`` is off.
-        ConfigError: It holds an unfinished run of another record, or files named as results are;
-            another run works there; or it is a file.
+        ConfigError: It holds an unfinished run of another record, files named as results are, or
+            what these can't take the place of; another run works there; or it is a file.
         InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
@@ -101,6 +101,7 @@ class Workspace:
                 return
         if not overwrite:
             self._refuse_results()
+        self._refuse_blocked()
         begun = self.read("plan")
         reason = None if begun is None else difference(begun, self.record)
         if reason:
@@ -207,3 +208,19 @@ class Workspace:
                 path=str(self.output),
                 remedy="give another --output, or --overwrite to replace files of their names",
             )
+
+    def _refuse_blocked(self) -> None:
+        """Finds at the start what results could not take the place of at the end."""
+        for path in (self.output / name for name in RESULTS):
+            if path.is_dir() and not path.is_symlink():
+                self._refuse(path, "is a folder, where a file of the results would be")
+        pictures = self.output / "pictures"
+        if not self.record.get("pictures") or not (pictures.is_symlink() or pictures.exists()):
+            return
+        if not pictures.is_dir():
+            self._refuse(pictures, "is no folder, where one of the results would be")
+        if pictures.stat().st_dev != self.folder.stat().st_dev:
+            self._refuse(pictures, "is on another disk than the folder that it is in")
+
+    def _refuse(self, path: Path, problem: str) -> NoReturn:
+        raise ConfigError(problem, path=str(path), remedy="move it or give another --output")

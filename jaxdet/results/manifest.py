@@ -18,6 +18,8 @@ from jaxdet.results.summary import to_json
 MANIFEST = "manifest.json"
 WORKING = ".jaxdet"
 """The working folder of a run, in the folder of its results."""
+RESULTS = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json", MANIFEST)
+"""Files of all results."""
 FORMAT = 1
 _ENDS_BYTES = 64 << 10
 
@@ -154,8 +156,7 @@ def result_files(folder: Path) -> tuple[str, ...]:
 
     They are in the manifest, or of older versions, which wrote none, in the summary.
     """
-    names: Iterable[str] = ("frames.parquet", "obstacles.parquet", "config.json", "summary.json")
-    names = (*names, MANIFEST)
+    names: Iterable[str] = RESULTS
     known, logs = _read(folder / MANIFEST).get("files"), _read(folder / "summary.json").get("logs")
     if isinstance(known, dict):
         names = (*names, *known)
