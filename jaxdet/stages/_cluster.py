@@ -21,8 +21,9 @@ NONE = np.uint32(0xFFFFFFFF)  # beyond all keys, as x + MAX_LATERAL is below LAS
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Equals :func:`jaxdet.reference.cluster`.
 
-    An array program over all frames: sort by depth, flag gaps, number and count the sets between
-    them; the same by set and x; number what is left. z is below 65536, x at most MAX_LATERAL.
+    Sorts and segmented scans over all frames: sort by depth, flag gaps, number the sets by running
+    sums and count them; the same by set and x; number what is left. z is below 65536, x at most
+    MAX_LATERAL.
 
     Raises:
         ConfigError: There are more than 8192 points a frame.
