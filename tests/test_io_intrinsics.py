@@ -41,6 +41,15 @@ def test_models(model, D, expected, count):
     assert lens.distortion is expected and len(lens.coefficients) == count
 
 
+@pytest.mark.parametrize(
+    ("shares", "doubts"), [((0.5, 0.5), 0), ((0.25, 0.25), 1), ((0.65, 0.4), 0)]
+)
+def test_a_matrix_of_smaller_images_is_doubted(shares, doubts):
+    matrix = (600.0, 600.0, 640 * shares[0], 480 * shares[1])
+    warnings = found(matrix=matrix).warnings
+    assert len(warnings) == doubts and all("another image size" in text for text in warnings)
+
+
 def test_plumb_bob_with_eight_coefficients_is_rational_with_a_warning():
     result = found("plumb_bob", (0.1,) * 8)
     assert result.intrinsics.distortion is Distortion.RATIONAL

@@ -24,6 +24,8 @@ _COUNTS = {
     Distortion.EQUIDISTANT: 4,
     Distortion.INVERSE_BROWN_CONRADY: 5,
 }
+OFF_MIDDLE = 0.2
+"""An optical centre is doubted that is farther from an image's middle than this share of it."""
 
 
 class CameraSource(NamedTuple):
@@ -100,6 +102,12 @@ def find_intrinsics(source: CameraSource) -> Found:
     if not (-size.width <= cx <= 2 * size.width and -size.height <= cy <= 2 * size.height):
         problem = f"the optical centre ({cx:g}, {cy:g}) is far outside the image"
         raise source.error(problem, f"give {flag}")
+    off = max(abs((cx + 0.5) / size.width - 0.5), abs((cy + 0.5) / size.height - 0.5))
+    if off > OFF_MIDDLE:
+        warnings.append(
+            f"the optical centre ({cx:g}, {cy:g}) is far from the middle of the {source.camera} "
+            f"images, {size.width}x{size.height}: is it that of another image size?"
+        )
     model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
     found = Intrinsics(size.width, size.height, fx, fy, cx, cy, model, coefficients)
     return Found(found, origin, tuple(warnings))
