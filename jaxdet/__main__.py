@@ -13,6 +13,7 @@ def command() -> NoReturn:
     All files are whole when it returns, and what JAX, CUDA and Warp do to take themselves down
     takes a second or two.
     """
+    _open_streams()
     code = main(sys.argv[1:])
     _remove_temporary()
     for stream in filter(None, (sys.stdout, sys.stderr)):
@@ -21,6 +22,17 @@ def command() -> NoReturn:
         except OSError:  # whoever read it has gone, or the disk is full
             code = code or 1
     os._exit(code)
+
+
+def _open_streams() -> None:
+    """Standard streams that are closed lead to the null device, before a file gets their number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)
+            if null != number:
+                os.dup2(null, number)
+                os.close(null)
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
 
 
 def _remove_temporary() -> None:

@@ -370,6 +370,19 @@ def test_progress_that_nobody_takes_costs_nothing(sim_log: Path, tmp_path: Path,
     same_results(tmp_path / "told", tmp_path / "quiet")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="descriptors are inherited otherwise")
+@pytest.mark.parametrize("closed", [(2,), (1, 2), (0, 1, 2)])
+def test_closed_streams_cost_nothing(sim_log: Path, tmp_path: Path, closed: tuple) -> None:
+    args = ["run", str(sim_log), "--backend", "reference", "--pictures", "0", "--output"]
+    assert main([*args, str(tmp_path / "quiet"), "--quiet"]) == 0
+    closing = "import os, sys; [os.close(int(n)) for n in sys.argv[1].split()]; "
+    closing += "os.execv(sys.executable, [sys.executable, '-m', 'jaxdet', *sys.argv[2:]])"
+    numbers = " ".join(map(str, closed))
+    command = [sys.executable, "-c", closing, numbers, *args, str(tmp_path / "closed")]
+    assert not subprocess.run(command, capture_output=True).returncode
+    same_results(tmp_path / "closed", tmp_path / "quiet")
+
+
 def test_a_bad_log_among_good_ones(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"not a log")
