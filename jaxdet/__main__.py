@@ -16,7 +16,7 @@ def command() -> NoReturn:
     _open_streams()
     code = main(sys.argv[1:])
     _remove_temporary()
-    for stream in filter(None, (sys.stdout, sys.stderr)):
+    for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except OSError:  # whoever read it has gone, or the disk is full

@@ -18,7 +18,7 @@ from jaxdet.engine.part_store import PartStore
 from jaxdet.engine.plan import LogPlan, Observer
 from jaxdet.engine.pool import Pool, gpus
 from jaxdet.engine.progress import ProgressCallback, reporter
-from jaxdet.engine.record import digest, make_record
+from jaxdet.engine.record import digest, inputs_of, make_record
 from jaxdet.engine.sharing import open_store
 from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.workspace import Workspace
@@ -228,6 +228,5 @@ class _Run:
 
     def _gone(self, log: "LogFiles") -> bool:
         """Whether a file of a log can't be read that could be when the run began."""
-        before = self.work.record["about"]["inputs"][log.name]
-        found = zip(before, map(fingerprint, log.paths), strict=True)
-        return any("size" in was and "size" not in is_now for was, is_now in found)
+        known = inputs_of(self.work.record, log)
+        return any("size" in was and "size" not in fingerprint(path) for path, was in known)

@@ -25,6 +25,7 @@ from jaxdet.engine.part_store import PartStore
 from jaxdet.engine.plan import LogPlan, Observer, Unit, UnitSizes
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.progress import Clock, Report
+from jaxdet.engine.record import inputs_of
 from jaxdet.engine.sharing import SIZES, SharedLog, send
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import start_up
@@ -206,8 +207,7 @@ class LogRun:
         Raises:
             InputError: One is not.
         """
-        before = self.run.work.record["about"]["inputs"][self.files.name]
-        for path, was in zip(self.files.paths, before, strict=True):
+        for path, was in inputs_of(self.run.work.record, self.files):
             if fingerprint(path) != was:
                 problem = "was changed since the run began"
                 remedy = "read it again when nothing writes to it"

@@ -44,6 +44,13 @@ def make_record(
     return json.loads(json.dumps(record, default=lambda value: type(value).__name__))
 
 
+def inputs_of(
+    record: Mapping[str, Any], log: "LogFiles"
+) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+    """The files of a log, each with its fingerprint as the record has it."""
+    yield from zip(log.paths, record["about"]["inputs"][log.name], strict=True)
+
+
 def digest(record: Mapping[str, Any]) -> str:
     """A checksum of a record: two runs with the same one make the same results."""
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()

@@ -180,7 +180,8 @@ struct FloorVotes {
     // all cells, of all planes; then votes are written, too.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
         const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
-        Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells, most = Lanes{} + (int)NOTHING, highest = most;
+        Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;
+        Lanes most = Lanes{} + (int)NOTHING, highest = most;
         for (int b = 0; b < bins; b++) {
             table.add(k, b, &sum);
             if (out) *(Lanes*)(out + b * step) = sum;
