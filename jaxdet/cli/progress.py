@@ -48,25 +48,26 @@ def _bars() -> Iterator["ProgressCallback"]:
     known: list[tuple[int, str]] = []
     """Number and name of the log of each bar; the last one is moving."""
 
-    def draw(now: "Progress") -> None:
-        SPINNER.stop()
-        bars.start()
-        which = now.log_number, now.log
-        if not known or known[-1] != which:
-            # A log that has not been opened yet turns out to have several cameras.
-            if known and known[-1][0] == now.log_number and bars.tasks[-1].total is None:
-                known[-1] = which
-            else:
-                for task in bars.tasks[: len(known) + 1 - MAX_BARS]:
-                    bars.update(task.id, visible=False)
-                bars.add_task("", total=None, text="")
-                known.append(which)
-        state = {"total": now.total or None, "completed": now.done, "text": _text(now, _slowest)}
-        bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
-
     def show(now: "Progress") -> None:
         with suppress(OSError):  # the terminal is gone
-            draw(now)
+            SPINNER.stop()
+            bars.start()
+            which = now.log_number, now.log
+            if not known or known[-1] != which:
+                # A log that has not been opened yet turns out to have several cameras.
+                if known and known[-1][0] == now.log_number and bars.tasks[-1].total is None:
+                    known[-1] = which
+                else:
+                    for task in bars.tasks[: len(known) + 1 - MAX_BARS]:
+                        bars.update(task.id, visible=False)
+                    bars.add_task("", total=None, text="")
+                    known.append(which)
+            state = {
+                "total": now.total or None,
+                "completed": now.done,
+                "text": _text(now, _slowest),
+            }
+            bars.update(bars.tasks[-1].id, description=f"{_which(now)}{now.log}", **state)
 
     try:
         yield show
