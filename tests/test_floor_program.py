@@ -200,6 +200,17 @@ def test_simulated(family: str, depth_error: float) -> None:
         assert_same([grid.x, grid.y, grid.z], prior)
 
 
+def test_a_steep_plane_through_a_hedge_is_no_floor() -> None:
+    """More cells of a hedge and what stands before it lie on one plane than on the level floor."""
+    level = {"camera_pitch_rad": 0.0, "camera_roll_rad": 0.0, "width": 320, "height": 240}
+    (frame,) = sample_frames("mixed", 2102, 1, **level)
+    assert frame.depth is not None
+    grid = cells(frame.depth[None], calibration_of(frame.config), SURFACE)
+    (found,) = assert_same([grid.x, grid.y, grid.z], unknown_plane(1))
+    pitch, roll, height, *_, refused = found.tolist()
+    assert max(abs(pitch), abs(roll)) <= 8 and abs(height - 300) <= 4 and not refused
+
+
 @pytest.mark.parametrize(
     "recording",
     [one for one in RECORDINGS if one.place.endswith(".mcap")],

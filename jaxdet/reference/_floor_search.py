@@ -27,6 +27,8 @@ from jaxdet.reference._floor_planes import (
 
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
 """Its tilts; a wall in front of a level camera is as a floor at 90 degrees."""
+FILLS_DEG, FILLS = 50, 40
+"""A camera pitched by more sees hardly anything but floor: such a share of the cells [percent]."""
 WINNERS = 10  # so many of the first planes are looked at more closely
 APART = 12  # planes of neighbouring directions within so many bins are one
 NEAR_DEG, STEEP_DEG = 4, 8
@@ -145,6 +147,12 @@ def is_usual(plane: Plane) -> bool:
     return low <= plane.pitch <= high and abs(plane.roll) <= ROLLS_DEG[1] * ANGLES
 
 
+def is_likely(plane: Plane, votes: int, count: int) -> bool:
+    """Whether a usual plane that ``votes`` of ``count`` cells speak for shows what it should."""
+    fills = plane.pitch <= FILLS_DEG * ANGLES or 100 * votes >= FILLS * count
+    return is_usual(plane) and fills
+
+
 def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
     """Planes near a guess: for each ring the best of the cells up to it, and of all cells three.
 
@@ -182,7 +190,8 @@ def any_plane(cells: Sample, scale: Scale) -> Plane:
 
     For each ring the best plane of the cells up to it is looked at more closely, and of all cells
     ``WINNERS``: far walls fill the picture of a low camera, and where little of its floor is
-    measured, it has most votes only among the nearest cells.
+    measured, it has most votes only among the nearest cells. Of these the likely one
+    (:func:`is_likely`) with most votes is the floor.
     """
     once, span = np.zeros(len(cells.z), np.int64), scale.length(STEEP_M)
     low, high = (scale.length(m) for m in HEIGHTS_M)
@@ -203,6 +212,6 @@ def any_plane(cells: Sample, scale: Scale) -> Plane:
         )
         [plane] = close.best(close.votes(cells, scale.coarse(cells.z, 1), once, 1)[0], 1)
         plane = refined(plane, cells, (2, 2, 0), None, scale)
-        slack = scale.fine.of(cells.z, plane.height)
-        best.append((is_usual(plane), int(score(below(plane, cells), slack)), plane))
+        votes = int(score(below(plane, cells), scale.fine.of(cells.z, plane.height)))
+        best.append((is_likely(plane, votes, len(cells.z)), votes, plane))
     return max(best, key=lambda found: found[:2])[-1]

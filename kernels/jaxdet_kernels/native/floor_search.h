@@ -297,6 +297,8 @@ struct FloorSearch {
         PITCH_LEAST = -15,
         PITCH_MOST = 72,
         ROLL_MOST = 30,
+        FILLS_DEG = 50,
+        FILLS = 40,
         STEP_DEG = 3,
         WINNERS = 10,
         NEAR_PLANES = 9,
@@ -321,6 +323,13 @@ struct FloorSearch {
         const int one = FloorAngles::ANGLES, roll = ROLL_MOST * one;
         return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
                plane.roll <= roll && -plane.roll <= roll;
+    }
+
+    // Whether a usual plane that so many of the cells speak for shows what it should: a camera
+    // pitched by more than FILLS_DEG sees hardly anything but floor.
+    bool is_likely(FloorPlane plane, int votes) const {
+        return is_usual(plane) && (plane.pitch <= FILLS_DEG * FloorAngles::ANGLES ||
+                                   100 * votes >= FILLS * cells.count);
     }
 
     // Bins of the largest lattice, and one more.
@@ -459,8 +468,9 @@ struct FloorSearch {
         score(team, planes, count, scores);
         int best = 0;
         for (int n = 1; n < count; n++) {
-            const bool usual = is_usual(planes[n]), best_is = is_usual(planes[best]);
-            if (usual == best_is ? scores[n] > scores[best] : usual) best = n;
+            const bool likely = is_likely(planes[n], scores[n]);
+            const bool best_is = is_likely(planes[best], scores[best]);
+            if (likely == best_is ? scores[n] > scores[best] : likely) best = n;
         }
         return planes[best];
     }
