@@ -213,7 +213,7 @@ CLASSES: dict[int, tuple[str, ...]] = {
     ),
     39: (
         "partial reads, EIO",
-        "io_trust partial_reads_and_errors",
+        "io_trust partial_reads_and_errors errors_that_pass bad_for_good",
     ),
     40: (
         "locale, paths that are not UTF-8",

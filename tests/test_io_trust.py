@@ -1,19 +1,24 @@
 """What a log says of itself is held against what is read of it, and what changes is said."""
 
+import errno
 import os
 import pickle
 import shutil
 import struct
+import time
+from collections.abc import Callable
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.errors import FrameError, FrameStatus, InputError, JaxdetError, RescanError, printable
-from jaxdet.io import LogOptions, find_logs, indexed, open_log
+from jaxdet.io import LogOptions, container, find_logs, indexed, open_log
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.definition import bare_definition
@@ -373,7 +378,61 @@ def test_definitions_lose_what_says_nothing_of_bytes():
     assert bare_definition(text) == "uint8[<=3] a\nstring<=10 b\n====\nMSG: x/Y\nint8 c"
 
 
+@pytest.fixture
+def fail(monkeypatch) -> Callable[[int], list[float]]:
+    """Makes so many of the next calls fail that read; returns what is waited for them [s]."""
+    left, waited = 0, []
+
+    def flaky(call: Callable[..., Any]) -> Callable[..., Any]:
+        def sometimes(*args: Any) -> Any:
+            nonlocal left
+            if left:
+                left -= 1
+                raise OSError(errno.EIO, "Input/output error")
+            return call(*args)
+
+        return sometimes
+
+    def begin(count: int) -> list[float]:
+        nonlocal left
+        left = count
+        return waited
+
+    for name in ("pread", "preadv"):
+        monkeypatch.setattr(os, name, flaky(getattr(os, name)))
+    monkeypatch.setattr(time, "sleep", waited.append)
+    return begin
+
+
+def test_errors_that_pass_cost_nothing(tmp_path, fail):
+    """A disk or a file server that is gone for a moment: each read is tried four times."""
+    path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
+    with open_log(str(path)) as log:
+        want, waited = list(log.batches(3)), fail(0)
+        found = []
+        for batch in log.batches(3):
+            found.append(batch)
+            fail(3)
+    assert waited[:3] == [0.1, 0.5, 2.0] and len(waited) >= 6
+    for one, other in zip(found, want, strict=True):
+        assert one.status == other.status == (FrameStatus.OK,) * len(one.status)
+        assert (one.frames.color == other.frames.color).all()
+        assert (one.frames.depth == other.frames.depth).all()
+
+
+def test_a_file_that_is_bad_for_good_is_not_waited_for_at_each_place(tmp_path, fail):
+    path = write_log(tmp_path / "x.mcap", SCENE)
+    file = McapFile(path, 1 << 20)
+    waited = fail(1 << 20)
+    for _ in range(100):
+        with pytest.raises(DamageError, match="file can't be read"):
+            file.read(0, 8)
+    assert 20 < sum(waited) <= 30
+    file.close()
+
+
 def test_partial_reads_and_errors_of_the_file_system(tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "_WAITS_S", ())
     path = write_log(tmp_path / "x.mcap", SCENE, compression="none", chunk_size=6000)
     plain, plain_into, failing = os.pread, os.preadv, False
 

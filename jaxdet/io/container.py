@@ -4,13 +4,15 @@ Whatever a file's format is, its messages are read as those of an MCAP file: fro
 records, once decompressed, are MCAP's.
 """
 
+import errno
 import os
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import local
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
@@ -24,6 +26,13 @@ _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
 _PACKED_BYTES = 16 << 20
 """Of a packed chunk that is read into memory which its thread keeps."""
+
+_PASSING = errno.EIO, errno.ETIMEDOUT
+"""What disks and file servers say that may come back."""
+_WAITS_S = 0.1, 0.5, 2.0
+"""Before a read that failed so is tried again."""
+_PATIENCE_S = 30.0
+"""So long in all for each file: one that has many bad places is not waited for at each of them."""
 
 _of_thread = local()
 
@@ -73,6 +82,7 @@ class LogFile(ABC):
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes
+        self._patience_s = _PATIENCE_S
         with ExitStack() as failed:
             try:
                 self._file = failed.enter_context(path.open("rb", buffering=0))
@@ -109,7 +119,8 @@ class LogFile(ABC):
             InputError: It has another size or time of change, or another file has its name.
         """
         try:
-            found = {FileState.of(os.fstat(self._descriptor)), FileState.of(os.stat(self.path))}
+            states = self._call(os.fstat, self._descriptor), self._call(os.stat, self.path)
+            found = {FileState.of(state) for state in states}
         except OSError:
             found = set()
         if found != {self.state}:
@@ -168,7 +179,7 @@ class LogFile(ABC):
             InputError: It was changed since it was opened.
         """
         try:
-            data = os.pread(self._descriptor, size, position)
+            data = self._call(os.pread, self._descriptor, size, position)
         except (OSError, OverflowError, ValueError) as error:
             raise _unreadable(error) from error
         if len(data) == size:
@@ -191,7 +202,7 @@ class LogFile(ABC):
         left = list(parts)
         while left := [part for part in left if len(part)]:
             try:
-                count = os.preadv(self._descriptor, left[:_MAX_PARTS], position)
+                count = self._call(os.preadv, self._descriptor, left[:_MAX_PARTS], position)
             except (OSError, OverflowError, ValueError) as error:
                 raise _unreadable(error) from error
             if not count:
@@ -205,6 +216,22 @@ class LogFile(ABC):
             left = left[done:]
             if count:
                 left[0] = left[0][count:]
+
+    def _call(self, function: Callable[..., Any], *args: Any) -> Any:
+        """What a call of the system returns, tried again where it fails for what may pass.
+
+        Raises:
+            OSError: It fails for good.
+        """
+        for wait_s in _WAITS_S:
+            try:
+                return function(*args)
+            except OSError as error:
+                if error.errno not in _PASSING or self._patience_s < wait_s:
+                    raise
+            self._patience_s -= wait_s
+            time.sleep(wait_s)
+        return function(*args)
 
 
 class McapFile(LogFile):

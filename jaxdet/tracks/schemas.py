@@ -22,7 +22,7 @@ TRACKS_SCHEMA = pa.schema(
         _field("last_stamp_ns", _I64, "ns", "stamp of its last frame"),
         _field("num_frames", _I64, "", "frames that show it"),
         _field("num_obstacles", _I64, "", "its rows in obstacles.parquet"),
-        _field("moving", pa.bool_(), "", "whether it moves, else it stands"),
+        _field("moving", pa.bool_(), "", "whether it moves in its path's frame, else it stands"),
         _field("mean_speed_mps", _F32, "m/s", "mean of its frames, 0 where it stands"),
         _field("max_speed_mps", _F32, "m/s", "greatest of them"),
         _field("length_m", _F32, "m", "longer side of its outline, median"),
