@@ -91,7 +91,9 @@ def _said(option: Option, *, whole: bool = False) -> str:
     if not whole:
         text = re.split(r"(?<=[a-z0-9\])])[.;]\s", text, maxsplit=1)[0]
     default = option.default
-    if default is MISSING or default is None or isinstance(default, (bool, tuple)):
+    if isinstance(default, bool):
+        return f"{text}  [on]" if default else text
+    if default is MISSING or default is None or isinstance(default, tuple):
         return text
     if option.angle:
         return f"{text}  [{round(math.degrees(default), 2):g}deg]" if default else text

@@ -13,6 +13,8 @@ PANEL_HEIGHT = 540
 TOP_WIDTH = 540
 HEADER, FOOTER, GAP = 46, 34, 10
 MAX_CAMERA_WIDTH = 960
+_COLORS_SHOWN = 3
+"""Of the obstacles' colours, in the legend."""
 
 
 def draw_frame(
@@ -74,21 +76,24 @@ def _draw_legend(image: np.ndarray, found: Detections, row: int) -> None:
     count = int(found.labels.num_obstacles[row])
     obstacles = f"{count} obstacle" + "s" * (count != 1)
     loose = int((valid & kept & ~labelled).sum())
-    inside = canvas.color_of(0), f"{int(labelled.sum())} in {obstacles}"
+    several = [canvas.color_of(n) for n in range(min(max(count, 1), _COLORS_SHOWN))]
+    inside = several, f"{int(labelled.sum())} in {obstacles}"
     if found.scene is None:
         dropped = f"{int((valid & ~kept).sum())} features on the floor or out of range"
         entries = [
-            (canvas.DROPPED, dropped),
-            (canvas.LOOSE, f"{loose} kept, in no obstacle"),
+            ([canvas.DROPPED], dropped),
+            ([canvas.LOOSE], f"{loose} kept, in no obstacle"),
             inside,
         ]
     else:  # its features all lie above the floor
-        entries = [(canvas.LOOSE, f"{loose} features in no obstacle"), inside]
-        entries += [(canvas.FREE, "free floor"), (canvas.DROP, "drop")]
+        entries = [([canvas.LOOSE], f"{loose} features in no obstacle"), inside]
+        entries += [([canvas.FREE], "free floor"), ([canvas.DROP], "drop")]
     x, y = float(GAP + 8), image.shape[0] - 11.0
-    for color, text in entries:
-        canvas.dots(image, np.array([[x, y - 5]]), color, 4.0)
-        canvas.write(image, text, (x + 12, y), canvas.FAINT)
+    for colors, text in entries:
+        for color in colors:
+            canvas.dots(image, np.array([[x, y - 5]]), color, 4.0)
+            x += 10
+        canvas.write(image, text, (x + 2, y), canvas.FAINT)
         x += canvas.text_size(text, 15)[0] + 40
     label = "top view, metres right and forward of the camera"
     canvas.write(image, label, (image.shape[1] - GAP, y), canvas.FAINT, align="right")

@@ -122,8 +122,8 @@ OBSTACLES_SCHEMA = _schema(
         True,
     ),
     _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),
-    _Column("bottom_m", _F32, "m", "lowest cell above the floor", True),
-    _Column("top_m", _F32, "m", "highest cell above the floor", True),
+    _Column("bottom_m", _F32, "m", "height of its lowest cell above the floor", True),
+    _Column("top_m", _F32, "m", "height of its highest cell above the floor", True),
     _Column("contour", _LIST, "m", "visible edge on the floor, right and forward in turn", True),
 )
 """``obstacles.parquet``: one row for each obstacle."""
