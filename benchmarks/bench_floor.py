@@ -8,9 +8,9 @@ from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
 from jaxdet import reference
 from jaxdet.floor.units import Scale, prior_units
-from jaxdet.stages._floor import find_floor, floor_settings
+from jaxdet.stages._floor import find_floor, floor_settings, scratch_words
 
-program = jax.jit(find_floor, static_argnames=("config", "unit"))
+program = jax.jit(find_floor, static_argnames="words")
 
 
 def cases() -> list[Case]:
@@ -31,11 +31,13 @@ def at(point: Point) -> Case:
     given, seen = inputs(point.size), on_cells(point.size)
     unit = given.calibration.depth_unit
     prior = prior_units(given.plane, Scale(unit, CONFIG.floor.noise_per_m))
-    settings = floor_settings(seen.cells.z[0].size, CONFIG.floor, unit)
+    _, rows, columns = seen.cells.z.shape
+    settings = floor_settings(rows * columns, CONFIG.floor, unit)
+    words = scratch_words(rows, columns, CONFIG.floor, unit)
     *xyz, known = jax.device_put(repeated((*seen.cells[:3], prior), point.batch))
     return Case(
         name=point.name,
-        run=lambda: program(*xyz, known, settings, config=CONFIG.floor, unit=unit),
+        run=lambda: program(*xyz, known, settings, words=words),
         frames=point.batch,
         bytes_read=sum(a.nbytes for a in xyz),
     )

@@ -100,6 +100,9 @@ def _check_ranges(calibration: Calibration) -> None:
     motion = calibration.color_from_depth
     if motion is None:
         return
+    if calibration.depth is None:
+        problem = "a motion from depth to colour, but no depth camera: the depth is aligned"
+        raise CalibrationError(problem, remedy="leave color_from_depth out, or give depth")
     remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
     if not is_rotation(motion.rotation):
         raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)

@@ -1,13 +1,12 @@
 """Configurations from files: TOML, and the ``config.json`` of earlier results."""
 
 import dataclasses
-import difflib
 import json
 import os
 import tomllib
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.angles import parse_angle
 from jaxdet.arguments import fits
 from jaxdet.config import Config
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, meant
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET, PRESETS, preset
 
@@ -162,12 +161,6 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
         return dataclasses.replace(section, **clean)
     except ConfigError as error:
         raise ConfigError(error.problem, path=path, remedy=error.remedy) from error
-
-
-def meant(word: str, known: Iterable[str]) -> str:
-    """``did you mean X? `` where a known word is near, else nothing."""
-    near = difflib.get_close_matches(word, list(known), 1)
-    return f"did you mean {near[0]}? " if near else ""
 
 
 def _said(hint: Any) -> str:

@@ -1,5 +1,7 @@
 """The errors a user can meet: each names the input, what is wrong and what to do."""
 
+import difflib
+from collections.abc import Iterable
 from enum import StrEnum
 
 
@@ -25,6 +27,12 @@ def _escaped(char: str) -> str:
     if "\udc80" <= char <= "\udcff":
         return f"\\x{ord(char) - 0xDC00:02x}"
     return char.encode("unicode_escape").decode("ascii")
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """``did you mean X? `` where a known word is near, else nothing."""
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f"did you mean {near[0]}? " if near else ""
 
 
 class JaxdetError(Exception):

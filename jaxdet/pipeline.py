@@ -80,7 +80,8 @@ def detect(
     Returns:
         Features, labels and obstacles of each frame, see :class:`jaxdet.types.Detections`; with
         ``jax`` they are JAX arrays, perhaps still being computed, or on the CPU NumPy arrays of
-        batches that are worked on in parts: of more than 12 MiB of images.
+        batches that are worked on in parts, see :func:`jaxdet.stages._spread.in_parts`: larger
+        ones, and those of 9 frames or more whose number is no power of two.
 
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.

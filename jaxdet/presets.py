@@ -1,6 +1,5 @@
 """Presets: configurations for robots and cameras, by name."""
 
-import difflib
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,7 @@ from jaxdet.config import (
     ObstacleConfig,
     SurfaceConfig,
 )
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, meant
 
 DEFAULT_PRESET = "wheeled"
 
@@ -80,7 +79,6 @@ def preset(name: str) -> Config:
         problem = f"{type(name).__name__} is no name of a preset"
         raise ConfigError(problem, topic="name", remedy=f"use one of {', '.join(PRESETS)}")
     if name not in PRESETS:
-        near = difflib.get_close_matches(name, PRESETS, 1)
-        meant = f"did you mean {near[0]}? " if near else ""
-        raise ConfigError(f"no preset {name!r}", remedy=f"{meant}use one of {', '.join(PRESETS)}")
+        remedy = f"{meant(name, PRESETS)}use one of {', '.join(PRESETS)}"
+        raise ConfigError(f"no preset {name!r}", remedy=remedy)
     return PRESETS[name]

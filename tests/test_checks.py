@@ -266,6 +266,9 @@ def test_motions_and_units_that_no_cameras_have():
         wrong = given.calibration._replace(**{part: value})
         with pytest.raises(CalibrationError, match=said):
             detect(given._replace(calibration=wrong))
+    aligned = given.calibration._replace(depth=None)
+    with pytest.raises(CalibrationError, match="no depth camera: the depth is aligned"):
+        detect(given._replace(calibration=aligned))
 
 
 @BACKENDS

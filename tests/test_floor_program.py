@@ -1,7 +1,6 @@
 """The floor of each frame: the program finds what the reference finds."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -18,7 +17,7 @@ from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages._floor import find_floor as floor_program
-from jaxdet.stages._floor import floor_settings
+from jaxdet.stages._floor import floor_settings, scratch_words
 from jaxdet.types import GroundPlane
 from tests.floor_cells import (
     BOXES,
@@ -37,17 +36,7 @@ SURFACE = Config().surface
 Cells = list[np.ndarray]
 
 
-@partial(jax.jit, static_argnums=(5, 6))
-def _program(
-    x: jax.Array,
-    y: jax.Array,
-    z: jax.Array,
-    prior: jax.Array,
-    settings: jax.Array,
-    max_cells: int,
-    unit: float,
-) -> jax.Array:
-    return floor_program(x, y, z, prior, settings, FloorConfig(max_cells=max_cells), unit)
+_program = jax.jit(floor_program, static_argnums=5)
 
 
 def assert_same(
@@ -60,7 +49,8 @@ def assert_same(
     """
     settings = floor_settings(grid[2][0].size, config, unit)
     known = prior_units(prior, Scale(unit, config.noise_per_m))
-    found = np.asarray(_program(*grid, known, settings, config.max_cells, unit))
+    words = scratch_words(*grid[2][0].shape, config, unit)
+    found = np.asarray(_program(*grid, known, settings, words))
     assert_equal(floor_fit(found, prior, unit), find_floor(*grid, prior, config, unit))
     return found
 

@@ -19,7 +19,7 @@ from jaxdet.results.free_floor import FreeFloor
 from jaxdet.results.rows import batch_rows, joined_inputs, row_inputs, used_slots
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.writer import to_table
-from jaxdet.types import Calibration
+from jaxdet.types import Calibration, Obstacles
 from tests.scenes import frames, level, small
 
 SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
@@ -165,16 +165,17 @@ def test_a_batch_is_its_frames(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
-def test_inputs_can_be_made_on_the_device_of_a_few_slots(name: str) -> None:
+def test_inputs_can_be_made_on_the_device_and_cut_to_a_few_slots(name: str) -> None:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
     whole, most = row_inputs(found), int(found.labels.num_obstacles.max())
-    few = jax.jit(row_inputs, static_argnames="slots")(found, slots=most)
+    few = used_slots(jax.jit(row_inputs)(found), 3)
     assert few.obstacles.num_points.shape == (3, most) and few.num_features.dtype == np.int32
     for one, other in zip(tables(batch, whole, config), tables(batch, few, config), strict=True):
         assert one.equals(other) and one.num_rows
+    short = few._replace(obstacles=Obstacles(*(a[:, : most - 1] for a in few.obstacles)))
     with pytest.raises(ValueError, match=f"{most} obstacles in {most - 1} slots"):
-        tables(batch, row_inputs(found, slots=most - 1), config)
+        tables(batch, short, config)
 
 
 def free(to: list[float], end: list[int], start: float = 0.5) -> FreeFloor:

@@ -19,7 +19,8 @@ def test_depth_noise_grows_with_z_squared():
         ideal = np.full((480, 640), z)
         depth = measure_depth(ideal, CAMERA, sensor, np.random.default_rng(1))
         got = depth[depth > 0] * 0.001
-        expected = np.hypot(sensor.deviation_m(np.float64(z), 384.5), 0.001 / np.sqrt(12))
+        noise = np.hypot(sensor.noise_px, sensor.step_px / np.sqrt(12))
+        expected = np.hypot(z * z * noise / (384.5 * sensor.baseline_m), 0.001 / np.sqrt(12))
         assert got.std() == pytest.approx(expected, rel=0.1)
         assert got.mean() == pytest.approx(z, rel=2e-3)
     neighbours = np.corrcoef(depth[:, 100:-1].ravel(), depth[:, 101:].ravel())[0, 1]

@@ -83,23 +83,20 @@ def warp_devices() -> tuple[bool, str]:
 
 def backends_agree() -> tuple[bool, str]:
     """Both backends on a small case, array by array."""
+    from jax import tree
+
     from jaxdet.pipeline import detect
 
     frames = small_case()
     both = [detect(frames, backend=name) for name in ("reference", "jax")]
     wrong = []
     for part in ("features", "labels", "obstacles", "scene"):
-        pairs = zip(*(_leaves(getattr(found, part)) for found in both), strict=True)
+        pairs = zip(*(tree.leaves(getattr(found, part)) for found in both), strict=True)
         wrong += [part] * any(not np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
     count = int(np.asarray(both[0].labels.num_obstacles).sum())
     if wrong:
         return False, f"differ in {', '.join(wrong)}"
     return count > 0, f"equal arrays, {count} obstacles"
-
-
-def _leaves(part: Any) -> list[Any]:
-    """The arrays of a tree of tuples."""
-    return [leaf for one in part for leaf in (_leaves(one) if isinstance(one, tuple) else [one])]
 
 
 def small_case() -> "jaxdet.Frames":

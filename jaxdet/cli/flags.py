@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 from jaxdet.angles import parse_angle
 from jaxdet.cli.fields import Option, default_of, options_of
 from jaxdet.cli.usage import takes, usage
-from jaxdet.config_file import meant
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, meant
 
 Command = TypeVar("Command")
 _KINDS = {int: "a whole number", float: "a number"}

@@ -7,8 +7,7 @@ from importlib import import_module
 from importlib.resources import files
 
 from jaxdet.cli.main import COMMANDS
-from jaxdet.config_file import meant
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, meant
 
 FIRST = (
     *("logs", "calibration", "tuning", "tables", "queries", "exports", "tracks", "runs", "recipes"),

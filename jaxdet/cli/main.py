@@ -1,6 +1,5 @@
 """Which command is meant, and how each ending becomes an exit code."""
 
-import difflib
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ import jaxdet
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.engine.signals import stops_raised
-from jaxdet.errors import ConfigError, Interrupted, JaxdetError, printable
+from jaxdet.errors import ConfigError, Interrupted, JaxdetError, meant, printable
 from jaxdet.results.fault import fault_text
 
 COMMANDS = {
@@ -83,10 +82,8 @@ def _do(args: list[str]) -> int:
         print(f"jaxdet {jaxdet.__version__}")
         return 0
     if args[0] not in (*COMMANDS, "complete"):
-        near = difflib.get_close_matches(args[0], COMMANDS, 1)
-        meant = f"did you mean {near[0]}? " if near else ""
-        known = ", ".join(COMMANDS)
-        return _fail(f"no command {args[0]!r}; {meant}use one of {known}, see jaxdet --help", 2)
+        remedy = f"{meant(args[0], COMMANDS)}use one of {', '.join(COMMANDS)}, see jaxdet --help"
+        return _fail(f"no command {args[0]!r}; {remedy}", 2)
     if args[0] == "run" and not {"-h", "--help", "--help-all", "--quiet", "--json"} & set(args):
         SPINNER.start("loading")
     command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main

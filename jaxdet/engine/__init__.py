@@ -10,16 +10,14 @@ if TYPE_CHECKING:
     from jaxdet.engine.floors import GroundRecord, Planes, decide_planes
     from jaxdet.engine.local import run
     from jaxdet.engine.options import RunOptions
-    from jaxdet.engine.plan import LogPlan, Observer, Unit
+    from jaxdet.engine.plan import Observer, Unit
     from jaxdet.engine.progress import Progress, ProgressCallback
     from jaxdet.engine.startup import start_up, use_caches
-    from jaxdet.engine.unit import run_unit
     from jaxdet.results.summary import LogSummary, Summary, plain
     from jaxdet.results.versions import versions
 
 _MODULES = {
     "GroundRecord": "engine.floors",
-    "LogPlan": "engine.plan",
     "LogSummary": "results.summary",
     "Observer": "engine.plan",
     "Planes": "engine.floors",
@@ -31,14 +29,12 @@ _MODULES = {
     "decide_planes": "engine.floors",
     "plain": "results.summary",
     "run": "engine.local",
-    "run_unit": "engine.unit",
     "start_up": "engine.startup",
     "use_caches": "engine.startup",
     "versions": "results.versions",
 }
 __all__ = [
     "GroundRecord",
-    "LogPlan",
     "LogSummary",
     "Observer",
     "Planes",
@@ -50,7 +46,6 @@ __all__ = [
     "decide_planes",
     "plain",
     "run",
-    "run_unit",
     "start_up",
     "use_caches",
     "versions",

@@ -19,11 +19,10 @@ from jaxdet.engine.slots import (
     Reply,
     SharedMemory,
     Slots,
-    map_leaves,
 )
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.results.rows import row_inputs, to_host
+from jaxdet.results.rows import map_leaves, row_inputs, to_host
 from jaxdet.types import Calibration, Detections, Frames
 
 

@@ -250,11 +250,9 @@ class Pool:
         unit = lost.unit
         smaller = plan if self.devices else plan._replace(batch_size=max(1, plan.batch_size // 2))
         try:
-            self.start()
             return self._call(plan.where(unit), work_on, save(smaller), unit)
         except _WorkerLostError as again:
             self.close()
-            self.start()
             reason = f"{again.reason}, twice" if again.reason == lost.reason else again.reason
             given = save(plan), unit, again.status, reason
             return self._call(plan.where(unit), lose_unit, *given)

@@ -46,8 +46,8 @@ def ignore_stops() -> None:
 
 
 @contextmanager
-def _handled(handler: Callable[[int, Any], None]) -> Iterator[dict[int, Any]]:
-    """Another handler inside the block, in the main thread; gives those before."""
+def _handled(handler: Callable[[int, Any], None]) -> Iterator[None]:
+    """Another handler inside the block, in the main thread."""
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for number in STOPS:
@@ -56,7 +56,7 @@ def _handled(handler: Callable[[int, Any], None]) -> Iterator[dict[int, Any]]:
     try:
         for number in before:
             signal.signal(number, handler)
-        yield before
+        yield
     finally:
         for number, current in before.items():
             signal.signal(number, current)

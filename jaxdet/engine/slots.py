@@ -6,14 +6,14 @@ others are computed, and finds their results in memory that is divided alike.
 
 import mmap
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import WorkerError
-from jaxdet.results.rows import RowInputs
+from jaxdet.results.rows import RowInputs, map_leaves
 from jaxdet.types import Detections, GroundPlane
 
 SLOTS = 4
@@ -98,15 +98,6 @@ class Packing(NamedTuple):
             return part.astype(leaf.kind, copy=False)
 
         return map_leaves(unpack, self.inputs)
-
-
-def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
-    """A tree of named tuples and None with ``function`` of each leaf, in order."""
-    if tree is None:
-        return None
-    if isinstance(tree, tuple):
-        return type(tree)(*[map_leaves(function, part) for part in tree])
-    return function(tree)
 
 
 def _leaves(tree: Any) -> list[Any]:

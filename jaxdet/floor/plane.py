@@ -76,8 +76,7 @@ def flagged_plane(config: GroundConfig) -> GroundPlane:
     """The plane that the configuration states, ``B = 1``; its camera height must be set."""
     height, pitch = config.camera_height_m, config.camera_pitch_rad
     assert height is not None and pitch is not None
-    given = height, pitch, config.camera_roll_rad
-    return flat_plane(*(np.array([value], np.float64) for value in given))
+    return flat_plane(height, pitch, config.camera_roll_rad)
 
 
 def unknown_plane(batch: int) -> GroundPlane:

@@ -99,14 +99,9 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
             raise DamageError(problem) from error
     if len(records) != size or (not head.crc and not _fills(head.compression, data, size)):
         raise DamageError("chunk has another size than declared")
-    if head.crc and crc32(records) != head.crc:
+    if head.crc and deflate.crc32(records) != head.crc:
         raise DamageError("chunk has a wrong CRC")
     return records
-
-
-def crc32(data: bytes | memoryview, start: int = 0) -> int:
-    """CRC-32 of bytes, or of those before (their CRC is ``start``) and these."""
-    return deflate.crc32(data, start)
 
 
 def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryview:

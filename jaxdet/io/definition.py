@@ -65,11 +65,6 @@ _LEADING: dict[str, dict[str, tuple[str, ...]]] = {
 """With which fields a header, and a stamp where it is declared, begin."""
 
 
-def is_known(type_name: str) -> bool:
-    """Whether there is a definition of a type, such as ``sensor_msgs/Image``."""
-    return type_name in DEFINITIONS
-
-
 @cache
 def schema_text(type_name: str) -> str:
     """The definition followed by those of the types inside it, as ROS 2 concatenates them."""
@@ -132,7 +127,7 @@ def is_standard(channel: ChannelInfo) -> bool:
     What counts is the definition that stands in the log.
     """
     name = plain_schema_name(channel.schema_name)
-    if channel.message_encoding != "cdr" or not is_known(name):
+    if channel.message_encoding != "cdr" or name not in DEFINITIONS:
         return False
     return fields_of(channel.schema_text) == fields_of(schema_text(name))
 

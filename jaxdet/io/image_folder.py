@@ -24,6 +24,7 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
+from jaxdet.io.message_fields import MAX_STAMP_S
 from jaxdet.io.message_file import MessageFile, MessageRow
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
 from jaxdet.types import Intrinsics
@@ -37,7 +38,6 @@ LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
 """Stamp of frame 0 where frames have numbers only [s]; 0 would count as none."""
-_MAX_STAMP_S = 9_000_000_000
 _MAX_TEXT_BYTES = 64 << 20
 _NUMBER = re.compile(r"(\d+)\D*$")
 _FRAME = "camera_color_optical_frame"
@@ -295,7 +295,7 @@ def _nanoseconds(text: str, path: Path) -> int:
     """A stamp in seconds, exactly."""
     try:
         found = Decimal(text)
-        in_range = 0 <= found < _MAX_STAMP_S
+        in_range = 0 <= found < MAX_STAMP_S
     except InvalidOperation as error:  # no number, or NaN
         problem = f"{text[:40]!a} is no stamp in seconds"
         raise InputError(problem, path=str(path), remedy="correct it") from error

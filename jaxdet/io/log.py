@@ -233,12 +233,6 @@ class Log:
         return self._all.depth.stamps_ns
 
     @property
-    def statuses(self) -> list[FrameStatus]:
-        """Status of each frame before decoding: OK or UNPAIRED."""
-        paired = self.depth_stamp_ns >= 0
-        return [FrameStatus.OK if yes else FrameStatus.UNPAIRED for yes in paired]
-
-    @property
     def T_world_camera(self) -> np.ndarray | None:
         """``(F, 4, 4)`` float64, colour optical frame to world at each colour stamp.
 

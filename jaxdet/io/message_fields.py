@@ -26,7 +26,7 @@ from jaxdet.io.messages import (
 )
 from jaxdet.io.motion import motion_matrix
 
-_MAX_STAMP_S = 9_000_000_000
+MAX_STAMP_S = 9_000_000_000
 UNIT_TOLERANCE = 0.01
 """How far the squared length of a quaternion may be from 1; as tf2 has it."""
 
@@ -39,7 +39,7 @@ def nanoseconds(sec: int, nanosec: int) -> int:
     """
     # A schema may call them anything; whole numbers they are.
     sec, nanosec = int(sec), int(nanosec)
-    if not (0 <= sec <= _MAX_STAMP_S and 0 <= nanosec < 1 << 32):
+    if not (0 <= sec <= MAX_STAMP_S and 0 <= nanosec < 1 << 32):
         raise FrameError("header stamp is out of range", status=FrameStatus.DECODE_ERROR)
     return sec * 1_000_000_000 + nanosec
 

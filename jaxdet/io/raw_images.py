@@ -10,11 +10,11 @@ from typing import NamedTuple
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import is_standard
 from jaxdet.io.images import canonical_encoding
+from jaxdet.io.message_fields import MAX_STAMP_S
 from jaxdet.io.messages import Kind, kind_of
 
 HEAD_BYTES = 512
 """How much of a message is looked at."""
-_MAX_STAMP_S = 9_000_000_000
 _STAMP = struct.Struct("<iII")
 _SIZE = struct.Struct("<III")
 _DATA = struct.Struct("<II")
@@ -63,6 +63,6 @@ def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
     encoding = canonical_encoding(encoding)
     row = width * (3 if encoding == "rgb8" else 2)
     good = encoding == "rgb8" or (encoding == "16uc1" and not big_endian)
-    good &= 0 <= sec <= _MAX_STAMP_S and step in (0, row) and name > 0
+    good &= 0 <= sec <= MAX_STAMP_S and step in (0, row) and name > 0
     good &= height * row <= count <= size - place
     return Pixels(place, width, height, encoding) if good else None

@@ -9,10 +9,11 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
+import deflate
 import numpy as np
 
 from jaxdet.errors import FrameError, FrameStatus
-from jaxdet.io.chunks import PIECE_BYTES, DamageError, crc32
+from jaxdet.io.chunks import PIECE_BYTES, DamageError
 from jaxdet.io.compressed import decode_compressed_color, decode_compressed_depth
 from jaxdet.io.container import Location
 from jaxdet.io.decode_messages import MessageDecoder
@@ -209,7 +210,7 @@ class ImageReader:
             for begin in range(0, len(part), PIECE_BYTES):
                 piece = part[begin : begin + PIECE_BYTES]
                 file.read_into(start, [piece])
-                start, crc = start + len(piece), crc32(piece, crc)
+                start, crc = start + len(piece), deflate.crc32(piece, crc)
         if crc != head.crc:
             raise DamageError("chunk has a wrong CRC")
         self._store.checked.add(chunk)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.definition import is_known, schema_text
+from jaxdet.io.definition import DEFINITIONS, schema_text
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
@@ -176,4 +176,4 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
 
 def _definition(name: str) -> str:
     plain = name.replace("/msg/", "/")
-    return schema_text(plain) if is_known(plain) else ""
+    return schema_text(plain) if plain in DEFINITIONS else ""

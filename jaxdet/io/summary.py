@@ -7,12 +7,13 @@ import struct
 from io import BytesIO
 from typing import NamedTuple
 
+import deflate
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 
-from jaxdet.io.chunks import RECORD_HEAD, DamageError, crc32
+from jaxdet.io.chunks import RECORD_HEAD, DamageError
 from jaxdet.io.container import MAGIC, McapFile
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
@@ -103,7 +104,7 @@ def _read(file: McapFile, position: int | None) -> Summary:
     if not len(MAGIC) < start <= place or place - start > file.max_bytes:
         raise DamageError("summary is not where the footer says")
     data = file.read(start, place - start)
-    right = not crc or crc32(footer[:-4], crc32(data)) == crc
+    right = not crc or deflate.crc32(footer[:-4], deflate.crc32(data)) == crc
     try:
         return _parse(data, start, right)
     except DamageError:

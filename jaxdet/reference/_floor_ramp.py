@@ -73,9 +73,9 @@ class Profile(NamedTuple):
         return (self.on(rise, slack) - BELOW_COST * low).sum(axis=-1)
 
 
-def profile(plane: Plane, cells: Sample, unit: float) -> Profile:
+def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
     """The profile of cells over a plane."""
-    run_bits, rise_bits = (max(round(np.log2(m / unit)), 0) for m in (RUN_M, RISE_M))
+    run_bits, rise_bits, unit = scale.bits(RUN_M), scale.bits(RISE_M), scale.unit
     runs, half = round(FARTHEST_M / unit) >> run_bits, round(HIGHEST_M / unit) >> rise_bits
     _, down, forward = floor_axes(plane)
     run = along(forward, cells) >> run_bits
@@ -112,7 +112,7 @@ def find_hinge(
     inner = cells.take(cells.inner)
     alone, best = [], []
     for plane in dict.fromkeys([flat, *planes]):
-        seen = profile(plane, inner, scale.unit)
+        seen = profile(plane, inner, scale)
         coarse, fine = (
             scale.slack(base, FINE_PER_Z).of(seen.run, plane.height)
             for base in (PROFILE_M, ROUGH_M)

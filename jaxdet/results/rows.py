@@ -1,6 +1,6 @@
 """From the detections of a batch to the rows of the two result tables."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -74,30 +74,24 @@ class Rows(NamedTuple):
     """The free floor of each frame in the world; None without poses."""
 
 
-def row_inputs(found: Detections, slots: int | None = None) -> RowInputs:
+def row_inputs(found: Detections) -> RowInputs:
     """What :func:`batch_rows` needs of detections: counts in place of features and labels.
 
-    It can run where the detections are: ``jax.jit(row_inputs, static_argnames="slots")``.
+    It can run where the detections are, under ``jax.jit``.
 
     Args:
         found: NumPy or JAX arrays.
-        slots: So many obstacle slots are kept, at least the largest ``num_obstacles``; None: all.
     """
     features, scene = found.features, found.scene
-
-    def few(part: Array) -> Array:
-        return part if slots is None else part[:, :slots]
-
     shapes = None
     if scene is not None:
-        contour, points, heights = few(scene.contour), few(scene.contour_points), scene.bottom_top
-        shapes = SceneInputs(scene.floor, contour, points, few(heights), scene.free, scene.free_end)
+        shapes = SceneInputs(*(getattr(scene, name) for name in SceneInputs._fields))
     return RowInputs(
         features.kept.sum(axis=1, dtype=np.int32),
         found.labels.num_obstacles,
         features.overflow,
         found.has_depth,
-        Obstacles(*map(few, found.obstacles)),
+        found.obstacles,
         shapes,
     )
 
@@ -126,22 +120,14 @@ def used_slots(inputs: RowInputs, count: int) -> RowInputs:
     slots = int(found.num_obstacles.max(initial=0))
 
     def few(part: np.ndarray) -> np.ndarray:
-        return part[:, :slots].copy()
+        return part[:, :slots]
 
     scene = found.scene
     if scene is not None:
-        floor, contour, points, heights, free, end = scene
-        slotted = few(contour), few(points), few(heights)
-        scene = SceneInputs(floor.copy(), *slotted, free.copy(), end.copy())
-    obstacles = Obstacles(*map(few, found.obstacles))
-    return RowInputs(
-        found.num_features.copy(),
-        found.num_obstacles.copy(),
-        found.overflow.copy(),
-        found.has_depth.copy(),
-        obstacles,
-        scene,
-    )
+        names = ("contour", "contour_points", "bottom_top")
+        scene = scene._replace(**{name: few(getattr(scene, name)) for name in names})
+    few_slots = found._replace(obstacles=map_leaves(few, found.obstacles), scene=scene)
+    return map_leaves(np.ndarray.copy, few_slots)
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
@@ -162,13 +148,18 @@ def joined_inputs(parts: Sequence[Any]) -> Any:
     return joined
 
 
+def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
+    """A tree of named tuples and None with ``function`` of each leaf, in order."""
+    if tree is None:
+        return None
+    if isinstance(tree, tuple):
+        return type(tree)(*[map_leaves(function, part) for part in tree])
+    return function(tree)
+
+
 def to_host(part: Any) -> Any:
     """Detections, or what rows need of them, as NumPy arrays; waits for the device."""
-    if part is None:
-        return None
-    if isinstance(part, tuple):
-        return type(part)(*map(to_host, part))
-    return np.asarray(part)
+    return map_leaves(np.asarray, part)
 
 
 def batch_rows(
@@ -245,11 +236,7 @@ def shown_planes(inputs: RowInputs, plane: GroundPlane, depth_unit: float) -> Gr
 
 def _first(part: Any, count: int) -> Any:
     """The first ``count`` rows of named tuples of arrays, on the host."""
-    if part is None:
-        return None
-    if isinstance(part, tuple):
-        return type(part)(*(_first(a, count) for a in part))
-    return np.asarray(part)[:count]
+    return map_leaves(lambda a: np.asarray(a)[:count], part)
 
 
 def _frame_columns(

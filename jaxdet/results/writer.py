@@ -80,7 +80,7 @@ class _Table:
         self.pending: list[pa.Table] = []
         self.rows = 0
         self.file = open_file(path, "wb")
-        self.writer = _writer(self.file, schema)
+        self.writer = parquet_writer(self.file, schema)
 
     def add(self, table: pa.Table) -> None:
         self.pending.append(table)
@@ -108,7 +108,10 @@ class _Table:
                 file.close()
 
 
-def _writer(file: pa.NativeFile | BytesIO, schema: pa.Schema, **more: Any) -> pq.ParquetWriter:
+def parquet_writer(
+    file: pa.NativeFile | BytesIO, schema: pa.Schema, **more: Any
+) -> pq.ParquetWriter:
+    """Writes a table whose bytes are a function of its rows and of what the schema says."""
     return pq.ParquetWriter(
         file,
         schema,
@@ -123,7 +126,7 @@ def _writer(file: pa.NativeFile | BytesIO, schema: pa.Schema, **more: Any) -> pq
 def table_bytes(table: pa.Table) -> bytes:
     """Rows as they are written; tables of the same bytes hold the same to the bit."""
     file = BytesIO()
-    with _writer(file, table.schema, store_schema=False) as writer:
+    with parquet_writer(file, table.schema, store_schema=False) as writer:
         writer.write_table(table.combine_chunks())
     return file.getvalue()
 

@@ -52,12 +52,7 @@ class SimFrame(NamedTuple):
         """The floor, ``B`` = 1, as the log's TF has it: without the mount's errors."""
         config = self.config
         told = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
-        return flat_plane(*(np.array([value]) for value in told))
-
-    @property
-    def true_plane(self) -> GroundPlane:
-        """The floor under the robot, ``B`` = 1, as it is."""
-        return flat_plane(*(np.array([value]) for value in self.mount))
+        return flat_plane(*told)
 
 
 def simulate(config: SimConfig) -> Iterator[SimFrame]:

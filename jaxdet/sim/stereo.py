@@ -59,12 +59,6 @@ class DepthSensor:
     pane_holes: float = 0.4
     """Share of a clear pane, in blotches, that has no depth; the rest shows what is behind."""
 
-    def deviation_m(self, z: np.ndarray, fx: float) -> np.ndarray:
-        """Standard deviation of a depth ``z`` [m] seen with focal length ``fx`` [pixel], in m:
-        z^2 noise / (f B), with that of the rounding to steps added."""  # noqa: D205, D209
-        spread = np.hypot(self.noise_px, self.step_px / np.sqrt(12))
-        return np.square(z) * spread / (fx * self.baseline_m)
-
     def with_errors(self, scale: float = 1.0) -> "DepthSensor":
         """The sensor with what real D400 cameras show on real floors and a clean one doesn't.
 

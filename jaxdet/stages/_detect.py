@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.affinity import affinity
-from jaxdet.config import Config, FloorConfig
+from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import FloorFit, Scale, floor_fit, prior_units
@@ -73,8 +73,7 @@ class _Static(NamedTuple):
 
     cells: _cells.Static
     slots: int
-    floor: FloorConfig
-    unit: float
+    floor_words: int  # scratch memory, from jaxdet.stages._floor.scratch_words
     with_cells: bool  # whether the cells are given back with their obstacles
 
 
@@ -149,15 +148,14 @@ def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]
         np.array(bounds, np.int32),
     )
     made = jax.tree.map(jnp.asarray, made)
-    # Of the floor's configuration only this says how much memory is needed.
-    sizes = FloorConfig(max_cells=config.floor.max_cells)
-    return made, _Static(static, config.features.max_corners, sizes, unit, False)
+    words = _floor.scratch_words(rows, columns, config.floor, unit)
+    return made, _Static(static, config.features.max_corners, words, False)
 
 
 @partial(jax.jit, static_argnames="static")
 def _find_floors(depth: jax.Array, tables: _Tables, prior: jax.Array, static: _Static) -> jax.Array:
     grid = _cells.cells(depth, tables.cells, static.cells)
-    return _floor.find_floor(grid.x, grid.y, grid.z, prior, tables.floor, static.floor, static.unit)
+    return _floor.find_floor(grid.x, grid.y, grid.z, prior, tables.floor, static.floor_words)
 
 
 class _Steps(NamedTuple):
@@ -199,13 +197,12 @@ def _steps(
 ) -> _Steps:
     """The method: kernels and nothing else."""
     grid = _cells.cells(depth, shared.cells, static.cells)
-    floor = _floor.find_floor(
-        grid.x, grid.y, grid.z, given.prior, shared.floor, static.floor, static.unit
-    )
+    place = grid.x, grid.y, grid.z
+    floor = _floor.find_floor(*place, given.prior, shared.floor, static.floor_words)
     frame = _floor.found_frames(floor, given.frame)
-    surfaces = _surfaces.surfaces(grid.x, grid.y, grid.z, frame, shared.surfaces)
+    surfaces = _surfaces.surfaces(*place, frame, shared.surfaces)
     on_floor = surfaces.right, surfaces.forward, surfaces.height
-    view = grid.x, grid.y, grid.z, *on_floor, grid.in_view
+    view = *place, *on_floor, grid.in_view
     label, count = _obstacles.obstacles(surfaces.label, surfaces.free, view, shared.obstacles)
     features = features_on_cells(
         color, grid, surfaces.keep, label, shared.rays, shared.corners, shared.depth_range,

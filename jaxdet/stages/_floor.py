@@ -74,31 +74,28 @@ def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
     }
 
 
-def find_floor(
-    x: jax.Array,
-    y: jax.Array,
-    z: jax.Array,
-    prior: jax.Array,
-    settings: jax.Array,
-    config: FloorConfig,
-    unit: float,
-) -> jax.Array:
-    """Finds the floor of each frame, inside ``jax.jit``.
-
-    Takes what the kernel takes, ``prior`` as :func:`jaxdet.floor.units.prior_units` makes it. Of
-    ``config`` only ``max_cells`` is read: with ``unit`` it says how much memory is needed.
-
-    Returns:
-        ``(B, 8)`` int32, see :func:`jaxdet.floor.units.floor_fit`.
-    """
-    batch, rows, columns = z.shape
+def scratch_words(rows: int, columns: int, config: FloorConfig, unit: float) -> int:
+    """Words of scratch memory that a team needs for grids of so many cells."""
     sizes = _settings(rows * columns, config, unit)
     rows, columns = (len(range(sizes["stride"] // 2, n, sizes["stride"])) for n in (rows, columns))
     heights = 2 * sizes["span"], sizes["highest"] - sizes["lowest"]
     near, wide = ((height >> sizes["bin_bits"]) + 1 for height in heights)
-    words = kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"], 2 * sizes["half"])
-    inputs, shapes = (x, y, z, prior, settings, _SINES), {"found_out": (batch, 8)}
-    [found] = _floor(*inputs, batch=batch, shapes=shapes, scratch=words)
+    return kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"], 2 * sizes["half"])
+
+
+def find_floor(
+    x: jax.Array, y: jax.Array, z: jax.Array, prior: jax.Array, settings: jax.Array, words: int
+) -> jax.Array:
+    """Finds the floor of each frame, inside ``jax.jit``.
+
+    Takes what the kernel takes, ``prior`` as :func:`jaxdet.floor.units.prior_units` makes it, and
+    :func:`scratch_words`.
+
+    Returns:
+        ``(B, 8)`` int32, see :func:`jaxdet.floor.units.floor_fit`.
+    """
+    inputs, batch = (x, y, z, prior, settings, _SINES), z.shape[0]
+    [found] = _floor(*inputs, batch=batch, shapes={"found_out": (batch, 8)}, scratch=words)
     return found
 
 

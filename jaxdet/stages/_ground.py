@@ -33,23 +33,22 @@ def tables(
     rows = np.stack([np.asarray(part, np.float64) for part in plane], axis=1)
     different, which = np.unique(rows, axis=0, return_inverse=True)
     planes = tuple(map(tuple, different.tolist()))
-    limits, of_planes = _limits(calibration.color, planes, settings, unit)
+    limits = _limits(calibration.color, planes, settings, unit)
     bounds = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
     nearest, farthest = (jnp.asarray(np.uint16(bound)) for bound in bounds)
-    return limits, jnp.asarray(of_planes[which.reshape(-1)]), nearest, farthest
+    return limits, jnp.asarray(which.reshape(-1).astype(np.int32)), nearest, farthest
 
 
 @lru_cache(maxsize=8)
 def _limits(
     camera: Intrinsics, planes: tuple[tuple[float, ...], ...], settings: GroundConfig, unit: float
-) -> tuple[jax.Array, np.ndarray]:
-    """The limits on the device, and the place there of each plane."""
-    plane = GroundPlane(*np.array(planes).T)
-    limits, which = floor_limits(camera, plane, settings, unit)
+) -> jax.Array:
+    """The limits of planes in order on the device."""
+    limits, _ = floor_limits(camera, GroundPlane(*np.array(planes).T), settings, unit)
     spare = (1 << (len(limits) - 1).bit_length()) - len(limits)
     if spare:
         limits = np.concatenate([limits, np.repeat(limits[-1:], spare, axis=0)])
-    return jnp.asarray(limits), which
+    return jnp.asarray(limits)
 
 
 @jax.jit

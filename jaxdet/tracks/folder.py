@@ -27,7 +27,7 @@ from jaxdet.results.durable import writing
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import MANIFEST, WORKING, changed_manifest, read_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results, check_folder
-from jaxdet.results.writer import write_json
+from jaxdet.results.writer import parquet_writer, write_json
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.rows import TrackRows
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
@@ -180,14 +180,7 @@ class _Writer:
 
     def __init__(self, path: Path, schema: pa.Schema, metadata: dict[str, str]) -> None:
         self.sink = open_file(path, "wb")
-        self.file = pq.ParquetWriter(
-            self.sink,
-            schema.with_metadata(metadata),
-            compression="zstd",
-            compression_level=3,
-            write_page_checksum=True,
-            use_dictionary=["log", "camera"],  # pyright: ignore[reportArgumentType]
-        )
+        self.file = parquet_writer(self.sink, schema.with_metadata(metadata))
 
     def __enter__(self) -> "_Writer":
         return self
