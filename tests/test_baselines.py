@@ -2,6 +2,8 @@
 
 import warnings
 from dataclasses import fields, replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import pytest
@@ -158,11 +160,29 @@ def test_tune(frame, truth):
     how = CONFIG, EvalConfig()
     best = tune(baseline, [frame], [truth], lambda figures: figures.f1, *how)
     assert best.params == {"distance_m": 0.2} and best.value == 1
-    assert [value for _, value in best.trials] == [
+    assert [value for _, value in best.trials[:4]] == [
         pytest.approx(v, nan_ok=True) for v in (0, 1, 1, 0)
     ]
     worst = tune(baseline, [frame], [truth], lambda figures: -figures.f1, *how)
     assert worst.params == {"distance_m": 0.01}
+
+
+def test_no_method_is_held_to_the_ends_of_its_grid(monkeypatch):
+    """Its best is far beyond the grid of one parameter, and between the values of another."""
+    tuning = import_module("benchmarks.baselines.tune")
+    monkeypatch.setattr(tuning, "run_frames", lambda *given: given[3])
+    monkeypatch.setattr(tuning, "score", lambda params: params)
+
+    def objective(params: Any) -> float:
+        distance, samples = np.log(params["eps_m"] / 7), params["min_samples"] - 4
+        return -abs(distance) - samples**2 - abs(params["depth_scale"] - 6)
+
+    how = CONFIG, EvalConfig()
+    best = tune(BASELINES["dbscan"], [], [], objective, *how).params
+    assert 7 / 1.25 < best["eps_m"] < 7 * 1.25
+    assert best["min_samples"] in (3, 4, 5) and best["depth_scale"] == 6.0
+    choices = tune(BASELINES["hdbscan"], [], [], lambda params: params["single"], *how)
+    assert choices.params["single"] is True
 
 
 def test_prepare_is_the_pipeline():

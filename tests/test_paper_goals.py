@@ -71,6 +71,7 @@ def test_goals_reached():
         ("fig14.normal.1m.position.p90", 0.0101, "cylinder.position.1.5m"),
         (f"coverage.{OURS}.all.coverage", 0.984, "coverage"),
         (f"cases.{OURS}.drop.10cm.1.5m.reported", 0.75, "drops"),
+        (f"cases.{OURS}.no_drop.polished.none_reported", 0.75, "no_drops"),
         (f"cases.{OURS}.low.15x15x10.3m.found", 0.75, "low"),
         (f"cases.{OURS}.gap.10cm.2m.found", 0.9, "gap"),
         (f"cases.{OURS}.wall.person.10cm.3.5m.found", 0.5, "wall"),

@@ -35,7 +35,7 @@ class Baseline:
             **params)`` with labels ``(H, W)``.
         space: See ``run``.
         defaults: Every parameter with a value for untuned use.
-        grid: The values that :func:`benchmarks.baselines.tune` tries, by parameter.
+        grid: The values that :func:`benchmarks.baselines.tune` begins with, by parameter.
         citation: Where the method is from.
         needs: Modules that it imports.
         sized: ``run`` takes ``min_points``, the shared size rule, because the method has one.
@@ -65,6 +65,14 @@ class Baseline:
         """Every combination of the grid's values."""
         return [
             dict(zip(self.grid, values, strict=True)) for values in product(*self.grid.values())
+        ]
+
+    def numbers(self) -> list[str]:
+        """The parameters of the grid that are numbers, and have several values."""
+        return [
+            name
+            for name, values in self.grid.items()
+            if len(values) > 1 and not isinstance(values[0], bool | str)
         ]
 
 

@@ -1,14 +1,16 @@
-"""Choosing a method's parameters on tuning frames, by a grid."""
+"""Choosing a method's parameters on tuning frames: by a grid, then by compass search."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from benchmarks.baselines.frames import Frame
 from benchmarks.baselines.registry import Baseline, detect_with
 from jaxdet.config import Config
 from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, score
+
+STEP = 1.5
+"""Factor between what the search tries and the best so far."""
 
 
 class Tuned(NamedTuple):
@@ -18,7 +20,7 @@ class Tuned(NamedTuple):
     value: float
     """The objective there."""
     trials: list[tuple[dict[str, Any], float]]
-    """All that was tried, in the grid's order."""
+    """All that was tried, in order: the grid, then what the search tried."""
 
 
 def tune(
@@ -29,7 +31,10 @@ def tune(
     config: Config,
     eval_config: EvalConfig,
 ) -> Tuned:
-    """Tries the whole grid of a method.
+    """Tries the whole grid of a method, then looks around its best for better.
+
+    Numbers that the grid has several of are made larger and smaller, one by one, as long as that
+    helps (compass search), so that no method is held to the ends of a grid, or to its steps.
 
     Args:
         baseline: The method.
@@ -40,14 +45,36 @@ def tune(
         eval_config: What counts.
 
     Returns:
-        The best trial; of equals, the first in the grid's order.
+        The best trial; of equals, the first.
     """
-    trials: list[tuple[dict[str, Any], float]] = []
-    for params in baseline.trials():
-        tallies = run_frames(baseline, frames, truths, params, config, eval_config)
-        trials.append((params, float(objective(score(tallies)))))
-    values = np.nan_to_num([value for _, value in trials], nan=-np.inf)
-    return Tuned(*trials[int(np.argmax(values))], trials)
+    known: dict[tuple[Any, ...], float] = {}
+
+    def value(params: dict[str, Any]) -> float:
+        key = tuple(params.values())
+        if key not in known:
+            tallies = run_frames(baseline, frames, truths, params, config, eval_config)
+            known[key] = float(objective(score(tallies)))
+        return -math.inf if math.isnan(known[key]) else known[key]
+
+    best = max(baseline.trials(), key=value)
+    found = True
+    while found:
+        found = False
+        for name in baseline.numbers():
+            for up in (True, False):
+                while value(near := _moved(best, name, up=up)) > value(best):
+                    best, found = near, True
+    trials = [(dict(zip(best, key, strict=True)), one) for key, one in known.items()]
+    return Tuned(best, known[tuple(best.values())], trials)
+
+
+def _moved(params: dict[str, Any], name: str, *, up: bool) -> dict[str, Any]:
+    """The parameters with one larger or smaller; whole numbers by at least 1, and none below 1."""
+    old = params[name]
+    new = old * STEP if up else old / STEP
+    if isinstance(old, int):
+        new = max(old + 1, round(new)) if up else max(1, min(old - 1, round(new)))
+    return {**params, name: new}
 
 
 def run_frames(

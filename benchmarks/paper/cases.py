@@ -20,6 +20,8 @@ from jaxdet.types import Detections, FreeEnd
 
 NEIGHBOURS = 3
 """So many columns of cells side by side that end in a drop report one."""
+DROP_WITHIN_M = 0.3
+"""A step down is found where it is reported so near to its place."""
 
 
 class Task(NamedTuple):
@@ -108,7 +110,8 @@ def run(lab: Lab) -> Section:
         "normal light unless said. Found: each thing has a detection of its own, at least half of "
         "whose points lie on it, however low and small it is (a pane: within 30 cm of it, not what "
         "is seen behind). A step down is reported where the free "
-        f"floor ends in a drop in at least {NEIGHBOURS} neighbouring columns of cells. The last "
+        f"floor ends in a drop in at least {NEIGHBOURS} neighbouring columns of cells, within "
+        f"{100 * DROP_WITHIN_M:g} cm of its place. The last "
         "column is what a review found an earlier default, of clustered points, to do in scenes of "
         "its own of the same kind."
     )
@@ -136,9 +139,10 @@ def _cell(section: Section, key: str, case: Case, mine: Sequence[Outcome]) -> st
         return f"{percent(float(np.mean(shares)))}, worst {percent(max(shares))}"
     if case.asked == "found":
         return _found_cell(section, key, case, [one.tally for one in mine])
-    told = [one.drop_m for one in mine]
+    told, true = ([getattr(one, name) for one in mine] for name in ("drop_m", "true_drop_m"))
     reported = [drop for drop in told if np.isfinite(drop)]
-    right = len(reported) if case.asked == "drop" else len(told) - len(reported)
+    off = np.abs(np.subtract(told, true))
+    right = int((off <= DROP_WITHIN_M).sum() if case.asked == "drop" else np.isnan(told).sum())
     name = "reported" if case.asked == "drop" else "none_reported"
     section.add(f"{key}.{name}", right / len(told), "", "higher", wilson(right, len(told)))
     text = f"{right} of {len(told)}"

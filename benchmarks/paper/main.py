@@ -47,6 +47,7 @@ from benchmarks.paper.labelled import BESIDE
 from benchmarks.paper.plan import FULL, QUICK, TUNING_SEEDS
 from benchmarks.paper.report import write, write_json
 from benchmarks.paper.section import Section
+from benchmarks.paper.systems import LEARNT
 from jaxdet.engine import versions
 from jaxdet.presets import PRESETS
 
@@ -179,7 +180,7 @@ def _facts(lab: Lab, size: str, seconds: float) -> dict[str, str]:
         "Size": f"{size}: {lab.counts}",
         "Tuning seeds": f"{_seeds(tuned)} (baselines' parameters only)",
         f"{'Rehearsal' if lab.rehearsal else 'Test'} seeds": f"{_seeds(lab.seeds)} (all figures)",
-        "Ours": f"preset {name}, not tuned here: {lab.config}",
+        "Ours": f"preset {name}, not tuned here. {LEARNT} {lab.config}",
         "Frames drawn": str(lab.store.drawn),
         "Intervals": "95 %, percentile bootstrap over scenes; shares of successes by Wilson",
         "Machine": f"{os.cpu_count()} cores, {platform.machine()}",
