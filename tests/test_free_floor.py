@@ -116,6 +116,13 @@ def test_a_step_down() -> None:
     assert line[3].tolist() == [[3, 500], [3, 1300]]
 
 
+def test_what_stands_below_a_step_reaches_up_to_the_floor() -> None:
+    """A wall of a lower room has cells at the floor's level that are about as far."""
+    wall = column(*floor(500, 900, 1300), (4200, -300), (4400, -290), (4600, -280), (3900, 0))
+    _, end = found(*[wall] * WIDE)
+    assert end == [FreeEnd.DROP] * WIDE
+
+
 def test_a_narrow_drop_is_a_reflection() -> None:
     """Of a column and its neighbours more than half must drop."""
     plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
@@ -134,6 +141,7 @@ def test_a_narrow_drop_is_a_reflection() -> None:
         ((1500, -300), (1501, -500), (1502, -700)),  # upright: a mirrored thing
         ((1500, -300), "1600", (1700, -300)),  # something stands there
         ((1500, -300), (1600, -300), (1700, -300), (1750, 0), (1900, 0)),  # floor goes on beyond
+        ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor beyond a gap, but nearer
     ],
 )
 def test_what_is_no_drop(beyond: tuple) -> None:

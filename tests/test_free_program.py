@@ -62,6 +62,27 @@ def test_floors_that_fall(shape: tuple[int, int, int], step: int) -> None:
         assert FreeEnd.UNKNOWN in ends or step < 300
 
 
+@pytest.mark.parametrize("times", [1.1, 4.0])
+def test_floors_that_mirror(times: float) -> None:
+    """Between floor cells some lie deep below it and so many times as far; floor goes on beyond."""
+    batch = drawn((3, 60, 90), 2, seed=7, block=3)
+    batch = batch._replace(found=[one._replace(label=one.label * 0 - 1) for one in batch.found])
+    batch = with_floor(batch, seed=7, far=6000, step=0)
+    rng, found = np.random.default_rng(7), []
+    for one in batch.found:
+        deep = np.zeros(one.low.shape, bool)
+        for column in range(0, 90, 30):
+            top = int(rng.integers(10, 40))
+            deep[top : top + rng.integers(3, 12), column : column + 29] = True
+        ahead = np.where(deep, one.view.forward * times, one.view.forward).astype(np.int64)
+        height = np.where(deep, -1500, one.view.height)
+        view = one.view._replace(forward=ahead, height=height, z=np.abs(ahead))
+        found.append(one._replace(view=view))
+    z = np.stack([one.view.z for one in found]).astype(np.int32)
+    ends = assert_twins(batch._replace(grid=batch.grid._replace(z=z), found=found))
+    assert (FreeEnd.DROP in ends) == (times < 1.2)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_floors_with_obstacles(seed: int) -> None:
     batch = with_floor(drawn((2, 50, 60), 4, seed, block=12), seed, far=4500, step=80)

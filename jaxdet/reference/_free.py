@@ -8,7 +8,8 @@ from jaxdet.types import FreeEnd
 
 RUN = 3  # so many measured cells one after the other, all a drop lower than the last floor
 
-BESIDE = 10  # columns on both sides of one that drops, more than half of which must drop too
+BESIDE = 14  # columns on both sides of one that drops, more than half of which must drop too
+SHARE = 5  # no floor farther up may be nearer than what lies lower by more than this part of it
 
 
 class FloorView(NamedTuple):
@@ -33,8 +34,9 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     - a drop, where ``RUN`` measured cells one after the other lie lower than the last floor cell by
       a drop at once, and flat, and no floor goes on at its level. Stereo cameras bow far floor
       down, but slowly; reflections in a glossy floor lie below it too, but floor goes on beyond
-      them or they stand upright, and they are narrow: of a column and its ``BESIDE`` neighbours on
-      both sides more than half must drop;
+      them, nearer than they seem to be (through floor nothing is seen), or they stand upright, and
+      they are narrow: of a column and its ``BESIDE`` neighbours on both sides more than half must
+      drop;
     - an obstacle, where the column's nearest one is at most ``longest_gap`` farther;
     - the end of the range, at most ``longest_gap`` farther;
     - else by what is not known.
@@ -93,13 +95,20 @@ def _followed(view: FloorView, column: int, floor: np.ndarray, gap: int) -> tupl
 
 
 def _drops(view: FloorView, column: int, last: int) -> bool:
-    """Whether the next ``RUN`` measured cells up a column are a drop lower, and lie flat."""
-    above = slice(0, last)
-    thing, low = view.label[above, column][::-1] >= 0, view.low[above, column][::-1]
-    row = np.flatnonzero(low | thing)[:RUN]
-    if len(row) < RUN or thing[row].any():
+    """Whether the next ``RUN`` measured cells up a column are a drop lower, and lie flat.
+
+    They don't where floor farther up is clearly nearer than they are.
+    """
+    height, forward, drop, low, label = (
+        a[:last, column][::-1] for a in (view.height, view.forward, view.drop, view.low, view.label)
+    )
+    row = np.flatnonzero(low | (label >= 0))[:RUN]
+    if len(row) < RUN or (label[row] >= 0).any():
         return False
-    height, forward = (a[above, column][::-1][row] for a in (view.height, view.forward))
-    deep = view.height[last, column] - height > view.drop[above, column][::-1][row]
-    flat = np.abs(np.diff(height)) < np.abs(np.diff(forward))
-    return bool(deep.all() and flat.all())
+    deep = view.height[last, column] - height > drop
+    flat = np.abs(np.diff(height[row])) < np.abs(np.diff(forward[row]))
+    if not (deep[row].all() and flat.all()):
+        return False
+    beyond = slice(row[-1] + 1, None)
+    floor = forward[beyond][low[beyond] & ~deep[beyond]]
+    return not (SHARE * floor < (SHARE - 1) * forward[row].min()).any()

@@ -11,7 +11,9 @@ struct FreeFloor {
         // So many measured cells one after the other are a drop lower than the last floor.
         RUN = 3,
         // Columns on both sides of one that drops, more than half of which must drop too.
-        BESIDE = 10,
+        BESIDE = 14,
+        // No floor farther up may be nearer than what lies lower by more than this part of it.
+        SHARE = 5,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
         // On CUDA a thread follows one column, and the loads of so many cells wait together: up to
@@ -131,14 +133,14 @@ struct FreeFloor {
     }
 
     // Whether the next RUN measured cells up a column are a drop lower than its last floor, and lie
-    // flat.
+    // flat, and no floor farther up is clearly nearer than they are.
     int falls_after(Columns& of, int i, int c) const {
         if (of.falls[i] < 0) of.falls[i] = look_behind(of.last[i], of.height[i], c);
         return of.falls[i];
     }
 
     int look_behind(int last, int floor, int c) const {
-        int found = 0, before_height = 0, before_forward = 0;
+        int found = 0, before_height = 0, before_forward = 0, nearest = LARGEST;
         for (int first = last - 1; first >= 0; first -= BEHIND) {
             int own[BEHIND];
             bool on[BEHIND];
@@ -148,18 +150,24 @@ struct FreeFloor {
                 on[n] = first >= n && low[k];
             }
             for (int n = 0; n < BEHIND; ++n) {
-                if (own[n] >= 0) return 0;
+                if (own[n] >= 0 && found < RUN) return 0;
                 if (!on[n]) continue;
                 const int k = (first - n) * columns + c;
-                if (floor - height[k] <= drops[z[k]]) return 0;
+                const bool level = floor - height[k] <= drops[z[k]];
+                if (found == RUN) {
+                    if (level && SHARE * forward[k] < (SHARE - 1) * nearest) return 0;
+                    continue;
+                }
                 const int rise = height[k] - before_height, run = forward[k] - before_forward;
-                if (found > 0 && (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run)) return 0;
-                if (++found == RUN) return 1;
+                const bool upright = (rise < 0 ? -rise : rise) >= (run < 0 ? -run : run);
+                if (level || (found > 0 && upright)) return 0;
+                ++found;
                 before_height = height[k];
                 before_forward = forward[k];
+                nearest = forward[k] < nearest ? forward[k] : nearest;
             }
         }
-        return 0;
+        return found == RUN;
     }
 
     // Where the free floor of a column begins and ends, but for drops that are too narrow.
