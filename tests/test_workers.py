@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from concurrent.futures import Future
 from pathlib import Path
@@ -25,6 +26,7 @@ from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, local, log_run, pool, station
 from jaxdet.engine.plan import LogPlan
+from jaxdet.engine.signals import stops_raised
 from jaxdet.engine.slots import SLOTS, attached
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
@@ -548,6 +550,18 @@ def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
     finally:
         sys.setprofile(None)
     assert [Path(name).name for name in sent] == ["_xla.py"]
+
+
+def test_a_signal_just_before_the_processes_start_does_not_hang(monkeypatch):
+    class Late(threading.Thread):
+        def start(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+            super().start()
+
+    monkeypatch.setattr(pool, "threading", SimpleNamespace(**{**vars(threading), "Thread": Late}))
+    with pytest.raises(Interrupted), stops_raised(), pool.Pool(1, "reference") as some:
+        some.start()
+    assert not some.started
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")

@@ -135,15 +135,16 @@ class Pool:
             return
         compute = self._backend == "jax" and not self.devices
         _start_server(LOADED + LOADED_TO_COMPUTE * compute)
-        self._station = Station(self.count, self.devices) if self.devices else None
-        ends = self._station.ends if self._station else [None] * self.count
-        self._workers = [Worker(self._context, self._backend, end) for end in ends]
-        self._ended, self._awake = threading.Event(), threading.Event()
-        # In a thread, as the fork server takes a while to load what it loads, and so that a signal
-        # never leaves a process half started; not to be joined: a Ctrl-C while Python joins one
-        # marks it as ended.
-        given = self._workers, self._ended, self._awake
-        threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
+        with stops_held_back():  # close() waits for the thread
+            self._station = Station(self.count, self.devices) if self.devices else None
+            ends = self._station.ends if self._station else [None] * self.count
+            self._workers = [Worker(self._context, self._backend, end) for end in ends]
+            self._ended, self._awake = threading.Event(), threading.Event()
+            # In a thread, as the fork server takes a while to load what it loads, and so that a
+            # signal never leaves a process half started; not to be joined: a Ctrl-C while Python
+            # joins one marks it as ended.
+            given = self._workers, self._ended, self._awake
+            threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
     def resize(self, count: int) -> None:
         """Another number of processes from now on; those that are there end."""
