@@ -110,9 +110,7 @@ def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryvi
 
     if not len(data) and not size:
         return memoryview(b"")
-    memory = pa.default_memory_pool()
-    unpacked = pa.Codec(compression).decompress(data, size, memory_pool=memory)
-    return memoryview(unpacked).cast("B")
+    return memoryview(pa.Codec(compression).decompress(data, size)).cast("B")
 
 
 def _fills(compression: str, data: bytes | memoryview, size: int) -> bool:
