@@ -33,7 +33,8 @@ from jaxdet.sim import SimConfig, write_log
 
 TINY = Counts(
     scenes=1, test_seeds=2, tuning_seeds=1, approach=1, cylinder_seeds=1, floor_seeds=1,
-    hard_seeds=1, mount_seeds=1, case_seeds=1, log_frames=3, timed=2, rounds=1, width=192, worst=2,
+    hard_seeds=1, hard_scenes=2, mount_seeds=1, case_seeds=1, log_frames=3, timed=2, rounds=1,
+    width=192, worst=2,
 )  # fmt: skip
 CHOSEN = (
     "pole.6cm.1m",

@@ -68,7 +68,7 @@ def specs_of(lab: Lab, family: str, error: float) -> list[Spec]:
     """The scenes of a family."""
     changes = {"depth_error": error} if error else {}
     return [
-        lab.spec(family, seed, 1, "normal", **changes)
+        lab.spec(family, seed, lab.counts.hard_scenes, "normal", **changes)
         for seed in lab.seeds[: lab.counts.hard_seeds]
     ]
 
@@ -88,13 +88,13 @@ def cells_of(lab: Lab) -> Cells:
 def run(lab: Lab) -> Section:
     """The harder families with a clean depth camera and with a real one's errors."""
     section = Section("hard", "Harder scenes (ours)")
-    seeds = lab.seeds[: lab.counts.hard_seeds]
+    seeds, each = lab.seeds[: lab.counts.hard_seeds], lab.counts.hard_scenes
     section.say(
         f"Families of the simulator with walls in range, things of 6 to 20 cm, steps down, ramps, "
-        f"tables, plain and mirroring floors; {len(seeds)} scenes each, normal light, the mount "
-        "as the log says. Each with a clean depth camera and with the holes, bent margins, bow, "
-        "noise and reflections of a D435 on real floors. ACC, recall, precision and coverage as "
-        "above. Free floor claimed: of the pixels that truly show floor to drive on, measured "
+        f"tables, plain and mirroring floors; {each * len(seeds)} scenes each, normal light, the "
+        "mount as the log says. Each with a clean depth camera and with the holes, bent margins, "
+        "bow, noise and reflections of a D435 on real floors. ACC, recall, precision and coverage "
+        "as above. Free floor claimed: of the pixels that truly show floor to drive on, measured "
         "within 4 m, the share inside the rectangle of any detection that does not hang, walls' "
         f"too; worst frame: of those in which {percent(LEAST_FLOOR, digits=0)} of the picture are "
         "such floor."
@@ -141,7 +141,7 @@ def _add_claimed(section: Section, key: str, judged: list[Judged]) -> tuple[floa
 
 def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
     """The worst frames: most mistakes, and most floor claimed."""
-    system = ours(lab.config)
+    system, each = ours(lab.config), lab.counts.hard_scenes
     every = [(key, index, one) for key, cell in cells.items() for index, one in enumerate(cell)]
     orders = {
         "mistakes": lambda item: (item[2].mistakes, item[2].claimed),
@@ -153,7 +153,8 @@ def _pictures(section: Section, lab: Lab, cells: Cells) -> None:
         for (family, error), index, one in worst:
             if not any(order(((), 0, one))):
                 continue
-            shot = lab.load([specs_of(lab, family, error)[index]])[0]
+            spec = specs_of(lab, family, error)[index // each]
+            shot = lab.load([spec])[index % each]
             tally = one.tally
             text = f"{shot.title}: {tally.visible - tally.found:.0f} of {tally.visible:.0f} missed"
             text += f", {tally.false:.0f} false, floor claimed {percent(one.claim.share)}"

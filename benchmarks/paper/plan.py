@@ -39,8 +39,9 @@ class Counts:
     floor_seeds: int = 2
     """Test seeds used, one scene each for each tilt, roll and slope."""
     hard_seeds: int = 20
-    """Test seeds used, one scene each of each harder family, with a clean and a real depth
-    camera."""
+    """Test seeds used for the harder families."""
+    hard_scenes: int = 1
+    """Scenes a test seed of each harder family, each with a clean and a real depth camera."""
     mount_seeds: int = 5
     """Test seeds whose scenes in normal light are looked at with each wrong mount."""
     case_seeds: int = 4
@@ -64,6 +65,7 @@ FULL = Counts(
     approach=5,
     cylinder_seeds=20,
     floor_seeds=10,
+    hard_scenes=5,
     mount_seeds=20,
     case_seeds=10,
     log_frames=120,
