@@ -87,6 +87,29 @@ def test_a_wall_has_more_cells_than_the_floor(pose, measured_share):
     assert_found(found(z, unknown_plane(1)), pose, angle=0.3)
 
 
+BACK_WALL: Box = ((-4, 3.6, 0), (4, 3.7, 3))
+DESK: list[Box] = [BACK_WALL, ((0.5, 1.2, 0), (1.5, 2.2, 0.72)), ((-2.2, 2.2, 0), (-1, 3, 1.8))]
+CHAIR: list[Box] = [BACK_WALL, ((0.7, 1.4, 0), (1.7, 2.4, 0.72)), ((-2.2, 2.4, 0), (-0.8, 2.6, 1))]
+CHAIR += [((-0.2, 2.2, 0.4), (0.2, 2.6, 0.45)), ((-0.2, 2.6, 0.45), (0.2, 2.65, 0.9))]
+
+
+@pytest.mark.parametrize("room", [DESK, CHAIR], ids=["desk", "chair"])
+@pytest.mark.parametrize("pose", [Pose(1.06, 0.0, 1.0), Pose(1.3, 5.0, 0.0)])
+def test_a_levelled_camera_in_a_room_sees_little_floor(pose, room):
+    """Less than a tenth of what it sees is floor, and nine tenths are walls and furniture."""
+    fit = found(measured(cast(pose, room)), unknown_plane(1))
+    assert_found(fit, pose, angle=0.4, height=20.0)
+    assert fit.share[0] < 0.1
+
+
+def test_a_plane_through_a_room_is_no_floor():
+    """Hardly any floor is in sight: a steep plane through wall and furniture has more cells."""
+    room: list[Box] = [((-4, 4.2, 0), (4, 4.3, 3)), ((0.3, 2.4, 0), (1.7, 3.2, 0.72))]
+    room.append(((-2.2, 2.8, 0), (-0.4, 3.2, 1.2)))
+    fit = found(measured(cast(Pose(1.06, -3.0, 2.0), room)), unknown_plane(1))
+    assert_refused(fit, Refusal.TOO_LITTLE, unknown_plane(1))
+
+
 TABLE: list[Box] = [((-0.8, 0.2, 0.70), (0.8, 1.0, 0.74)), ((-4.0, 3.5, 0.0), (4.0, 3.6, 2.5))]
 
 

@@ -18,7 +18,15 @@ from jaxdet.floor.units import (
     stride,
 )
 from jaxdet.reference._cells import margins
-from jaxdet.reference._floor_planes import BELOW, Plane, Sample, below, refined, score
+from jaxdet.reference._floor_planes import (
+    BELOW,
+    BELOW_COST,
+    Plane,
+    Sample,
+    below,
+    refined,
+    score,
+)
 from jaxdet.reference._floor_ramp import (
     Hinge,
     crossing,
@@ -27,13 +35,13 @@ from jaxdet.reference._floor_ramp import (
     ramp_plane,
     rises,
 )
-from jaxdet.reference._floor_search import any_plane, is_usual, near_planes
+from jaxdet.reference._floor_search import any_plane, is_usual, least_share, near_planes
 from jaxdet.types import GroundPlane, Refusal
 
 MIN_CELLS = 50  # of fewer cells, nothing is said
 FAR_GAIN = 5
 """A plane far from the prior is believed where so many percent more of the cells lie on it."""
-OBSTACLE = (95, 85)  # largest share of obstacle, with a prior and without [percent]
+OBSTACLE = 95  # largest share of obstacle [percent]
 UNDER = ((10, 2), (3, 8))
 """With a prior and without: a plane is a table's where more than so many percent of the cells lie
 under it, and more than one for so many on it: a glossy floor mirrors a few."""
@@ -132,7 +140,7 @@ def _find(
     """The best floor of one frame."""
     if len(few.z) < MIN_CELLS:
         return _Found(prior or Plane(0, 0, 0), None, 0, 0, Refusal.TOO_LITTLE)
-    guess = prior or any_plane(few, scale)
+    guess = prior or any_plane(few, _permille(config.min_share_alone), scale)
     planes = [guess, *near_planes(few, guess, prior, scale)]
     votes = [int(score(below(p, few), scale.fine.of(few.z, p.height))) for p in planes]
     near = [_is_near(p, prior, config, scale) for p in planes]
@@ -211,15 +219,22 @@ def _judge(
     high = int(np.count_nonzero(-deep > slack + scale.length(STEP_M)))
     known = prior is not None
     share, part = UNDER[not known]
-    enough = on if known else int(score(deep, slack))
-    least = round(1000 * (config.min_share if known else config.min_share_alone))
+    enough, least = on, _permille(config.min_share)
+    if not known:
+        # A plane through a table has more of it just below than a floor has dents.
+        enough -= BELOW_COST * int(np.count_nonzero(2 * deep > 3 * slack))
+        least = least_share(plane, _permille(config.min_share_alone))
     refused = Refusal.NONE
     if not _is_near(plane, prior, config, scale):
         refused = Refusal.FAR
     elif 100 * low > share * total and part * low > on:
         refused = Refusal.TABLE
-    elif 100 * high > OBSTACLE[not known] * total:
+    elif 100 * high > OBSTACLE * total:
         refused = Refusal.MOSTLY_OBSTACLE
     elif 1000 * enough < least * total:
         refused = Refusal.TOO_LITTLE
     return _Found(plane, hinge, on, total, refused)
+
+
+def _permille(share: float) -> int:
+    return round(1000 * share)

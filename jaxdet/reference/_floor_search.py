@@ -14,7 +14,6 @@ from jaxdet.floor.units import (
     Scale,
 )
 from jaxdet.reference._floor_planes import (
-    BELOW,
     BELOW_COST,
     Plane,
     Sample,
@@ -27,9 +26,11 @@ from jaxdet.reference._floor_planes import (
 
 PITCHES_DEG, ROLLS_DEG = (-15, 72), (-30, 30)
 """Its tilts; a wall in front of a level camera is as a floor at 90 degrees."""
-FILLS_DEG, FILLS = 50, 40
-"""A camera pitched by more sees hardly anything but floor: such a share of the cells [percent]."""
-WINNERS = 10  # so many of the first planes are looked at more closely
+ROLLED_DEG = 40  # most that a plane found from there may be rolled
+FILLS_DEG, FILLS = 35, 12
+"""The more a camera is pitched, the more floor it sees: for each degree beyond, a plane must show
+so much more of the cells [per mille]."""
+WINNERS = 6  # so many of the first planes are looked at more closely
 APART = 12  # planes of neighbouring directions within so many bins are one
 NEAR_DEG, STEEP_DEG = 4, 8
 """Planes are looked for so far in pitch from a guess, in roll within the first, and one so far."""
@@ -48,7 +49,8 @@ def vote(
 ) -> np.ndarray:
     """:func:`score` of all planes of some directions and heights, by the cells up to each ring.
 
-    A cell's votes are the ends of ranges of heights, so their running sum is the score.
+    But what lies lower than the tolerance counts as clearly below: it has room for the lattice's
+    steps. A cell's votes are the ends of ranges of heights, so their running sum is the score.
 
     Args:
         cells: ``K`` of them.
@@ -66,9 +68,8 @@ def vote(
     shape = rings, len(down), bins + 1
     row = (ring * shape[1] + np.arange(shape[1])[:, None]) * shape[2]
     ends = (
-        (-((slack - height) >> bits), 1),
+        (-((slack - height) >> bits), 1 + BELOW_COST),
         (((height + slack) >> bits) + 1, -1),
-        (((height - BELOW * slack - 1) >> bits) + 1, BELOW_COST),
     )
     out = np.zeros(shape, np.int64)
     for end, worth in ends:
@@ -144,13 +145,13 @@ def shown(ring: np.ndarray) -> np.ndarray:
 def is_usual(plane: Plane) -> bool:
     """Whether a camera on a robot or in a hand can be so tilted: no wall is a floor."""
     low, high = (n * ANGLES for n in PITCHES_DEG)
-    return low <= plane.pitch <= high and abs(plane.roll) <= ROLLS_DEG[1] * ANGLES
+    tilted = low <= plane.pitch <= high and abs(plane.roll) <= ROLLED_DEG * ANGLES
+    return tilted and plane.height > 0
 
 
-def is_likely(plane: Plane, votes: int, count: int) -> bool:
-    """Whether a usual plane that ``votes`` of ``count`` cells speak for shows what it should."""
-    fills = plane.pitch <= FILLS_DEG * ANGLES or 100 * votes >= FILLS * count
-    return is_usual(plane) and fills
+def least_share(plane: Plane, least: int) -> int:
+    """The share of the cells that a plane must show [per mille], ``least`` of a level camera."""
+    return least + (FILLS * max(plane.pitch - FILLS_DEG * ANGLES, 0)) // ANGLES
 
 
 def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) -> list[Plane]:
@@ -185,13 +186,13 @@ def near_planes(cells: Sample, guess: Plane, prior: Plane | None, scale: Scale) 
     return out
 
 
-def any_plane(cells: Sample, scale: Scale) -> Plane:
+def any_plane(cells: Sample, least: int, scale: Scale) -> Plane:
     """The best floor of any camera that a robot or a hand holds.
 
     For each ring the best plane of the cells up to it is looked at more closely, and of all cells
     ``WINNERS``: far walls fill the picture of a low camera, and where little of its floor is
-    measured, it has most votes only among the nearest cells. Of these the likely one
-    (:func:`is_likely`) with most votes is the floor.
+    measured, it has most votes only among the nearest cells. Of these the usual one with most votes
+    beyond what it must show (:func:`least_share`) is the floor.
     """
     once, span = np.zeros(len(cells.z), np.int64), scale.length(STEEP_M)
     low, high = (scale.length(m) for m in HEIGHTS_M)
@@ -213,5 +214,6 @@ def any_plane(cells: Sample, scale: Scale) -> Plane:
         [plane] = close.best(close.votes(cells, scale.coarse(cells.z, 1), once, 1)[0], 1)
         plane = refined(plane, cells, (2, 2, 0), None, scale)
         votes = int(score(below(plane, cells), scale.fine.of(cells.z, plane.height)))
-        best.append((is_likely(plane, votes, len(cells.z)), votes, plane))
+        more = 1000 * votes - least_share(plane, least) * len(cells.z)
+        best.append((is_usual(plane), more, plane))
     return max(best, key=lambda found: found[:2])[-1]

@@ -9,7 +9,6 @@ struct Floor {
         MIN_CELLS = 50,
         FAR_GAIN = 5,
         OBSTACLE = 95,
-        OBSTACLE_ALONE = 85,
         UNDER = 10,
         UNDER_PART = 2,
         UNDER_ALONE = 3,
@@ -299,8 +298,7 @@ struct Floor {
         const FloorRamps ramp = ramps();
         const int slope = hinge.turn ? angles.slope(hinge.turn) : 0;
         const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
-        const FloorScore each{};
-        int on = 0, low = 0, high = 0, clear = 0;
+        int on = 0, low = 0, high = 0, dents = 0;
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
             const int up = slope ? ramp.rise(hinge.start, slope, forward.along(x, y, z)) : 0;
@@ -308,19 +306,23 @@ struct Floor {
             on += (deep <= s) & (-deep <= s);
             low += deep > FloorScore::BELOW * s + table_depth;
             high += -deep > s + step;
-            clear += each.of(deep, s);
+            dents += 2 * deep > 3 * s;
         }
-        long long sums[4] = {on, low, high, clear};
+        long long sums[4] = {on, low, high, dents};
         group.sum(sums, 4);
-        const long long total = all.count, enough = known ? sums[0] : sums[3];
-        const int least = settings[known ? FloorSetting::MIN_SHARE : FloorSetting::MIN_SHARE_ALONE];
+        const long long total = all.count;
+        // A plane through a table has more of it just below than a floor has dents.
+        const long long enough = sums[0] - (known ? 0 : FloorScore::BELOW_COST * sums[3]);
+        const int least =
+            known ? settings[FloorSetting::MIN_SHARE]
+                  : FloorSearch::least_share(plane, settings[FloorSetting::MIN_SHARE_ALONE]);
         const int share = known ? UNDER : UNDER_ALONE, portion = known ? UNDER_PART : UNDER_PART_ALONE;
         int refused = NONE;
         if (!is_near(plane))
             refused = FAR;
         else if (100 * sums[1] > share * total && portion * sums[1] > sums[0])
             refused = TABLE;
-        else if (100 * sums[2] > (known ? OBSTACLE : OBSTACLE_ALONE) * total)
+        else if (100 * sums[2] > OBSTACLE * total)
             refused = MOSTLY_OBSTACLE;
         else if (1000 * enough < least * total)
             refused = TOO_LITTLE;

@@ -107,12 +107,10 @@ struct FloorVotes {
                                               __shfl_sync(0xffffffff, y, k),
                                               __shfl_sync(0xffffffff, z, k)) - low;
                 const int begin = -((s - height) >> shift), end = ((height + s) >> shift) + 1;
-                const int under = ((height - FloorScore::BELOW * s - 1) >> shift) + 1;
-                const int bin[3] = {min(max(begin, 0), last), min(max(end, 0), last),
-                                    min(max(under, 0), last)};
-                const int worth[3] = {1, -1, FloorScore::BELOW_COST};
+                const int bin[2] = {min(max(begin, 0), last), min(max(end, 0), last)};
+                const int worth[2] = {1 + FloorScore::BELOW_COST, -1};
 #pragma unroll
-                for (int m = 0; m < 3; m++)
+                for (int m = 0; m < 2; m++)
                     if (is_packed)
                         warp.add_shared(ends + (bin[m] >> 1) * step, worth[m] << (bin[m] % 2 * 16));
                     else if (is_shared)
@@ -159,18 +157,16 @@ struct FloorVotes {
         const int half = 1 << (FloorDirection::DOWN_BITS - 1), shift = bits;
         int* const ends = table.words;
         const int left = directions() - first, used = left < LANES ? left : (int)LANES;
-        int begin[LANES], end[LANES], under[LANES];
+        int begin[LANES], end[LANES];
         for (int i = from; i < to; i++) {
             const int s = slack[i];
             const Lanes sum = dx * cells.x[i] + dy * cells.y[i] + dz * cells.z[i] + half;
             const Lanes height = (sum >> (int)FloorDirection::DOWN_BITS) - lowest;
             place(-((s - height) >> shift), begin);
             place(((height + s) >> shift) + 1, end);
-            place(((height - (int)FloorScore::BELOW * s - 1) >> shift) + 1, under);
             for (int k = 0; k < used; k++) {
-                ends[begin[k] + k]++;
+                ends[begin[k] + k] += 1 + FloorScore::BELOW_COST;
                 ends[end[k] + k]--;
-                ends[under[k] + k] += FloorScore::BELOW_COST;
             }
         }
     }
@@ -297,10 +293,11 @@ struct FloorSearch {
         PITCH_LEAST = -15,
         PITCH_MOST = 72,
         ROLL_MOST = 30,
-        FILLS_DEG = 50,
-        FILLS = 40,
+        ROLLED_DEG = 40,
+        FILLS_DEG = 35,
+        FILLS = 12,
         STEP_DEG = 3,
-        WINNERS = 10,
+        WINNERS = 6,
         NEAR_PLANES = 9,
         ANY_PLANES = RINGS - 1 + WINNERS,
         MOST_DIRECTIONS = 30 * 21,
@@ -320,16 +317,16 @@ struct FloorSearch {
 
     // Whether a camera on a robot or in a hand can be so tilted.
     static bool is_usual(FloorPlane plane) {
-        const int one = FloorAngles::ANGLES, roll = ROLL_MOST * one;
+        const int one = FloorAngles::ANGLES, roll = ROLLED_DEG * one;
         return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
-               plane.roll <= roll && -plane.roll <= roll;
+               plane.roll <= roll && -plane.roll <= roll && plane.height > 0;
     }
 
-    // Whether a usual plane that so many of the cells speak for shows what it should: a camera
-    // pitched by more than FILLS_DEG sees hardly anything but floor.
-    bool is_likely(FloorPlane plane, int votes) const {
-        return is_usual(plane) && (plane.pitch <= FILLS_DEG * FloorAngles::ANGLES ||
-                                   100 * votes >= FILLS * cells.count);
+    // The share of the cells that a plane must show [per mille], `least` of a level camera: the
+    // more a camera is pitched, the more floor it sees.
+    static int least_share(FloorPlane plane, int least) {
+        const int beyond = plane.pitch - FILLS_DEG * FloorAngles::ANGLES;
+        return least + (beyond > 0 ? FILLS * beyond / FloorAngles::ANGLES : 0);
     }
 
     // Bins of the largest lattice, and one more.
@@ -466,11 +463,17 @@ struct FloorSearch {
         }
         team.sync();
         score(team, planes, count, scores);
+        const int least = settings[FloorSetting::MIN_SHARE_ALONE];
         int best = 0;
-        for (int n = 1; n < count; n++) {
-            const bool likely = is_likely(planes[n], scores[n]);
-            const bool best_is = is_likely(planes[best], scores[best]);
-            if (likely == best_is ? scores[n] > scores[best] : likely) best = n;
+        long long most = 0;
+        for (int n = 0; n < count; n++) {
+            const long long share = least_share(planes[n], least);
+            const long long more = 1000LL * scores[n] - share * cells.count;
+            const bool usual = is_usual(planes[n]), best_is = is_usual(planes[best]);
+            if (!n || (usual == best_is ? more > most : usual)) {
+                best = n;
+                most = more;
+            }
         }
         return planes[best];
     }
