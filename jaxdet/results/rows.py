@@ -359,8 +359,7 @@ def _shape_columns(
 def _world_corners(
     corners: np.ndarray, T_world_camera: np.ndarray | None, row: np.ndarray
 ) -> np.ndarray:
-    """``(R, 8)`` float32, outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world."""
+    """``(R, 8)`` float64, outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world."""
     if T_world_camera is None:
-        return np.full((row.size, 8), np.nan, np.float32)
-    world = to_world(corners[:, None], T_world_camera[row])
-    return world.reshape(-1, 8).astype(np.float32)
+        return np.full((row.size, 8), np.nan)
+    return to_world(corners[:, None], T_world_camera[row]).reshape(-1, 8)

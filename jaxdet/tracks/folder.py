@@ -87,7 +87,7 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
     """Writes the files of :func:`track_results` into a folder, and nothing else there."""
     metadata, found = _metadata(results, config), []
     with (
-        _Writer(folder / TRACKS, TRACKS_SCHEMA, metadata) as table,
+        _Writer(folder / TRACKS, _tracks_schema(results), metadata) as table,
         _Writer(folder / LINKS, LINKS_SCHEMA, metadata) as links,
     ):
         for log in results.logs:
@@ -166,13 +166,13 @@ def _paths(tracks: pa.Table) -> list[tuple[np.ndarray, bool]]:
 
 
 def _corners(chunk: Chunk, name: str) -> np.ndarray:
-    """``(N, 8)`` float32, NaN where null."""
+    """``(N, 8)``, NaN where null."""
     column = chunk.obstacles[name].combine_chunks()
     column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
     values = column.values.to_numpy(zero_copy_only=False).reshape(-1, 8)
     values = values[column.offset : column.offset + len(column)]
     known = column.is_valid().to_numpy(zero_copy_only=False)
-    return np.where(known[:, None], values, np.float32(np.nan))
+    return np.where(known[:, None], values, np.nan)
 
 
 class _Writer:
@@ -191,7 +191,14 @@ class _Writer:
 
     def write(self, table: pa.Table) -> None:
         """Appends the rows of a log."""
-        self.file.write_table(table.replace_schema_metadata(self.file.schema.metadata))
+        self.file.write_table(table.cast(self.file.schema))
+
+
+def _tracks_schema(results: Results) -> pa.Schema:
+    """That of the table; paths have no more digits than the outlines that they are of."""
+    at, kind = TRACKS_SCHEMA.get_field_index("path"), results.world_type
+    path = TRACKS_SCHEMA.field(at)
+    return TRACKS_SCHEMA.set(at, path.with_type(pa.list_(path.type.value_field.with_type(kind))))
 
 
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
