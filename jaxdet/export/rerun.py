@@ -31,7 +31,7 @@ from jaxdet.export.map_picture import map_picture
 from jaxdet.export.recordings import Seen, look_again
 from jaxdet.export.shapes import (
     T_camera_floor,
-    T_world_camera,
+    T_world_upright,
     box,
     contour,
     heights,
@@ -155,7 +155,7 @@ class _Recording:
     def _frame(self, frame: Frame) -> None:
         """What the tables say of a frame."""
         row, log = frame.row, self.stream.log
-        pose = T_world_camera(row)
+        pose = T_world_upright(row)
         if pose is not None:
             pose[:3, 3] -= self.origin
             log(FLOOR, _floor_in_world(row, pose))
@@ -208,10 +208,9 @@ def _origin(results: Results, log: ResultLog) -> np.ndarray:
 
     Rerun has float32, and worlds as UTM's have millions of metres.
     """
-    names = "camera_position_world", "camera_orientation_world"
-    poses = (T_world_camera(frame.row) for frame in results.frames(log, names, ()))
-    first = next((T for T in poses if T is not None), np.eye(4))
-    return np.round(first[:3, 3], -3)
+    name = "camera_position_world"
+    places = (frame.row[name] for frame in results.frames(log, (name,), ()))
+    return np.round(next(filter(None, places), np.zeros(3)), -3)
 
 
 def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:

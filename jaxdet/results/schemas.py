@@ -117,7 +117,7 @@ OBSTACLES_SCHEMA = _schema(
         "corners_world",
         pa.list_(_item(_F64), 8),
         "m",
-        "the same in the world, x and y in turn; null without a pose or without a floor",
+        "the same in the world, x and y in turn; null without a pose or a floor level in it",
         True,
     ),
     _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),
