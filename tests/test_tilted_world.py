@@ -61,7 +61,7 @@ def test_a_world_whose_z_is_not_up_has_no_places(
     assert warning.startswith(f"{FRAMES} of {FRAMES} frames have no place in the world")
     assert "more than 30°" in warning and "z points up" in warning
     (found,) = track_results(folder)
-    assert found.tracks and not found.in_world
+    assert found.tracks and not found.in_world and found.blind == ("the world's z is not up",)
     report = verify(folder, sample=2)
     assert report.findings == report.notes == [] and report.frames_again == 2
     with Results(folder) as results, pytest.raises(InputError, match="no log has a map"):
