@@ -74,6 +74,9 @@ def _rows(name: str, start: int, stop: int, rng: np.random.Generator) -> tuple[A
         "num_obstacles": count,
         "overflow": good & (rng.random(n.size) < 0.005),
         "camera_height_m": np.where(good, 0.5, np.nan),
+        "camera_pitch_rad": np.full(n.size, np.nan),
+        "camera_roll_rad": np.full(n.size, np.nan),
+        "camera_orientation_world": np.ma.array(np.full((n.size, 4), np.nan), mask=True),
         "floor_source": np.full(n.size, "frame", object),
         "floor_refused": np.ma.masked_all(n.size, object),
     }

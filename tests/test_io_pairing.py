@@ -115,6 +115,20 @@ def test_moving_transforms_are_no_calibration_but_poses():
     assert T is not None and T[0, 0, 3] == 1.5 and np.isnan(T[1]).all()
 
 
+def test_transforms_that_are_repeated_hold_at_all_times():
+    """A mount on ``/tf``; what moves by a millimetre is known about its samples alone."""
+    stamps = np.array([-5000, 100, 700, 60_000]) * MS
+    for last, known in ((1.0, [True] * 4), (1.001, [False, True, False, False])):
+        tree = TransformTree()
+        for step, x in enumerate((1.0, 1.0, last)):
+            tree.add([edge("odom", "base", x, step * 100 * MS)], static=False)
+        tree.settle()
+        T = tree.at("odom", "base", stamps)
+        assert T is not None
+        T = np.broadcast_to(T, (4, 4, 4))
+        assert np.isfinite(T).all(axis=(1, 2)).tolist() == known
+
+
 def test_inverse_and_difference():
     first = motion_matrix(np.array([1.0, 2, 3]), Rotation.from_euler("z", 0.2).as_quat())
     second = motion_matrix(np.array([1.0, 2, 3.5]), Rotation.from_euler("z", -0.1).as_quat())

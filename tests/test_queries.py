@@ -1,8 +1,10 @@
 """The queries of the help page, run out of the page itself: three engines, the same rows."""
 
 import ast
+import json
 import math
 import re
+import shutil
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -103,6 +105,23 @@ def test_three_engines_agree(title: str, folder: Path, monkeypatch: pytest.Monke
         assert names == columns, engine
         for row, other in zip(rows, found, strict=True):
             assert all(map(same, row, other)), engine
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_results_without_pictures(
+    engine: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of ``--pictures 0``."""
+    shutil.copytree(folder / "results", tmp_path / "results")
+    path = tmp_path / "results" / "summary.json"
+    summary = json.loads(path.read_text())
+    for log in summary["logs"]:
+        log["pictures"] = []
+    path.write_text(json.dumps(summary))
+    monkeypatch.chdir(tmp_path)
+    (title,) = (title for title in SECTIONS if "Which picture" in title)
+    columns, rows = answer(engine, START[engine], SECTIONS[title][engine])
+    assert columns == ["log", "camera", "frame", "picture", "distance_m"] and not rows
 
 
 def test_answers_are_those_of_the_tables(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -409,6 +409,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results(tmp_path_factory.mktemp("tracks"), "log", SIM)
 
 
+@pytest.mark.parametrize(
+    ("odometry_hz", "source", "why"), [(0, "auto", "no poses"), (50, "none", "no floor")]
+)
+def test_why_tracks_are_in_the_cameras_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture, odometry_hz: float, source: str, why: str
+):
+    sim = dataclasses.replace(SIM, odometry_hz=odometry_hz, frames=4)
+    write_log(tmp_path / "log.mcap", sim)
+    config = Config(ground=GroundConfig(source=source))
+    options = RunOptions(tmp_path / "out", backend="reference", pictures=0)
+    engine.run(find_logs([str(tmp_path / "log.mcap")]), config, LogOptions(), options)
+    assert main(["track", str(tmp_path / "out")]) == 0
+    assert f"in the camera's frame ({why});" in capsys.readouterr().out
+
+
 def test_tables_of_a_folder(folder: Path, capsys: pytest.CaptureFixture):
     obstacles = (folder / "obstacles.parquet").read_bytes()
     assert main(["track", str(folder)]) == 0

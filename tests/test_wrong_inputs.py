@@ -5,8 +5,8 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jaxdet.cli import main
-from jaxdet.errors import InputError
-from jaxdet.io import open_log
+from jaxdet.errors import InputError, TopicError
+from jaxdet.io import LogOptions, open_log
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import ImageMessage
@@ -83,6 +83,21 @@ def test_fields_are_where_the_schema_of_the_log_says(little):
     assert isinstance(found, ImageMessage)
     assert (found.width, found.height, found.frame_id) == (40, 30, "f")
     assert bytes(found.data) == make_scene(1).color[0].tobytes()
+
+
+@pytest.mark.parametrize("given", [{}, {"color": COLOR}])
+def test_stamps_before_1970_are_named(tmp_path, given):
+    """As of a robot whose clock was not set."""
+    scene = make_scene(3)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
+            early = at - START - 10**12
+            log.ros(COLOR, ros_image(color, "rgb8", early, COLOR_FRAME), at)
+            log.ros(DEPTH, ros_image(depth, "16UC1", early, DEPTH_FRAME), at)
+    said = r"3 of 3 messages can't be decoded: header stamp \(-\d+ s, .*1970"
+    with pytest.raises(TopicError, match=said):
+        open_log(str(tmp_path / "x.mcap"), LogOptions(**given))
 
 
 def test_frames_without_a_depth_image_are_warned_of(tmp_path, capsys):

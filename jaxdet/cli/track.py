@@ -56,7 +56,8 @@ def track_lines(found: Sequence["LogTracks"]) -> list[str]:
     for log in found:
         blind = log.tracks - log.in_world
         which = "" if blind == log.tracks else f"{blind} of them "
-        where = f", {which}in the camera's frame (no poses)" if blind else ""
+        why = ", ".join(log.blind)
+        where = f", {which}in the camera's frame ({why})" if blind else ""
         lines.append(
             f"{log.log}: {log.tracks} tracks, {log.moving} moving{where}; "
             f"{log.linked} of {log.obstacles} obstacles are in one"

@@ -53,7 +53,7 @@ class Obstacle:
         contour: ``(P, 2)`` float32, its visible edge on the floor from left to right, right and
             forward of the camera [m]; None for clusters of points.
         corners: ``(4, 2)`` float32, its outline on the floor, right and forward [m].
-        corners_world: ``(4, 2)`` float32, the same in the world, X and Y [m]; None without a pose
+        corners_world: ``(4, 2)`` float64, the same in the world, X and Y [m]; None without a pose
             or a floor.
         num_points: Its depth cells in the colour image; of clusters of points its corners.
     """

@@ -243,7 +243,8 @@ class LogRun:
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[len(log.description.warnings) :]
         about.warnings += filter(
-            None, (about.pairs_warning, about.depth_warning, about.floor_warning)
+            None,
+            (about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning),
         )
 
     def _begin(

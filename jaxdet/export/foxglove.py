@@ -166,11 +166,11 @@ def _way(row: Row, track: Mover) -> SceneEntity:
         color=color,
     )
     line = LinePrimitive(
-        pose=Pose(orientation=Quaternion(w=1.0)),
+        pose=Pose(position=place, orientation=Quaternion(w=1.0)),
         type=LinePrimitive.LINE_STRIP,
         thickness=2.0,
         scale_invariant=True,
-        points=_points(track.path[-PATH_POINTS:], z),
+        points=_points(track.path[-PATH_POINTS:] - track.path[-1], 0.0),  # drawn in float32
         color=color,
     )
     return SceneEntity(

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxdet.export.shapes import T_world_camera
+from jaxdet.export.shapes import T_world_upright
 from jaxdet.results.free_floor import FreeFloor
+from jaxdet.results.metric import TILT
 from jaxdet.results.occupancy import SHIFT, placed
 from jaxdet.results.reading import Frame, ResultLog, Results
 
@@ -31,7 +32,7 @@ so far apart too where the camera is rolled."""
 
 _ADDED = np.array([0, MISS, HIT], np.int16)
 _FRAME_COLUMNS = (
-    *("camera_position_world", "camera_orientation_world"),
+    *("camera_position_world", *TILT),
     *("free_bearing_rad", "free_from_m", "free_to_m"),
 )
 
@@ -78,7 +79,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
 
 def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:
     """What a frame says of cells: 1 free floor, 2 an outline; and column and row of the first."""
-    T = T_world_camera(frame.row)
+    T = T_world_upright(frame.row)
     if T is None:
         return None
     outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]

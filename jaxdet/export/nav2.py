@@ -18,7 +18,7 @@ _YAML = """\
 image: {image}
 mode: trinary
 resolution: {cell_m:.9g}
-origin: [{x:.9g}, {y:.9g}, 0.0]
+origin: [{x:.12g}, {y:.12g}, 0.0]
 negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196

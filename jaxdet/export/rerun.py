@@ -2,7 +2,8 @@
 
 Entities of a recording::
 
-    world                        z up; without poses the floor below the camera
+    world                        z up; without poses the floor below the camera. Moved by the whole
+                                 kilometres that the first pose is away from the world's origin
       map, path                  static, where the log has poses
       floor                      the camera's foot: x to the right, y forward, z up
         boxes, contours, free    obstacles, and the free floor
@@ -30,7 +31,7 @@ from jaxdet.export.map_picture import map_picture
 from jaxdet.export.recordings import Seen, look_again
 from jaxdet.export.shapes import (
     T_camera_floor,
-    T_world_camera,
+    T_world_upright,
     box,
     contour,
     heights,
@@ -105,8 +106,9 @@ class _Recording:
 
     def __init__(self, stream: rr.RecordingStream, results: Results, log: ResultLog) -> None:
         self.stream, self.results, self.log = stream, results, log
+        self.origin = _origin(results, log)
         self.floor_z = 0.0
-        """Of the last frame with a pose, in the world [m]."""
+        """Of the last frame with a pose, from the origin on [m]."""
 
     def write(self, files: LogFiles | None) -> None:
         """Writes all of it, with what is in the log itself where its files are given."""
@@ -127,13 +129,14 @@ class _Recording:
         self._tracks()
         image = self.results.map(self.log)
         if image is not None:
-            _map(self.stream, image, self.floor_z)
+            _map(self.stream, image, self.origin, self.floor_z)
 
     def _start(self) -> None:
         """What doesn't change."""
         camera = self.log.summary["calibration"]
         log = self.stream.log
         log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        log("world", rr.Transform3D(translation=self.origin), static=True)
         log(COLOR, _pinhole(camera["color"]), static=True)
         if camera["depth"]:
             to_color = camera["color_from_depth"]
@@ -152,8 +155,9 @@ class _Recording:
     def _frame(self, frame: Frame) -> None:
         """What the tables say of a frame."""
         row, log = frame.row, self.stream.log
-        pose = T_world_camera(row)
+        pose = T_world_upright(row)
         if pose is not None:
+            pose[:3, 3] -= self.origin
             log(FLOOR, _floor_in_world(row, pose))
             self.floor_z = pose[2, 3] - (row["camera_height_m"] or 0.0)
         log(CAMERA, _camera_on_floor(row))
@@ -172,6 +176,7 @@ class _Recording:
                 place = f"{'world' if track['in_world'] else FLOOR}/tracks/{track['track']}"
                 z = self.floor_z if track["in_world"] else 0.0
                 path = np.reshape(track["path"], (-1, 2))
+                path = path - self.origin[:2] if track["in_world"] else path
                 strip = np.column_stack([path, np.full(len(path), z + 0.02)])
                 text = f"track {track['track']}   {track['mean_speed_mps']:.2f} m/s"
                 color = _colors([track["track"]])
@@ -196,6 +201,16 @@ class _Recording:
         how = {"media_type": "image/png", "meter": 1 / unit, "depth_range": reach}
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
         log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
+
+
+def _origin(results: Results, log: ResultLog) -> np.ndarray:
+    """Where the entity ``world`` is, ``(3,)`` float64, whole kilometres near the first pose [m].
+
+    Rerun has float32, and worlds as UTM's have millions of metres.
+    """
+    name = "camera_position_world"
+    places = (frame.row[name] for frame in results.frames(log, (name,), ()))
+    return np.round(next(filter(None, places), np.zeros(3)), -3)
 
 
 def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:
@@ -316,7 +331,7 @@ def _points(found: Detections, b: int, unit: float, obstacles: list[dict[str, An
     return rr.Points3D(xyz.astype(np.float32), colors=_colors(number[label[used]]), radii=0.008)
 
 
-def _map(stream: rr.RecordingStream, image: MapImage, floor_z: float) -> None:
+def _map(stream: rr.RecordingStream, image: MapImage, origin: np.ndarray, floor_z: float) -> None:
     """The map just below the floor, and the path over it."""
     picture, cell_m = map_picture(image)
     height, width, _ = picture.shape
@@ -329,12 +344,12 @@ def _map(stream: rr.RecordingStream, image: MapImage, floor_z: float) -> None:
         data=opaque[::-1].tobytes(),
         format=kind,
         cell_size=cell_m,
-        translation=[*image.origin, floor_z - 0.02],
+        translation=[*(image.origin - origin[:2]), floor_z - 0.02],
     )
     stream.log("world/map", grid, static=True)
     path = image.path[:: -(-len(image.path) // PATH_POINTS) or 1]
     if len(path) > 1:
-        strip = np.column_stack([path, np.full(len(path), floor_z)])
+        strip = np.column_stack([path - origin[:2], np.full(len(path), floor_z)])
         stream.log(
             "world/path", rr.LineStrips3D([strip], colors=PALETTE[1], radii=0.01), static=True
         )

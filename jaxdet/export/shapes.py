@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxdet.floor.plane import down_vector, forward_vector
 from jaxdet.io.motion import motion_matrix, quaternions
+from jaxdet.results.metric import TILT, tilted
 from jaxdet.results.reading import ResultLog
 
 Row = Mapping[str, Any]
@@ -64,6 +65,12 @@ def T_world_camera(row: Row) -> np.ndarray | None:
     if row["camera_position_world"] is None:
         return None
     return motion_matrix(row["camera_position_world"], row["camera_orientation_world"])
+
+
+def T_world_upright(row: Row) -> np.ndarray | None:
+    """The same of frames whose floor has a place in the world; None of others."""
+    T, known = T_world_camera(row), (np.array([row[name]], np.float64) for name in TILT)
+    return None if T is None or tilted(*known)[0] else T
 
 
 def quaternion(T: np.ndarray) -> list[float]:

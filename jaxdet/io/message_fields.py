@@ -40,7 +40,8 @@ def nanoseconds(sec: int, nanosec: int) -> int:
     # A schema may call them anything; whole numbers they are.
     sec, nanosec = int(sec), int(nanosec)
     if not (0 <= sec <= MAX_STAMP_S and 0 <= nanosec < 1 << 32):
-        raise FrameError("header stamp is out of range", status=FrameStatus.DECODE_ERROR)
+        problem = f"header stamp ({sec} s, {nanosec} ns) is not between the years 1970 and 2255"
+        raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
     return sec * 1_000_000_000 + nanosec
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_compressed_depth, is_png16
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.index import LogIndex
+from jaxdet.io.index import LogIndex, TopicInfo
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream, first_image
@@ -189,7 +189,9 @@ def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidat
     stream = index.streams.get(topic)
     if stream is None:
         known = index.topics.get(topic)
-        reason = known.problem if known and known.problem else "there are no images on the topic"
+        reason = (known and known.problem) or "there are no images on the topic"
+        if known and known.undecodable:
+            reason = _undecodable(known)
         names = _listed(sorted(index.streams)) or "no images at all"
         remedy = f"{flag} can be: {names}"
         raise TopicError(printable(reason), path=path, topic=printable(topic), remedy=remedy)
@@ -262,13 +264,18 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
     for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
         about = info.problem or info.channel.schema_name or "no schema"
         encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
-        names.append(f"{name} ({about}{f', {encoding}' if encoding else ''})")
+        about += f", {encoding}" if encoding else ""
+        names.append(f"{name} ({about}{f'; {_undecodable(info)}' if info.undecodable else ''})")
     listed = f"its topics are {_listed(names)}" if names else "it has no messages"
     remedy = (
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
         "with --log.color, --log.depth"
     )
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
+
+
+def _undecodable(info: TopicInfo) -> str:
+    return f"{info.undecodable} of {info.count} messages can't be decoded: {info.why}"
 
 
 def _listed(names: Sequence[str]) -> str:

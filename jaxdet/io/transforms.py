@@ -72,7 +72,10 @@ class TransformTree:
                 self._warn(message.child, "has two static transforms; the first is used")
 
     def settle(self) -> None:
-        """Call when all is added: a transform that never changes counts as static."""
+        """Call when all is added: a transform that never changes counts as static, at all times.
+
+        Many repeat their mounts on ``/tf``, at any rate, and end a little before the images.
+        """
         for edge in self._edges.values():
             once = edge.once_is_static and len(edge.samples) == 1
             if edge.fixed is None and (once or edge.samples.is_constant()):

@@ -15,8 +15,15 @@ import numpy as np
 from jaxdet.arguments import number, numeric, of_type
 from jaxdet.config import FootprintConfig
 from jaxdet.errors import InputError
+from jaxdet.floor.plane import down_vector
 from jaxdet.floor.units import FloorFit, floor_fit
+from jaxdet.io.motion import motion_matrix
 from jaxdet.types import Array, Detections, Obstacles, Scene
+
+MOST_TILT_DEG = 30.0
+"""Of floors in a world whose z is up: ramps are up to 20° steep."""
+TILT = "camera_orientation_world", "camera_pitch_rad", "camera_roll_rad"
+"""Columns of ``frames.parquet`` that :func:`tilted` takes."""
 
 
 class Extents(NamedTuple):
@@ -256,6 +263,22 @@ def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
     sideways = np.where(a[..., 0] >= 0, 1.0, -1.0) * normal[..., 0]
     outward = np.where(normal[..., 1] != 0, normal[..., 1], sideways)
     return np.where(outward[..., None] < 0, -normal, normal)
+
+
+def tilted(orientation: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """Whether floors are tilted by more than ``MOST_TILT_DEG`` in the world: its z is not up.
+
+    Args:
+        orientation: ``(B, 4)`` float64, ``camera_orientation_world`` of ``frames.parquet``.
+        pitch: ``(B,)`` of the camera above the floor [rad].
+        roll: ``(B,)`` likewise.
+
+    Returns:
+        ``(B,)`` bool; False where one of them is NaN, unknown.
+    """
+    T = motion_matrix(np.zeros((len(orientation), 3)), orientation)
+    up = -np.sum(T[:, 2, :3] * down_vector(pitch, roll), axis=1)
+    return up < np.cos(np.radians(MOST_TILT_DEG))
 
 
 def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -63,7 +63,7 @@ class OccupancyMap:
             self.path.append(xy[np.isfinite(xy).all(axis=1)])
 
     def add(self, corners: np.ndarray) -> None:
-        """Counts outlines ``(R, 8)`` float32, world X and Y [m]; NaN ones are left out."""
+        """Counts outlines ``(R, 8)``, world X and Y [m]; NaN ones are left out."""
         known = corners[np.isfinite(corners).all(axis=1)].reshape(-1, 2)
         outlines, low, size, fits = placed(known, np.full(len(known) // 4, 4))
         self.skipped += int((~fits).sum())

@@ -12,11 +12,13 @@ from jaxdet.io.motion import quaternions
 from jaxdet.results.free_floor import Polygons, free_columns, free_floor, no_free_columns
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import (
+    TILT,
     contour_lines,
     corner_distances,
     extents,
     nearest,
     rectangles,
+    tilted,
     to_world,
 )
 from jaxdet.types import Array, Detections, Frames, GroundPlane, Obstacles, Refusal
@@ -210,7 +212,8 @@ def batch_rows(
     frame_columns |= free_columns(free, known) if free else no_free_columns(count)
     poses = frames.T_world_camera
     if poses is not None:
-        poses = np.where(known[:, None, None], poses[:count], np.nan)
+        placed = known & ~tilted(*(frame_columns[name] for name in TILT))
+        poses = np.where(placed[:, None, None], poses[:count], np.nan)
     obstacle_columns = _obstacle_columns(frames, poses, plane, found, good, config)
     for columns in (frame_columns, obstacle_columns):
         rows = len(columns["frame"])
@@ -359,8 +362,7 @@ def _shape_columns(
 def _world_corners(
     corners: np.ndarray, T_world_camera: np.ndarray | None, row: np.ndarray
 ) -> np.ndarray:
-    """``(R, 8)`` float32, outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world."""
+    """``(R, 8)`` float64, outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world."""
     if T_world_camera is None:
-        return np.full((row.size, 8), np.nan, np.float32)
-    world = to_world(corners[:, None], T_world_camera[row])
-    return world.reshape(-1, 8).astype(np.float32)
+        return np.full((row.size, 8), np.nan)
+    return to_world(corners[:, None], T_world_camera[row]).reshape(-1, 8)

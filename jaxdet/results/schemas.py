@@ -30,7 +30,6 @@ def _schema(*columns: _Column) -> pa.Schema:
 _STRING, _BOOL = pa.string(), pa.bool_()
 _I8, _I32, _I64 = pa.int8(), pa.int32(), pa.int64()
 _F32, _F64 = pa.float32(), pa.float64()
-_CORNERS = pa.list_(_item(_F32), 8)
 _LIST = pa.list_(_item(_F32))
 
 FRAMES_SCHEMA = _schema(
@@ -110,15 +109,15 @@ OBSTACLES_SCHEMA = _schema(
     _Column("vertices", _I8, "", "1 where a vertex stands out towards the camera, else 0"),
     _Column(
         "corners_ground",
-        _CORNERS,
+        pa.list_(_item(_F32), 8),
         "m",
         "outline on the floor, right and forward of the camera in turn: A, B, beyond B, beyond A",
     ),
     _Column(
         "corners_world",
-        _CORNERS,
+        pa.list_(_item(_F64), 8),
         "m",
-        "the same in the world, x and y in turn; null without a pose or without a floor",
+        "the same in the world, x and y in turn; null without a pose or a floor level in it",
         True,
     ),
     _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import FrameStatus, printable
+from jaxdet.results.metric import MOST_TILT_DEG, TILT, tilted
 from jaxdet.results.versions import version, versions
 
 STEPS = ("read", "decode", "transfer", "compute", "write")
@@ -36,6 +37,8 @@ class Counts:
     """Of the frames that are ok, see ``floor_source`` of ``frames.parquet``."""
     floor_refused: Counter[str] = field(default_factory=Counter)
     """Likewise, where a frame's own depth does not decide its floor."""
+    tilted_frames: int = 0
+    """Those that are ok and have no place in the world, as its z is not up."""
     busy_s: Counter[str] = field(default_factory=Counter)
     """How long all together took to ``read`` (and unpack), ``decode`` images, ``transfer`` to GPUs
     and back, ``compute``, ``write`` rows, and to ``wait`` for those who compute [s]."""
@@ -50,6 +53,7 @@ class Counts:
         good = rows["status"] == str(FrameStatus.OK)
         self.floor_sources.update(rows["floor_source"][good].tolist())
         self.floor_refused.update(rows["floor_refused"][good].compressed().tolist())
+        self.tilted_frames += int(tilted(*(rows[name][good] for name in TILT)).sum())
 
     def clear(self) -> None:
         """Makes them those of no frames."""
@@ -140,6 +144,17 @@ class LogSummary(Counts):
         return (
             f"{none} of {none + good} frames have no depth in range: check the depth unit "
             "(--log.depth-unit-m; 32FC1 counts as metres), then --ground.max-depth-m"
+        )
+
+    @property
+    def tilt_warning(self) -> str | None:
+        """A line where frames have no place in the world."""
+        if not self.tilted_frames:
+            return None
+        return (
+            f"{self.tilted_frames} of {self.status[FrameStatus.OK]} frames have no place in the "
+            f"world and on the map: their floor is tilted by more than {MOST_TILT_DEG:g}° in it, "
+            "so its z is not up; give poses in a world whose z points up, or none"
         )
 
     @property

@@ -88,7 +88,7 @@ class SimConfig:
     odometry_drift: float = 0.0
     """Error of the odometry: share of the way, and radians per metre."""
     start_ns: int = 1_700_000_000_000_000_000
-    """Stamp of the first colour frame [ns]."""
+    """Stamp of the first colour frame [ns]; at latest a day before ROS 2's seconds end in 2038."""
 
     def __post_init__(self) -> None:
         rules = {
@@ -106,7 +106,7 @@ class SimConfig:
             "distance-m": self.distance_m > 0,
             "slope-rad": abs(self.slope_rad or 0.0) < 0.5,
             "odometry-hz": self.odometry_hz >= 0,
-            "start-ns": self.start_ns >= 10**9,
+            "start-ns": 10**9 <= self.start_ns <= (2**31 - 86_400) * 10**9,
         }
         for name, kept in rules.items():
             if not kept:

@@ -8,7 +8,7 @@ tracking again with other settings replaces two small files.
 import dataclasses
 import json
 import shutil
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
@@ -41,6 +41,7 @@ TRACKING_KEY = "jaxdet.tracking"
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 
 _COLUMNS = ("bottom_m", "top_m", "distance_m", "u_min", "u_max", "x_min", "x_max")
+_PLACE = ("floor_source", "camera_position_world")
 _READ = ("obstacle", "num_points", "corners_ground", "corners_world", *_COLUMNS)
 
 
@@ -56,6 +57,8 @@ class LogTracks(NamedTuple):
     obstacles: int
     linked: int
     """Obstacles that are in a track."""
+    blind: tuple[str, ...]
+    """Why obstacles have no place in the world, the commonest first; empty: all have one."""
 
 
 def track_results(folder: Path, config: TrackConfig | None = None) -> list[LogTracks]:
@@ -87,7 +90,7 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
     """Writes the files of :func:`track_results` into a folder, and nothing else there."""
     metadata, found = _metadata(results, config), []
     with (
-        _Writer(folder / TRACKS, TRACKS_SCHEMA, metadata) as table,
+        _Writer(folder / TRACKS, _tracks_schema(results), metadata) as table,
         _Writer(folder / LINKS, LINKS_SCHEMA, metadata) as links,
     ):
         for log in results.logs:
@@ -141,11 +144,14 @@ def _track_log(
             links.write(waiting.popleft().append_column(LINKS_SCHEMA.field("track"), labels))
         return sum(int((of >= 0).sum()) for of in tracks_of)
 
-    for chunk in results.chunks(log, ("frame", "stamp_ns"), _READ, WINDOW_FRAMES):
+    blind = Counter[str]()
+    for chunk in results.chunks(log, ("stamp_ns", *_PLACE), _READ, WINDOW_FRAMES):
         stamps, first = chunk.frames["stamp_ns"].to_numpy(), chunk.first
         frame = np.repeat(np.arange(len(stamps)), np.diff(first))
         columns = {name: chunk.obstacles[name].to_numpy() for name in _COLUMNS}
         columns |= {name: _corners(chunk, name) for name in ("corners_ground", "corners_world")}
+        nowhere = np.isnan(columns["corners_world"]).any(axis=1)
+        blind.update(_blind(chunk.take(np.unique(frame[nowhere]))))
         seen = obstacles_seen(start + frame, stamps[frame], columns, color.get("width"))
         waiting.append(chunk.obstacles.select(keys).cast(pa.schema(list(LINKS_SCHEMA)[:-1])))
         size = chunk.obstacles["num_points"].to_numpy()
@@ -154,7 +160,16 @@ def _track_log(
         linked += take()
     tracker.finish()
     linked += take()
-    return LogTracks(log.label, len(rows), rows.moving, rows.in_world, log.num_obstacles, linked)
+    why = tuple(reason for reason, _ in blind.most_common())
+    found = len(rows), rows.moving, rows.in_world, log.num_obstacles, linked
+    return LogTracks(log.label, *found, why)
+
+
+def _blind(chunk: Chunk) -> Iterator[str]:
+    """Why each of these frames has no place in the world."""
+    for source, place in zip(*(chunk.frames[name].to_pylist() for name in _PLACE), strict=True):
+        floor = "no floor" if source == "none" else "the world's z is not up"
+        yield floor if place else "no poses"
 
 
 def _paths(tracks: pa.Table) -> list[tuple[np.ndarray, bool]]:
@@ -166,13 +181,13 @@ def _paths(tracks: pa.Table) -> list[tuple[np.ndarray, bool]]:
 
 
 def _corners(chunk: Chunk, name: str) -> np.ndarray:
-    """``(N, 8)`` float32, NaN where null."""
+    """``(N, 8)``, NaN where null."""
     column = chunk.obstacles[name].combine_chunks()
     column = column.chunk(0) if isinstance(column, pa.ChunkedArray) else column
     values = column.values.to_numpy(zero_copy_only=False).reshape(-1, 8)
     values = values[column.offset : column.offset + len(column)]
     known = column.is_valid().to_numpy(zero_copy_only=False)
-    return np.where(known[:, None], values, np.float32(np.nan))
+    return np.where(known[:, None], values, np.nan)
 
 
 class _Writer:
@@ -191,7 +206,14 @@ class _Writer:
 
     def write(self, table: pa.Table) -> None:
         """Appends the rows of a log."""
-        self.file.write_table(table.replace_schema_metadata(self.file.schema.metadata))
+        self.file.write_table(table.cast(self.file.schema))
+
+
+def _tracks_schema(results: Results) -> pa.Schema:
+    """That of the table; paths have no more digits than the outlines that they are of."""
+    at, kind = TRACKS_SCHEMA.get_field_index("path"), results.world_type
+    path = TRACKS_SCHEMA.field(at)
+    return TRACKS_SCHEMA.set(at, path.with_type(pa.list_(path.type.value_field.with_type(kind))))
 
 
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:

@@ -8,7 +8,11 @@ def _field(name: str, kind: pa.DataType, unit: str, text: str, nullable: bool = 
 
 
 _STRING, _I32, _I64, _F32 = pa.string(), pa.int32(), pa.int64(), pa.float32()
-_LIST = pa.list_(pa.field("item", _F32, nullable=False))
+
+
+def _list(kind: pa.DataType) -> pa.DataType:
+    return pa.list_(pa.field("item", kind, nullable=False))
+
 
 TRACKS_SCHEMA = pa.schema(
     [
@@ -29,11 +33,13 @@ TRACKS_SCHEMA = pa.schema(
         _field("width_m", _F32, "m", "shorter side, median"),
         _field("top_m", _F32, "m", "highest point above the floor, median", True),
         _field(
-            "path", _LIST, "m",
+            "path", _list(pa.float64()), "m",
             "middle of its outline, x and y in turn: a point for each frame from the first to the "
             "last, shown or not; one point where it stands",
         ),
-        _field("speed_mps", _LIST, "m/s", "speed in each of these frames; one value likewise"),
+        _field(
+            "speed_mps", _list(_F32), "m/s", "speed in each of these frames; one value likewise"
+        ),
     ]
 )  # fmt: skip
 """``tracks.parquet``: one row for each track."""

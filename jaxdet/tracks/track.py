@@ -36,7 +36,7 @@ class Track(NamedTuple):
     top_m: float
     """Its highest point above the floor, median; NaN where that is not known [m]."""
     path: np.ndarray
-    """``(P, 2)`` float32, its middle in each frame from the first to the last; one point where it
+    """``(P, 2)`` float64, its middle in each frame from the first to the last; one point where it
     does not move [m]."""
     speed: np.ndarray
     """``(P,)`` float32, at each point of the path [m/s]."""
@@ -59,7 +59,7 @@ class Piece(NamedTuple):
     num_frames: int
     """Those that don't show it as well."""
     path: np.ndarray
-    """``(num_frames, 2)`` float32, or one point where it does not move [m]."""
+    """``(num_frames, 2)`` float64, or one point where it does not move [m]."""
     speed: np.ndarray
     """``(num_frames,)`` or ``(1,)`` float32 [m/s]."""
 
@@ -93,7 +93,7 @@ def piece_of(
         float(shorter),
         float(np.median(top)) if len(top) else float("nan"),
         len(numbers),
-        (way if moving else np.median(way, axis=0)[None]).astype(np.float32),
+        way if moving else np.median(way, axis=0)[None],
         (speed if moving else speed[:1]).astype(np.float32),
     )
 
@@ -111,7 +111,7 @@ def track_of(number: int, pieces: Sequence[Piece]) -> Track:
         speed = np.concatenate([np.broadcast_to(p.speed, p.num_frames) for p in pieces])
     else:
         points = np.concatenate([piece.path for piece in pieces])
-        path = np.average(points, axis=0, weights=seen)[None].astype(np.float32)
+        path = np.average(points, axis=0, weights=seen)[None]
         speed = np.zeros(1, np.float32)
 
     def mean(name: str) -> float:

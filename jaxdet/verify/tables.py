@@ -57,6 +57,8 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
     if problem := _gap(results, np.concatenate([*numbers, np.zeros(0, np.int64)])):
         report.add("tables", log.label, problem)
     for part in fields(Counts):
+        if part.name not in log.summary:
+            continue  # of an older version
         found, told = getattr(counts, part.name), log.summary[part.name]
         if part.name != "busy_s" and found != (Counter(told) if isinstance(told, dict) else told):
             found = dict(found) if isinstance(found, Counter) else found
@@ -69,11 +71,15 @@ def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
     columns = {name: np.array(chunk.frames[name].to_pylist(), object) for name in _WORDS}
     refused = columns["floor_refused"]
     columns["floor_refused"] = np.ma.array(refused, mask=[word is None for word in refused])
+    poses = chunk.frames["camera_orientation_world"].to_pylist()
+    columns["camera_orientation_world"] = np.array([q or [np.nan] * 4 for q in poses]).reshape(
+        -1, 4
+    )
     return columns | {name: chunk.frames[name].to_numpy() for name in _NUMBERS}
 
 
 _WORDS = ("status", "floor_source", "floor_refused")
-_NUMBERS = ("num_features", "num_obstacles", "overflow")
+_NUMBERS = (*("num_features", "num_obstacles", "overflow", "camera_pitch_rad", "camera_roll_rad"),)
 
 
 def _problems(chunk: Chunk) -> set[str]:

@@ -1,0 +1,129 @@
+"""A world whose origin is far away, as UTM's, and results of before it had float64."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet.export import export
+from jaxdet.results.manifest import changed_manifest
+from jaxdet.results.reading import Results
+from jaxdet.results.writer import write_json
+from jaxdet.sim import record
+from jaxdet.tracks import track_results
+from jaxdet.verify import verify
+from tests.export_results import run, sim_log
+from tests.test_export_foxglove import exported
+from tests.test_export_rerun import motion, recording_of
+
+OFFSET = np.array([500_000.0, 5_000_000.0])
+"""Whole cells of the map [m]."""
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Results with tracks of a drive with somebody who walks, and of the same drive moved."""
+    near, far = folders = [tmp_path_factory.mktemp(name) / "out" for name in ("near", "far")]
+    about: dict[str, Any] = {"scene": "moving", "frames": 10, "seed": 3126, "rate_hz": 8.0}
+    about["camera_height_m"] = 0.5
+    sim_log(near.parent / "log.mcap", **about)
+    with pytest.MonkeyPatch.context() as patch:
+        x, y = OFFSET
+        patch.setattr(record, "drifted", lambda pose, _: pose._replace(x=pose.x + x, y=pose.y + y))
+        sim_log(far.parent / "log.mcap", **about)
+    for folder in folders:
+        run(folder.parent / "log.mcap", folder)
+        track_results(folder)
+    return near, far
+
+
+def column(folder: Path, table: str, name: str) -> Any:
+    return pq.read_table(folder / f"{table}.parquet")[name].to_pylist()
+
+
+def test_results_are_those_of_the_drive_near_the_origin(drives: tuple[Path, Path]) -> None:
+    near, far = drives
+    one, other = (np.array(column(f, "obstacles", "corners_world")) for f in drives)
+    assert len(one) > 10
+    np.testing.assert_allclose(other - np.tile(OFFSET, 4), one, rtol=0, atol=1e-7)
+    for table, name in (("track_links", "track"), ("tracks", "moving"), ("tracks", "num_frames")):
+        assert column(near, table, name) == column(far, table, name)
+    assert any(column(near, "tracks", "moving"))
+    for name in ("length_m", "width_m", "top_m", "mean_speed_mps"):
+        one, other = (column(f, "tracks", name) for f in drives)
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-6)
+    for one, other in zip(*(column(f, "tracks", "path") for f in drives), strict=True):
+        moved = np.reshape(one, (-1, 2)) + OFFSET
+        np.testing.assert_allclose(np.reshape(other, (-1, 2)), moved, rtol=0, atol=1e-6)
+    with Results(near) as a, Results(far) as b:
+        one, other = a.map(a.logs[0]), b.map(b.logs[0])
+    assert one and other and (one.counts > 0).sum() > 100
+    np.testing.assert_array_equal(other.counts, one.counts)
+    np.testing.assert_array_equal(other.free, one.free)
+    np.testing.assert_allclose(other.origin, one.origin + OFFSET, rtol=0, atol=1e-6)
+
+
+def test_exports_have_the_same_shapes(drives: tuple[Path, Path], tmp_path: Path) -> None:
+    """What a viewer draws in float32 is near to what it is counted from."""
+    lines = []
+    for folder in drives:
+        topics, frames = exported(folder, tmp_path / f"foxglove_{folder.parent.name}")
+        ways = []
+        for (_, scene), frame in zip(topics["/jaxdet/obstacles"], frames, strict=True):
+            moving = [track for track in frame.tracks if track.moving]
+            found = [e.lines[0] for e in scene.entities if e.id.startswith("way")]
+            for line, track in zip(found, moving, strict=True):
+                place = np.array([line.pose.position.x, line.pose.position.y])
+                shape = np.array([[p.x, p.y] for p in line.points], np.float32)
+                np.testing.assert_allclose(shape + place, track.path, rtol=0, atol=1e-6)
+                ways.append(shape)
+        lines.append(np.concatenate(ways))
+    np.testing.assert_allclose(*lines, rtol=0, atol=1e-5)
+    grids = []
+    for folder in drives:
+        with Results(folder) as results:
+            export(results, "nav2", tmp_path / f"nav2_{folder.parent.name}", {})
+        (text,) = (p.read_text() for p in (tmp_path / f"nav2_{folder.parent.name}").glob("*.yaml"))
+        grids.append([float(v) for v in text.partition("origin: [")[2].split(",")[:2]])
+    np.testing.assert_allclose(grids[1] - OFFSET, grids[0], rtol=0, atol=1e-7)
+
+
+def test_rerun_counts_from_a_place_nearby(drives: tuple[Path, Path], tmp_path: Path) -> None:
+    near, far = (recording_of(f, tmp_path / f.parent.name) for f in drives)
+    assert np.ravel(near["/world"]["translation"][-1]).tolist() == [0, 0, 0]
+    assert np.ravel(far["/world"]["translation"][-1]).tolist() == [*OFFSET, 0]
+    for number in range(10):
+        one, other = (motion(found, "/world/floor", number) for found in (near, far))
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-6)
+    ways = [name for name in near if name.startswith("/world/tracks")]
+    for name, part in ((n, "strips") for n in [*ways, "/world/path"]):
+        assert near[name][part].keys() == far[name][part].keys()
+        for number, strips in near[name][part].items():
+            np.testing.assert_allclose(far[name][part][number], strips, rtol=0, atol=1e-6)
+    maps = [found["/world/map"]["translation"][-1] for found in (near, far)]
+    np.testing.assert_allclose(*maps, rtol=0, atol=1e-6)
+
+
+def test_results_of_older_versions_are_read(drives: tuple[Path, Path], tmp_path: Path) -> None:
+    """Their outlines in the world are float32."""
+    folder = shutil.copytree(drives[0], tmp_path / "out")
+    path = folder / "obstacles.parquet"
+    table = pq.read_table(path)
+    metadata = {k: v for k, v in pq.read_metadata(path).metadata.items() if k[:6] == b"jaxdet"}
+    at = table.column_names.index("corners_world")
+    kind = pa.list_(pa.field("item", pa.float32(), nullable=False), 8)
+    field = table.schema.field(at).with_type(kind)
+    table = table.set_column(at, field, table["corners_world"].cast(kind))
+    pq.write_table(table.replace_schema_metadata(metadata), path)
+    write_json(folder / "manifest.json", changed_manifest(folder, (), {path.name: path}))
+    track_results(folder)
+    assert pq.read_schema(folder / "tracks.parquet").field("path").type.value_type == pa.float32()
+    report = verify(folder, sample=2)
+    assert report.findings == report.notes == [] and report.frames_again == 2
+    with Results(folder) as results:
+        export(results, "nav2", tmp_path / "nav2", {})
+        export(results, "foxglove", tmp_path / "foxglove", {})
