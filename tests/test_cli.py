@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from jaxdet.cli import main
 from jaxdet.cli.run import RunCommand, first_time, parse
@@ -348,10 +350,38 @@ def test_run_prints_json_only_when_asked(sim_log: Path, tmp_path: Path, capfd: C
     assert "visible obstacles found" in captured.out
     score = json.loads((tmp_path / "a" / "summary.json").read_text())["logs"][0]["score"]
     assert score["ignored"] and f"), {score['ignored']} not counted, F1 " in captured.out
+    assert f"distance_m off by {score['nearest_error_m'] * 100:.1f} cm" in captured.out
+    assert -0.2 < score["nearest_bias_m"] < 0 and "cm (90 %), too near by " in captured.out
     assert captured.out.endswith(f"results: {tmp_path / 'a'} (tables, 2 pictures, 1 map)\n")
     assert "2/2 frames" in captured.err
     assert main([*args, "--overwrite", "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_comparison_says_how_many_frames_it_is_of(
+    sim_log: Path, tmp_path: Path, capfd: Captured
+) -> None:
+    lost = tmp_path / "lost.mcap"
+    with sim_log.open("rb") as old, lost.open("wb") as new:
+        writer, depths = Writer(new), 0
+        writer.start()
+        for schema, channel, message in make_reader(old).iter_messages():
+            depths += (depth := "/depth/image" in channel.topic)
+            if not depth or depths < 2:
+                form = writer.register_schema(schema.name, schema.encoding, schema.data)
+                to = writer.register_channel(channel.topic, channel.message_encoding, form)
+                writer.add_message(to, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    for log, said in ((lost, "truth      in 1 of 2 frames "), (sim_log, "truth      ")):
+        args = ["--output", str(tmp_path / log.stem), "--backend", "reference", "--pictures", "0"]
+        assert main(["run", str(log), *args, "--truth", str(sim_log)]) == 0
+        score = json.loads((tmp_path / log.stem / "summary.json").read_text())["logs"][0]["score"]
+        assert f"{said}{score['found']} of {score['visible']} visible" in capfd.readouterr().out
+        assert score["frames"] == (1 if log == lost else 2)
+    write_log(tmp_path / "other.mcap", SimConfig(frames=1, width=160, height=120, start_ns=10**18))
+    args = ["--output", str(tmp_path / "none"), "--backend", "reference", "--pictures", "0"]
+    assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "other.mcap")]) == 0
+    assert "truth      compared in none of 2 frames\n" in capfd.readouterr().out
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")

@@ -185,6 +185,7 @@ def test_shapes():
         footprint=outline,
         visible_pixels=np.array([[500, 0, 0, 240]]),
         nearest_forward_m=np.array([[1.0, np.nan, np.nan, 8.1]]),
+        nearest_floor_m=np.array([[1.1, np.nan, np.nan, 8.1]]),
     )
     a, b = np.zeros((1, 4, 2), int), np.zeros((1, 4, 2), int)
     a[0, 0], b[0, 0] = (0, 1000), (800, 1000)
@@ -199,11 +200,13 @@ def test_shapes():
     case = got.cases[0]
     assert case.width_error_m == pytest.approx(-0.2) and case.position_error_m == 0
     assert case.iou == pytest.approx(0.4)
+    assert case.nearest_error_m == pytest.approx(-0.1)  # of a, the nearest of A, B and C
     short = EvalConfig(footprint=config.footprint, coverage_range_m=1.2)
     assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
     hidden = where._replace(nearest_forward_m=np.array([[1.1, np.nan, np.nan, 8.1]]))
     assert evaluate(found, hidden, config=config).near_points == 0
-    missed = detections([(0, 39, -1)], [], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
+    a, b, vertex = a[:, 1:], b[:, 1:], np.zeros((1, 3), bool)
+    missed = detections([(0, 39, -1)], [], a=a, b=b, has_vertex=vertex)
     got = evaluate(missed, where, config=config)
     assert (got.near_points, got.near_asked, got.near_safe) == (0, 101, 0)
     assert score([got]).safe_coverage == 0 and math.isnan(score([got]).coverage)

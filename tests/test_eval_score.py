@@ -17,6 +17,7 @@ from jaxdet.eval import (
     group_objects,
     intervals,
     keep_shares,
+    nearest_on_floor,
     score,
     success_by_distance,
     total,
@@ -24,6 +25,7 @@ from jaxdet.eval import (
 )
 from jaxdet.eval.tally import COUNTS
 from jaxdet.results.metric import to_world
+from jaxdet.types import Intrinsics
 
 NAN = math.nan
 counts = st.lists(
@@ -50,19 +52,20 @@ def test_figures_hang_together(rows):
 
 
 def test_totals():
-    case = Case(1, 2.0, True, 0.1, -0.2, 0.5)
+    case = Case(1, 2.0, True, 0.1, -0.2, 0.5, -0.05)
     one = Tally(frames=1, fmi_sum=0.5, fmi_frames=1, cases=(case,))
     both = total([one, one])
     assert both == Tally(frames=2, fmi_sum=1.0, fmi_frames=2, cases=(case, case))
     assert total([]) == Tally() and both.to_dict()["frames"] == 2
     figures = score([one, Tally(fmi_sum=1.0, fmi_frames=1)])
+    assert (figures.nearest_error_m, figures.nearest_bias_m) == (0.05, -0.05)
     assert figures.fmi == 0.75 and figures.width_error_m == pytest.approx(0.2)
     assert set(figures.to_dict()) == set(COUNTS) | set(Score._fields[:-1])
     assert score([Tally(pairs_true=3)]).fmi_pooled == 0 and math.isnan(score([one]).fmi_pooled)
 
 
 def test_success_by_distance():
-    near = [Case(1, d, f, NAN, NAN, NAN) for d, f in ((0.9, True), (1.0, False), (1.125, True))]
+    near = [Case(1, d, f, *[NAN] * 4) for d, f in ((0.9, True), (1.0, False), (1.125, True))]
     rows = success_by_distance([Tally(cases=tuple(near))], (1.0, 1.25, 3.0))
     assert rows[0] == (1.0, 2, 1) and rows[0].rate == 0.5
     assert rows[1] == (1.25, 1, 1) and math.isnan(rows[2].rate)
@@ -71,7 +74,7 @@ def test_success_by_distance():
 def test_intervals():
     rng = np.random.default_rng(1)
     units = [
-        Tally(visible=10, found=int(found), cases=(Case(1, 1.0, True, 0.01 * found, NAN, NAN),))
+        Tally(visible=10, found=int(found), cases=(Case(1, 1.0, True, 0.01 * found, *[NAN] * 3),))
         for found in rng.binomial(10, 0.8, 80)
     ]
     got = intervals(units, resamples=400)
@@ -124,6 +127,24 @@ def frame_truth():
         outline,
         np.array([[0.3, 0.6, 0.1, 2.0]]),
     )
+
+
+def test_nearest_on_floor():
+    """A camera 1 m up that looks straight down: a pixel is a tenth of the depth to the side."""
+    ids = np.array([[[1, 1, 2, 0, 3]]])
+    depth = np.array([[[0.9, 0.96, 0.97, 1.0, 0.8]]], np.float16)
+    truth = frame_truth()._replace(obstacle_id=ids, depth_m=depth)
+    camera = Intrinsics(5, 1, 10.0, 10.0, 5.0, 0.0)
+    down = np.full(1, math.pi / 2)
+    got = nearest_on_floor(truth, camera, np.ones(1), down, np.zeros(1), 0.05)
+    # Of the first the nearer pixel is low, of the second nothing is higher than the step.
+    np.testing.assert_allclose(got, [[0.45, 0.291, 0.08, NAN]], atol=1e-3)
+    level = nearest_on_floor(truth, camera, np.ones(1), np.zeros(1), np.zeros(1), 0.05)
+    np.testing.assert_allclose(level[0, 0], math.hypot(0.9, 0.45), atol=1e-3)
+    with pytest.raises(ValueError, match="depth_m"):
+        nearest_on_floor(frame_truth(), camera, np.ones(1), down, down, 0.05)
+    known = truth._replace(nearest_floor_m=got)
+    assert group_objects(known, 0.4, 0.1).nearest_floor_m[0, 0] == got[0, :2].min()
 
 
 def test_groups():

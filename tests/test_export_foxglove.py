@@ -153,12 +153,17 @@ def test_contours_stand_in_the_world_beside_the_recording(
 def test_without_the_log_s_tf_the_sidecar_has_the_poses(driven_log: Path, tmp_path: Path) -> None:
     found = run(driven_log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
     topics, frames = exported(found, tmp_path / "out")
+    recording = messages(driven_log)
+    theirs = {t.child_frame_id for _, m in recording["/tf_static"] for t in m.transforms}
+    assert frames[0].row["camera_frame"] in theirs
+    assert not {t.child_frame_id for _, m in topics[TF] for t in m.transforms} & theirs
     count = 0
     for (_, tree), (_, update), (row, obstacles) in zip(
         topics[TF], topics[SCENE], frames, strict=True
     ):
         edges = {(t.parent_frame_id, t.child_frame_id): t for t in tree.transforms}
-        name = row["camera_frame"]
+        name = f"{row['camera_frame']}_jaxdet"
+        assert {entity.frame_id for entity in update.entities} == {name}
         assert set(edges) == {("odom", name), (name, f"{name}_floor")}
         edge = edges["odom", name]
         camera = motion(edge.translation, edge.rotation)

@@ -63,7 +63,7 @@ def test_free_floor_is_not_joined_over_columns_that_show_nothing(tmp_path: Path)
     frames = [([], 1.5)]
     assert state_at(tmp_path / "a", frames, 1.0, 0.0) == FREE
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jaxdet.export.grid.NEIGHBOURS", 0.5)
+        patch.setattr("jaxdet.export.shapes.NEIGHBOURS", 0.5)
         assert state_at(tmp_path / "b", frames, 1.0, 0.0) == UNKNOWN
 
 

@@ -15,9 +15,9 @@ from jaxdet.errors import InputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.grid import last_grid
 from jaxdet.export.recordings import find, images, look_again
-from jaxdet.io import LogFiles, open_log
+from jaxdet.io import LogFiles, LogOptions, open_log
 from jaxdet.results.reading import Frame, Results
-from tests.export_results import sim_log
+from tests.export_results import run, sim_log
 
 DETECTIONS, POINTS, MAP = (f"/jaxdet/{name}" for name in ("detections", "points", "map"))
 POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("obstacle", "<u4")]
@@ -152,6 +152,22 @@ def test_a_recording_without_poses(aims_results: Path, shared_data: Path, tmp_pa
     for _, message in topics["/tf"]:
         (edge,) = message.transforms
         assert edge.child_frame_id == "camera_color_optical_frame_floor"
+
+
+def test_frames_have_one_parent_beside_a_recording_with_odometry(
+    driven_log: Path, tmp_path: Path
+) -> None:
+    found = run(driven_log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
+    topics, frames = exported(found, tmp_path / "out")
+    name = f"{frames[0].row['camera_frame']}_jaxdet"
+    ours = {(t.header.frame_id, t.child_frame_id) for _, m in topics["/tf"] for t in m.transforms}
+    assert ours == {("odom", name), (name, f"{name}_floor")}
+    for topic in (DETECTIONS, POINTS):
+        assert {message.header.frame_id for _, message in topics[topic]} == {name}
+    edge = topics["/tf"][0][1].transforms[-1].transform
+    np.testing.assert_allclose(
+        motion(edge.translation, edge.rotation), world(frames[0].row), atol=1e-9
+    )
 
 
 def test_the_log_is_seen_again_as_the_run_saw_it(driven_log: Path, driven_results: Path) -> None:

@@ -190,7 +190,7 @@ def test_an_experiment_that_is_not_there(capsys):
 
 
 def test_a_cylinder_not_found_has_an_infinite_error():
-    cases = (Case(1, 2.0, True, -0.01, 0.02, 0.5), Case(1, 2.0, False, *[math.nan] * 3))
+    cases = (Case(1, 2.0, True, -0.01, 0.02, 0.5, 0.1), Case(1, 2.0, False, *[math.nan] * 4))
     found = errors_of(Tally(cases=cases))
     assert found.position.tolist() == [0.01, math.inf]
     assert found.quantile("width", 0.5) == math.inf

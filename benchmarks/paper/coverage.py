@@ -14,8 +14,9 @@ def run(lab: Lab) -> Section:
     section.say(
         "Of the points on the visible side of the true footprints within 3 m of the camera, the "
         "share inside the rectangle of the obstacle's detection (2 cm allowed), of obstacles "
-        "found; 'any rectangle' is of all obstacles asked for, found or not. Position and width "
-        "errors are medians (90th percentiles) in cm over the obstacles found. The true footprint "
+        "found; 'any rectangle' is of all obstacles asked for, found or not. Errors of position "
+        "(forward, of point C) and width are medians (90th percentiles) in cm over the obstacles "
+        "found. The true footprint "
         "holds what stands between 5 cm and 2.2 m above the floor, with or without a "
         "measured depth. The paper has no such figure; all on simulated test scenes."
     )

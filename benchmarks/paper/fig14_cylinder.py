@@ -18,7 +18,7 @@ class Errors(NamedTuple):
     """Of one cell; a cylinder that was not found has an infinite error."""
 
     position: np.ndarray
-    """``(n,)`` absolute error of the distance of its nearest point [m]."""
+    """``(n,)`` absolute error of the forward distance of point C [m]."""
     width: np.ndarray
     """``(n,)`` absolute error of its width [m]."""
 
@@ -57,8 +57,8 @@ def run(lab: Lab) -> Section:
     section = Section("fig14", "Fig. 14: accuracy on a cylinder of 9 cm diameter")
     cells = cells_of(lab)
     section.say(
-        f"{lab.counts.cylinder_seeds} simulated scenes a cell. Position is the distance of the "
-        "nearest point C, width the lateral distance from A to B, both against the visible "
+        f"{lab.counts.cylinder_seeds} simulated scenes a cell. Position is the forward distance "
+        "of point C, width the lateral distance from A to B, both against the visible "
         "surface. The table has the median and the 90th percentile of the absolute errors in "
         "cm; a cylinder that was not found counts with an infinite error. The paper draws its "
         f"figure without numbers; by its text: {paper_figures.CYLINDER}."

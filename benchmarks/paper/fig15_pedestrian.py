@@ -68,8 +68,8 @@ def _figures(section: Section, shots: list[Shot], tallies: list) -> None:
         f"A simulated log of {len(shots)} frames at {RATE_HZ:g} Hz: the robot rolls 1.6 m to and "
         "fro, a person crosses at 1.2 m/s. The paper shows one scene and no figures. The person "
         f"was found in {len(found)} of the {len(cases)} frames in which it was to be found "
-        f"({percent(rate, ends)}); the distance of its nearest point was off by "
-        f"{100 * middle:.1f} cm (median)."
+        f"({percent(rate, ends)}); the forward distance of its point C was off "
+        f"by {100 * middle:.1f} cm (median)."
     )
 
 

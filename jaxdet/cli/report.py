@@ -95,8 +95,8 @@ def _log_lines(log: "LogSummary") -> list[str]:
         frames = many(log.overflow_frames, "frame")
         what = "had more surfaces, obstacles or (paper) corners than slots, see jaxdet help tuning"
         text.append(f"overflow   {frames} {what}")
-    if score := log.observed.get("score"):
-        text += _score_lines(score)
+    if "score" in log.observed:
+        text += _score_lines(log.observed["score"], log.frames)
     text += [f"lost       {lost}" for lost in log.lost]
     return text + [f"warning    {warning}" for warning in log.warnings]
 
@@ -119,19 +119,27 @@ def _floor_text(log: "LogSummary") -> str:
     return f"{text} (refused: {reasons})" if reasons else text
 
 
-def _score_lines(score: Mapping[str, Any]) -> list[str]:
-    """The comparison with the truth."""
+def _score_lines(score: Mapping[str, Any] | None, frames: int) -> list[str]:
+    """The comparison with the truth, with the number of frames where it is not of all."""
+    if score is None:
+        return [f"truth      compared in none of {many(frames, 'frame')}"]
+    compared = "" if score["frames"] == frames else f"in {score['frames']} of {frames} frames "
     others = f", {score['ignored']} not counted" if score["ignored"] else ""
     return [
-        f"truth      {score['found']} of {score['visible']} visible obstacles found "
+        f"truth      {compared}{score['found']} of {score['visible']} visible obstacles found "
         f"(recall {score['recall']:.3f}), {score['found']} of "
         f"{score['found'] + score['false']} detections right "
         f"(precision {score['precision']:.3f}){others}, F1 {score['f1']:.3f}",
-        f"           distance off by {score['position_error_m'] * 100:.1f} cm (median), "
-        f"{score['position_error_p90_m'] * 100:.1f} cm (90 %); "
+        f"           distance_m off by {score['nearest_error_m'] * 100:.1f} cm (median), "
+        f"{score['nearest_error_p90_m'] * 100:.1f} cm (90 %), {_side(score['nearest_bias_m'])}; "
         f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
         *_claimed_lines(score["free_claimed"], score["free_claimed_worst"]),
     ]
+
+
+def _side(bias_m: float) -> str:
+    """To which side distances are off."""
+    return f"too {'near' if bias_m < 0 else 'far'} by {abs(bias_m) * 100:.1f} cm"
 
 
 def _claimed_lines(share: float, worst: float) -> list[str]:

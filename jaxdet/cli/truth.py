@@ -16,6 +16,7 @@ from jaxdet.eval import (
     evaluate,
     floor_positions,
     measured_floor,
+    nearest_on_floor,
     score,
     total,
     truth_of,
@@ -63,6 +64,11 @@ class TruthScore:
             problem, remedy = "the truth is of other images", "give the log's own truth"
             raise InputError(problem, path=str(self.log), remedy=remedy)
         shown = truth_of(truth, which, *images)
+        mount = truth.camera_height, truth.camera_pitch, truth.camera_roll
+        height, pitch, roll = (of_all[which] for of_all in mount)
+        color, step_m = frames.calibration.color, self.config.step_height_m
+        nearest = nearest_on_floor(shown, color, height, pitch, roll, step_m)
+        shown = shown._replace(nearest_floor_m=nearest)
         unit, valid = frames.calibration.depth_unit, frames.valid & known
         right = evaluate(found, shown, unit, self.config, valid)
         return total([right, *self._claimed(frames, found, which, images, valid)])

@@ -29,7 +29,7 @@ from jaxdet.eval.match import assign, match
 from jaxdet.eval.partition import PairCounts, fowlkes_mallows, pair_counts
 from jaxdet.eval.score import Score, Success, score, success_by_distance
 from jaxdet.eval.tally import Case, Tally, keep_shares, total
-from jaxdet.eval.truth import EvalConfig, FrameTruth, LogTruth, truth_of
+from jaxdet.eval.truth import EvalConfig, FrameTruth, LogTruth, nearest_on_floor, truth_of
 
 __all__ = [
     "BoxScore",
@@ -62,6 +62,7 @@ __all__ = [
     "match_boxes",
     "measured_floor",
     "near_surface",
+    "nearest_on_floor",
     "on_known_ground",
     "pair_counts",
     "score",

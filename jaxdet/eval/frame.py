@@ -22,6 +22,7 @@ from jaxdet.eval.partition import fowlkes_mallows, pair_counts
 from jaxdet.eval.shapes import Shapes, count_shapes
 from jaxdet.eval.tally import Tally, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth
+from jaxdet.results.metric import distances
 from jaxdet.types import Detections, Features
 
 
@@ -47,8 +48,8 @@ def evaluate_frames(
 
     Args:
         detections: Of ``B`` frames, from either backend or of another method. Of the obstacles
-            ``c`` is used, with ``truth.ground_min`` also ``a b``, and with ``truth.footprint``
-            also ``has_vertex``.
+            ``c`` is used, with ``truth.ground_min`` also ``a b``, with ``truth.footprint`` also
+            ``has_vertex``, and with ``truth.nearest_floor_m`` contours or ``a b``.
         truth: Of the same frames.
         depth_unit: Metres in one depth unit.
         config: What counts.
@@ -65,11 +66,14 @@ def evaluate_frames(
     if frames != len(truth.obstacle_id):
         raise ValueError(f"{frames} frames, but the truth of {len(truth.obstacle_id)}")
     asked = truth.asked(config)
+    known = truth.nearest_floor_m is not None
+    distances_m = distances(detections) * depth_unit if known else None
     tallies: list[Tally] = []
     for b in range(frames):
         if valid is None or valid[b]:
             frame = _match_frame(detections, truth, b, asked[b], depth_unit, config)
-            shapes = Shapes(detections, truth, b, frame.count, depth_unit, config)
+            given = detections, truth, b, frame.count, depth_unit, config, distances_m
+            shapes = Shapes(*given)
             parts = [
                 _count_detections(frame, config),
                 _count_points(frame, _positions(detections, b, depth_unit), config),

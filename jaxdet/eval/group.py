@@ -61,6 +61,7 @@ def _join(truth: FrameTruth, b: int, members: np.ndarray) -> None:
     truth.visible_pixels[b, first] = truth.visible_pixels[b, members].sum()
     truth.visible_pixels[b, rest] = 0
     lowest = [truth.nearest_m, truth.nearest_forward_m, truth.ground_min]
+    lowest += [] if truth.nearest_floor_m is None else [truth.nearest_floor_m]
     for array, join in [*((a, np.min) for a in lowest), (truth.ground_max, np.max)]:
         array[b, first] = join(array[b, members], axis=0)
         array[b, rest] = np.nan

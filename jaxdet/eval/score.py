@@ -58,8 +58,14 @@ class Score(NamedTuple):
     outline, see :func:`jaxdet.eval.claimed_floor`; what hangs takes none."""
     free_claimed_worst: float
     """The same in the worst frame."""
+    nearest_error_m: float
+    """Median of the absolute errors of ``distance_m`` against the nearest visible point [m]."""
+    nearest_error_p90_m: float
+    """Their 90th percentile [m]."""
+    nearest_bias_m: float
+    """Median of these errors with their sign, negative where ``distance_m`` is too near [m]."""
     position_error_m: float
-    """Median of the distance's absolute errors [m]."""
+    """Median of the absolute errors of the forward coordinate of point C [m]."""
     position_error_p90_m: float
     """Their 90th percentile [m]."""
     width_error_m: float
@@ -123,7 +129,7 @@ def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 
 def case_table(cases: Sequence[Case]) -> np.ndarray:
-    """The cases as ``(n, 6)`` float64, columns as the fields of :class:`Case`."""
+    """The cases as ``(n, 7)`` float64, columns as the fields of :class:`Case`."""
     return np.array(cases, np.float64).reshape(len(cases), len(Case._fields))
 
 
@@ -131,13 +137,16 @@ def errors(cases: np.ndarray) -> dict[str, float]:
     """The figures that are quantiles over the obstacles found.
 
     Args:
-        cases: ``(n, 6)`` float64, see :func:`case_table`.
+        cases: ``(n, 7)`` float64, see :func:`case_table`.
 
     Returns:
         By name; NaN where nothing was measured.
     """
-    position, width, iou = np.abs(cases[:, 3:]).T
+    position, width, iou, nearest = np.abs(cases[:, 3:]).T
     return {
+        "nearest_error_m": _quantile(nearest, 0.5),
+        "nearest_error_p90_m": _quantile(nearest, 0.9),
+        "nearest_bias_m": _quantile(cases[:, -1], 0.5),
         "position_error_m": _quantile(position, 0.5),
         "position_error_p90_m": _quantile(position, 0.9),
         "width_error_m": _quantile(width, 0.5),

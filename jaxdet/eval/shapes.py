@@ -25,8 +25,11 @@ class Shapes:
         count: int,
         depth_unit: float,
         config: EvalConfig,
+        distances_m: np.ndarray | None,
     ) -> None:
         slots = detections.obstacles
+        self.distance = None if distances_m is None else distances_m[b]
+        self.true_distance = None if truth.nearest_floor_m is None else truth.nearest_floor_m[b]
         self.forward = np.asarray(slots.c)[b, :count, 1] * depth_unit
         self.true_forward = truth.nearest_forward_m[b]
         self.width = self.true_low = self.true_width = self.outline = self.rectangle = None
@@ -68,7 +71,7 @@ def count_shapes(asked: np.ndarray, pair: np.ndarray, shapes: Shapes, config: Ev
     margin, nan = config.coverage_margin_m, math.nan
     for number in np.flatnonzero(asked).tolist():
         j, which = number - 1, np.flatnonzero(pair == number)
-        near, position, width, iou = shapes.near(j, config), nan, nan, nan
+        near, position, width, iou, nearest = shapes.near(j, config), nan, nan, nan, nan
         every += len(near)
         if shapes.rectangle is not None and len(near):
             hits = [inside(rectangle, near, margin) for rectangle in shapes.rectangle]
@@ -83,8 +86,10 @@ def count_shapes(asked: np.ndarray, pair: np.ndarray, shapes: Shapes, config: Ev
                 width = float(shapes.width[k] - shapes.true_width[j])
             if shapes.rectangle is not None and shapes.outline is not None:
                 iou = overlap(shapes.rectangle[k], shapes.outline[j])
+            if shapes.distance is not None and shapes.true_distance is not None:
+                nearest = float(shapes.distance[k] - shapes.true_distance[j])
         distance = float(shapes.true_forward[j])
-        cases.append(Case(number, distance, bool(len(which)), position, width, iou))
+        cases.append(Case(number, distance, bool(len(which)), position, width, iou, nearest))
     return Tally(
         near_points=points,
         near_covered=covered,

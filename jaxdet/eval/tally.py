@@ -21,6 +21,9 @@ class Case(NamedTuple):
     visible surface [m]."""
     iou: float
     """Overlap of its detection's rectangle with the true footprint."""
+    nearest_error_m: float
+    """Distance of its detection (:func:`jaxdet.results.metric.distances`, the column
+    ``distance_m``) minus the true one, ``FrameTruth.nearest_floor_m`` [m]."""
 
 
 class Tally(NamedTuple):

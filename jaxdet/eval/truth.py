@@ -6,8 +6,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from jaxdet.camera import pixel_rays
 from jaxdet.config import FootprintConfig
+from jaxdet.floor.plane import down_vector
 from jaxdet.results.metric import world_angle
+from jaxdet.types import Intrinsics
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,9 @@ class FrameTruth(NamedTuple):
     drivable: np.ndarray | None = None
     """``(B, H, W)`` bool, the pixel truly shows floor that the robot can drive on, outside all
     footprints."""
+    nearest_floor_m: np.ndarray | None = None
+    """``(B, J)`` float, distance on the floor from the camera's foot to the nearest point of its
+    visible surface [m], see :func:`nearest_on_floor`."""
 
     def asked(self, config: EvalConfig) -> np.ndarray:
         """Which objects have to be found: ``(B, J)`` bool.
@@ -188,6 +194,51 @@ def truth_of(
         depth_m,
         drivable,
     )
+
+
+def nearest_on_floor(
+    truth: FrameTruth,
+    camera: Intrinsics,
+    height_m: np.ndarray,
+    pitch_rad: np.ndarray,
+    roll_rad: np.ndarray,
+    step_height_m: float,
+) -> np.ndarray:
+    """How far each object is from the camera's foot: what the column ``distance_m`` measures.
+
+    Of the colour pixels that show the object the least distance between the foot and the point
+    below what they show, both on the plane of the floor. What is no higher above that plane than
+    the step is left out, unless that is all.
+
+    Args:
+        truth: With ``depth_m``.
+        camera: The colour camera.
+        height_m: ``(B,)`` of the camera over its true floor [m].
+        pitch_rad: ``(B,)`` likewise [rad].
+        roll_rad: ``(B,)`` likewise [rad].
+        step_height_m: What the wheels can climb [m].
+
+    Returns:
+        ``(B, J)`` float64 [m], NaN for objects out of sight.
+
+    Raises:
+        ValueError: The truth has no depth.
+    """
+    if truth.depth_m is None:
+        raise ValueError("distances need depth_m")
+    rays = np.stack([*pixel_rays(camera), np.ones((camera.height, camera.width))], axis=-1)
+    nearest = np.full((2, len(truth.depth_m), len(truth.is_wall)), np.inf)
+    for b, down in enumerate(down_vector(pitch_rad, roll_rad)):
+        shown = truth.obstacle_id[b] > 0
+        number = truth.obstacle_id[b][shown].astype(np.int64) - 1
+        points = rays[shown] * truth.depth_m[b][shown].astype(np.float64)[:, None]
+        depth = points @ down  # below the camera
+        distance = np.linalg.norm(points - depth[:, None] * down, axis=1)
+        high = height_m[b] - depth > step_height_m
+        np.minimum.at(nearest[0, b], number[high], distance[high])
+        np.minimum.at(nearest[1, b], number, distance)
+    found = np.where(np.isfinite(nearest[0]), *nearest)
+    return np.where(np.isfinite(found), found, np.nan)
 
 
 def _heights(log: LogTruth) -> np.ndarray:

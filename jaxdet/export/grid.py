@@ -11,8 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxdet.export.shapes import T_world_upright
-from jaxdet.results.free_floor import FreeFloor
+from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, free_floor
 from jaxdet.results.metric import TILT
 from jaxdet.results.occupancy import SHIFT, placed
 from jaxdet.results.reading import Frame, ResultLog, Results
@@ -25,16 +24,8 @@ HIT, MISS = 85, -40
 LEAST, MOST = -200, 350
 """Bounds of a cell's log-odds [1/100]: OctoMap's; nine frames of free floor clear any cell."""
 
-NEIGHBOURS = 8
-"""Columns whose free floor ends farther apart than this many cells, 3 degrees, are not joined: the
-tables leave out columns that show nothing. Neighbours that end before and behind an edge are up to
-so far apart too where the camera is rolled."""
-
 _ADDED = np.array([0, MISS, HIT], np.int16)
-_FRAME_COLUMNS = (
-    *("camera_position_world", *TILT),
-    *("free_bearing_rad", "free_from_m", "free_to_m"),
-)
+_FRAME_COLUMNS = ("camera_position_world", *TILT, *FREE_COLUMNS)
 
 
 class Grid(NamedTuple):
@@ -61,9 +52,9 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
     seen = np.zeros(counted.counts.shape, bool)
-    gap = NEIGHBOURS * results.method.surface.cell_rad
+    cell_rad = results.method.surface.cell_rad
     for frame in results.frames(log, _FRAME_COLUMNS, ("corners_world",)):
-        if (view := _cells(frame, gap)) is None:
+        if (view := _cells(frame, cell_rad)) is None:
             continue
         cells, low = view
         x, y = (low - first).tolist()
@@ -77,7 +68,7 @@ def last_grid(results: Results, log: ResultLog) -> Grid | None:
     return Grid(np.where(seen, states, UNKNOWN).astype(np.int8), counted.origin, counted.cell_m)
 
 
-def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:
+def _cells(frame: Frame, cell_rad: float) -> tuple[np.ndarray, np.ndarray] | None:
     """What a frame says of cells: 1 free floor, 2 an outline; and column and row of the first."""
     T = T_world_upright(frame.row)
     if T is None:
@@ -85,7 +76,7 @@ def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:
     outlines = [o["corners_world"] for o in frame.obstacles if o["corners_world"]]
     parts = [np.reshape(corners, (4, 2)) for corners in outlines]
     covered = len(parts)
-    free = _free_floor(frame, gap).in_world(T[None])
+    free = free_floor(frame.row, cell_rad).in_world(T[None])
     parts += np.split(free.points, np.cumsum(free.corners)[:-1]) if len(free.corners) else []
     if not parts:
         return None
@@ -103,15 +94,3 @@ def _cells(frame: Frame, gap: float) -> tuple[np.ndarray, np.ndarray] | None:
     for outline in points[:covered]:
         cv2.fillConvexPoly(cells, outline, (2,), cv2.LINE_8, SHIFT)
     return cells, together.low[0]
-
-
-def _free_floor(frame: Frame, gap: float) -> FreeFloor:
-    """The free floor of a row, with an empty column where neighbours are apart."""
-    names = ("free_bearing_rad", "free_from_m", "free_to_m")
-    bearing, start, stop = (np.array(frame.row[name] or [], np.float64) for name in names)
-    apart = np.flatnonzero(np.abs(np.diff(bearing)) > gap) + 1
-    seen = np.insert(np.ones(bearing.size, bool), apart, False)
-    bearing, start, stop = (np.insert(a, apart, 0.0) for a in (bearing, start, stop))
-    way = np.sin(bearing) + 1j * np.cos(bearing)
-    parts = seen, way, bearing, start, stop, np.zeros(seen.size, np.int8)
-    return FreeFloor(*(part[None] for part in parts))

@@ -34,6 +34,7 @@ from jaxdet.export.shapes import (
     T_world_upright,
     box,
     contour,
+    free_floor,
     heights,
     label,
     number_of,
@@ -57,6 +58,8 @@ PATH_POINTS = 10_000
 UNKNOWN = np.array((70, 74, 80), np.uint8)
 """Of the map."""
 COLORS = np.array(PALETTE, np.uint8)
+LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""A level camera in its floor frame, for what takes poses in the world."""
 
 
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
@@ -163,7 +166,7 @@ class _Recording:
         log(CAMERA, _camera_on_floor(row))
         log(f"{FLOOR}/boxes", _boxes(row, frame.obstacles))
         log(f"{FLOOR}/contours", _contours(frame.obstacles))
-        log(f"{FLOOR}/free", _free(row))
+        log(f"{FLOOR}/free", _free(row, self.results.method.surface.cell_rad))
         log(f"{COLOR}/boxes", _flat_boxes(frame.obstacles))
         if row["status"] != FrameStatus.OK:
             text = f"frame {row['frame']}: {row['status']}"
@@ -299,22 +302,20 @@ def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
     )
 
 
-def _free(row: Mapping[str, Any]) -> rr.Mesh3D | rr.Clear:
-    """The free floor between neighbouring columns of cells."""
-    if not row["free_to_m"] or len(row["free_to_m"]) < 2:
+def _free(row: Mapping[str, Any], cell_rad: float) -> rr.Mesh3D | rr.Clear:
+    """The free floor, the same polygons as on the map."""
+    points, corners, _ = free_floor(row, cell_rad).in_world(LEVEL[None])
+    if not len(corners):
         return rr.Clear(recursive=False)
-    bearing, start, stop = (
-        np.array(row[name], np.float64) for name in ("free_bearing_rad", "free_from_m", "free_to_m")
-    )
-    way = np.stack([np.sin(bearing), np.cos(bearing), np.zeros(len(bearing))], axis=1)
-    near, far = way * start[:, None], way * stop[:, None]
-    n, shown = len(bearing), start < stop
-    (i,) = np.nonzero(shown[:-1] & shown[1:])
-    halves = (i, i + n, i + 1), (i + 1, i + n, i + n + 1)
-    triangles = np.concatenate([np.stack(half, axis=1) for half in halves])
+    triangles: list[np.ndarray] = []
+    for count, stop in zip(corners, np.cumsum(corners), strict=True):
+        middle = stop - count // 2
+        far, near = np.arange(stop - count, middle, 2), np.arange(stop - 1, middle, -2)
+        halves = (far, near, far + 1), (near, near - 1, far + 1)
+        triangles += [np.stack(half, axis=1) for half in halves]
     return rr.Mesh3D(
-        vertex_positions=np.concatenate([near, far]),
-        triangle_indices=triangles,
+        vertex_positions=np.insert(points, 2, 0.0, axis=1),
+        triangle_indices=np.concatenate(triangles),
         albedo_factor=[*FREE, 110],
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxdet.floor.plane import down_vector, forward_vector
 from jaxdet.io.motion import motion_matrix, quaternions
+from jaxdet.results.free_floor import FreeFloor
 from jaxdet.results.metric import TILT, tilted
 from jaxdet.results.reading import ResultLog
 
@@ -22,7 +23,14 @@ FRAME_COLUMNS = (
     *("stamp_ns", "log_time_ns", "camera_frame", "world_frame", "camera_position_world"),
     *("camera_orientation_world", "camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
 )
-"""What the functions here use of frames."""
+"""What the functions here but :func:`free_floor` use of frames."""
+FREE_COLUMNS = ("free_bearing_rad", "free_from_m", "free_to_m")
+"""What that uses."""
+
+NEIGHBOURS = 8
+"""Columns whose free floor ends farther apart than this many cells, 3 degrees, are not joined: the
+tables leave out columns that show nothing. Neighbours that end before and behind an edge are up to
+so far apart too where the camera is rolled."""
 
 
 def topic(log: ResultLog, name: str) -> str:
@@ -99,6 +107,22 @@ def heights(row: Row, obstacle: Row) -> tuple[float, float]:
     points = np.array([[x, obstacle["y_max"], z, 1.0], [x, obstacle["y_min"], z, 1.0]])
     low, high = (points @ np.linalg.inv(T_camera_floor(row)).T)[:, 2].tolist()
     return min(low, high), max(low, high)
+
+
+def free_floor(row: Row, cell_rad: float) -> FreeFloor:
+    """The free floor of a row of frames, with an empty column where neighbours are apart.
+
+    Args:
+        row: With :data:`FREE_COLUMNS`.
+        cell_rad: Width of the run's cells [rad].
+    """
+    bearing, start, stop = (np.array(row[name] or [], np.float64) for name in FREE_COLUMNS)
+    apart = np.flatnonzero(np.abs(np.diff(bearing)) > NEIGHBOURS * cell_rad) + 1
+    seen = np.insert(np.ones(bearing.size, bool), apart, False)
+    bearing, start, stop = (np.insert(a, apart, 0.0) for a in (bearing, start, stop))
+    way = np.sin(bearing) + 1j * np.cos(bearing)
+    parts = seen, way, bearing, start, stop, np.zeros(seen.size, np.int8)
+    return FreeFloor(*(part[None] for part in parts))
 
 
 def box(obstacle: Row, bottom: float, top: float) -> tuple[np.ndarray, np.ndarray]:

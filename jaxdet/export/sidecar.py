@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from jaxdet.export.grid import Grid, last_grid
 from jaxdet.export.shapes import (
     FRAME_COLUMNS,
@@ -25,6 +27,8 @@ class Moment(NamedTuple):
     """A frame in a sidecar."""
 
     frame: Frame
+    """Its camera frame is ``CAMERA_FRAME_jaxdet`` where the transforms have its pose: a frame has
+    one parent, and that of the log's own camera is in the log."""
     log_time_ns: int
     """Log time of its messages [ns]."""
     transforms: tuple[Transform, ...]
@@ -44,13 +48,16 @@ def moments(results: Results, log: ResultLog) -> Iterator[Moment]:
     """The frames of a log, one by one."""
     for number, frame in enumerate(results.frames(log, FRAME_COLUMNS)):
         grid = None if number else last_grid(results, log)
-        transforms = tuple(_transforms(frame.row, own_poses=not log.poses_from_tf))
-        yield Moment(frame, frame.row["log_time_ns"], transforms, grid)
+        named = frame.row["world_frame"] and not log.poses_from_tf
+        T = T_world_camera(frame.row) if named else None
+        if T is not None:
+            row = frame.row | {"camera_frame": f"{camera_name(frame.row)}_jaxdet"}
+            frame = frame._replace(row=row)
+        yield Moment(frame, frame.row["log_time_ns"], tuple(_transforms(frame.row, T)), grid)
 
 
-def _transforms(row: Row, *, own_poses: bool) -> Iterator[Transform]:
+def _transforms(row: Row, T_world: np.ndarray | None) -> Iterator[Transform]:
     if row["camera_height_m"] is not None:
         yield Transform(camera_name(row), floor_name(row), T_camera_floor(row))
-    T = T_world_camera(row)
-    if own_poses and T is not None and row["world_frame"]:
-        yield Transform(row["world_frame"], camera_name(row), T)
+    if T_world is not None:
+        yield Transform(row["world_frame"], camera_name(row), T_world)
