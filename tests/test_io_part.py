@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from jaxdet.errors import ConfigError, InputError, RescanError
+from jaxdet.errors import ConfigError, InputError
 from jaxdet.io import LogOptions
 from jaxdet.io import open_log as open_only
 from jaxdet.io.moments import Moment, parse_moment
-from jaxdet.io.part import find_part
 from tests.io_both_ways import assert_same_batch, is_indexed, scanning
-from tests.io_helpers import START, make_scene, write_log
+from tests.io_helpers import (
+    COLOR,
+    DEPTH,
+    SECOND,
+    START,
+    LogFile,
+    make_scene,
+    write_calibration,
+    write_log,
+)
+from tests.test_io_index import Sender
 
 PERIOD_NS = 33_333_333
 FRAMES = 60
@@ -117,39 +126,63 @@ def test_nothing_in_the_range_names_the_span(log_path):
         open_only(str(log_path), LogOptions(start="1.9", every=100))
 
 
-def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path):
+def test_a_part_of_a_damaged_log_has_the_numbers_of_the_whole(log_path, tmp_path):
     with log_path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    at = START + 40 * PERIOD_NS  # log time of frame 40
+    at = START + 20 * PERIOD_NS  # log time of frame 20
     torn = next(c for c in summary.chunk_indexes if c.message_start_time == at)
     data = bytearray(log_path.read_bytes())
     data[torn.chunk_start_offset + torn.chunk_length - 3] ^= 0xFF
     damaged = tmp_path / "log.mcap"
     damaged.write_bytes(data)
-    with open_only(str(damaged), LogOptions(stop="1.0")) as log:
-        assert is_indexed(log)
-        assert sum(len(batch.status) for batch in log.batches(8)) == 31
-    with open_only(str(damaged), LogOptions(start="0.8", stop="1.4")) as log:
-        if is_indexed(log):
-            with pytest.raises(RescanError):
-                list(log.batches(8))
+    with open_only(str(damaged), LogOptions(start="1.0")) as log:
+        assert list(log.frames) == list(range(30, 59))
 
 
-def test_the_search_looks_at_few_frames():
-    seen = []
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+@pytest.mark.parametrize("topic", [COLOR, DEPTH])
+def test_a_clock_that_steps_back_anywhere_is_seen(tmp_path, compression, topic):
+    with LogFile(tmp_path / "log.mcap", compression, chunk_size=5000) as file:
+        write_calibration(file)
+        sender = Sender(file)
+        for i in range(FRAMES):
+            at = START + i * PERIOD_NS
+            for name in (DEPTH, COLOR):
+                back = SECOND if name == topic and i >= 45 else 0
+                sender.image(name, i, at - back, at)
+    path = str(tmp_path / "log.mcap")
+    with open_only(path, LogOptions(scan=True)) as whole:
+        stamps = whole.stamps_ns
+        for part, wanted in (
+            ({"stop": "0.4"}, stamps < START + 4 * SECOND // 10),
+            ({"start": "0.6", "stop": "0.9"}, np.abs(stamps - START - 0.75e9) <= 0.15e9),
+            ({"every": 20}, np.arange(FRAMES) % 20 == 0),
+        ):
+            with open_only(path, LogOptions(**part)) as log:
+                assert list(log.frames) == np.flatnonzero(wanted).tolist()
+                (batch,) = log.batches(FRAMES)
+                same = whole.read(log.frames)
+                found = batch.frames.stamp_ns[: len(log)]
+                np.testing.assert_array_equal(found, same.frames.stamp_ns)
+                assert batch.status == same.status
 
-    def stamp_ns(number):
-        seen.append(number)
-        return 10 * number
 
-    random = np.random.default_rng(0)
-    for jitter in (0, 3, 20_000):
-        about_ns = 10 * np.arange(10**6) + 10**15 + random.integers(0, 10 * jitter + 1, 10**6)
-        about_ns.sort()
-        for first in (0, 1, 7, 500_000, 999_999):
-            seen.clear()
-            start = f"{10 * first / 1e9:.9f}"
-            assert find_part(about_ns, stamp_ns, start, None, 1, "log") == range(first, 10**6)
-            assert len(seen) < 40 and {abs(n - first) for n in seen if n} <= set(range(70_000))
-    assert find_part(about_ns[:0], stamp_ns, "1", None, 1, "log") == range(0)
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("zero", [0, 40])
+def test_seconds_count_from_the_first_stamp_that_is_told(tmp_path, scan, zero):
+    scene = make_scene(FRAMES)
+    scene.color_ns[zero] = 0
+    with LogFile(tmp_path / "log.mcap") as file:
+        write_calibration(file)
+        sender = Sender(file)
+        for i, (at, depth_at) in enumerate(zip(scene.color_ns, scene.depth_ns, strict=True)):
+            sender.image(DEPTH, i, int(depth_at), START + i * PERIOD_NS)
+            sender.image(COLOR, i, int(at), START + i * PERIOD_NS)
+    begin = START + PERIOD_NS * (zero == 0)
+    stamps = np.sort(scene.color_ns)
+    options = LogOptions(start="1.5", scan=scan)
+    with open_only(str(tmp_path / "log.mcap"), options) as log:
+        wanted = np.flatnonzero(stamps >= begin + 3 * SECOND // 2)
+        assert list(log.frames) == wanted.tolist()
+        assert log.description.duration_s == (stamps[-1] - begin) / 1e9

@@ -62,7 +62,7 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     color, depth = index.streams[choice.color], index.streams[choice.depth]
     frames = order_and_pair(color, depth, options.pair_tolerance_s)
     tracks = {name: track.samples for name, track in index.poses.items()}
-    stamps = frames.about_ns
+    stamps = frames.stamps_ns()
 
     def ever_known(source: PoseSource) -> bool:
         return _any_known(source.at(stamps, index.tree, tracks))

@@ -155,8 +155,9 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        about_ns, stamp_ns = found.frames.about_ns, found.frames.stamp_ns
-        self.frames = find_part(about_ns, stamp_ns, *part, self._path)
+        self.frames = range(self.num_frames)
+        if part != (None, None, 1):
+            self.frames = find_part(found.frames.stamps_ns(), *part, self._path)
         self.description = describe(files, index, found, self.frames)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)

@@ -1,7 +1,6 @@
-"""A part of a log: the frames between two moments, found with few looks at the log."""
+"""A part of a log: the frames between two moments."""
 
-from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -10,19 +9,14 @@ from jaxdet.io.moments import EPOCH, MICROSECOND, parse_moment
 
 
 def find_part(
-    about_ns: np.ndarray,
-    stamp_ns: Callable[[int], int],
-    start: str | None,
-    stop: str | None,
-    every: int,
-    path: str,
+    stamps_ns: np.ndarray, start: str | None, stop: str | None, every: int, path: str
 ) -> range:
     """The numbers of the frames from one moment to another.
 
+    Seconds count from the first stamp that is not zero.
+
     Args:
-        about_ns: ``(F,)`` int64, a time of each of the log's frames, in order [ns], which differs
-            by about the same from all stamps: it says where to look first.
-        stamp_ns: The stamp of a frame by its number [ns]; they are in order.
+        stamps_ns: ``(F,)`` int64, of the log's frames, in order [ns].
         start: See :func:`jaxdet.io.moments.parse_moment`; None: the log's begin.
         stop: Likewise, the first moment that is not in the part; None: after the last frame.
         every: Only multiples of this number.
@@ -31,36 +25,28 @@ def find_part(
     Raises:
         InputError: There is no frame.
     """
-    count = len(about_ns)
+    count = len(stamps_ns)
     if not count:
         return range(0)
+    begin_ns = first_told(stamps_ns)
     ends = [0, count]
     for side, text in enumerate((start, stop)):
         if text is not None:
-            wanted = parse_moment(text, "").stamp_ns(stamp_ns(0))
-            ends[side] = _first_from(wanted, about_ns, stamp_ns)
+            wanted = parse_moment(text, "").stamp_ns(begin_ns)
+            ends[side] = int(np.searchsorted(stamps_ns, wanted))
     found = range(-(-ends[0] // every) * every, ends[1], every)
     if not found:
         asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
         each = f"--every {every}" if every > 1 else ""
         asked = " ".join(part for part in (*asked, each) if part)
-        remedy = f"its {count} colour frames are {_span(stamp_ns(0), stamp_ns(count - 1))}"
+        remedy = f"its {count} colour frames are {_span(begin_ns, int(stamps_ns[-1]))}"
         raise InputError(f"no colour frame is in {asked}", path=path, remedy=remedy)
     return found
 
 
-def _first_from(wanted: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]) -> int:
-    """The first frame whose stamp is ``wanted`` or later; looks at few, and those near by."""
-    count = len(about_ns)
-    guess = int(np.searchsorted(about_ns, wanted - stamp_ns(0) + int(about_ns[0])))
-    low = high = min(guess, count - 1)
-    step = 1
-    while low > 0 and stamp_ns(low) >= wanted:
-        low, step = max(0, low - step), 2 * step
-    step = 1
-    while high < count and stamp_ns(high) < wanted:
-        high, step = min(count, high + step), 2 * step
-    return bisect_left(range(count), wanted, low, high, key=stamp_ns)
+def first_told(stamps_ns: Iterable[int]) -> int:
+    """The first stamp that is not zero [ns]; 0 where all are."""
+    return next((int(ns) for ns in stamps_ns if ns), 0)
 
 
 def _span(first_ns: int, last_ns: int) -> str:

@@ -229,10 +229,18 @@ class IndexedFrames:
         """Colour frames."""
         return len(self.color)
 
-    @property
-    def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, log times of the colour messages, in order [ns]."""
-        return self.color.messages.log_ns
+    def stamps_ns(self) -> np.ndarray:
+        """``(F,)`` int64, the stamps, in order [ns]; all of colour and depth are looked at.
+
+        Chunks that are packed are decompressed for that.
+
+        Raises:
+            RescanError: They are far from the order of the log times.
+            DamageError: The file contradicts its index.
+        """
+        for stream in (self.depth, self.color):
+            ranked = stream.ranked(0, len(stream))
+        return self.color.stamp[ranked]
 
     def is_plain(self, number: int) -> bool:
         """Whether the chunk of a frame isn't packed, so that its messages can be read alone.
