@@ -104,6 +104,26 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
     return records
 
 
+def decompress_start(head: ChunkHead, data: bytes, size: int) -> bytes:
+    """The first ``size`` bytes of a packed chunk's records, without a look at the CRC.
+
+    Args:
+        head: The chunk's.
+        data: What its data begin with.
+        size: [bytes]
+
+    Returns:
+        Fewer bytes where the data don't hold so many.
+    """
+    import pyarrow as pa
+
+    try:
+        with pa.CompressedInputStream(pa.BufferReader(data), head.compression) as stream:
+            return stream.read(size)
+    except (OSError, ValueError):
+        return b""
+
+
 def _unpacked(compression: str, data: bytes | memoryview, size: int) -> memoryview:
     """``size`` bytes that are decompressed to where they stay."""
     import pyarrow as pa

@@ -17,13 +17,22 @@ from typing import Any, NamedTuple
 from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
+from jaxdet.io.chunks import (
+    RECORD_HEAD,
+    ChunkHead,
+    DamageError,
+    decompress,
+    decompress_start,
+    read_chunk_head,
+)
 from jaxdet.io.limits import ReadMemory, check_chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
 _MAX_PARTS = 512
 """Buffers filled by one call, fewer than any system's limit."""
+_BLOCK_BYTES = 136 << 10
+"""Of a packed chunk beyond what is wanted of it: zstd's blocks are of up to 128 KiB."""
 _PACKED_BYTES = 16 << 20
 """Of a packed chunk that is read into memory which its thread keeps."""
 
@@ -163,6 +172,14 @@ class LogFile(ABC):
             DamageError: It can't be read any more.
         """
 
+    def chunk_start(self, position: int, size: int) -> bytes | memoryview:
+        """At least the first ``size`` bytes of :meth:`chunk`, perhaps without a look at its CRC.
+
+        Raises:
+            DamageError: It can't be read any more.
+        """
+        return self.chunk(position)
+
     def chunk_bytes(self, position: int) -> int:
         """How much memory :meth:`chunk` may take there; 0 where no chunk can be."""
         try:
@@ -267,6 +284,19 @@ class McapFile(LogFile):
         data = _packed_memory(head.data_size)
         self.read_into(start, [data])
         return decompress(head, data)
+
+    def chunk_start(self, position: int, size: int) -> bytes | memoryview:
+        """At least the first ``size`` bytes of :meth:`chunk`, without a look at its CRC.
+
+        Raises:
+            DamageError: It can't be read any more.
+        """
+        head = self.chunk_head(position)
+        known = min(head.data_size, size + _BLOCK_BYTES)
+        self.check_memory(max(size, known))
+        data = self.read(position + head.data_offset, known)
+        found = decompress_start(head, data, size)
+        return found if len(found) == size else self.chunk(position)
 
 
 def _packed_memory(size: int) -> memoryview:

@@ -1,7 +1,7 @@
 """The chunks of a log's files: decompressed once, checked once, the latest kept."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Lock
@@ -55,6 +55,7 @@ class ChunkStore:
         self._pool = ThreadPoolExecutor(self.threads, "jaxdet-read") if several else None
         self._heads: OrderedDict[Place, ChunkHead] = OrderedDict()
         self._chunks: OrderedDict[Place, bytes | memoryview] = OrderedDict()
+        self._starts: dict[Place, bytes | memoryview] = {}
         self._ahead: set[Place] = set()
         self._bytes = 0
         self._lock = Lock()
@@ -155,10 +156,27 @@ class ChunkStore:
         Raises:
             DamageError: One can't be read.
         """
-        packed = [place for place in places if place.position >= 0]
-        packed = [place for place in packed if not self.head(place).is_plain]
-        for _ in self.map(partial(self.data, ahead=True), packed):
+        for _ in self.map(partial(self.data, ahead=True), self._packed(places)):
             pass
+
+    def load_starts(self, sizes: Mapping[Place, int]) -> None:
+        """Decompresses so many first bytes of chunks for :meth:`peek`, until the next call.
+
+        All threads do so with those that are packed, perhaps without their CRC.
+
+        Raises:
+            DamageError: One can't be read.
+        """
+
+        def start(place: Place) -> bytes | memoryview:
+            return self.files[place.file].chunk_start(place.position, sizes[place])
+
+        packed = self._packed(sizes)
+        self._starts = dict(zip(packed, self.map(start, packed), strict=True))
+
+    def _packed(self, places: Iterable[Place]) -> list[Place]:
+        packed = [place for place in places if place.position >= 0]
+        return [place for place in packed if not self.head(place).is_plain]
 
     def _drop_one(self) -> None:
         """Drops the chunk used least of late; one that waits for its use only if all do."""
@@ -194,6 +212,9 @@ class ChunkStore:
             return memoryview(file.read(offset, min(size, file.size - offset)))
         head = self.head(place)
         if not head.is_plain:
+            start = self._starts.get(place, b"")
+            if offset + size <= len(start):
+                return memoryview(start)[offset : offset + size]
             return memoryview(self.data(place, ahead=True))[offset : offset + size]
         size = min(size, head.uncompressed_size - offset)
         start = place.position + head.data_offset

@@ -9,6 +9,7 @@ between is in the wrong order with one of them. Both are known to the window tha
 of its frames. So whoever reads all frames either gets the ranks of a whole scan or an error.
 """
 
+from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD
+from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import image_stamps
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
@@ -61,6 +63,16 @@ class StreamWindows:
     def __len__(self) -> int:
         return len(self.stamp)
 
+    def ranked_all(self) -> np.ndarray:
+        """The messages of all frames; of packed chunks, no more is read than leads to stamps.
+
+        Raises:
+            RescanError: Messages are too far from the order of their stamps.
+            DamageError: One of them is not where the index says.
+        """
+        self._load(0, len(self), all(map(_leads, self.decoders)))
+        return self.ranked(0, len(self))
+
     def ranked(self, first: int, last: int) -> np.ndarray:
         """The messages of the frames ``first`` to ``last``.
 
@@ -105,8 +117,8 @@ class StreamWindows:
         of = messages.file[numbers], messages.decoder[numbers]
         return FrameTable(stamps, *of, place, messages.log_ns[numbers])
 
-    def _load(self, start: int, stop: int) -> None:
-        """Reads the stamps of messages that aren't known yet."""
+    def _load(self, start: int, stop: int, starts: bool = False) -> None:
+        """Reads the stamps of messages that aren't known yet; ``starts``: no more of the chunks."""
         missing = start + np.flatnonzero(self.size[start:stop] < 0)
         if not len(missing):
             return
@@ -118,14 +130,23 @@ class StreamWindows:
             )
         }
         for wave in self.store.waves(parts):
-            self.store.load(wave)
+            if starts:
+                self.store.load_starts({place: self._end(parts[place]) for place in wave})
+            else:
+                self.store.load(wave)
             for place in wave:
                 for number in parts[place]:
                     self._read(number)
+        self.store.load_starts({})
+
+    def _end(self, numbers: Sequence[int]) -> int:
+        """Where, in their chunk, the stamps of some messages are past [bytes]."""
+        head = RECORD_HEAD.size + MESSAGE_HEAD.size
+        return int(self.messages.offset[numbers].max()) + head + _STAMP_BYTES
 
     def _read(self, number: int) -> None:
         decoder = self.decoders[self.messages.decoder[number]]
-        leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
+        leads = _leads(decoder)
         size, payload = read_message(
             self.store, self.messages, number, _STAMP_BYTES if leads else None
         )
@@ -138,6 +159,11 @@ class StreamWindows:
             stamps, self._undecodable[number] = (log_ns, log_ns), True
         self.stamp[number], self.depth_stamp[number] = stamps
         self.size[number] = size
+
+
+def _leads(decoder: MessageDecoder) -> bool:
+    """Whether the first bytes of its messages say all that is wanted of their time."""
+    return decoder.stamp_leads and decoder.kind is not Kind.RGBD
 
 
 class _Reach(NamedTuple):
@@ -232,15 +258,12 @@ class IndexedFrames:
     def stamps_ns(self) -> np.ndarray:
         """``(F,)`` int64, the stamps, in order [ns]; all of colour and depth are looked at.
 
-        Chunks that are packed are decompressed for that.
-
         Raises:
             RescanError: They are far from the order of the log times.
             DamageError: The file contradicts its index.
         """
-        for stream in (self.depth, self.color):
-            ranked = stream.ranked(0, len(stream))
-        return self.color.stamp[ranked]
+        self.depth.ranked_all()
+        return self.color.stamp[self.color.ranked_all()]
 
     def is_plain(self, number: int) -> bool:
         """Whether the chunk of a frame isn't packed, so that its messages can be read alone.
