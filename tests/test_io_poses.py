@@ -100,6 +100,31 @@ def test_without_tf_the_extrinsics_must_be_given(tmp_path):
         assert log.T_base_camera is None and log.T_world_camera is None
 
 
+@pytest.mark.parametrize(
+    ("first", "world", "lacking"), [(15, "odom", 0), (8, "map", 7), (0, "map", 0), (18, "odom", 0)]
+)
+def test_the_world_is_where_poses_are_known(tmp_path, first, world, lacking):
+    scene = make_scene(20)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        log.ros("/tf_static", ros_tf(("base_link", DEPTH_FRAME, (0, 0, 1), NO_TURN)), START)
+        for i, at in enumerate(scene.color_ns.tolist()):
+            edges = [("odom", "base_link", (i, 0, 0), NO_TURN)]
+            edges += [("map", "odom", (5, i, 0), NO_TURN)] if i >= first else []
+            log.ros("/tf", ros_tf(*edges, stamp_ns=at), at)
+        write_images(log, scene)
+    path = str(tmp_path / "x.mcap")
+    with open_both_ways(path) as log:
+        assert log.world_frame == world and log.T_world_camera is not None
+        assert np.isnan(log.T_world_camera[:, 0, 0]).sum() == lacking
+        warnings = log.described(next(log.batches(20)).notes).warnings
+    said = f"{lacking} of 20 frames have no pose: see --log.world-frame and --log.odom"
+    assert (said in warnings) == (lacking > 0)
+    for part in ({"start": "0.6"}, {"stop": "0.2"}, {"every": 7}):
+        with open_log(path, LogOptions(**part)) as log:
+            assert log.world_frame == world
+
+
 @pytest.mark.parametrize("whole", [True, False])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 0.0), (np.nan, 0.0, 0.0, np.nan)])
 def test_a_transform_that_is_none_costs_the_others_of_its_message_nothing(

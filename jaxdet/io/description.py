@@ -17,6 +17,8 @@ from jaxdet.io.topics import encoding_of
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_PAIR_S = 0.05
+_FEW = 0.1
+"""Of a log's frames, to have no pose."""
 _TWO_CLOCKS_S = 0.5
 """Recorded so much farther apart than their stamps are, images may be paired by two clocks."""
 
@@ -150,8 +152,12 @@ def complete(
             f"the images of a pair were recorded {seconds:.1f} s apart (median): where colour and "
             "depth have stamps of two clocks, images of different times are paired"
         )
+    frames = len(notes.apart_ns) + notes.unpaired_color
     if has_poses and not notes.poses:
         warnings.append("no frame has a pose: the poses' stamps are of another time or clock")
+    elif has_poses and (lacking := frames - notes.poses) > _FEW * frames:
+        text = f"{lacking} of {frames} frames have no pose: see --log.world-frame and --log.odom"
+        warnings.append(text)
     return about._replace(
         num_poses=notes.poses, pairing=pairing, warnings=(*about.warnings, *warnings)
     )

@@ -21,7 +21,7 @@ from jaxdet.io.validity import CalibrationWindows, other_calibration
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
-"""Frames looked at to see whether any has a pose."""
+"""Frames looked at to see how many have a pose."""
 
 
 class Findings(NamedTuple):
@@ -64,10 +64,13 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     tracks = {name: track.samples for name, track in index.poses.items()}
     stamps = frames.stamps_ns()
 
-    def ever_known(source: PoseSource) -> bool:
-        return _any_known(source.at(stamps, index.tree, tracks))
+    def share_known(source: PoseSource) -> float:
+        T = source.at(stamps, index.tree, tracks)
+        known = np.zeros(1) if T is None else np.isfinite(T[:, 0, 0])
+        # Where the sample has none, any in the sample of another source go before all.
+        return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    parts = _find(index, cameras, choice, options, ever_known, path)
+    parts = _find(index, cameras, choice, options, share_known, path)
     other = np.zeros(len(stamps), bool)
     for topic, used in parts.calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
@@ -105,17 +108,15 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     tolerance = options.pair_tolerance_s
     frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
 
-    def ever_known(source: PoseSource) -> bool:
-        sample = np.unique(np.linspace(0, len(color) - 1, _POSE_SAMPLE).astype(np.int64))
-        with_poses = frames.with_poses(source)
-        if any(_any_known(with_poses.window(i, i + 1).T_world_camera) for i in sample.tolist()):
-            return True
-        if len(sample) == len(color):
-            return False
-        raise RescanError("no sampled frame has a pose in the world frame", path=path)
+    def share_known(source: PoseSource) -> float:
+        sample, with_poses = _sample(len(color)), frames.with_poses(source)
+        share = float(np.mean([with_poses.window(i, i + 1).notes.poses for i in sample.tolist()]))
+        if not share and len(sample) < len(color):
+            raise RescanError("no sampled frame has a pose in the world frame", path=path)
+        return share
 
     try:
-        parts = _find(index, cameras, choice, options, ever_known, path)
+        parts = _find(index, cameras, choice, options, share_known, path)
     except CalibrationError as error:
         if log.motions.whole:
             raise
@@ -148,15 +149,16 @@ def _find(
     cameras: Cameras,
     choice: Choice,
     options: LogOptions,
-    ever_known: Callable[[PoseSource], bool],
+    share_known: Callable[[PoseSource], float],
     path: str,
 ) -> _Parts:
     calibrated = calibrate(index, choice, options, path)
     frame = calibrated.color_frame
     base = find_base(index, options, frame, path)
-    poses = find_poses(index, options, frame, base.frame, ever_known, path)
+    poses = find_poses(index, options, frame, base.frame, share_known, path)
     return _Parts(cameras, choice, calibrated, base, poses)
 
 
-def _any_known(T: np.ndarray | None) -> bool:
-    return T is not None and bool(np.isfinite(T).any())
+def _sample(count: int) -> np.ndarray:
+    """The frames whose poses say which world frame is taken, the same however a log is opened."""
+    return np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64))
