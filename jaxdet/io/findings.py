@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError, RescanError, TransformError
+from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.decode_messages import MessageDecoder
@@ -14,7 +14,7 @@ from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
-from jaxdet.io.streams import first_image
+from jaxdet.io.streams import NUM_PROBES, first_image
 from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
@@ -98,7 +98,8 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     index = log.contents
     cameras = find_cameras(index, options, path)
     for error in cameras.incomplete.values():
-        if isinstance(error, TransformError) and not log.motions.whole:
+        sampled = isinstance(error, TransformError) and not log.motions.whole
+        if sampled or _is_of_first(log, error):
             raise RescanError(f"not found in a sample: {error.problem}", path=path)
     choice = cameras.chosen(options, path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]
@@ -118,7 +119,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     try:
         parts = _find(index, cameras, choice, options, share_known, path)
     except CalibrationError as error:
-        if log.motions.whole:
+        if log.motions.whole and not _is_of_first(log, error):
             raise
         raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
     image = first_image(index.streams[choice.depth], True)
@@ -157,6 +158,12 @@ def _find(
     base = find_base(index, options, frame, path)
     poses = find_poses(index, options, frame, base.frame, share_known, path)
     return _Parts(cameras, choice, calibrated, base, poses)
+
+
+def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:
+    """Whether an error is about a topic with more calibrations than were looked at."""
+    known = log.calibrations.get(error.topic)
+    return known is not None and known.num_messages > NUM_PROBES
 
 
 def _sample(count: int) -> np.ndarray:
