@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from jaxdet.errors import TopicError
+from jaxdet.errors import CalibrationError, TopicError
 from jaxdet.io import LogOptions, RescanError, open_log, scan, store, walk
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
@@ -26,6 +26,7 @@ from tests.io_helpers import (
     DEPTH_SIZE,
     SECOND,
     START,
+    STORE,
     T_DEPTH_COLOR,
     LogFile,
     Scene,
@@ -35,6 +36,7 @@ from tests.io_helpers import (
     ros_info,
     ros_tf,
     write_calibration,
+    write_images,
     write_log,
 )
 
@@ -95,6 +97,17 @@ def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos):
         calibration = log.calibration
     with open_log(str(tmp_path / "log.mcap")) as log:
         assert log.calibration == calibration
+
+
+def test_errors_say_what_could_not_be_decoded(tmp_path):
+    with LogFile(tmp_path / "log.mcap") as log:
+        info = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
+        name = info.__msgtype__
+        schema = name, "ros2msg", STORE.generate_msgdef(name, ros_version=2)[0].encode()
+        log.raw(COLOR_INFO, "cdr", schema, bytes(STORE.serialize_cdr(info, name))[:60], START)
+        write_images(log, make_scene())
+    with pytest.raises(CalibrationError, match="1 of 1 messages on /cam/color/camera_info can't"):
+        open_log(str(tmp_path / "log.mcap"))
 
 
 def test_an_encoding_that_is_not_read_is_named(tmp_path):

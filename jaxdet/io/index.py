@@ -44,6 +44,8 @@ class TopicInfo:
         self.first_ns = (1 << 63) - 1
         self.last_ns = 0
         self.undecodable = 0
+        self.undecodable_why = ""
+        """Of the first of them."""
         self.problem = ""
         """Why its messages can't be used; empty when they can."""
 
@@ -161,8 +163,10 @@ class IndexBuilder:
                     self._image(channel.topic, decoder, log_ns, payload, location)
             elif self.wants(decoder):
                 self._small(channel.topic, decoder, payload, log_ns)
-        except FrameError:
-            self._topic(channel).undecodable += 1
+        except FrameError as error:
+            topic = self._topic(channel)
+            topic.undecodable += 1
+            topic.undecodable_why = topic.undecodable_why or error.problem
 
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
         topics = self.index.topics
