@@ -91,6 +91,16 @@ def test_a_base_frame_that_is_not_there_is_an_error(tmp_path):
         open_log(path, LogOptions(base_frame="nowhere"))
 
 
+def test_a_cycle_is_said_of_its_file_and_topic(tmp_path):
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log, tf=False)
+        names = (DEPTH_FRAME, COLOR_FRAME), (COLOR_FRAME, DEPTH_FRAME)
+        log.ros("/tf_static", ros_tf(*((*pair, (0, 0, 0), NO_TURN) for pair in names)), START)
+        write_images(log, make_scene())
+    with pytest.raises(CalibrationError, match=r"x\.mcap: /tf_static: the transforms form a cycle"):
+        open_log(str(tmp_path / "x.mcap"))
+
+
 def test_without_tf_the_extrinsics_must_be_given(tmp_path):
     path = write(tmp_path / "x.mcap", ["/odom"])
     with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):

@@ -11,7 +11,7 @@ from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
-from jaxdet.io.messages import Kind
+from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
 from jaxdet.io.streams import NUM_PROBES, first_image
@@ -153,10 +153,18 @@ def _find(
     share_known: Callable[[PoseSource], float],
     path: str,
 ) -> _Parts:
-    calibrated = calibrate(index, choice, options, path)
-    frame = calibrated.color_frame
-    base = find_base(index, options, frame, path)
-    poses = find_poses(index, options, frame, base.frame, share_known, path)
+    try:
+        calibrated = calibrate(index, choice, options, path)
+        frame = calibrated.color_frame
+        base = find_base(index, options, frame, path)
+        poses = find_poses(index, options, frame, base.frame, share_known, path)
+    except TransformError as error:
+        if error.path:
+            raise
+        # Of the tree, which knows no file.
+        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in index.topics.items())
+        topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
+        raise TransformError(error.problem, path=path, topic=topic, remedy=error.remedy) from error
     return _Parts(cameras, choice, calibrated, base, poses)
 
 
