@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from jaxdet.errors import TopicError
+from jaxdet.errors import CalibrationError, TopicError
 from jaxdet.io import LogOptions, RescanError, open_log, scan, store, walk
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
@@ -22,8 +22,11 @@ from tests.io_helpers import (
     DEPTH,
     DEPTH_FRAME,
     DEPTH_INFO,
+    DEPTH_K,
+    DEPTH_SIZE,
     SECOND,
     START,
+    STORE,
     T_DEPTH_COLOR,
     LogFile,
     Scene,
@@ -33,6 +36,7 @@ from tests.io_helpers import (
     ros_info,
     ros_tf,
     write_calibration,
+    write_images,
     write_log,
 )
 
@@ -64,6 +68,46 @@ def test_bad_frames_get_their_status_and_the_rest_goes_on(tmp_path):
         np.testing.assert_array_equal(batch.frames.color[5], scene.color[5])
         pairing = log.described(batch.notes).pairing
         assert pairing is not None and pairing.num_unpaired_color == 1
+
+
+@pytest.mark.parametrize("infos", [1, 9])
+@pytest.mark.parametrize("odd", [1, 3])
+def test_first_frames_of_another_size_cost_no_others(tmp_path, odd, infos):
+    scene = make_scene(12)
+    with LogFile(tmp_path / "log.mcap") as log:
+        log.ros(DEPTH_INFO, ros_info(DEPTH_SIZE, DEPTH_K, START, DEPTH_FRAME), START)
+        log.ros("/tf_static", ros_tf((DEPTH_FRAME, COLOR_FRAME, *T_DEPTH_COLOR)), START)
+        for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
+            scale = 2 if i < odd else 1
+            size, K = (
+                (COLOR_SIZE[0] * scale, COLOR_SIZE[1] * scale),
+                tuple(np.multiply(COLOR_K, scale)),
+            )
+            for _ in range(infos):
+                log.ros(COLOR_INFO, ros_info(size, K, int(at), COLOR_FRAME), int(at))
+            image = color.repeat(scale, 0).repeat(scale, 1)
+            log.ros(COLOR, ros_image(image, "rgb8", int(at), COLOR_FRAME), int(at))
+            log.ros(DEPTH, ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME), int(at))
+    with open_log(str(tmp_path / "log.mcap"), LogOptions(scan=True)) as log:
+        (batch,) = log.batches(12)
+        assert batch.status == ("bad_calibration",) * odd + ("ok",) * (12 - odd)
+        np.testing.assert_array_equal(batch.frames.color[odd:], scene.color[odd:])
+        (text,) = (text for text in log.description.warnings if "changes" in text)
+        assert "frames with another calibration than the one used are left out" in text
+        calibration = log.calibration
+    with open_log(str(tmp_path / "log.mcap")) as log:
+        assert log.calibration == calibration
+
+
+def test_errors_say_what_could_not_be_decoded(tmp_path):
+    with LogFile(tmp_path / "log.mcap") as log:
+        info = ros_info(COLOR_SIZE, COLOR_K, START, COLOR_FRAME)
+        name = info.__msgtype__
+        schema = name, "ros2msg", STORE.generate_msgdef(name, ros_version=2)[0].encode()
+        log.raw(COLOR_INFO, "cdr", schema, bytes(STORE.serialize_cdr(info, name))[:60], START)
+        write_images(log, make_scene())
+    with pytest.raises(CalibrationError, match="1 of 1 messages on /cam/color/camera_info can't"):
+        open_log(str(tmp_path / "log.mcap"))
 
 
 def test_an_encoding_that_is_not_read_is_named(tmp_path):

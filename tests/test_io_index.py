@@ -369,15 +369,15 @@ def test_robots_that_stand_still_at_first_and_rare_transforms(tmp_path, monkeypa
         with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:
             write_calibration(log)
             sender = Sender(log)
-            for i in range(60):
+            for i in range(400):
                 at = START + i * 100 * MS
                 sender.image(DEPTH, i, at, at)
                 sender.image(COLOR, i, at, at)
-                x = 1.0 + (moves and i in (41, 43))
+                x = 1.0 + (moves and i in (201, 203))
                 edges = [(frame, DEPTH_FRAME, (x, 0, 0), NO_TURN)]
-                if i == 44:
+                if i == 204:
                     edges.append(("world", frame, (x, 0, 0), NO_TURN))
-                log.ros("/tf", ros_tf(*(edges if i != 44 or moves else edges[:1])), at)
+                log.ros("/tf", ros_tf(*(edges if i != 204 or moves else edges[:1])), at)
         path = str(tmp_path / "x.mcap")
         with open_only(path) as log, open_only(path, LogOptions(scan=True)) as scanned:
             if not moves:

@@ -14,7 +14,17 @@ from jaxdet.io import open_log as open_only
 from jaxdet.io.moments import Moment, parse_moment
 from jaxdet.io.part import find_part
 from tests.io_both_ways import assert_same_batch, is_indexed, scanning
-from tests.io_helpers import START, make_scene, write_log
+from tests.io_helpers import (
+    COLOR,
+    DEPTH,
+    SECOND,
+    START,
+    LogFile,
+    make_scene,
+    write_calibration,
+    write_log,
+)
+from tests.test_io_index import Sender
 
 PERIOD_NS = 33_333_333
 FRAMES = 60
@@ -117,7 +127,8 @@ def test_nothing_in_the_range_names_the_span(log_path):
         open_only(str(log_path), LogOptions(start="1.9", every=100))
 
 
-def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path):
+def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxdet.io.windows._LOOKS", 8)  # none of them at frame 40
     with log_path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -136,12 +147,60 @@ def test_only_the_chunks_of_a_part_are_read(log_path, tmp_path):
                 list(log.batches(8))
 
 
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("topic", [COLOR, DEPTH])
+def test_a_clock_that_steps_back_anywhere_is_seen(tmp_path, compression, topic):
+    with LogFile(tmp_path / "log.mcap", compression, chunk_size=5000) as file:
+        write_calibration(file)
+        sender = Sender(file)
+        for i in range(FRAMES):
+            at = START + i * PERIOD_NS
+            for name in (DEPTH, COLOR):
+                back = SECOND if name == topic and i >= 45 else 0
+                sender.image(name, i, at - back, at)
+    path = str(tmp_path / "log.mcap")
+    with open_only(path, LogOptions(scan=True)) as whole:
+        stamps = whole.stamps_ns
+        for part, wanted in (
+            ({"stop": "0.4"}, stamps < START + 4 * SECOND // 10),
+            ({"start": "0.6", "stop": "0.9"}, np.abs(stamps - START - 0.75e9) <= 0.15e9),
+            ({"every": 20}, np.arange(FRAMES) % 20 == 0),
+        ):
+            with open_only(path, LogOptions(**part)) as log:
+                assert list(log.frames) == np.flatnonzero(wanted).tolist()
+                (batch,) = log.batches(FRAMES)
+                same = whole.read(log.frames)
+                found = batch.frames.stamp_ns[: len(log)]
+                np.testing.assert_array_equal(found, same.frames.stamp_ns)
+                assert batch.status == same.status
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("zero", [0, 40])
+def test_seconds_count_from_the_first_stamp_that_is_told(tmp_path, scan, zero):
+    scene = make_scene(FRAMES)
+    scene.color_ns[zero] = 0
+    with LogFile(tmp_path / "log.mcap") as file:
+        write_calibration(file)
+        sender = Sender(file)
+        for i, (at, depth_at) in enumerate(zip(scene.color_ns, scene.depth_ns, strict=True)):
+            sender.image(DEPTH, i, int(depth_at), START + i * PERIOD_NS)
+            sender.image(COLOR, i, int(at), START + i * PERIOD_NS)
+    begin = START + PERIOD_NS * (zero == 0)
+    stamps = np.sort(scene.color_ns)
+    options = LogOptions(start="1.5", scan=scan)
+    with open_only(str(tmp_path / "log.mcap"), options) as log:
+        wanted = np.flatnonzero(stamps >= begin + 3 * SECOND // 2)
+        assert list(log.frames) == wanted.tolist()
+        assert log.description.duration_s == (stamps[-1] - begin) / 1e9
+
+
 def test_the_search_looks_at_few_frames():
     seen = []
 
     def stamp_ns(number):
         seen.append(number)
-        return 10 * number
+        return 10 * (1 + number)
 
     random = np.random.default_rng(0)
     for jitter in (0, 3, 20_000):

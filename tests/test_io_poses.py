@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxdet.errors import CalibrationError, TopicError
-from jaxdet.io import LogOptions, open_log
+from jaxdet.io import LogOptions, indexed, open_log
 from jaxdet.io.motion import quaternions
+from tests.io_both_ways import open_both_ways
 from tests.io_foxglove import write_foxglove
 from tests.io_helpers import (
     COLOR_FRAME,
@@ -90,6 +91,16 @@ def test_a_base_frame_that_is_not_there_is_an_error(tmp_path):
         open_log(path, LogOptions(base_frame="nowhere"))
 
 
+def test_a_cycle_is_said_of_its_file_and_topic(tmp_path):
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log, tf=False)
+        names = (DEPTH_FRAME, COLOR_FRAME), (COLOR_FRAME, DEPTH_FRAME)
+        log.ros("/tf_static", ros_tf(*((*pair, (0, 0, 0), NO_TURN) for pair in names)), START)
+        write_images(log, make_scene())
+    with pytest.raises(CalibrationError, match=r"x\.mcap: /tf_static: the transforms form a cycle"):
+        open_log(str(tmp_path / "x.mcap"))
+
+
 def test_without_tf_the_extrinsics_must_be_given(tmp_path):
     path = write(tmp_path / "x.mcap", ["/odom"])
     with pytest.raises(CalibrationError, match=r"--log\.color-from-depth"):
@@ -97,6 +108,56 @@ def test_without_tf_the_extrinsics_must_be_given(tmp_path):
     given = LogOptions(tf=False, color_from_depth=(0, 0, 0, *NO_TURN))
     with open_log(path, given) as log:
         assert log.T_base_camera is None and log.T_world_camera is None
+
+
+@pytest.mark.parametrize(
+    ("first", "world", "lacking"), [(15, "odom", 0), (8, "map", 7), (0, "map", 0), (18, "odom", 0)]
+)
+def test_the_world_is_where_poses_are_known(tmp_path, first, world, lacking):
+    scene = make_scene(20)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        log.ros("/tf_static", ros_tf(("base_link", DEPTH_FRAME, (0, 0, 1), NO_TURN)), START)
+        for i, at in enumerate(scene.color_ns.tolist()):
+            edges = [("odom", "base_link", (i, 0, 0), NO_TURN)]
+            edges += [("map", "odom", (5, i, 0), NO_TURN)] if i >= first else []
+            log.ros("/tf", ros_tf(*edges, stamp_ns=at), at)
+        write_images(log, scene)
+    path = str(tmp_path / "x.mcap")
+    with open_both_ways(path) as log:
+        assert log.world_frame == world and log.T_world_camera is not None
+        assert np.isnan(log.T_world_camera[:, 0, 0]).sum() == lacking
+        warnings = log.described(next(log.batches(20)).notes).warnings
+    said = f"{lacking} of 20 frames have no pose: see --log.world-frame and --log.odom"
+    assert (said in warnings) == (lacking > 0)
+    for part in ({"start": "0.6"}, {"stop": "0.2"}, {"every": 7}):
+        with open_log(path, LogOptions(**part)) as log:
+            assert log.world_frame == world
+
+
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 0.0), (np.nan, 0.0, 0.0, np.nan)])
+def test_a_transform_that_is_none_costs_the_others_of_its_message_nothing(
+    tmp_path, monkeypatch, turn, whole
+):
+    if not whole:
+        monkeypatch.setattr(indexed, "_MAX_MOTIONS", 0)
+    scene = make_scene(20)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log, tf=False)
+        finger = "gripper", "finger", (0, 0, 0), turn
+        edges = (COLOR_FRAME, DEPTH_FRAME, (0.015, 0, 0), NO_TURN), finger
+        log.ros("/tf_static", ros_tf(*edges, ("base_link", COLOR_FRAME, (0, 0, 1), NO_TURN)), START)
+        for i, at in enumerate(scene.color_ns.tolist()):
+            edge = "odom", "base_link", (i, 0, 0), NO_TURN
+            log.ros("/tf", ros_tf(finger, edge, stamp_ns=at), at)
+        write_images(log, scene)
+    for found in (open_both_ways(str(tmp_path / "x.mcap")), open_log(str(tmp_path / "x.mcap"))):
+        with found as log:
+            assert log.T_world_camera is not None and log.T_base_camera is not None
+            np.testing.assert_array_equal(log.T_world_camera[:, 0, 3], np.arange(20))
+            (text,) = (text for text in log.description.warnings if "finger" in text)
+            assert "'finger': 21 transforms are ignored: quaternion (" in text
 
 
 def test_quaternions_are_those_of_scipy() -> None:

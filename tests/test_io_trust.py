@@ -41,6 +41,7 @@ from tests.io_helpers import (
     make_scene,
     ros_image,
     ros_info,
+    ros_odometry,
     ros_tf,
     write_calibration,
     write_images,
@@ -279,12 +280,16 @@ def test_a_split_without_an_index_stays_with_the_others(tmp_path):
     ],
 )
 def test_poses_that_no_robot_has_are_refused(t, q, why):
-    name = "tf2_msgs/msg/TFMessage"
-    text = STORE.generate_msgdef(name, ros_version=2)[0].encode()
-    decoder = MessageDecoder(ChannelInfo("/tf", "cdr", name, "ros2msg", text))
-    data = bytes(STORE.serialize_cdr(ros_tf(("a", "b", t, q)), name))
+    def decoded(message: Any) -> Any:
+        name = message.__msgtype__
+        text = STORE.generate_msgdef(name, ros_version=2)[0].encode()
+        decoder = MessageDecoder(ChannelInfo("/t", "cdr", name, "ros2msg", text))
+        return decoder.decode(bytes(STORE.serialize_cdr(message, name)))
+
     with pytest.raises(FrameError, match=why):
-        decoder.decode(data)
+        decoded(ros_odometry("a", "b", t, q, START))
+    bad, good = decoded(ros_tf(("a", "b", t, q), ("b", "c", (1, 2, 3), (0, 0, 0, 1))))
+    assert why in bad.problem and not good.problem and good.translation == (1, 2, 3)
 
 
 def test_a_tree_has_no_end_of_frames_nor_of_time():

@@ -10,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 
 from jaxdet import engine
 from jaxdet.cli import main
@@ -26,6 +27,8 @@ from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.verify import Report, verify
 from jaxdet.verify.files import check_files
 from jaxdet.verify.logs import _OF_LOG
+from tests.io_helpers import make_scene
+from tests.io_helpers import write_log as write_random
 from tests.test_io_image_folder import write_open3d
 
 FRAMES = 12
@@ -124,6 +127,22 @@ def test_parts_of_logs_are_as_they_should_be(whole: Path, tmp_path: Path) -> Non
     engine.run(find_logs([str(log)]), Config(), options, run)
     report = verify(tmp_path, sample=1)
     assert report.findings == report.notes == [] and 1 < report.frames < FRAMES / 2
+
+
+def test_a_log_that_was_read_as_a_whole_is_as_it_should_be(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    write_random(log, make_scene(2 * FRAMES), chunk_size=1)
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[-FRAMES - 1]  # a colour image that opening does not read
+    data = bytearray(log.read_bytes())
+    data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
+    log.write_bytes(data)
+    run = RunOptions(tmp_path / "out", backend="reference", pictures=0)
+    engine.run(find_logs([str(log)]), Config(), LogOptions(), run)
+    report = verify(tmp_path / "out", sample=1)
+    assert report.findings == [] and report.frames == 2 * FRAMES - 1
 
 
 def test_one_flipped_byte_is_found_in_any_file(results: Path) -> None:

@@ -167,13 +167,14 @@ def _source(
     name = "depth" if depth else "color"
     override = options.depth_info if depth else options.color_info
     topic = _info_topic(index, stream, depth, override, path)
-    info = index.calibrations[topic].first if topic else None
-    sizes = image_sizes(stream, depth).most_common(1)
+    sizes = [size for size, _ in image_sizes(stream, depth).most_common(1)]
+    known = index.calibrations.get(topic)
+    info = (known.of_size(sizes) or known.first) if known else None
     return CameraSource(
         name=name,
         topic=topic,
         info=info,
-        size=sizes[0][0] if sizes else None,
+        size=sizes[0] if sizes else None,
         rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
@@ -220,7 +221,7 @@ def _frame_of(info: CameraInfoMessage | None) -> str:
 
 def _changes(index: LogIndex, used: Mapping[str, CameraInfoMessage]) -> list[str]:
     return [
-        f"{printable(name)} changes: frames with another calibration than the first are not used"
+        f"{printable(name)} changes: frames with another calibration than the one used are left out"
         for name in sorted(used)
         if len(index.calibrations[name].changes) > 1
     ]

@@ -1,6 +1,5 @@
 """What ``jaxdet info`` tells about a log; plain data, no arrays of images."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +10,15 @@ from jaxdet.io.findings import Findings
 from jaxdet.io.index import LogIndex
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
+from jaxdet.io.part import first_told
 from jaxdet.io.streams import ImageStream
+from jaxdet.io.timeline import ScannedFrames
 from jaxdet.io.topics import encoding_of
+from jaxdet.io.windows import IndexedFrames
 
 _SLOW_PAIR_S = 0.05
+_FEW = 0.1
+"""Of a log's frames, to have no pose."""
 _TWO_CLOCKS_S = 0.5
 """Recorded so much farther apart than their stamps are, images may be paired by two clocks."""
 
@@ -96,15 +100,15 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
     warnings = [*index.warnings, *index.tree.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count = found.frames.num_frames
-    first_ns, last_ns = (found.frames.stamp_ns(number) for number in (0, count - 1))
+    first_ns = first_told(map(found.frames.stamp_ns, range(count)))
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
         camera=found.choice.camera,
         cameras=found.cameras.lines,
         num_frames=count,
-        part=_part_text(numbers, count, found.frames.stamp_ns),
-        duration_s=(last_ns - first_ns) / 1e9,
+        part=_part_text(numbers, found.frames, first_ns),
+        duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
         topics=describe_topics(index, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
@@ -148,8 +152,12 @@ def complete(
             f"the images of a pair were recorded {seconds:.1f} s apart (median): where colour and "
             "depth have stamps of two clocks, images of different times are paired"
         )
+    frames = len(notes.apart_ns) + notes.unpaired_color
     if has_poses and not notes.poses:
         warnings.append("no frame has a pose: the poses' stamps are of another time or clock")
+    elif has_poses and (lacking := frames - notes.poses) > _FEW * frames:
+        text = f"{lacking} of {frames} frames have no pose: see --log.world-frame and --log.odom"
+        warnings.append(text)
     return about._replace(
         num_poses=notes.poses, pairing=pairing, warnings=(*about.warnings, *warnings)
     )
@@ -180,14 +188,15 @@ def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescr
     return tuple(found)
 
 
-def _part_text(numbers: range, count: int, stamp_ns: Callable[[int], int]) -> str:
+def _part_text(numbers: range, frames: ScannedFrames | IndexedFrames, first_ns: int) -> str:
     """Numbers and times of the frames that are used; empty where these are all."""
-    if len(numbers) == count:
+    if len(numbers) == frames.num_frames:
         return ""
-    which = f"{len(numbers)} of {count} frames, {numbers[0]} to {numbers[-1]}"
+    which = f"{len(numbers)} of {frames.num_frames} frames, {numbers[0]} to {numbers[-1]}"
     if numbers.step > 1:
         which += f", multiples of {numbers.step}"
-    times = [(stamp_ns(number) - stamp_ns(0)) / 1e9 for number in (numbers[0], numbers[-1])]
+    ends = (frames.stamp_ns(number) for number in (numbers[0], numbers[-1]))
+    times = [max(0, ns - first_ns) / 1e9 for ns in ends]
     return f"{which}, {times[0]:.2f} to {times[1]:.2f} s"
 
 

@@ -5,23 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import CalibrationError, RescanError, TransformError
+from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
-from jaxdet.io.messages import Kind
+from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
-from jaxdet.io.streams import first_image
+from jaxdet.io.streams import NUM_PROBES, first_image
 from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
 from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
-"""Frames looked at to see whether any has a pose."""
+"""Frames looked at to see how many have a pose."""
 
 
 class Findings(NamedTuple):
@@ -62,12 +62,15 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     color, depth = index.streams[choice.color], index.streams[choice.depth]
     frames = order_and_pair(color, depth, options.pair_tolerance_s)
     tracks = {name: track.samples for name, track in index.poses.items()}
-    stamps = frames.about_ns
+    stamps = frames.about_ns()
 
-    def ever_known(source: PoseSource) -> bool:
-        return _any_known(source.at(stamps, index.tree, tracks))
+    def share_known(source: PoseSource) -> float:
+        T = source.at(stamps, index.tree, tracks)
+        known = np.zeros(1) if T is None else np.isfinite(T[:, 0, 0])
+        # Where the sample has none, any in the sample of another source go before all.
+        return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    parts = _find(index, cameras, choice, options, ever_known, path)
+    parts = _find(index, cameras, choice, options, share_known, path)
     other = np.zeros(len(stamps), bool)
     for topic, used in parts.calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
@@ -95,7 +98,8 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     index = log.contents
     cameras = find_cameras(index, options, path)
     for error in cameras.incomplete.values():
-        if isinstance(error, TransformError) and not log.motions.whole:
+        sampled = isinstance(error, TransformError) and not log.motions.whole
+        if sampled or _is_of_first(log, error):
             raise RescanError(f"not found in a sample: {error.problem}", path=path)
     choice = cameras.chosen(options, path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]
@@ -105,19 +109,17 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     tolerance = options.pair_tolerance_s
     frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
 
-    def ever_known(source: PoseSource) -> bool:
-        sample = np.unique(np.linspace(0, len(color) - 1, _POSE_SAMPLE).astype(np.int64))
-        with_poses = frames.with_poses(source)
-        if any(_any_known(with_poses.window(i, i + 1).T_world_camera) for i in sample.tolist()):
-            return True
-        if len(sample) == len(color):
-            return False
-        raise RescanError("no sampled frame has a pose in the world frame", path=path)
+    def share_known(source: PoseSource) -> float:
+        sample, with_poses = _sample(len(color)), frames.with_poses(source)
+        share = float(np.mean([with_poses.window(i, i + 1).notes.poses for i in sample.tolist()]))
+        if not share and len(sample) < len(color):
+            raise RescanError("no sampled frame has a pose in the world frame", path=path)
+        return share
 
     try:
-        parts = _find(index, cameras, choice, options, ever_known, path)
+        parts = _find(index, cameras, choice, options, share_known, path)
     except CalibrationError as error:
-        if log.motions.whole:
+        if log.motions.whole and not _is_of_first(log, error):
             raise
         raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
     image = first_image(index.streams[choice.depth], True)
@@ -148,15 +150,30 @@ def _find(
     cameras: Cameras,
     choice: Choice,
     options: LogOptions,
-    ever_known: Callable[[PoseSource], bool],
+    share_known: Callable[[PoseSource], float],
     path: str,
 ) -> _Parts:
-    calibrated = calibrate(index, choice, options, path)
-    frame = calibrated.color_frame
-    base = find_base(index, options, frame, path)
-    poses = find_poses(index, options, frame, base.frame, ever_known, path)
+    try:
+        calibrated = calibrate(index, choice, options, path)
+        frame = calibrated.color_frame
+        base = find_base(index, options, frame, path)
+        poses = find_poses(index, options, frame, base.frame, share_known, path)
+    except TransformError as error:
+        if error.path:
+            raise
+        # Of the tree, which knows no file.
+        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in index.topics.items())
+        topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
+        raise TransformError(error.problem, path=path, topic=topic, remedy=error.remedy) from error
     return _Parts(cameras, choice, calibrated, base, poses)
 
 
-def _any_known(T: np.ndarray | None) -> bool:
-    return T is not None and bool(np.isfinite(T).any())
+def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:
+    """Whether an error is about a topic with more calibrations than were looked at."""
+    known = log.calibrations.get(error.topic)
+    return known is not None and known.num_messages > NUM_PROBES
+
+
+def _sample(count: int) -> np.ndarray:
+    """The frames whose poses say which world frame is taken, the same however a log is opened."""
+    return np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64))

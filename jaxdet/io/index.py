@@ -4,6 +4,7 @@ An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; 
 never held. So a log of a million images takes about 64 MB.
 """
 
+from collections.abc import Iterable
 from contextlib import suppress
 
 from jaxdet.errors import FrameError
@@ -26,7 +27,7 @@ from jaxdet.io.messages import (
     kind_of,
 )
 from jaxdet.io.motion import MotionSamples
-from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageStream
+from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, ImageSize, ImageStream
 from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
@@ -55,6 +56,7 @@ class CalibrationTopic:
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
         """The first that is calibrated (K[0] is not 0), else the first of all."""
+        self._of_size: dict[tuple[int, int], CameraInfoMessage] = {}
         self.changes: list[CalibrationChange] = []
         """In the order of the files."""
         self.last_payload = b""
@@ -66,6 +68,12 @@ class CalibrationTopic:
             self.changes.append(CalibrationChange(info.stamp_ns, log_ns, values))
         if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
             self.first = info
+        if values is not None:
+            self._of_size.setdefault((info.width, info.height), info)
+
+    def of_size(self, sizes: Iterable[ImageSize]) -> CameraInfoMessage | None:
+        """The first that is calibrated for one of these sizes; None where none is."""
+        return next((info for size in sizes if (info := self._of_size.get(size))), None)
 
 
 class PoseTrack:

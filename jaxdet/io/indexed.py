@@ -66,6 +66,8 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if index.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=topic.topic)
+        if index.tree.ignored and not whole:
+            raise RescanError("a transform is none", path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
             delays.see(topic, number, payload)
     for topic in topics:

@@ -155,8 +155,10 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        about_ns, stamp_ns = found.frames.about_ns, found.frames.stamp_ns
-        self.frames = find_part(about_ns, stamp_ns, *part, self._path)
+        self.frames = range(self.num_frames)
+        if part != (None, None, 1):
+            about_ns, stamp_ns = found.frames.about_ns(), found.frames.stamp_ns
+            self.frames = find_part(about_ns, stamp_ns, *part, self._path)
         self.description = describe(files, index, found, self.frames)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
@@ -468,6 +470,10 @@ def open_log(
             damaged = [file for file in contents.integrity if file.recovered]
             for file in damaged[:2]:
                 error.add_remedy(f"{file.path.name} is {file.text}")
+            bad = [(name, about) for name, about in contents.topics.items() if about.undecodable]
+            for name, about in bad[:2]:
+                count = f"{about.undecodable} of {about.count} messages on {name}"
+                error.add_remedy(f"{count} can't be decoded: {about.why}")
             raise
         return Log(source, contents, found, store, options)
     except BaseException:

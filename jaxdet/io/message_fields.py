@@ -147,29 +147,37 @@ def motion(
     return TransformMessage(stamp, parent, child, (tx, ty, tz), (qx, qy, qz, qw))
 
 
-def _motion(stamp: int, parent: str, child: str, t: Any, q: Any) -> TransformMessage:
-    return motion(stamp, parent, child, (t.x, t.y, t.z), (q.x, q.y, q.z, q.w))
+def transform(
+    stamp: int, parent: str, child: str, translation: Iterable[Any], rotation: Iterable[Any]
+) -> TransformMessage:
+    """As :func:`motion`; one that is none says so itself, and costs its message nothing else."""
+    try:
+        return motion(stamp, parent, child, translation, rotation)
+    except ValueError as error:
+        return TransformMessage(stamp, parent, child, (0, 0, 0), (0, 0, 0, 1), str(error))
+
+
+def _numbers(t: Any, q: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    return (t.x, t.y, t.z), (q.x, q.y, q.z, q.w)
 
 
 def _transforms(message: Any, name: str) -> tuple[TransformMessage, ...]:
     if not name.startswith("foxglove."):
         return tuple(
-            _motion(
+            transform(
                 *_head(item),
                 item.child_frame_id.lstrip("/"),
-                item.transform.translation,
-                item.transform.rotation,
+                *_numbers(item.transform.translation, item.transform.rotation),
             )
             for item in message.transforms
         )
     items: Iterable[Any] = message.transforms if name.endswith("FrameTransforms") else [message]
     return tuple(
-        _motion(
+        transform(
             _head(item)[0],
             item.parent_frame_id.lstrip("/"),
             item.child_frame_id.lstrip("/"),
-            item.translation,
-            item.rotation,
+            *_numbers(item.translation, item.rotation),
         )
         for item in items
     )
@@ -178,16 +186,17 @@ def _transforms(message: Any, name: str) -> tuple[TransformMessage, ...]:
 def _odometry(message: Any, name: str) -> tuple[TransformMessage, ...]:
     pose = message.pose.pose
     child = message.child_frame_id.lstrip("/")
-    return (_motion(*_head(message), child, pose.position, pose.orientation),)
+    return (motion(*_head(message), child, *_numbers(pose.position, pose.orientation)),)
 
 
 def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
-    return (_motion(*_head(message), "", message.pose.position, message.pose.orientation),)
+    pose = message.pose
+    return (motion(*_head(message), "", *_numbers(pose.position, pose.orientation)),)
 
 
 def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
     if name == "geometry_msgs/Transform":
-        found = _motion(0, "", "", message.translation, message.rotation)
+        found = motion(0, "", "", *_numbers(message.translation, message.rotation))
         T = motion_matrix(np.array(found.translation), np.array(found.rotation))
         return ExtrinsicsMessage(T[:3, :3], found.translation)
     rotation = np.array(message.rotation, np.float64).reshape(3, 3).T

@@ -115,6 +115,8 @@ class TransformMessage(NamedTuple):
     """Metres."""
     rotation: tuple[float, float, float, float]
     """Unit quaternion x y z w."""
+    problem: str = ""
+    """Why it is no motion, whatever its numbers here; empty when it is one."""
 
 
 class ExtrinsicsMessage(NamedTuple):

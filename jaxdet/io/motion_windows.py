@@ -155,6 +155,8 @@ class MotionWindows:
         except FrameError as error:  # which a scan counts
             raise self._odd(f"a message of {decoder.channel.topic} can't be decoded") from error
         for item in items:
+            if item.problem:  # likewise
+                raise self._odd(f"a transform of {item.child!r} is none")
             if decoder.kind is not Kind.TRANSFORM:
                 found.append((decoder.channel.topic, item))
             elif not self._tree.agrees(item, decoder.is_static):

@@ -140,5 +140,5 @@ def _note(index: LogIndex, log: LogFiles) -> None:
         if topic.problem:
             index.warnings.append(f"{printable(name)}: {printable(topic.problem)}")
         elif topic.undecodable:
-            text = f"{topic.undecodable} messages can't be decoded"
-            index.warnings.append(f"{printable(name)}: {text}")
+            text = f"{topic.undecodable} messages can't be decoded: {topic.why}"
+            index.warnings.append(printable(f"{name}: {text}"))

@@ -1,7 +1,7 @@
 """A part of a log: the frames between two moments, found with few looks at the log."""
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -19,6 +19,8 @@ def find_part(
 ) -> range:
     """The numbers of the frames from one moment to another.
 
+    Seconds count from the first stamp that is not zero.
+
     Args:
         about_ns: ``(F,)`` int64, a time of each of the log's frames, in order [ns], which differs
             by about the same from all stamps: it says where to look first.
@@ -34,19 +36,24 @@ def find_part(
     count = len(about_ns)
     if not count:
         return range(0)
-    ends = [0, count]
+    begin_ns, ends = first_told(map(stamp_ns, range(count))), [0, count]
     for side, text in enumerate((start, stop)):
         if text is not None:
-            wanted = parse_moment(text, "").stamp_ns(stamp_ns(0))
+            wanted = parse_moment(text, "").stamp_ns(begin_ns)
             ends[side] = _first_from(wanted, about_ns, stamp_ns)
     found = range(-(-ends[0] // every) * every, ends[1], every)
     if not found:
         asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
         each = f"--every {every}" if every > 1 else ""
         asked = " ".join(part for part in (*asked, each) if part)
-        remedy = f"its {count} colour frames are {_span(stamp_ns(0), stamp_ns(count - 1))}"
+        remedy = f"its {count} colour frames are {_span(begin_ns, stamp_ns(count - 1))}"
         raise InputError(f"no colour frame is in {asked}", path=path, remedy=remedy)
     return found
+
+
+def first_told(stamps_ns: Iterable[int]) -> int:
+    """The first stamp that is not zero [ns]; 0 where all are."""
+    return next((ns for ns in stamps_ns if ns), 0)
 
 
 def _first_from(wanted: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]) -> int:

@@ -13,6 +13,8 @@ from jaxdet.io.transforms import TransformTree
 
 _BASES = ("base_footprint", "base_link")
 _WORLDS = ("map", "odom")
+_ENOUGH = 0.5
+"""Of a log's poses, for a world frame to go before those after it."""
 
 
 class Base(NamedTuple):
@@ -98,21 +100,23 @@ def find_poses(
     options: LogOptions,
     camera_frame: str,
     base_frame: str | None,
-    ever_known: Callable[[PoseSource], bool],
+    share_known: Callable[[PoseSource], float],
     path: str,
 ) -> PoseSource:
     """Where the poses come from.
 
     The topic of ``--log.odom`` goes first, then moving transforms up to the world frame, then
-    the log's only Odometry or PoseInFrame topic. A pose topic holds the robot's base, which
-    static transforms join to the camera; where they don't, there are no poses and a warning.
+    the log's only Odometry or PoseInFrame topic. Of the frames map and odom the first is taken in
+    which half of the poses are known, else the one in which most are. A pose topic holds the
+    robot's base, which static transforms join to the camera; where they don't, there are no poses
+    and a warning.
 
     Args:
         index: What is in the log.
         options: What the user says.
         camera_frame: TF frame of the colour camera.
         base_frame: TF frame of the robot.
-        ever_known: Says whether a source knows the pose of any frame.
+        share_known: Of how many frames a source knows the pose, 0 to 1.
         path: The log's.
 
     Raises:
@@ -132,13 +136,21 @@ def find_poses(
     ):
         problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
         raise CalibrationError(problem, path=path, remedy="change --log.world-frame")
+    best, most = None, 0.0
     for world in [options.world_frame] if options.world_frame else _named(index, _WORLDS):
         if not camera_frame or world == base_frame or not index.tree.joins(world, camera_frame):
             continue
         text = f"poses: TF, frame {printable(world)!r}"
+        if best:
+            text += f", where more are known than in {printable(best.world)!r}"
         source = PoseSource(text, camera=camera_frame, world=world)
-        if ever_known(source):
-            return source
+        share = share_known(source)
+        if share > most:
+            best, most = source, share
+        if most >= _ENOUGH:
+            break
+    if best:
+        return best
     topics = [name for name in sorted(index.poses) if _is_robot_pose(index, name)]
     if len(topics) == 1:
         return _from_track(index, topics[0], camera_frame, base_frame)

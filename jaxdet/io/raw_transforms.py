@@ -6,7 +6,7 @@ sends some hundred a second, and a decoder that works by the definition takes 0.
 
 import struct
 
-from jaxdet.io.message_fields import motion, nanoseconds
+from jaxdet.io.message_fields import motion, nanoseconds, transform
 from jaxdet.io.messages import Kind, TransformMessage
 
 _COUNT = struct.Struct("<I")
@@ -27,7 +27,7 @@ def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | N
 
     Raises:
         FrameError: A stamp is out of range.
-        ValueError: A motion is none.
+        ValueError: A pose is none; of transforms each says so itself.
     """
     if payload[:2] != b"\0\1":
         return None
@@ -51,7 +51,8 @@ def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | N
         return None
     if place + rest > len(payload):
         return None
-    return tuple(motion(*parts) for parts in found)
+    make = transform if kind is Kind.TRANSFORM else motion
+    return tuple(make(*parts) for parts in found)
 
 
 def _text(payload: bytes, place: int) -> tuple[str, int]:

@@ -77,11 +77,10 @@ class ScannedFrames(NamedTuple):
     @property
     def num_frames(self) -> int:
         """Colour frames."""
-        return len(self.about_ns)
+        return len(self.whole.color.stamps_ns)
 
-    @property
     def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, the stamps [ns]."""
+        """``(F,)`` int64, the stamps, in order [ns]."""
         return self.whole.color.stamps_ns
 
     def is_plain(self, number: int) -> bool:
@@ -90,7 +89,7 @@ class ScannedFrames(NamedTuple):
 
     def stamp_ns(self, number: int) -> int:
         """The stamp of a frame [ns]."""
-        return int(self.about_ns[number])
+        return int(self.whole.color.stamps_ns[number])
 
     def window(self, start: int, stop: int) -> Window:
         """The frames ``start`` to ``stop``."""

@@ -1,5 +1,6 @@
 """The tree of a log's transforms, and the motion between any two of its frames."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,14 +28,20 @@ class _Edge:
 class TransformTree:
     """Static and moving transforms; each frame has one parent, the first that is seen.
 
-    A static transform goes before moving ones of the same frame. What contradicts is not
-    used and noted in ``warnings``.
+    A static transform goes before moving ones of the same frame. What contradicts, or is no
+    motion, is not used and noted in ``warnings``.
+
+    Attributes:
+        ignored: How many transforms of each frame are no motions.
     """
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
         self._warned: set[str] = set()
         self.warnings: list[str] = []
+        self.ignored: Counter[str] = Counter()
+        self._problems: dict[str, str] = {}
+        """Of the first of them."""
 
     @property
     def frames(self) -> set[str]:
@@ -58,6 +65,9 @@ class TransformTree:
                 which doesn't tell them apart).
         """
         for message in messages:
+            if message.problem:
+                self._ignore(message)
+                continue
             edge = self._edge(message, static)
             if edge is None:
                 continue
@@ -82,6 +92,9 @@ class TransformTree:
                 value = edge.samples.values[0]
                 edge.fixed = motion_matrix(value[:3], value[3:])
                 edge.settled = True
+        for frame, problem in sorted(self._problems.items()):
+            text = f"TF frame {frame!r}: {self.ignored[frame]} transforms are ignored: {problem}"
+            self.warnings.append(text)
 
     def fixed(self, target: str, source: str) -> np.ndarray | None:
         """``T_target_source`` ``(4, 4)`` of static transforms; None where there is none.
@@ -220,6 +233,11 @@ class TransformTree:
             edge = self._edges[frame]
             T = (edge.samples.at(stamps_ns) if edge.fixed is None else edge.fixed) @ T
         return T
+
+    def _ignore(self, message: TransformMessage) -> None:
+        if message.child in self._problems or len(self._problems) < MAX_FRAMES_TF:
+            self._problems.setdefault(message.child, message.problem)
+            self.ignored[message.child] += 1
 
     def _warn(self, frame: str, problem: str) -> None:
         if frame not in self._warned:

@@ -29,6 +29,8 @@ from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4
 """Messages this far apart by log time are in the order of their stamps."""
+_LOOKS = 64
+"""Messages whose stamps are looked at before a part is taken."""
 _BESIDE = 2
 """Frames looked at to either side, at first."""
 _MAX_BESIDE = 4096
@@ -61,6 +63,23 @@ class StreamWindows:
     def __len__(self) -> int:
         return len(self.stamp)
 
+    def check_clock(self) -> None:
+        """Sees whether stamps follow log times, by some messages spread over the log.
+
+        A clock that steps changes how far stamps are from log times, for all that comes after.
+        Where that differs by as much as messages in another order may be apart, all are looked at.
+
+        Raises:
+            RescanError: Messages are too far from the order of their stamps.
+            DamageError: One of them is not where the index says.
+        """
+        times = self.messages.log_ns
+        some = np.unique(np.linspace(0, len(self) - 1, min(_LOOKS, len(self))).astype(np.int64))
+        self._load(some)
+        apart = self.stamp[some] - times[some]
+        if len(some) and np.ptp(apart) > REACH * int(times[-1] - times[0]) / len(self):
+            self.ranked(0, len(self))
+
     def ranked(self, first: int, last: int) -> np.ndarray:
         """The messages of the frames ``first`` to ``last``.
 
@@ -69,7 +88,7 @@ class StreamWindows:
             DamageError: One of them is not where the index says.
         """
         start, stop = max(0, first - REACH), min(len(self), last + REACH)
-        self._load(start, stop)
+        self._load(np.arange(start, stop))
         stamps = self.stamp[start:stop]
         if len(stamps) > REACH:
             latest = np.maximum.accumulate(stamps[:-REACH])
@@ -105,9 +124,9 @@ class StreamWindows:
         of = messages.file[numbers], messages.decoder[numbers]
         return FrameTable(stamps, *of, place, messages.log_ns[numbers])
 
-    def _load(self, start: int, stop: int) -> None:
+    def _load(self, numbers: np.ndarray) -> None:
         """Reads the stamps of messages that aren't known yet."""
-        missing = start + np.flatnonzero(self.size[start:stop] < 0)
+        missing = numbers[self.size[numbers] < 0]
         if not len(missing):
             return
         places = self.messages.places(missing)
@@ -229,9 +248,15 @@ class IndexedFrames:
         """Colour frames."""
         return len(self.color)
 
-    @property
     def about_ns(self) -> np.ndarray:
-        """``(F,)`` int64, log times of the colour messages, in order [ns]."""
+        """``(F,)`` int64, log times of the colour messages, in order [ns].
+
+        Raises:
+            RescanError: The stamps of some images are far from the order of these.
+            DamageError: The file contradicts its index.
+        """
+        for stream in (self.depth, self.color):
+            stream.check_clock()
         return self.color.messages.log_ns
 
     def is_plain(self, number: int) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet.engine import decide_planes
 from jaxdet.engine.floors import evenly
-from jaxdet.errors import FrameStatus, JaxdetError, RescanError
+from jaxdet.errors import FrameStatus, JaxdetError
 from jaxdet.export.recordings import some, ways
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.io import Log, LogFiles, open_log
@@ -72,6 +72,7 @@ def check_log(
         sample: So many frames are computed again, spread evenly.
         report: Gets what is found.
     """
+    found = Report()
     for options in ways(results, log):
         found = Report()
         try:
@@ -79,16 +80,13 @@ def check_log(
                 same = _check_frames(results, log, opened, found)
                 if same and sample:
                     _check_sample(results, log, opened, sample, found)
-        except RescanError as error:
-            if not options.scan:
-                continue
-            found.add("log", log.label, str(error))
         except JaxdetError as error:
             found.add("log", log.label, str(error))
-        report.findings += found.findings
-        report.frames_of_logs += found.frames_of_logs
-        report.frames_again += found.frames_again
-        return
+        if not found.findings:  # else the run may have found the index not to be enough
+            break
+    report.findings += found.findings
+    report.frames_of_logs += found.frames_of_logs
+    report.frames_again += found.frames_again
 
 
 def _check_frames(results: Results, log: ResultLog, opened: Log, report: Report) -> bool:
