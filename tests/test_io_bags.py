@@ -215,6 +215,25 @@ def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path)
     assert [path.name for path in named.paths] == ["sim.bag"]
 
 
+def test_a_folder_is_searched_through_links_and_whatever_the_case(mcap, tmp_path):
+    """A link to a folder above is followed once; what a link has lost is said."""
+    folder, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    copy(mcap, folder).rename(folder / "A.MCAP")
+    copy(mcap, elsewhere).rename(elsewhere / "b.mcap")
+    (folder / "day2").symlink_to(elsewhere)
+    (folder / "up").symlink_to(folder)
+    (folder / "lost.mcap").symlink_to(tmp_path / "nothing.mcap")
+    found = find_logs([str(folder)])
+    assert sorted(log.name for log in found) == ["A", "b"]
+    assert [log.note for log in found if log.note] == ["lost.mcap is left out: a link to nothing"]
+    for name in ("A.MCAP", "day2"):
+        (folder / name).unlink()
+    with pytest.raises(InputError, match=r"lost\.mcap: a link to nothing.*mend the link"):
+        find_logs([str(folder)])
+
+
 def test_folder_without_anything_to_read(tmp_path):
     (tmp_path / "run.bag.active").write_bytes(b"x")
     with pytest.raises(InputError, match=r"run\.bag\.active.*rosbag reindex"):

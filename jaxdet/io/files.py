@@ -14,7 +14,7 @@ from jaxdet.io.splits import Recording, Sketch, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.(mcap|db3|bag)")
+_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.(?i:mcap|db3|bag)")
 _OTHERS = {
     ".zstd": "run unzstd on it",
     ".zst": "run unzstd on it",
@@ -166,13 +166,16 @@ def _seen(text: str) -> list[Path]:
 
 def _files(text: str) -> tuple[list[Path], str]:
     """The files of an input that are read, at least one, and what is to be said of the choice."""
-    path, seen = Path(text), _seen(text)
-    others = [file for file in seen if file.suffix in _OTHERS]
+    path, named = Path(text), _seen(text)
+    seen = [file for file in named if file.is_file()]
+    gone = [file for file in named if file.is_symlink() and _kind(file) in SUFFIXES]
+    gone = [file for file in gone if not file.exists()]
+    others = [file for file in seen if _kind(file) in _OTHERS]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
-    found = [file for file in seen if file.suffix in SUFFIXES]
+    found = [file for file in seen if _kind(file) in SUFFIXES]
     if path.is_file():
         if others:
-            problem, remedy = f"{path.suffix} files are not read", _OTHERS[path.suffix]
+            problem, remedy = f"{path.suffix} files are not read", _OTHERS[_kind(path)]
             raise InputError(problem, path=text, remedy=remedy)
         return seen, ""
     folders = image_folders(seen)
@@ -185,11 +188,15 @@ def _files(text: str) -> tuple[list[Path], str]:
         where, remedy = text, "name an MCAP file or a folder"
         problem = "no .mcap, .bag or .db3 file and no folder of images found"
         if others:
-            where, remedy = str(others[0]), _OTHERS[others[0].suffix]
+            where, remedy = str(others[0]), _OTHERS[_kind(others[0])]
             problem = f"{others[0].suffix} files are not read, and there is nothing else here"
+        elif gone:
+            where, remedy = str(gone[0]), "mend the link"
+            problem = "a link to nothing, and there is nothing else here"
         raise InputError(problem, path=where, remedy=remedy)
     taken, note = _preferred(found, others)
-    left = [f"{printable(item.name)} is left out: images beside recordings" for item in folders]
+    left = [f"{printable(file.name)} is left out: a link to nothing" for file in gone]
+    left += [f"{printable(item.name)} is left out: images beside recordings" for item in folders]
     left += [f"{printable(item.name)} is left out: a LeRobot dataset" for item in datasets]
     return taken, "; ".join(filter(None, [note, *left[:_MAX_LISTED]]))
 
@@ -223,15 +230,15 @@ def _preferred(found: Sequence[Path], others: Sequence[Path]) -> tuple[list[Path
     """The files that are taken of those found, and which others are left out and why."""
     formats: dict[tuple[Path, str], set[str]] = {}
     for file in found:
-        formats.setdefault(_recording(file), set()).add(file.suffix)
+        formats.setdefault(_recording(file), set()).add(_kind(file))
     best = {key: min(kinds, key=SUFFIXES.index) for key, kinds in formats.items()}
-    taken = [file for file in found if file.suffix == best[_recording(file)]]
+    taken = [file for file in found if _kind(file) == best[_recording(file)]]
     notes = []
     for file in found:
         suffix = best[_recording(file)]
-        if file.suffix != suffix:
+        if _kind(file) != suffix:
             notes.append(f"{file.name} is left out: its recording is there as {suffix}")
-    notes += [f"{file.name} is left out: {_OTHERS[file.suffix]}" for file in others]
+    notes += [f"{file.name} is left out: {_OTHERS[_kind(file)]}" for file in others]
     more = [f"and {len(notes) - _MAX_LISTED} more"] if len(notes) > _MAX_LISTED else []
     return taken, "; ".join(map(printable, notes[:_MAX_LISTED] + more))
 
@@ -242,8 +249,22 @@ def _recording(path: Path) -> tuple[Path, str]:
     return path.parent, match["stem"] if match else path.stem
 
 
+def _kind(path: Path) -> str:
+    return path.suffix.lower()
+
+
 def _within(path: Path) -> Iterable[Path]:
-    return (file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    """A file, or what is in a folder and its subfolders; links are followed once."""
+    if not path.is_dir():
+        yield path
+    walked = set[tuple[int, int]]()
+    for folder, folders, files in os.walk(path, followlinks=True):
+        about = os.stat(folder)
+        if (about.st_dev, about.st_ino) in walked:
+            folders.clear()
+            continue
+        walked.add((about.st_dev, about.st_ino))
+        yield from (Path(folder, name) for name in files)
 
 
 def _number(path: Path) -> int:

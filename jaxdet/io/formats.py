@@ -48,7 +48,7 @@ def open_file(path: Path, max_bytes: int) -> LogFile:
     Raises:
         InputError: It can't be opened, or isn't of the format that its name says.
     """
-    kind = ImageFolder if path.is_dir() else _SUFFIXES.get(path.suffix, McapFile)
+    kind = ImageFolder if path.is_dir() else _SUFFIXES.get(path.suffix.lower(), McapFile)
     return kind(path, max_bytes)
 
 
