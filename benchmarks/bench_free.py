@@ -17,7 +17,7 @@ def cases() -> list[Case]:
     return [
         at(Point(SIZES[0], 0, BATCH))._replace(
             name="vs_reference",
-            peer=lambda: _free(seen.obstacles, unit, CONFIG),
+            peer=lambda: _free(seen.obstacles, seen.floor, unit, CONFIG),
             equal=True,
             bytes_read=0,
         )
@@ -28,7 +28,9 @@ def at(point: Point) -> Case:
     """Obstacles on the device."""
     seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
     label, low = (seen.of(name, seen.obstacles) for name in ("label", "low"))
-    given = jax.device_put(repeated((label, low, seen.cells.z, seen.places), point.batch))
+    given = jax.device_put(
+        repeated((label, low, seen.cells.z, seen.places, seen.floor), point.batch)
+    )
     shared = jax.device_put(tables(CONFIG, unit))
     return Case(
         name=point.name,

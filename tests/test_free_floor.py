@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.reference._free import BESIDE, FloorView, free_floor
+from jaxdet.reference._free import BESIDE, FloorView, floor_ahead, free_floor
+from jaxdet.results.free_floor import free_floor as metres
 from jaxdet.types import FreeEnd
 
 FAR, GAP, DROP = 4000, 500, 60
@@ -105,6 +106,32 @@ def test_only_an_obstacle() -> None:
     line, end = found(column(None, "900", "910"), column(None, None, None))
     assert end == [FreeEnd.OBSTACLE, FreeEnd.UNKNOWN]
     assert line.tolist() == [[[0, 900], [0, 900]], [[0, 0], [0, 0]]]
+
+
+@pytest.mark.parametrize("down", [(0, 8192, 0), (0, -8192, 0), (5000, -5000, 0), (8192, 0, 0)])
+def test_a_camera_mounted_in_any_way(down: tuple[int, int, int]) -> None:
+    """Upside down its image is that of an upright one turned by half; on its side none is read."""
+    cells = column(*floor(500, 900, 1400, 1900, 2400, 2900, 3400, 3600), None)
+    arrays = {k: np.array([v, v]).T for k, v in cells.items()}
+    right, drop = np.array([[-7, 7]] * 9), np.full((9, 2), DROP)
+    names = "label", "low", "floor", "forward", "height"
+    label, low, known, ahead, height = (arrays[name] for name in names)
+    view = FloorView(label, low > 0, known > 0, right, ahead, height, drop)
+    if down[1] < 0:
+        view = FloorView(*(a[::-1, ::-1] for a in view))
+    line, end = floor_ahead(view, np.array(down), FAR, GAP)
+    if down[0] > abs(down[1]):
+        assert not line.any() and not end.any()
+    else:
+        assert line.tolist() == [[[x, 500], [x, 3600]] for x in (-7, 7)]
+        assert end.tolist() == [FreeEnd.RANGE] * 2
+
+
+def test_floor_on_both_sides_of_the_foot_begins_at_the_foot() -> None:
+    """A camera that looks straight down sees floor behind itself, too."""
+    line = np.array([[[[0, -600], [100, 1300]], [[0, 200], [0, 1300]]]])
+    free = metres(line, np.array([[FreeEnd.RANGE] * 2]), 0.001)
+    np.testing.assert_allclose(free.from_m, [[0.0, 0.2]])
 
 
 STEP_DOWN = column(*floor(500, 900, 1300), (2000, -300), (2200, -300), (2400, -305), None)

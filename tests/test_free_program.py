@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import unknown_plane
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.reference._detect import _free
 from jaxdet.stages._free import free_floor, tables
 from jaxdet.types import FreeEnd
@@ -36,13 +37,17 @@ def _program(*arguments: Any) -> Any:
 
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> set[int]:
-    """Holds the kernel to the reference; the ends that there are."""
-    want = _free(batch.found, batch.unit, config)
-    shared = tables(config, batch.unit)
-    twin = _program(batch.label, batch.low, batch.grid.z, batch.floor, shared)
-    for got, expected in zip(twin, want, strict=True):
-        np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
-    return set(want[1].ravel().tolist())
+    """Holds the kernel to the reference, for cameras of any roll; the ends that there are."""
+    shared, ends = tables(config, batch.unit), set[int]()
+    for roll_deg in (0.0, 100.0, 180.0, -44.0, -46.0, 136.0):
+        plane = flat_plane(np.array([0.5]), np.array([0.2]), np.radians([roll_deg]))
+        frame = np.repeat(floor_frames(plane, batch.unit), len(batch.found), axis=0)
+        want = _free(batch.found, frame, batch.unit, config)
+        twin = _program(batch.label, batch.low, batch.grid.z, batch.floor, frame, shared)
+        for got, expected in zip(twin, want, strict=True):
+            np.testing.assert_array_equal(np.asarray(got), expected, strict=True)
+        ends |= set(want[1].ravel().tolist())
+    return ends
 
 
 @pytest.mark.parametrize("reach", [40, 3000, 300000])

@@ -54,6 +54,10 @@ def test_contours_come_without_their_padding() -> None:
     assert count.tolist() == [1, 0, 4, 3]
     expected = [contour[0, 2, :1], contour[1, 0], contour[1, 1, :3]]
     np.testing.assert_array_equal(points, np.concatenate(expected))
+    backward = np.array([True, False, True, False])
+    points, _ = metric.contour_lines(contour, used, row, slot, backward)
+    expected[1] = expected[1][::-1]
+    np.testing.assert_array_equal(points, np.concatenate(expected))
 
 
 def test_no_vertex_extends_away_from_the_camera() -> None:

@@ -14,7 +14,7 @@ from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
 from jaxdet.reference._footprint import footprint_on_floor
-from jaxdet.reference._free import FloorView, free_floor
+from jaxdet.reference._free import FloorView, floor_ahead
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
 from jaxdet.reference._outlines import contours, fitted_direction, fitted_span, inner
 from jaxdet.reference._points import clusters
@@ -85,7 +85,7 @@ def detect(
         labels,
         outlines,
         in_range.any(axis=(1, 2)),
-        Scene(fit.found, plane, *shapes, *_free(found, unit, config)),
+        Scene(fit.found, plane, *shapes, *_free(found, floors, unit, config)),
         _cell_labels(grid, found) if with_cells else None,
     )
 
@@ -238,19 +238,21 @@ def _outlines(
     return measured, (shape, used, heights)
 
 
-def _free(found: list[Found], unit: float, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """The free floor of each frame."""
+def _free(
+    found: list[Found], floors: np.ndarray, unit: float, config: Config
+) -> tuple[np.ndarray, np.ndarray]:
+    """The free floor of each frame; ``floors`` are of :func:`jaxdet.floor.frame.floor_frames`."""
     parts = []
     far = round(config.ground.max_depth_m / unit)
     gap = round(config.floor.gap_m / unit)
     settings, step = config.floor, config.ground.step_height_m
     drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
     bows = quadratic_table(step, settings.bow_per_m, unit)
-    for one in found:
+    for one, frame in zip(found, floors, strict=True):
         cell = one.view
         floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
         place = cell.right, cell.forward, cell.height
         view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
-        parts.append(free_floor(view, far, gap))
+        parts.append(floor_ahead(view, frame[6:9], far, gap))
     line, end = zip(*parts, strict=True)
     return np.stack(line), np.stack(end)

@@ -25,6 +25,30 @@ class FloorView(NamedTuple):
     """How much lower than the floor before it the floor behind an edge lies [depth units]."""
 
 
+def floor_ahead(
+    view: FloorView, down: np.ndarray, far: int, longest_gap: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`free_floor` of a camera that is mounted in any way.
+
+    Of one that is upside down (rolled by 135 degrees or more) the cells are turned by half, so that
+    columns go from left to right and outward is up; of one on its side (45 degrees or more)
+    columns don't lead away from it, and nothing is said.
+
+    Args:
+        view: The cells.
+        down: ``(3,)`` int, down in the colour camera, of :func:`jaxdet.floor.frame.floor_frames`.
+        far: As for :func:`free_floor`.
+        longest_gap: Likewise.
+    """
+    aside, upright = int(down[0]), int(down[1])
+    if abs(aside) > abs(upright):
+        columns = view.label.shape[1]
+        return np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
+    if upright < 0:
+        view = FloorView(*(a[::-1, ::-1] for a in view))
+    return free_floor(view, far, longest_gap)
+
+
 def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray, np.ndarray]:
     """Follows the floor in each column of cells, from the robot outward.
 

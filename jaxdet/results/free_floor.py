@@ -102,6 +102,7 @@ def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
     seen = (x0 | y0 | x | y) != 0
     x0, y0, x, y = (a.astype(np.float64) for a in (x0, y0, x, y))
     start, stop = np.sqrt(x0 * x0 + y0 * y0), np.sqrt(x * x + y * y)
+    start[x0 * x + y0 * y < 0] = 0.0  # it begins behind the camera's foot
     way = (x + 1j * y) / np.where(stop, stop, 1.0)
     end = np.asarray(free_end, np.int8)
     return FreeFloor(seen, way, np.arctan2(x, y), start * depth_unit, stop * depth_unit, end)

@@ -122,7 +122,11 @@ def corner_distances(obstacles: Obstacles) -> np.ndarray:
 
 
 def contour_lines(
-    contour: Array, contour_points: Array, row: np.ndarray, slot: np.ndarray
+    contour: Array,
+    contour_points: Array,
+    row: np.ndarray,
+    slot: np.ndarray,
+    backward: np.ndarray | bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The contours of some obstacles without their padding, one after the other.
 
@@ -131,6 +135,7 @@ def contour_lines(
         contour_points: ``(B, M)`` int32, of the same.
         row: ``(R,)`` the obstacles' frames.
         slot: ``(R,)`` and their slots.
+        backward: ``(R,)`` bool, which are given from their last point to the first.
 
     Returns:
         ``(P, 2)`` int32 points [depth units], and ``(R,)`` int32, how many each obstacle has.
@@ -138,9 +143,12 @@ def contour_lines(
     count = np.asarray(contour_points)[row, slot]
     contour = np.ascontiguousarray(contour, np.int32)
     _, slots, columns, _ = contour.shape
-    start = (row * slots + slot) * columns - (np.cumsum(count) - count)
-    at = np.repeat(start, count)
+    first = np.cumsum(count) - count
+    at = np.repeat((row * slots + slot) * columns - first, count)
     at += np.arange(at.size)
+    if np.any(backward):
+        order = np.repeat(2 * first + count - 1, count) - np.arange(at.size)
+        at = np.where(np.repeat(backward, count), at[order], at)
     pairs = contour.view(np.int64).ravel()  # a point is read at once
     return pairs[at].view(np.int32).reshape(-1, 2), count
 

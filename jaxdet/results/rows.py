@@ -324,7 +324,7 @@ def _obstacle_columns(
         "corners_ground": corners.reshape(-1, 8).astype(np.float32),
         "corners_world": _world_corners(corners, poses, row),
     }
-    columns |= _shape_columns(obstacles, found.scene, plane.valid, row, slot, unit)
+    columns |= _shape_columns(obstacles, found.scene, plane, row, slot, unit)
     for i, axis in enumerate("uv"):
         columns[f"{axis}_min"] = obstacles.uv_min[:, i]
         columns[f"{axis}_max"] = obstacles.uv_max[:, i]
@@ -338,7 +338,7 @@ def _obstacle_columns(
 def _shape_columns(
     obstacles: Obstacles,
     scene: SceneInputs | None,
-    known: np.ndarray,
+    plane: GroundPlane,
     row: np.ndarray,
     slot: np.ndarray,
     unit: float,
@@ -349,9 +349,11 @@ def _shape_columns(
         bottom = top = np.full(row.size, np.nan)
         contours = Lists.nulls(row.size)
     else:
-        points, count = contour_lines(scene.contour, scene.contour_points, row, slot)
+        turned = np.abs(plane.roll) > 0.75 * np.pi  # upside down: columns go to the left
+        lines = contour_lines(scene.contour, scene.contour_points, row, slot, turned[row])
+        points, count = lines
         distance = nearest(points, count)
-        heights = np.where(known[row, None], scene.bottom_top[row, slot] * unit, np.nan)
+        heights = np.where(plane.valid[row, None], scene.bottom_top[row, slot] * unit, np.nan)
         bottom, top = heights.T
         values = (points * unit).astype(np.float32).ravel()
         contours = Lists.of_lengths(values, 2 * count, np.zeros(row.size, bool))

@@ -209,6 +209,6 @@ def _steps(
         static.slots,
     )  # fmt: skip
     outlined = _outlines.outlines(label, count, grid, on_floor, shared.outlines)
-    free = _free.free_floor(label, surfaces.low, grid.z, on_floor, shared.free)
+    free = _free.free_floor(label, surfaces.low, grid.z, on_floor, frame, shared.free)
     cells = (label, grid) if static.with_cells else None
     return _Steps(floor, surfaces.num_surfaces, count, features, outlined, free, cells)

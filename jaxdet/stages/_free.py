@@ -24,6 +24,7 @@ def free_floor(
     low: jax.Array,
     z: jax.Array,
     floor: tuple[jax.Array, jax.Array, jax.Array],
+    frame: jax.Array,
     shared: Tables,
 ) -> tuple[jax.Array, jax.Array]:
     """Follows the floor in each column of cells, from the robot outward.
@@ -36,7 +37,7 @@ def free_floor(
         ``(B, C)`` int32, what ends it, see :class:`jaxdet.types.FreeEnd`.
     """
     batch, _, columns = label.shape
-    inputs = label, low, z, *floor
+    inputs = label, low, z, *floor, frame
     shapes = {"free_out": (batch, columns, 2, 2), "free_end_out": (batch, columns)}
     line, end = _free_floor(*inputs, **shared, batch=batch, shapes=shapes, scratch=columns)
     return line, end

@@ -16,8 +16,8 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS
                         settings.data[FreeFloor::GAP], label.data + at, z.data + at,
                         right.data + at, forward.data + at, height.data + at, low.data + at,
                         bows.data, drops.data, free_out.data + 4 * column,
-                        free_end_out.data + column, scratch};
-        floor.run();
+                        free_end_out.data + column, scratch, false};
+        floor.run(frame.data + b * FreeFloor::FRAME);
 """,
 )
 def free_floor(
@@ -27,6 +27,7 @@ def free_floor(
     right: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward: wp.array3d[wp.int32],
     height: wp.array3d[wp.int32],  # above the floor [depth units]
+    frame: wp.array2d[wp.int32],  # (B, 13) frames of floors
     bows: wp.array[wp.int32],  # (65536,) by z, how far below the plane floor still is
     drops: wp.array[wp.int32],  # (65536,) by z, how much lower what lies behind an edge is
     settings: wp.array[wp.int32],  # (2,) see native/free_floor.h

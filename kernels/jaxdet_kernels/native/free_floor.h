@@ -7,6 +7,8 @@ struct FreeFloor {
     // End of the range; the floor ends where so much of it shows no measurement.
     enum { FAR, GAP, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
+    // Values of a floor frame; from the seventh on, down in the camera.
+    enum { FRAME = 13, DOWN = 6 };
     enum {
         // So many measured cells one after the other are a drop lower than the last floor.
         RUN = 3,
@@ -34,6 +36,7 @@ struct FreeFloor {
         // Whether the floor has ended, and whether it drops there, -1 = not looked at yet.
         int ended[ABREAST], falls[ABREAST];
     };
+
     const Team& team;
     int rows, columns, far, gap;
     const int *label, *z, *right, *forward, *height;
@@ -41,6 +44,34 @@ struct FreeFloor {
     const int *bows, *drops;  // (DEPTHS,), by z
     int *line_out, *end_out;
     int* falls;  // scratch, by column: whether the floor drops
+    bool turned;  // by half: the camera is upside down
+
+    int at(int row, int column) const {
+        const int k = row * columns + column;
+        return turned ? rows * columns - 1 - k : k;
+    }
+
+    // The cells of a row from a column on, the others to its left where the cells are turned.
+    void take(const int* from, int row, int left, int n, int* __restrict__ out) const {
+        const int* const cell = from + at(row, left);
+        if (turned)
+            for (int c = 0; c < n; ++c) out[c] = cell[-c];
+        else
+            for (int c = 0; c < n; ++c) out[c] = cell[c];
+    }
+
+    // Of a camera mounted in any way; of one on its side nothing is said.
+    void run(const int* frame) {
+        const int aside = frame[DOWN], upright = frame[DOWN + 1];
+        turned = upright < 0;
+        if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
+            run();
+            return;
+        }
+        for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
+        for (int c = team.rank; c < columns; c += team.size) end_out[c] = UNKNOWN;
+        team.sync();
+    }
 
     void run() const {
         for (int left = team.rank * ABREAST; left < columns; left += team.size * ABREAST) {
@@ -76,12 +107,19 @@ struct FreeFloor {
         for (int top = 0; top < rows; top += SEEK) {
             int own[SEEK][ABREAST], ahead[SEEK][ABREAST];
             for (int i = 0; i < SEEK; ++i)
-                for (int c = 0; c < n; ++c)
-                    own[i][c] = top + i < rows ? label[(top + i) * columns + left + c] : -1;
-            for (int i = 0; i < SEEK; ++i)
-                for (int c = 0; c < n; ++c)
-                    ahead[i][c] =
-                        own[i][c] >= 0 ? forward[(top + i) * columns + left + c] : (int)LARGEST;
+                if (top + i < rows)
+                    take(label, top + i, left, n, own[i]);
+                else
+                    for (int c = 0; c < n; ++c) own[i][c] = -1;
+            for (int i = 0; i < SEEK; ++i) {
+                const int* const cell = forward + at(top + i, left);
+                if (turned)
+                    for (int c = 0; c < n; ++c)
+                        ahead[i][c] = own[i][c] >= 0 ? cell[-c] : (int)LARGEST;
+                else
+                    for (int c = 0; c < n; ++c)
+                        ahead[i][c] = own[i][c] >= 0 ? cell[c] : (int)LARGEST;
+            }
             for (int i = 0; i < SEEK; ++i)
                 for (int c = 0; c < n; ++c) {
                     const bool nearer = ahead[i][c] < of.limit[c];
@@ -96,14 +134,22 @@ struct FreeFloor {
     void follow(Columns& __restrict__ of, int bottom, int left, int n) const {
         int on[AHEAD][ABREAST], ahead[AHEAD][ABREAST], high[AHEAD][ABREAST], depth[AHEAD][ABREAST];
         int bow[AHEAD][ABREAST], drop[AHEAD][ABREAST], jumps[ABREAST], some = 0;
-        for (int i = 0; i < AHEAD; ++i)
+        for (int i = 0; i < AHEAD; ++i) {
+            const int row = bottom > i ? bottom - i : 0;
+            const bool* const cell = low + at(row, left);
+            take(forward, row, left, n, ahead[i]);
+            take(height, row, left, n, high[i]);
+            take(z, row, left, n, depth[i]);
+            if (turned)
+                for (int c = 0; c < n; ++c) on[i][c] = cell[-c];
+            else
+                for (int c = 0; c < n; ++c) on[i][c] = cell[c];
             for (int c = 0; c < n; ++c) {
-                const int k = (bottom > i ? bottom - i : 0) * columns + left + c;
-                ahead[i][c] = forward[k], high[i][c] = height[k], depth[i][c] = z[k];
-                on[i][c] = (bottom >= i) & low[k] & !of.ended[c] & (ahead[i][c] < of.limit[c]) &
-                           (depth[i][c] <= far);
+                on[i][c] &= (bottom >= i) & !of.ended[c] & (ahead[i][c] < of.limit[c]) &
+                            (depth[i][c] <= far);
                 some |= on[i][c];
             }
+        }
         if (!some) return;
         for (int i = 0; i < AHEAD; ++i)
             for (int c = 0; c < n; ++c) {
@@ -145,14 +191,14 @@ struct FreeFloor {
             int own[BEHIND];
             bool on[BEHIND];
             for (int n = 0; n < BEHIND; ++n) {
-                const int k = (first > n ? first - n : 0) * columns + c;
+                const int k = at(first > n ? first - n : 0, c);
                 own[n] = first >= n ? label[k] : -1;
                 on[n] = first >= n && low[k];
             }
             for (int n = 0; n < BEHIND; ++n) {
                 if (own[n] >= 0 && found < RUN) return 0;
                 if (!on[n]) continue;
-                const int k = (first - n) * columns + c;
+                const int k = at(first - n, c);
                 const bool level = floor - height[k] <= drops[z[k]];
                 if (found == RUN) {
                     if (level && SHARE * forward[k] < (SHARE - 1) * nearest) return 0;
@@ -185,7 +231,7 @@ struct FreeFloor {
 
     void put_place(int end, int row, int c) const {
         int* place = line_out + 4 * c + 2 * end;
-        place[0] = row < 0 ? 0 : right[row * columns + c];
-        place[1] = row < 0 ? 0 : forward[row * columns + c];
+        place[0] = row < 0 ? 0 : right[at(row, c)];
+        place[1] = row < 0 ? 0 : forward[at(row, c)];
     }
 };
