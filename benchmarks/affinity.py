@@ -28,7 +28,15 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
 from benchmarks.paper.hard import ERRORS, FAMILIES
-from benchmarks.paper.labelled import BESIDE, BOXES, RECORDINGS, Recording, log_of, read_boxes
+from benchmarks.paper.labelled import (
+    BESIDE,
+    BOXES,
+    RECORDINGS,
+    Recording,
+    find_recordings,
+    log_of,
+    read_boxes,
+)
 from benchmarks.paper.main import start_worker
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.shots import Shot, Spec, drawn, frames_of
@@ -214,10 +222,10 @@ def learnt_boxes() -> Examples:
     """Pairs of the real frames with labelled boxes that are not held out."""
     parts = []
     with tempfile.TemporaryDirectory() as made:
-        for recording in RECORDINGS:
+        for recording, folder in find_recordings([BESIDE]):
             path = BOXES / f"{recording.name}.txt"
-            if path.is_file():
-                log = log_of(recording, BESIDE, Path(made))
+            if path.is_file() and recording.learnt:
+                log = log_of(recording, folder, Path(made))
                 parts += in_recording(recording, log, read_boxes(path))
     found = joined(parts)
     return found._replace(weight=REAL * found.weight)

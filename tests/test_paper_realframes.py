@@ -1,6 +1,7 @@
 """Labelled frames of real cameras in the report: the labels, a made recording, the real ones."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 pytest.importorskip("matplotlib")
 
@@ -139,3 +141,49 @@ def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
         assert sum(getattr(tally, key) for tally in judged.tallies) == theirs["all"][key]
     swamped = [n for n, t in zip(judged.numbers, judged.tallies, strict=True) if t.swamped]
     assert swamped == theirs["swamped_frames"]
+
+
+def test_rooms_have_labels_of_their_frames():
+    rooms = json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
+    assert tuple(room["name"] for room in rooms) == labelled.ROOMS
+    for room in rooms:
+        for frame, (boxes, distance, ignored) in read_boxes(
+            BOXES / f"rooms_{room['name']}.txt"
+        ).items():
+            assert 0 <= frame < len(room["frames"])
+            assert (distance > 0.2).all() and (distance < 4.3).all()
+            every = np.concatenate([boxes, ignored])
+            assert (every[:, 2:] < room["size"]).all() and (every[:, 2:] > every[:, :2]).all()
+
+
+def test_stills_of_repositories_become_logs(tmp_path):
+    """One has aligned depth in fifths of a millimetre, two have a depth camera of their own."""
+    rooms = json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
+    chosen = [room for room in rooms if room["name"] in ("pioneer", "classroom", "profoffice")]
+    rng, depths = np.random.default_rng(0), {}
+    for room in chosen:
+        clone = tmp_path / "clones" / room["repository"].rsplit("/", 1)[1]
+        for color, depth in room["frames"]:
+            for name in (color, depth):
+                (clone / name).parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(clone / color), rng.integers(0, 256, (480, 640, 3)).astype(np.uint8))
+            image = rng.integers(500, 9000, (480, 640)).astype(np.uint16)
+            if depth.endswith(".mat"):
+                savemat(clone / depth, {"depth_array": image})
+            else:
+                cv2.imwrite(str(clone / depth), image)
+            depths.setdefault(room["name"], np.rint(image * room["depth_unit_m"] * 1000))
+    script = str(labelled.ROOT / "scripts" / "rooms_to_mcap")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "rooms")]
+    run = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+    assert run.stdout.count("no clone of") == len(rooms) - 3
+    for name, frames in (("pioneer", 1), ("classroom", 4)):
+        with open_log(str(tmp_path / "rooms" / f"{name}.mcap")) as log:
+            assert log.num_frames == frames
+            batch = next(iter(log.batches(1)))
+            np.testing.assert_array_equal(batch.frames.depth[0], depths[name])
+            assert (log.calibration.depth is None) == (name == "pioneer")
+    command[2] = str(tmp_path / "rooms")
+    run = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no clone" in run.stderr

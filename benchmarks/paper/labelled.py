@@ -22,6 +22,10 @@ BOXES = Path(__file__).with_name("labels")
 KINDS = ("obstacle", "ignore")
 
 
+ROOMS = tuple(sorted(path.stem.removeprefix("rooms_") for path in BOXES.glob("rooms_*.txt")))
+"""Recordings that scripts/rooms_to_mcap makes of public repositories."""
+
+
 class Recording(NamedTuple):
     """A recording and its labels."""
 
@@ -36,6 +40,8 @@ class Recording(NamedTuple):
     """Objects of fewer pixels are not asked for (label images)."""
     least_height_m: float = 0.0
     """Lower objects are neither missed nor false (label images)."""
+    learnt: bool = True
+    """Frames that are not held out are learnt from where they show what is one thing."""
     held_out: int = 0
     """Frames whose number leaves this less 1 over when divided by it are held out; 0: none."""
 
@@ -57,6 +63,7 @@ RECORDINGS = (
     ),
     Recording("aims_slam", "aims_slam/aims_slam_18frames.mcap", 0.5, held_out=3),
     Recording("d435_boxes_felixchenfy", "d435_boxes_felixchenfy", 0.5, held_out=3),
+    *(Recording(f"rooms_{name}", f"rooms/{name}.mcap", 0.5, learnt=False) for name in ROOMS),
 )
 
 
