@@ -22,7 +22,7 @@ SAID = {
     "empty_images": "InputError.*/bomb: .* images or more in",
     "tiny_images": "InputError.*image_raw: .* images or more in",
     "empty_transforms": "InputError.*/tf: .* small messages or more in",
-    "one_large_transform": "/tf: 1 messages can't be decoded",
+    "one_large_transform": "/tf: 1 of 1 messages can't be decoded",
     "many_messages": "InputError.* messages or more in",
     "empty_records": "damaged or torn record",
     "empty_records_inside": "chunk holds what is no record",

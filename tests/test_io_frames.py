@@ -106,7 +106,7 @@ def test_errors_say_what_could_not_be_decoded(tmp_path):
         schema = name, "ros2msg", STORE.generate_msgdef(name, ros_version=2)[0].encode()
         log.raw(COLOR_INFO, "cdr", schema, bytes(STORE.serialize_cdr(info, name))[:60], START)
         write_images(log, make_scene())
-    with pytest.raises(CalibrationError, match="1 of 1 messages on /cam/color/camera_info can't"):
+    with pytest.raises(CalibrationError, match="/cam/color/camera_info: 1 of 1 messages can't"):
         open_log(str(tmp_path / "log.mcap"))
 
 

@@ -72,8 +72,7 @@ def evaluate_frames(
     for b in range(frames):
         if valid is None or valid[b]:
             frame = _match_frame(detections, truth, b, asked[b], depth_unit, config)
-            given = detections, truth, b, frame.count, depth_unit, config, distances_m
-            shapes = Shapes(*given)
+            shapes = Shapes(detections, truth, b, frame.count, depth_unit, config, distances_m)
             parts = [
                 _count_detections(frame, config),
                 _count_points(frame, _positions(detections, b, depth_unit), config),

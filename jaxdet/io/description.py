@@ -170,9 +170,6 @@ def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescr
         span = (info.last_ns - info.first_ns) / 1e9
         stream = index.streams.get(name)
         chosen = [role for role, topic in (("color", color), ("depth", depth)) if topic == name]
-        problem = info.problem
-        if info.undecodable and not problem:
-            problem = f"{info.undecodable} messages can't be decoded"
         found.append(
             TopicDescription(
                 topic=printable(name),
@@ -182,7 +179,7 @@ def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescr
                 num_messages=info.count,
                 rate_hz=(info.count - 1) / span if info.count > 1 and span > 0 else 0.0,
                 chosen_as=" ".join(chosen),
-                problem=printable(problem),
+                problem=printable(info.trouble),
             )
         )
     return tuple(found)

@@ -168,8 +168,8 @@ def _files(text: str) -> tuple[list[Path], str]:
     """The files of an input that are read, at least one, and what is to be said of the choice."""
     path, named = Path(text), _seen(text)
     seen = [file for file in named if file.is_file()]
-    gone = [file for file in named if file.is_symlink() and _kind(file) in SUFFIXES]
-    gone = [file for file in gone if not file.exists()]
+    links = [file for file in named if file.is_symlink() and _kind(file) in SUFFIXES]
+    gone = [file for file in links if not file.exists()]
     others = [file for file in seen if _kind(file) in _OTHERS]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     found = [file for file in seen if _kind(file) in SUFFIXES]

@@ -49,6 +49,13 @@ class TopicInfo:
         self.problem = ""
         """Why its messages can't be used; empty when they can."""
 
+    @property
+    def trouble(self) -> str:
+        """What is wrong with its messages, and why; empty when nothing is."""
+        if self.problem or not self.undecodable:
+            return self.problem
+        return f"{self.undecodable} of {self.count} messages can't be decoded: {self.why}"
+
 
 class CalibrationTopic:
     """The calibrations on one topic."""

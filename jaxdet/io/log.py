@@ -470,10 +470,11 @@ def open_log(
             damaged = [file for file in contents.integrity if file.recovered]
             for file in damaged[:2]:
                 error.add_remedy(f"{file.path.name} is {file.text}")
-            bad = [(name, about) for name, about in contents.topics.items() if about.undecodable]
-            for name, about in bad[:2]:
-                count = f"{about.undecodable} of {about.count} messages on {name}"
-                error.add_remedy(f"{count} can't be decoded: {about.why}")
+            known = contents.topics.items()
+            bad = [(name, about.trouble) for name, about in known if about.undecodable]
+            for name, trouble in bad[:2]:
+                if trouble not in str(error):
+                    error.add_remedy(f"{name}: {trouble}")
             raise
         return Log(source, contents, found, store, options)
     except BaseException:

@@ -137,8 +137,5 @@ def _note(index: LogIndex, log: LogFiles) -> None:
         files = f"{unchecked} of {len(index.integrity)} files"
         index.warnings.append(f"integrity not checkable in {files}: they hold no CRC")
     for name, topic in sorted(index.topics.items()):
-        if topic.problem:
-            index.warnings.append(f"{printable(name)}: {printable(topic.problem)}")
-        elif topic.undecodable:
-            text = f"{topic.undecodable} messages can't be decoded: {topic.why}"
-            index.warnings.append(printable(f"{name}: {text}"))
+        if topic.trouble:
+            index.warnings.append(f"{printable(name)}: {printable(topic.trouble)}")

@@ -189,9 +189,7 @@ def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidat
     stream = index.streams.get(topic)
     if stream is None:
         known = index.topics.get(topic)
-        reason = (known and known.problem) or "there are no images on the topic"
-        if known and known.undecodable:
-            reason = _undecodable(known)
+        reason = (known and known.trouble) or "there are no images on the topic"
         names = _listed(sorted(index.streams)) or "no images at all"
         remedy = f"{flag} can be: {names}"
         raise TopicError(printable(reason), path=path, topic=printable(topic), remedy=remedy)
@@ -262,20 +260,15 @@ def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
 def _missing(index: LogIndex, what: str, path: str) -> TopicError:
     names = []
     for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
-        about = info.problem or info.channel.schema_name or "no schema"
+        kind = "" if info.problem else info.channel.schema_name or "no schema"
         encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
-        about += f", {encoding}" if encoding else ""
-        names.append(f"{name} ({about}{f'; {_undecodable(info)}' if info.undecodable else ''})")
+        names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     listed = f"its topics are {_listed(names)}" if names else "it has no messages"
     remedy = (
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
         "with --log.color, --log.depth"
     )
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
-
-
-def _undecodable(info: TopicInfo) -> str:
-    return f"{info.undecodable} of {info.count} messages can't be decoded: {info.why}"
 
 
 def _listed(names: Sequence[str]) -> str:

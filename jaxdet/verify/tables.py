@@ -79,7 +79,13 @@ def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
 
 
 _WORDS = ("status", "floor_source", "floor_refused")
-_NUMBERS = (*("num_features", "num_obstacles", "overflow", "camera_pitch_rad", "camera_roll_rad"),)
+_NUMBERS = (
+    "num_features",
+    "num_obstacles",
+    "overflow",
+    "camera_pitch_rad",
+    "camera_roll_rad",
+)
 
 
 def _problems(chunk: Chunk) -> set[str]:
