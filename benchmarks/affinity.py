@@ -16,7 +16,6 @@ import json
 import math
 import multiprocessing
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
@@ -34,7 +33,6 @@ from benchmarks.paper.labelled import (
     RECORDINGS,
     Recording,
     find_recordings,
-    log_of,
     read_boxes,
 )
 from benchmarks.paper.main import start_worker
@@ -221,12 +219,10 @@ def learnt_frames() -> Examples:
 def learnt_boxes() -> Examples:
     """Pairs of the real frames with labelled boxes that are not held out."""
     parts = []
-    with tempfile.TemporaryDirectory() as made:
-        for recording, folder in find_recordings([BESIDE]):
-            path = BOXES / f"{recording.name}.txt"
-            if path.is_file() and recording.learnt:
-                log = log_of(recording, folder, Path(made))
-                parts += in_recording(recording, log, read_boxes(path))
+    for recording, folder in find_recordings([BESIDE]):
+        path = BOXES / f"{recording.name}.txt"
+        if path.is_file() and recording.learnt:
+            parts += in_recording(recording, folder / recording.place, read_boxes(path))
     found = joined(parts)
     return found._replace(weight=REAL * found.weight)
 

@@ -97,7 +97,7 @@ def test_a_made_recording(made):
 
 def test_a_frame_without_labels_is_left_out(made):
     (made / "labels" / "001.png").unlink()
-    task = realframes.Task(labelled.RECORDINGS[0], made, made / "row.mcap", Config(), 1)
+    task = realframes.Task(labelled.RECORDINGS[0], made, Config(), 1)
     judged = realframes.judge(task)
     assert judged.numbers == [0, 2] and len(judged.tallies) == 2 and len(judged.views) == 1
 
@@ -114,10 +114,10 @@ def test_a_recording_s_own_folder_will_do(made):
 
 
 @pytest.mark.parametrize("name", FRAMES)
-def test_distances_are_in_the_depth_images(shared_data, tmp_path, name):
+def test_distances_are_in_the_depth_images(shared_data, name):
     recording = next(one for one in RECORDINGS if one.name == name)
     boxes = read_boxes(BOXES / f"{name}.txt")
-    with open_log(str(labelled.log_of(recording, shared_data, tmp_path))) as log:
+    with open_log(str(shared_data / recording.place)) as log:
         assert log.num_frames == FRAMES[name]
         for batch in log.batches(1):
             frames = batch.frames
@@ -136,7 +136,7 @@ def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
     script = str(shared_data / "labelled" / "score.py")
     command = [sys.executable, script, str(tmp_path), "wheelchair", "--json"]
     theirs = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
-    judged = realframes.judge(realframes.Task(recording, shared_data, path, config, 0))
+    judged = realframes.judge(realframes.Task(recording, shared_data, config, 0))
     for key in ("objects", "detections", "matched"):
         assert sum(getattr(tally, key) for tally in judged.tallies) == theirs["all"][key]
     swamped = [n for n, t in zip(judged.numbers, judged.tallies, strict=True) if t.swamped]
@@ -173,7 +173,7 @@ def test_stills_of_repositories_become_logs(tmp_path):
             else:
                 cv2.imwrite(str(clone / depth), image)
             depths.setdefault(room["name"], np.rint(image * room["depth_unit_m"] * 1000))
-    script = str(labelled.ROOT / "scripts" / "rooms_to_mcap")
+    script = str(Path(__file__).parents[1] / "scripts" / "rooms_to_mcap")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "rooms")]
     run = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)

@@ -1,8 +1,5 @@
 """Labelled real recordings: where they are, and what is known of their frames."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,8 +11,7 @@ from jaxdet.errors import InputError
 from jaxdet.eval import FrameLabels, labels_of_boxes, labels_of_image
 from jaxdet.types import Calibration
 
-ROOT = Path(__file__).parents[2]
-BESIDE = ROOT.parent / "shared" / "data"
+BESIDE = Path(__file__).parents[3] / "shared" / "data"
 """Where recordings are looked for unless folders are named."""
 BOXES = Path(__file__).with_name("labels")
 """Boxes labelled for this project, a text file a recording."""
@@ -79,25 +75,6 @@ def find_recordings(places: Sequence[Path]) -> list[tuple[Recording, Path]]:
         there = [folder for folder in folders if (folder / recording.place).exists()]
         found += [(recording, folder) for folder in there[:1]]
     return found
-
-
-def log_of(recording: Recording, folder: Path, made: Path) -> Path:
-    """The recording's log; stills become one in the folder ``made``.
-
-    Raises:
-        InputError: The stills can't be read.
-    """
-    path = folder / recording.place
-    if path.is_file():
-        return path
-    log = made / f"{recording.name}.mcap"
-    made.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, str(ROOT / "scripts" / "boxes_to_mcap"), str(path), str(log)]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    run = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
-    if run.returncode:
-        raise InputError(run.stderr.strip(), path=str(path))
-    return log
 
 
 def labels_of(

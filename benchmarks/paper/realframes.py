@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.paper.lab import Lab
-from benchmarks.paper.labelled import Recording, find_recordings, labels_of, log_of
+from benchmarks.paper.labelled import Recording, find_recordings, labels_of
 from benchmarks.paper.pictures import encode, grid, titled
 from benchmarks.paper.section import Direction, Section, number, percent, wilson
 from jaxdet import reference
@@ -75,7 +75,6 @@ class Task(NamedTuple):
 
     recording: Recording
     folder: Path
-    log: Path
     config: Config
     pictured: int
     """How many of the worst frames."""
@@ -100,7 +99,7 @@ def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
 
 def judge(task: Task) -> Judgement:
     """All labelled frames of a recording."""
-    with open_log(str(task.log)) as log:
+    with open_log(str(task.folder / task.recording.place)) as log:
         each = [(found, *_held(task, found)) for found in find_obstacles(log, task.config)]
     known = [(found, labels, tally) for found, labels, tally in each if labels is not None]
     worst = sorted(known, key=lambda one: _right(one[2]))[: task.pictured]
@@ -155,10 +154,9 @@ def run(lab: Lab) -> Section:
         "rooms (scripts/rooms_to_mcap) were labelled before they were run for the first time; then "
         "the search for floors without a prior was mended on them (method.md has both figures)."
     )
-    logs = [log_of(recording, folder, lab.store.folder) for recording, folder in places]
     tasks = [
-        Task(recording, folder, log, config, 0 if i or recording.least_height_m else WORST)
-        for (recording, folder), log in zip(places, logs, strict=True)
+        Task(recording, folder, config, 0 if i or recording.least_height_m else WORST)
+        for recording, folder in places
         for i, (_, config) in enumerate(TITLES)
     ]
     titles = [title for title, _ in TITLES] * len(places)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_compressed_depth, is_png16
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.index import LogIndex, TopicInfo
+from jaxdet.io.index import LogIndex
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream, first_image
