@@ -7,7 +7,6 @@ from functools import cached_property
 from itertools import chain
 from operator import index as as_index
 from os import PathLike
-from types import TracebackType
 from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
@@ -179,12 +178,7 @@ class Log:
         """The log itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Closes the log."""
         self.close()
 

@@ -20,7 +20,7 @@ from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_ODD_RECORDS
-from jaxdet.io.summary import Summary, read_summary, read_summary_at
+from jaxdet.io.summary import Summary, read_summary
 from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _TOP_LEVEL = -1
@@ -145,7 +145,7 @@ class _Scan:
         self.ended = magic == MAGIC
         if self.summary is None and self.ended:
             try:
-                self.summary = read_summary_at(self.file, position)
+                self.summary = read_summary(self.file, position)
                 self.summary_problem = ""
             except DamageError as error:
                 self.summary_problem = self.summary_problem or str(error)

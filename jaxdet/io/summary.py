@@ -69,34 +69,22 @@ class Summary(NamedTuple):
     offsets: IndexOffsets
 
 
-def read_summary(file: McapFile) -> Summary:
+def read_summary(file: McapFile, at: int | None = None) -> Summary:
     """The summary of a file.
 
-    Raises:
-        DamageError: It has none, or it can't be parsed.
-    """
-    return _read(file, None)
-
-
-def read_summary_at(file: McapFile, start: int) -> Summary:
-    """The summary that begins at a position, whatever the footer says; its CRC must be right.
+    Args:
+        file: The file.
+        at: Where it begins, whatever the footer says; its CRC must be right then.
 
     Raises:
         DamageError: It has none, or it can't be parsed.
     """
-    summary = _read(file, start)
-    if not summary.crc_is_right:
-        raise DamageError("summary has a wrong CRC")
-    return summary
-
-
-def _read(file: McapFile, position: int | None) -> Summary:
     place = file.size - len(MAGIC) - _FOOTER.size
     if place < len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
         raise DamageError("no end of file")
     footer = file.read(place, _FOOTER.size)
     opcode, length, start, _, crc = _FOOTER.unpack(footer)
-    start = start if position is None else position
+    start = start if at is None else at
     if opcode != Opcode.FOOTER or length != _FOOTER.size - RECORD_HEAD.size:
         raise DamageError("footer is damaged")
     if not start:
@@ -105,6 +93,8 @@ def _read(file: McapFile, position: int | None) -> Summary:
         raise DamageError("summary is not where the footer says")
     data = file.read(start, place - start)
     right = not crc or deflate.crc32(footer[:-4], deflate.crc32(data)) == crc
+    if at is not None and not right:
+        raise DamageError("summary has a wrong CRC")
     try:
         return _parse(data, start, right)
     except DamageError:

@@ -141,7 +141,15 @@ class TransformTree:
         Raises:
             TransformError: The transforms form a cycle.
         """
-        return self._ancestors(frame)
+        path, known = [frame], {frame}
+        while frame in self._edges:
+            frame = self._edges[frame].parent
+            if frame in known:
+                problem = f"the transforms form a cycle through frame {frame!r}"
+                raise TransformError(problem, remedy=_REMEDY)
+            path.append(frame)
+            known.add(frame)
+        return path
 
     def sampled_once(self) -> set[str]:
         """The frames with one moving transform, of which nobody knows whether it changes."""
@@ -197,7 +205,7 @@ class TransformTree:
 
     def _paths(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
         """The frames from each of the two up to, and without, their common ancestor."""
-        above_target, above_source = self._ancestors(target), self._ancestors(source)
+        above_target, above_source = self.above(target), self.above(source)
         known = set(above_source)
         common = next((frame for frame in above_target if frame in known), None)
         if common is None:
@@ -206,17 +214,6 @@ class TransformTree:
             above_target[: above_target.index(common)],
             above_source[: above_source.index(common)],
         )
-
-    def _ancestors(self, frame: str) -> list[str]:
-        path, known = [frame], {frame}
-        while frame in self._edges:
-            frame = self._edges[frame].parent
-            if frame in known:
-                problem = f"the transforms form a cycle through frame {frame!r}"
-                raise TransformError(problem, remedy=_REMEDY)
-            path.append(frame)
-            known.add(frame)
-        return path
 
     def _fixed_product(self, path: Sequence[str]) -> np.ndarray | None:
         T = np.eye(4)
