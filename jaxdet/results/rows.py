@@ -21,29 +21,12 @@ from jaxdet.results.metric import (
     tilted,
     to_world,
 )
-from jaxdet.types import Array, Detections, Frames, GroundPlane, Obstacles, Refusal
+from jaxdet.types import Array, Detections, Frames, GroundPlane, Obstacles, Refusal, Scene
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
 
 _REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
-
-
-class SceneInputs(NamedTuple):
-    """Of :class:`jaxdet.types.Scene` what a device computes; the prior stays on the host."""
-
-    floor: Array
-    """``(B, 8)`` int32."""
-    contour: Array
-    """``(B, M, C, 2)`` int32."""
-    contour_points: Array
-    """``(B, M)`` int32."""
-    bottom_top: Array
-    """``(B, M, 2)`` int32."""
-    free: Array
-    """``(B, C, 2, 2)`` int32."""
-    free_end: Array
-    """``(B, C)`` int32."""
 
 
 class RowInputs(NamedTuple):
@@ -59,8 +42,8 @@ class RowInputs(NamedTuple):
     """``(B,)`` bool."""
     obstacles: Obstacles
     """M slots, at least the largest of ``num_obstacles``."""
-    scene: SceneInputs | None
-    """None where obstacles are clusters of points."""
+    scene: Scene | None
+    """Without its prior, which stays on the host; None where obstacles are clusters of points."""
 
 
 class Rows(NamedTuple):
@@ -85,16 +68,13 @@ def row_inputs(found: Detections) -> RowInputs:
         found: NumPy or JAX arrays.
     """
     features, scene = found.features, found.scene
-    shapes = None
-    if scene is not None:
-        shapes = SceneInputs(*(getattr(scene, name) for name in SceneInputs._fields))
     return RowInputs(
         features.kept.sum(axis=1, dtype=np.int32),
         found.labels.num_obstacles,
         features.overflow,
         found.has_depth,
         found.obstacles,
-        shapes,
+        scene and scene._replace(prior=None),
     )
 
 
@@ -337,7 +317,7 @@ def _obstacle_columns(
 
 def _shape_columns(
     obstacles: Obstacles,
-    scene: SceneInputs | None,
+    scene: Scene | None,
     plane: GroundPlane,
     row: np.ndarray,
     slot: np.ndarray,
