@@ -59,7 +59,7 @@ def in_each_other(scene: Scene, times: tuple[float, ...] = (0.0,)) -> list[tuple
             if fixed[i] and fixed[j]:
                 continue
             if any(pierces(meshes[a], meshes[b]) for a, b in ((i, j), (j, i))):
-                found.append((objects[i].label, objects[j].label))
+                found.append((scene.names[i], scene.names[j]))
     return found
 
 

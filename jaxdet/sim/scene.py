@@ -30,11 +30,6 @@ class Box:
     """Height of its underside above the floor [m]."""
     name: str = "box"
 
-    @property
-    def label(self) -> str:
-        """Its name in the truth."""
-        return self.name
-
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -51,11 +46,6 @@ class Cylinder:
     """Height of its underside above the floor [m]."""
     name: str = "cylinder"
 
-    @property
-    def label(self) -> str:
-        """Its name in the truth."""
-        return self.name
-
 
 @dataclass(frozen=True)
 class Wall:
@@ -71,11 +61,6 @@ class Wall:
     """[m]."""
     texture: Texture = field(default_factory=Texture)
     name: str = "wall"
-
-    @property
-    def label(self) -> str:
-        """Its name in the truth."""
-        return self.name
 
     @property
     def box(self) -> Box:
@@ -180,11 +165,6 @@ class Model:
     name: str = ""
     """Its name in the truth; empty: its kind."""
 
-    @property
-    def label(self) -> str:
-        """Its name in the truth."""
-        return self.name or self.kind
-
 
 Thing = Box | Cylinder | Model | Wall
 """What stands on the floor."""
@@ -218,6 +198,11 @@ class Scene:
     def objects(self) -> tuple[Thing, ...]:
         """All that stands on the floor; object ``i`` has the number ``i + 1``."""
         return (*self.boxes, *self.cylinders, *self.models, *self.walls)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The objects' names; a model that has none has its kind's."""
+        return tuple(o.name or o.kind if isinstance(o, Model) else o.name for o in self.objects)
 
     @property
     def moves(self) -> bool:

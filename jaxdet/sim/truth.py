@@ -145,9 +145,7 @@ def frame_truth(frame: SimFrame) -> Truth:
         height,
         pitch,
         roll,
-        np.array(
-            [getattr(o, "name", "") or getattr(o, "kind", "") for o in scene.objects], np.str_
-        ),
+        np.array(scene.names, np.str_),
         np.arange(len(scene.objects)) >= len(scene.objects) - len(scene.walls),
         *(array[None] for array in (*shapes, *extents, *floor_edge(frame))),
     )
