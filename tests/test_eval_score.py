@@ -19,7 +19,6 @@ from jaxdet.eval import (
     keep_shares,
     nearest_on_floor,
     score,
-    success_by_distance,
     total,
     truth_of,
 )
@@ -62,13 +61,6 @@ def test_totals():
     assert figures.fmi == 0.75 and figures.width_error_m == pytest.approx(0.2)
     assert set(figures.to_dict()) == set(COUNTS) | set(Score._fields[:-1])
     assert score([Tally(pairs_true=3)]).fmi_pooled == 0 and math.isnan(score([one]).fmi_pooled)
-
-
-def test_success_by_distance():
-    near = [Case(1, d, f, *[NAN] * 4) for d, f in ((0.9, True), (1.0, False), (1.125, True))]
-    rows = success_by_distance([Tally(cases=tuple(near))], (1.0, 1.25, 3.0))
-    assert rows[0] == (1.0, 2, 1) and rows[0].rate == 0.5
-    assert rows[1] == (1.25, 1, 1) and math.isnan(rows[2].rate)
 
 
 def test_intervals():

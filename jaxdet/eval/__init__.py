@@ -27,7 +27,7 @@ from jaxdet.eval.group import group_objects
 from jaxdet.eval.indices import davies_bouldin, silhouette
 from jaxdet.eval.match import assign, match
 from jaxdet.eval.partition import PairCounts, fowlkes_mallows, pair_counts
-from jaxdet.eval.score import Score, Success, score, success_by_distance
+from jaxdet.eval.score import Score, score
 from jaxdet.eval.tally import Case, Tally, keep_shares, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth, LogTruth, nearest_on_floor, truth_of
 
@@ -42,7 +42,6 @@ __all__ = [
     "LogTruth",
     "PairCounts",
     "Score",
-    "Success",
     "Tally",
     "assign",
     "box_iou",
@@ -68,7 +67,6 @@ __all__ = [
     "score",
     "score_boxes",
     "silhouette",
-    "success_by_distance",
     "tally_boxes",
     "total",
     "truth_of",
