@@ -1,21 +1,16 @@
 """A world whose origin is far away, as UTM's, and results of before it had float64."""
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.export import export
-from jaxdet.results.manifest import changed_manifest
 from jaxdet.results.reading import Results
-from jaxdet.results.writer import write_json
 from jaxdet.sim import record
 from jaxdet.tracks import track_results
-from jaxdet.verify import verify
 from tests.export_results import run, sim_log
 from tests.test_export_foxglove import exported
 from tests.test_export_rerun import motion, recording_of
@@ -106,24 +101,3 @@ def test_rerun_counts_from_a_place_nearby(drives: tuple[Path, Path], tmp_path: P
             np.testing.assert_allclose(far[name][part][number], strips, rtol=0, atol=1e-6)
     maps = [found["/world/map"]["translation"][-1] for found in (near, far)]
     np.testing.assert_allclose(*maps, rtol=0, atol=1e-6)
-
-
-def test_results_of_older_versions_are_read(drives: tuple[Path, Path], tmp_path: Path) -> None:
-    """Their outlines in the world are float32."""
-    folder = shutil.copytree(drives[0], tmp_path / "out")
-    path = folder / "obstacles.parquet"
-    table = pq.read_table(path)
-    metadata = {k: v for k, v in pq.read_metadata(path).metadata.items() if k[:6] == b"jaxdet"}
-    at = table.column_names.index("corners_world")
-    kind = pa.list_(pa.field("item", pa.float32(), nullable=False), 8)
-    field = table.schema.field(at).with_type(kind)
-    table = table.set_column(at, field, table["corners_world"].cast(kind))
-    pq.write_table(table.replace_schema_metadata(metadata), path)
-    write_json(folder / "manifest.json", changed_manifest(folder, (), {path.name: path}))
-    track_results(folder)
-    assert pq.read_schema(folder / "tracks.parquet").field("path").type.value_type == pa.float32()
-    report = verify(folder, sample=2)
-    assert report.findings == report.notes == [] and report.frames_again == 2
-    with Results(folder) as results:
-        export(results, "nav2", tmp_path / "nav2", {})
-        export(results, "foxglove", tmp_path / "foxglove", {})

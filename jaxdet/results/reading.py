@@ -210,11 +210,6 @@ class Results:
         """How to open the log, or the camera of a log, that some rows are of."""
         return dataclasses.replace(self.log_options, camera=log.camera)
 
-    @property
-    def world_type(self) -> pa.DataType:
-        """Of the numbers in ``corners_world``: float64, in results of older versions float32."""
-        return self._obstacles.schema_arrow.field("corners_world").type.value_type
-
     def log(self, name: str) -> ResultLog:
         """The log of this name, or label where it has several cameras.
 

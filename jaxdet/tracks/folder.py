@@ -90,7 +90,7 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
     """Writes the files of :func:`track_results` into a folder, and nothing else there."""
     metadata, found = _metadata(results, config), []
     with (
-        _Writer(folder / TRACKS, _tracks_schema(results), metadata) as table,
+        _Writer(folder / TRACKS, TRACKS_SCHEMA, metadata) as table,
         _Writer(folder / LINKS, LINKS_SCHEMA, metadata) as links,
     ):
         for log in results.logs:
@@ -207,13 +207,6 @@ class _Writer:
     def write(self, table: pa.Table) -> None:
         """Appends the rows of a log."""
         self.file.write_table(table.cast(self.file.schema))
-
-
-def _tracks_schema(results: Results) -> pa.Schema:
-    """That of the table; paths have no more digits than the outlines that they are of."""
-    at, kind = TRACKS_SCHEMA.get_field_index("path"), results.world_type
-    path = TRACKS_SCHEMA.field(at)
-    return TRACKS_SCHEMA.set(at, path.with_type(pa.list_(path.type.value_field.with_type(kind))))
 
 
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:

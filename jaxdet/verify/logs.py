@@ -133,16 +133,8 @@ def _check_sample(
         given = plane, planes.sources(stamps), found, config
         rows = batch_rows(log.name, log.camera, batch, *given)
         want = Tables.of(rows.frames, rows.obstacles)
-        want = Chunk(want.frames, _as_found(want.obstacles, chunk.obstacles))
-        _compare(log, want, chunk, report)
+        _compare(log, Chunk(*want), chunk, report)
         report.frames_again += len(again)
-
-
-def _as_found(want: "pa.Table", found: "pa.Table") -> "pa.Table":
-    """Obstacles whose ``corners_world`` have the type of those found: older versions' float32."""
-    name = "corners_world"
-    corners = want[name].cast(found.schema.field(name).type)
-    return want.set_column(want.column_names.index(name), name, corners)
 
 
 def _compare(log: ResultLog, want: Chunk, found: Chunk, report: Report) -> None:
