@@ -18,7 +18,6 @@ is whole, as it was renamed there, and agrees with its checksum.
 """
 
 import pickle
-import re
 import secrets
 import shutil
 from collections.abc import Callable, Mapping
@@ -33,9 +32,6 @@ from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import RESULTS, WORKING, files_like_results, made_by, result_files
-
-_LEFT = re.compile(r"\.jaxdet-[a-z0-9_]{8}")
-"""Working folders of older versions."""
 
 Say = Callable[[str], None]
 
@@ -89,10 +85,6 @@ class Workspace:
     def _enter(self, *, overwrite: bool, say: Say) -> None:
         if self._lock.before:
             say(f"taken over from a run that ended without a word ({self._lock.before})")
-        for folder in self.output.glob(f"{WORKING}-*"):
-            if _LEFT.fullmatch(folder.name) and folder.is_dir() and not folder.is_symlink():
-                shutil.rmtree(folder, ignore_errors=True)
-                say(f"removed what a run of an older version left ({folder.name})")
         if journal := settle(self.folder):
             what = "results of the last run" if journal.told else "tracks of the last jaxdet track"
             say(f"the {what} were whole and are in their place now")
