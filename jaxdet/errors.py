@@ -5,22 +5,18 @@ from collections.abc import Iterable
 from enum import StrEnum
 
 
-def printable(text: str, limit: int | None = None) -> str:
+def printable(text: str) -> str:
     r"""A name from a file or of one, fit for a terminal, a table and JSON.
 
     Control characters, line breaks and what else is not printable become escapes, as do bytes of
     file names that are not UTF-8 (which Python has as lone surrogates).
 
-    Args:
-        text: The name.
-        limit: Most characters.
-
     >>> printable("a\x1b[31m\n\udcff")
     'a\\x1b[31m\\n\\xff'
     """
     if text.isprintable():
-        return text[:limit]
-    return "".join(char if char.isprintable() else _escaped(char) for char in text)[:limit]
+        return text
+    return "".join(char if char.isprintable() else _escaped(char) for char in text)
 
 
 def _escaped(char: str) -> str:

@@ -24,7 +24,6 @@ def measure_depth(
     sensor: DepthSensor,
     rng: np.random.Generator,
     surface: Surface | None = None,
-    unit_m: float = 0.001,
     specimen: int = 0,
 ) -> np.ndarray:
     """Make an ideal depth image a measured one.
@@ -35,11 +34,10 @@ def measure_depth(
         sensor: How it errs.
         rng: Random numbers.
         surface: What the surfaces look like; None: all can be matched.
-        unit_m: The depth unit [m].
         specimen: Which camera of its kind it is: draws the errors that are always the same.
 
     Returns:
-        ``(H, W)`` uint16 [depth units], 0 where nothing is measured.
+        ``(H, W)`` uint16 [mm], 0 where nothing is measured.
     """
     # What a default sensor draws does not depend on whether more is drawn.
     more = rng.spawn(1)[0]
@@ -64,7 +62,7 @@ def measure_depth(
         stepped = np.round((ideal + noise + bent) / sensor.step_px) * sensor.step_px
         seen = (ideal > 0) & ~lost & (stepped > constant / sensor.max_range_m)
         z = np.divide(constant, stepped, out=np.zeros_like(z), where=seen)
-    units = np.round(np.where(seen, z, 0.0) / unit_m)
+    units = np.round(np.where(seen, z, 0.0) / 0.001)
     return np.where(units <= np.iinfo(np.uint16).max, units, 0).astype(np.uint16)
 
 
