@@ -145,7 +145,9 @@ def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
 
 def test_rooms_have_labels_of_their_frames():
     rooms = json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
-    assert tuple(room["name"] for room in rooms) == labelled.ROOMS
+    assert {room["name"]: room["untouched"] for room in rooms} == labelled.ROOMS
+    files = {path.stem.removeprefix("rooms_") for path in BOXES.glob("rooms_*.txt")}
+    assert files == set(labelled.ROOMS)
     for room in rooms:
         for frame, (boxes, distance, ignored) in read_boxes(
             BOXES / f"rooms_{room['name']}.txt"

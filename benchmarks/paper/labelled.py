@@ -1,5 +1,6 @@
 """Labelled real recordings: where they are, and what is known of their frames."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -18,8 +19,12 @@ BOXES = Path(__file__).with_name("labels")
 KINDS = ("obstacle", "ignore")
 
 
-ROOMS = tuple(sorted(path.stem.removeprefix("rooms_") for path in BOXES.glob("rooms_*.txt")))
-"""Recordings that scripts/rooms_to_mcap makes of public repositories."""
+ROOMS = {
+    room["name"]: bool(room["untouched"])
+    for room in json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
+}
+"""Recordings that scripts/rooms_to_mcap makes of public repositories: whether nothing was chosen or
+mended by what is found in them."""
 
 
 class Recording(NamedTuple):
@@ -38,6 +43,8 @@ class Recording(NamedTuple):
     """Lower objects are neither missed nor false (label images)."""
     learnt: bool = True
     """Frames that are not held out are learnt from where they show what is one thing."""
+    group: str = ""
+    """Recordings of a group are reported together."""
     held_out: int = 0
     """Frames whose number leaves this less 1 over when divided by it are held out; 0: none."""
 
@@ -59,7 +66,16 @@ RECORDINGS = (
     ),
     Recording("aims_slam", "aims_slam/aims_slam_18frames.mcap", 0.5, held_out=3),
     Recording("d435_boxes_felixchenfy", "d435_boxes_felixchenfy", 0.5, held_out=3),
-    *(Recording(f"rooms_{name}", f"rooms/{name}.mcap", 0.5, learnt=False) for name in ROOMS),
+    *(
+        Recording(
+            f"rooms_{name}",
+            f"rooms/{name}.mcap",
+            0.5,
+            learnt=False,
+            group="rooms.untouched" if untouched else "rooms.looked_at",
+        )
+        for name, untouched in ROOMS.items()
+    ),
 )
 
 
