@@ -20,6 +20,8 @@ FAMILIES = (*HARD_FAMILIES, "mixed")
 ERRORS = (0.0, 1.0)
 """How much of a real depth camera's errors: none, a D435's."""
 CAMERAS = {0.0: "clean", 1.0: "as a D435"}
+HEIGHTS = ((0.15, 0.0), (0.6, 35.0), (0.8, 20.0), (1.3, 30.0))
+"""Other mounts than the robot's 0.3 m and 10 degrees: height [m] and pitch [degree]."""
 LEAST_FLOOR = 0.02
 """A frame in which less of the picture shows floor to drive on is not the worst by its share."""
 FIGURES: dict[str, Direction] = dict.fromkeys(
@@ -110,8 +112,40 @@ def run(lab: Lab) -> Section:
         header += ["worst frame", "Missed / false"]
         section.table(header, rows, f"Depth camera {CAMERAS[error]}")
     _add_claimed(section, f"{OURS}.all", [one for cell in cells.values() for one in cell])
+    _add_mounts(section, lab)
     _pictures(section, lab, cells)
     return section
+
+
+def _add_mounts(section: Section, lab: Lab) -> None:
+    """All families from cameras mounted lower or higher, with a D435's errors."""
+    seeds, rows = lab.seeds[: lab.counts.mount_seeds], []
+    specs = {
+        (height, pitch): [
+            lab.spec(
+                family,
+                seed,
+                lab.counts.hard_scenes,
+                "normal",
+                camera_height_m=height,
+                camera_pitch_rad=float(np.radians(pitch)),
+                depth_error=ERRORS[-1],
+            )
+            for family, seed in product(FAMILIES, seeds)
+        ]
+        for height, pitch in HEIGHTS
+    }
+    lab.log(f"{sum(map(len, specs.values()))} frames of them from other heights")
+    system = ours(lab.config)
+    for (height, pitch), every in specs.items():
+        lab.store.ensure(every)
+        parts = lab.run(judge_hard, [(lab.store.path(spec), system) for spec in every])
+        judged = [one for part in parts for one in part]
+        title = f"{height:g} m, {pitch:g}° down"
+        rows.append([title, *_row(section, f"{OURS}.{height:g}m.{pitch:g}deg", judged)])
+    header = ["Mounted", "ACC", "Recall", "Precision", "Coverage", "Floor claimed"]
+    header += ["worst frame", "Missed / false"]
+    section.table(header, rows, f"All families, {CAMERAS[ERRORS[-1]]}, mounted elsewhere")
 
 
 def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
