@@ -6,7 +6,7 @@ import numpy as np
 from benchmarks.run import Case
 from benchmarks.scene import BATCH, CONFIG, inputs, on_cells, repeated
 from benchmarks.sweep import SIZES, Point
-from jaxdet.floor.plane import step_table
+from jaxdet.floor.plane import step_height
 from jaxdet.reference._detect import _surfaces
 from jaxdet.stages._surfaces import surfaces, tables
 
@@ -17,7 +17,7 @@ program = jax.jit(surfaces)
 def cases() -> list[Case]:
     """Cells and floors on the device; no other library has this step."""
     seen, calibration = on_cells(SIZES[0]), inputs(SIZES[0]).calibration
-    shared = step_table(calibration, CONFIG), calibration.depth_unit, CONFIG
+    shared = step_height(calibration, CONFIG), calibration.depth_unit, CONFIG
 
     def peer() -> list[np.ndarray]:
         found = [_surfaces(seen.cells, b, seen.floor[b], *shared) for b in range(BATCH)]

@@ -10,7 +10,7 @@ import warp as wp
 from jaxdet import reference
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import flat_plane, repeat_plane, step_table
+from jaxdet.floor.plane import flat_plane, repeat_plane, step_height
 from jaxdet.reference import FloorFit
 from jaxdet.reference._detect import Found, _group, _surfaces
 from jaxdet.sim.exposure import LIGHTS, ColorSensor, expose
@@ -157,7 +157,7 @@ def on_cells(size: str) -> OnCells:
         size: A key of ``CALIBRATIONS``.
     """
     given = inputs(size)
-    unit, step = given.calibration.depth_unit, step_table(given.calibration, CONFIG)
+    unit, step = given.calibration.depth_unit, step_height(given.calibration, CONFIG)
     grid = reference.cells(given.depth, given.calibration, CONFIG.surface)
     fit = reference.find_floor(grid.x, grid.y, grid.z, given.plane, CONFIG.floor, unit)
     floor = floor_frames(fit.plane, unit)

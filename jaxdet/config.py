@@ -50,6 +50,9 @@ class GroundConfig:
     """Added to the step height for each metre of depth, with the floor of each frame for noise:
     cells of s x s pixels add an s-th of it. Clusters of points have one plane, so there it is how
     well the floor's tilt is known (0.003 is 0.2 degrees); the paper's is 0."""
+    noise_per_m: float = 0.07
+    """Noise of depth on the floor [1/m]: the step height is at least this times the camera's height
+    above the floor and the depth, an s-th of it with cells of s x s pixels. 0: as good as none."""
     camera_height_m: float | None = None
     """Optical centre above the floor [m], as far as known; unset: from the log's TF, else from a
     sample of its frames. Each frame's own depth corrects it."""
@@ -72,6 +75,7 @@ class GroundConfig:
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
         _require_within(self, 0, FARTHEST_M, "step_height_m")
         _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
+        _require(0 <= self.noise_per_m < 1, "ground.noise-per-m", "in [0, 1)")
         _require(
             self.camera_height_m is None or 0 < self.camera_height_m < 20,
             "ground.camera-height-m",

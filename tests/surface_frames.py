@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.paper.labelled import RECORDINGS
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import step_table, unknown_plane
+from jaxdet.floor.plane import step_height, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.presets import preset
 from jaxdet.reference import cells
@@ -54,7 +54,7 @@ def batch_of(depth: np.ndarray, calibration: Calibration, plane: GroundPlane, co
     """The obstacles that the reference finds."""
     unit, grid = calibration.depth_unit, cells(depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
-    floors, step = floor_frames(fit.plane, unit), step_table(calibration, config)
+    floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     return Batch(grid, found, unit)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jaxdet.camera import cell_side
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.errors import CalibrationError
-from jaxdet.floor.plane import step_table
+from jaxdet.floor.plane import step_height
 from jaxdet.presets import preset
 from jaxdet.reference import align, cells
 from jaxdet.reference._cells import cover
@@ -93,12 +93,12 @@ def test_the_step_height_grows_less_where_cells_have_more_pixels(
     """5 cm, and 3 mm for each metre over the side: of the depth camera, where there is one."""
     config = Config(GroundConfig(step_height_m=0.05, step_height_per_m=0.003), surface=THREE)
     camera = Intrinsics(640, 480, focal, focal, 319.5, 239.5)
-    steps = step_table(Calibration(camera), config)
+    steps = step_height(Calibration(camera), config).table
     assert cell_side(camera, THREE.cell_rad) == side
     assert (steps.shape, steps[0], steps[4000]) == ((65536,), 50, at_4_m)
     apart = Calibration(D435_COLOR, camera, IDENTITY)
-    np.testing.assert_array_equal(step_table(apart, config), steps)
-    tenths = step_table(Calibration(camera, depth_unit=0.0001), config)
+    np.testing.assert_array_equal(step_height(apart, config).table, steps)
+    tenths = step_height(Calibration(camera, depth_unit=0.0001), config).table
     assert (tenths[0], tenths[40_000]) == (500, round(500 + 120 / side))
 
 
@@ -106,7 +106,24 @@ def test_the_step_height_over_a_table() -> None:
     """4 mm for each metre at a Kinect's cells of 4 pixels, which its table was learnt with."""
     kinect = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
     expected = np.rint(8 + 0.004 * np.arange(65536)).astype(np.int64)
-    np.testing.assert_array_equal(step_table(kinect, preset("tabletop")), expected)
+    np.testing.assert_array_equal(step_height(kinect, preset("tabletop")).table, expected)
+
+
+@pytest.mark.parametrize("unit", [0.001, 0.0001, 0.01])
+@pytest.mark.parametrize(("focal", "side"), [(192.25, 1), (384.5, 3)])
+def test_noise_lifts_floor_by_depth_and_the_camera_s_height(
+    unit: float, focal: float, side: int
+) -> None:
+    ground = GroundConfig(step_height_m=0.05, step_height_per_m=0.0, noise_per_m=0.06)
+    camera = Calibration(Intrinsics(640, 480, focal, focal, 319.5, 239.5), depth_unit=unit)
+    steps, z = step_height(camera, Config(ground, surface=THREE)), np.arange(400) * 0.01
+    for height in (-1.0, 0.0, 0.3, 1.3):
+        want = np.maximum(0.05, 0.06 / side * max(height, 0.0) * z)
+        got = steps.at(np.rint(z / unit).astype(int), round(height / unit)) * unit
+        np.testing.assert_allclose(got, want, rtol=0.005, atol=1.5 * unit)
+    # Whatever the floor's height, the product has 32 bits.
+    high = steps.at(np.array([65535]), 1 << 20)
+    assert 0 < high[0] <= 65535 * 2
 
 
 def test_depth_unit() -> None:

@@ -134,12 +134,15 @@ def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
     black = np.zeros((1, 240, 320, 3), np.uint8)
     fine = frames(Calibration(fine_camera), black, depth, plane=POSE.plane())
 
-    def kept(given: Frames, per_m: float) -> np.ndarray:
-        config = replace(SURFACES, ground=GroundConfig(step_height_per_m=per_m))
+    def kept(given: Frames, per_m: float, noise: float = 0.0) -> np.ndarray:
+        ground = GroundConfig(step_height_per_m=per_m, noise_per_m=noise)
+        config = replace(SURFACES, ground=ground)
         return found(given, config).features.kept[0, SURFACES.features.max_corners :]
 
     np.testing.assert_array_equal(kept(coarse, 0.01), kept(fine, 0.02))
     assert kept(fine, 0.02).sum() > kept(coarse, 0.02).sum()
+    np.testing.assert_array_equal(kept(coarse, 0.0, 0.05), kept(fine, 0.0, 0.1))
+    assert kept(fine, 0.0, 0.1).sum() > kept(coarse, 0.0, 0.1).sum()
 
 
 def test_features_are_corners_and_every_second_cell() -> None:

@@ -14,6 +14,7 @@ import pytest
 from jaxdet.camera import RAY_BITS
 from jaxdet.config import FeaturesConfig
 from jaxdet.floor.frame import FLOOR_VALUES, FRAME_BITS
+from jaxdet.floor.plane import NOISE_BITS, SLOPE_BITS, STEEPEST_NOISE
 from jaxdet.reference import features
 from jaxdet.reference._cells import MARGIN
 from jaxdet.stages._corners import corner_settings
@@ -171,6 +172,9 @@ def test_constants_agree() -> None:
     assert constant("projection.h", "PARAMETERS") == align.PARAMETERS
     assert constant("floor_frame.h", "VALUES") == FLOOR_VALUES
     assert constant("floor_frame.h", "BITS") == FRAME_BITS
+    noise = constant("surfaces.h", "NOISE_BITS"), constant("surfaces.h", "SLOPE_BITS")
+    assert noise == (NOISE_BITS, SLOPE_BITS)
+    assert constant("surfaces.h", "STEEPEST_NOISE") == STEEPEST_NOISE
     assert constant("cover.h", "TILE") == cover.TILE
     assert constant("cover.h", "RAY_BITS") == RAY_BITS
     for header in ("canny.h", "corner_maxima.h", "corner_selection.h"):

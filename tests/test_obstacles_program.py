@@ -12,7 +12,7 @@ from jaxdet import types
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, ObstacleConfig
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import depth_range, step_table, unknown_plane
+from jaxdet.floor.plane import depth_range, step_height, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.presets import preset
 from jaxdet.reference._cells import cells
@@ -213,7 +213,7 @@ def surfaces_of(given: Frames, prior: GroundPlane, config: Config) -> tuple[list
     unit = given.calibration.depth_unit
     grid = cells(given.depth, given.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
-    floors, step = floor_frames(fit.plane, unit), step_table(given.calibration, config)
+    floors, step = floor_frames(fit.plane, unit), step_height(given.calibration, config)
     found = [_surfaces(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     return [Given(one.label, one.free, one.view) for one in found], farthest

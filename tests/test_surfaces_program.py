@@ -8,7 +8,7 @@ import pytest
 
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import flat_plane, step_table, unknown_plane
+from jaxdet.floor.plane import flat_plane, step_height, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.presets import preset
 from jaxdet.reference import cells
@@ -42,7 +42,7 @@ def assert_twin(
     unit: float = UNIT,
 ) -> Surfaces:
     """All that the program says of these cells is what the reference does."""
-    floors, step = floor_frames(plane, unit), step_table(camera(unit), config)
+    floors, step = floor_frames(plane, unit), step_height(camera(unit), config)
     out = program(x, y, z, floors, tables(camera(unit), config))
     got = Surfaces(*map(np.asarray, out))
     grid = Cells(x, y, z, *np.zeros((2, *z.shape, 2), np.int32), z > 0)

@@ -6,6 +6,7 @@ the camera optical frame is ``(sin r cos p, cos r cos p, sin p)``.
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -170,23 +171,41 @@ def depth_gap_units(config: ClusterConfig, depth_unit: float) -> int:
     return min(round(config.depth_gap_m / depth_unit), 1 << 20)
 
 
-@lru_cache(maxsize=16)
-def step_table(calibration: Calibration, config: Config) -> np.ndarray:
-    """The height up to which a cell is floor: ``step_height_m + step_height_per_m z / s``.
+class StepHeight(NamedTuple):
+    """The height up to which a cell is floor.
 
     A stereo camera's depth errs by ``c z^2``, with c in inverse proportion to its focal length, so
     floor seen from a height h seems to be up to ``c z h`` higher or lower. A cell takes up the same
-    angle in each camera, so s, its side in pixels, is in proportion to the focal length.
-
-    Returns:
-        ``(65536,)`` int64 [depth units], by z in depth units, read-only.
+    angle in each camera, so s, its side in pixels, is in proportion to the focal length: the step
+    is ``step_height_m + step_height_per_m z / s``, and at least ``noise_per_m h z / s``.
     """
+
+    table: np.ndarray
+    """``(65536,)`` int64 [depth units], of the first, by z in depth units; read-only."""
+    noise: int
+    """``noise_per_m / s`` for a depth unit, with ``NOISE_BITS`` fraction bits, below 2^31."""
+
+    def at(self, z: np.ndarray, height: int) -> np.ndarray:
+        """Of cells at these depths, the camera at this height over the floor [depth units]."""
+        slope = max(height, 0) * self.noise >> (NOISE_BITS - SLOPE_BITS)
+        return np.maximum(self.table[z], z * min(slope, STEEPEST_NOISE) >> SLOPE_BITS)
+
+
+NOISE_BITS, SLOPE_BITS = 34, 14
+STEEPEST_NOISE = 32767
+"""Most that noise grows with depth, with ``SLOPE_BITS``: so its product with a depth fits."""
+
+
+@lru_cache(maxsize=16)
+def step_height(calibration: Calibration, config: Config) -> StepHeight:
+    """The height up to which a cell of this camera is floor."""
     side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
     ground, unit = config.ground, calibration.depth_unit
     slope = ground.step_height_per_m / side
     table = np.rint(ground.step_height_m / unit + slope * np.arange(65536)).astype(np.int64)
     table.setflags(write=False)
-    return table
+    noise = round(ground.noise_per_m / side * unit * (1 << NOISE_BITS))
+    return StepHeight(table, min(noise, (1 << 31) - 1))
 
 
 @lru_cache(maxsize=64)

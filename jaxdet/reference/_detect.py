@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import floor_frames, on_floor
-from jaxdet.floor.plane import depth_range, quadratic_table, step_table
+from jaxdet.floor.frame import CAMERA_HEIGHT, floor_frames, on_floor
+from jaxdet.floor.plane import StepHeight, depth_range, quadratic_table, step_height
 from jaxdet.reference._cells import cell_centers, cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
@@ -72,7 +72,7 @@ def detect(
     calibration, unit = frames.calibration, frames.calibration.depth_unit
     grid = cells(frames.depth, calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, plane, config.floor, unit)
-    floors, step = floor_frames(fit.plane, unit), step_table(calibration, config)
+    floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
 
     points, labels = _points(frames, grid, found, config)
@@ -116,7 +116,7 @@ def surface_pairs(
     unit = frames.calibration.depth_unit
     grid = cells(frames.depth, frames.calibration, config.surface)
     fit = find_floor(grid.x, grid.y, grid.z, prior, config.floor, unit)
-    step = step_table(frames.calibration, config)
+    step = step_height(frames.calibration, config)
     for b, floor in enumerate(floor_frames(fit.plane, unit)):
         found = _surfaces(grid, b, floor, step, unit, config)
         label = whole_surfaces(found.label, found.view, unit, config.obstacle)
@@ -125,7 +125,7 @@ def surface_pairs(
 
 
 def _group(
-    grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
+    grid: Cells, b: int, floor: np.ndarray, step: StepHeight, unit: float, config: Config
 ) -> Found:
     """Surfaces and obstacles of one frame."""
     found = _surfaces(grid, b, floor, step, unit, config)
@@ -135,16 +135,16 @@ def _group(
 
 
 def _surfaces(
-    grid: Cells, b: int, floor: np.ndarray, step: np.ndarray, unit: float, config: Config
+    grid: Cells, b: int, floor: np.ndarray, step: StepHeight, unit: float, config: Config
 ) -> Found:
-    """Surfaces of one frame; ``step`` is of :func:`jaxdet.floor.plane.step_table`."""
+    """Surfaces of one frame."""
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, floor)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
-    step = step[view.z]
+    rise = step.at(view.z, int(floor[CAMERA_HEIGHT]))
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
-    keep = in_range & (view.height > step)
-    label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= step)
+    keep = in_range & (view.height > rise)
+    label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= rise)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
     overflow = bool(straight.max(initial=-1) >= MAX_SURFACES)

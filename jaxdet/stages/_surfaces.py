@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import depth_range, quadratic_table, step_table
+from jaxdet.floor.plane import depth_range, quadratic_table, step_height
 from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
@@ -37,13 +37,14 @@ def tables(calibration: Calibration, config: Config) -> Tables:
     nearest, farthest = depth_range(ground.min_depth_m, ground.max_depth_m, unit)
     steps = quadratic_table(surface.step_m, surface.step_per_m, unit)
     limits = quadratic_table(surface.crease_m, surface.crease_per_m, unit)
+    step = step_height(calibration, config)
     farthest, bent = round(farthest * surface.beyond), round(surface.bent_m / unit)
     creases = surface.crease_cells, surface.min_cells, surface.crease_margin
     return kernel_tables(
         steps=np.minimum(steps, MOST_STEP),
         limits=np.minimum(limits, MOST_LIMIT),
-        rises=step_table(calibration, config),
-        settings=(nearest, farthest, *creases, bent),
+        rises=step.table,
+        settings=(nearest, farthest, *creases, bent, step.noise),
     )
 
 

@@ -18,8 +18,10 @@ struct Surfaces {
         FEW = 2,    // where there are more of each cell
     };
     // Where each setting is: depths up to which surfaces are followed; the height up to which those
-    // without a steep side are floor.
-    enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, SETTINGS };
+    // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
+    // camera's height, with NOISE_BITS fraction bits.
+    enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, SETTINGS };
+    enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
     const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
     const int* floor;
@@ -90,9 +92,19 @@ struct Surfaces {
         return on;
     }
 
+    // How fast the height that noise gives to floor grows with depth, with SLOPE_BITS.
+    int noise(const FloorFrame& frame) const {
+        const long long high = frame.height > 0 ? frame.height : 0;
+        const long long slope = high * settings[NOISE] >> (NOISE_BITS - SLOPE_BITS);
+        return slope < STEEPEST_NOISE ? (int)slope : (int)STEEPEST_NOISE;
+    }
+
+    static int higher(int a, int b) { return a > b ? a : b; }
+
     // Everything that is known of single cells.
     void start(const Team& team, const Parts& in) const {
         const FloorFrame frame(floor);
+        const int slope = noise(frame);
         in.grid.frame(team, in.depth, Creases::NONE);
 #if defined(__CUDA_ARCH__)
         const Warp warp(team);
@@ -106,7 +118,7 @@ struct Surfaces {
                 const int there = at[k] < 0 ? 0 : at[k];
                 a[k] = x[there], b[k] = y[there], d[k] = z[there];
             }
-            for (int k = 0; k < AHEAD; ++k) rise[k] = rises[d[k]];
+            for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
             for (int k = 0; k < AHEAD; ++k) {
                 const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
                 const unsigned those = warp.those(on);
@@ -125,7 +137,7 @@ struct Surfaces {
 #endif
             for (int c = 0; c < columns; ++c) {
                 const int k = first + c, d = z[k];
-                place(frame, k, x[k], y[k], d, rises[d]);
+                place(frame, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
                 depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
             }
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
