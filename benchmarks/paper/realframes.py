@@ -149,11 +149,11 @@ def run(lab: Lab) -> Section:
         "for a recording is known to wheeled before each frame corrects it, and is all that paper "
         "has, though only aims_slam is one drive. Nothing is learnt from held-out "
         "frames, but figures of theirs, or of all frames, were looked at when settings were chosen "
-        "(method.md says which), those of aims_slam are of the same drive as the others, and "
+        "(choices.md says which), those of aims_slam are of the same drive as the others, and "
         "wheelchair's three frames decided settings; wheelchair_5cm leaves out what is lower. The "
         "rooms (scripts/rooms_to_mcap) were labelled before they were run for the first time, and "
         "nothing is learnt from them. In those looked at, rules were mended since; by the "
-        "untouched ones nothing was chosen (method.md has the figures)."
+        "untouched ones nothing was chosen (choices.md has the figures)."
     )
     tasks = [
         Task(recording, folder, config, 0 if i or recording.least_height_m else WORST)
