@@ -123,13 +123,15 @@ def frame_truth():
 
 def test_nearest_on_floor():
     """A camera 1 m up that looks straight down: a pixel is a tenth of the depth to the side."""
-    ids = np.array([[[1, 1, 2, 0, 3]]])
-    depth = np.array([[[0.9, 0.96, 0.97, 1.0, 0.8]]], np.float16)
+    ids, depth = np.zeros((1, 3, 7), int), np.ones((1, 3, 7), np.float16)
+    ids[0, 1] = [4, 1, 1, 2, 0, 3, 0]
+    depth[0, 1] = [0.5, 0.9, 0.96, 0.97, 1.0, 0.8, 1.0]
     truth = frame_truth()._replace(obstacle_id=ids, depth_m=depth)
-    camera = Intrinsics(5, 1, 10.0, 10.0, 5.0, 0.0)
+    camera = Intrinsics(7, 3, 10.0, 10.0, 6.0, 1.0)
     down = np.full(1, math.pi / 2)
     got = nearest_on_floor(truth, camera, np.ones(1), down, np.zeros(1), 0.05)
-    # Of the first the nearer pixel is low, of the second nothing is higher than the step.
+    # Of the first the nearer pixel is low, of the second nothing is higher than the step, and the
+    # fourth is cut by the picture's left edge.
     np.testing.assert_allclose(got, [[0.45, 0.291, 0.08, NAN]], atol=1e-3)
     level = nearest_on_floor(truth, camera, np.ones(1), np.zeros(1), np.zeros(1), 0.05)
     np.testing.assert_allclose(level[0, 0], math.hypot(0.9, 0.45), atol=1e-3)

@@ -130,16 +130,21 @@ def _score_lines(score: Mapping[str, Any] | None, frames: int) -> list[str]:
         f"(recall {score['recall']:.3f}), {score['found']} of "
         f"{score['found'] + score['false']} detections right "
         f"(precision {score['precision']:.3f}){others}, F1 {score['f1']:.3f}",
-        f"           distance_m off by {score['nearest_error_m'] * 100:.1f} cm (median), "
-        f"{score['nearest_error_p90_m'] * 100:.1f} cm (90 %), {_side(score['nearest_bias_m'])}; "
-        f"{score['splits']} splits, {score['merges']} merges, {score['on_floor']} on the floor",
+        f"           distance_m {_off(score)}; {score['splits']} splits, "
+        f"{score['merges']} merges, {score['on_floor']} on the floor",
         *_claimed_lines(score["free_claimed"], score["free_claimed_worst"]),
     ]
 
 
-def _side(bias_m: float) -> str:
-    """To which side distances are off."""
-    return f"too {'near' if bias_m < 0 else 'far'} by {abs(bias_m) * 100:.1f} cm"
+def _off(score: Mapping[str, Any]) -> str:
+    """By how much distances are off, and to which side."""
+    middle, most, bias = (
+        score[name] * 100 for name in ("nearest_error_m", "nearest_error_p90_m", "nearest_bias_m")
+    )
+    if math.isnan(middle):
+        return "not compared: nothing found is whole in a picture"
+    side = f"too {'near' if bias < 0 else 'far'} by {abs(bias):.1f} cm"
+    return f"off by {middle:.1f} cm (median), {most:.1f} cm (90 %), {side}"
 
 
 def _claimed_lines(share: float, worst: float) -> list[str]:

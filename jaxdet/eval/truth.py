@@ -91,7 +91,7 @@ class FrameTruth(NamedTuple):
     footprints."""
     nearest_floor_m: np.ndarray | None = None
     """``(B, J)`` float, distance on the floor from the camera's foot to the nearest point of its
-    visible surface [m], see :func:`nearest_on_floor`."""
+    visible surface [m], NaN where that is not known, see :func:`nearest_on_floor`."""
 
     def asked(self, config: EvalConfig) -> np.ndarray:
         """Which objects have to be found: ``(B, J)`` bool.
@@ -208,7 +208,8 @@ def nearest_on_floor(
 
     Of the colour pixels that show the object the least distance between the foot and the point
     below what they show, both on the plane of the floor. What is no higher above that plane than
-    the step is left out, unless that is all.
+    the step is left out, unless that is all. Of what the picture cuts at its left, right or lower
+    edge it is not known: the depth camera may see nearer parts, which ``distance_m`` counts.
 
     Args:
         truth: With ``depth_m``.
@@ -219,7 +220,7 @@ def nearest_on_floor(
         step_height_m: What the wheels can climb [m].
 
     Returns:
-        ``(B, J)`` float64 [m], NaN for objects out of sight.
+        ``(B, J)`` float64 [m], NaN for objects out of sight and for those cut.
 
     Raises:
         ValueError: The truth has no depth.
@@ -237,6 +238,9 @@ def nearest_on_floor(
         high = height_m[b] - depth > step_height_m
         np.minimum.at(nearest[0, b], number[high], distance[high])
         np.minimum.at(nearest[1, b], number, distance)
+        edges = [truth.obstacle_id[b][edge] for edge in (np.s_[:, 0], np.s_[:, -1], np.s_[-1])]
+        cut = np.unique(np.concatenate(edges).astype(np.int64))
+        nearest[:, b, cut[cut > 0] - 1] = np.inf
     found = np.where(np.isfinite(nearest[0]), *nearest)
     return np.where(np.isfinite(found), found, np.nan)
 
