@@ -487,5 +487,5 @@ def test_a_transform_that_cannot_be_decoded_is_counted(tmp_path, monkeypatch, ba
         with open_log(str(path)) as log, pytest.raises(RescanError, match=text):
             list(log.batches(8))
     with open_log(str(path), LogOptions(scan=bad[0] > 4)) as log:
-        warnings = "\n".join(log.description.warnings)
-        assert "/tf: 2 of" in warnings and "can't be decoded" in warnings
+        said = "/tf: 2 of 42 messages can't be decoded"
+        assert any(said in text for text in log.description.warnings)
