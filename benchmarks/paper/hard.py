@@ -28,6 +28,9 @@ FIGURES: dict[str, Direction] = dict.fromkeys(
     ("accuracy", "recall", "precision", "coverage"), "higher"
 )
 
+COLUMNS = "ACC", "Recall", "Precision", "Coverage", "Floor claimed", "worst frame", "Missed / false"
+"""Of the cells that :func:`_row` makes."""
+
 
 class Judged(NamedTuple):
     """One frame by one system."""
@@ -108,9 +111,7 @@ def run(lab: Lab) -> Section:
             chosen = FAMILIES if family == "all" else (family,)
             judged = [one for name in chosen for one in cells[name, error]]
             rows.append([family, *_row(section, f"{OURS}.{family}.{error:g}", judged)])
-        header = ["Family", "ACC", "Recall", "Precision", "Coverage", "Floor claimed"]
-        header += ["worst frame", "Missed / false"]
-        section.table(header, rows, f"Depth camera {CAMERAS[error]}")
+        section.table(["Family", *COLUMNS], rows, f"Depth camera {CAMERAS[error]}")
     _add_claimed(section, f"{OURS}.all", [one for cell in cells.values() for one in cell])
     _add_mounts(section, lab)
     _pictures(section, lab, cells)
@@ -143,9 +144,8 @@ def _add_mounts(section: Section, lab: Lab) -> None:
         judged = [one for part in parts for one in part]
         title = f"{height:g} m, {pitch:g}° down"
         rows.append([title, *_row(section, f"{OURS}.{height:g}m.{pitch:g}deg", judged)])
-    header = ["Mounted", "ACC", "Recall", "Precision", "Coverage", "Floor claimed"]
-    header += ["worst frame", "Missed / false"]
-    section.table(header, rows, f"All families, {CAMERAS[ERRORS[-1]]}, mounted elsewhere")
+    title = f"All families, {CAMERAS[ERRORS[-1]]}, mounted elsewhere"
+    section.table(["Mounted", *COLUMNS], rows, title)
 
 
 def _row(section: Section, key: str, judged: list[Judged]) -> list[str]:
