@@ -11,10 +11,10 @@ from jaxdet.types import Array, GroundPlane
 
 FRAME_BITS = 13  # fraction bits of the axes of a floor frame
 FLOOR_VALUES = 13
-CAMERA_HEIGHT = 9  # the place of the camera's height among them
 """Integers of a floor frame: right, forward and down in the camera (three each, ``FRAME_BITS``
 fraction bits), height of the optical centre [depth units], whether the floor is known, where a ramp
 begins [depth units], and its rise over its run (``FRAME_BITS`` fraction bits)."""
+DOWN, CAMERA_HEIGHT = slice(6, 9), 9  # where down and the height are among them
 UNKNOWN_HEIGHT = 1 << 20  # of everything, where the floor is not known [depth units]
 STEEPEST_SLOPE = 8  # rise over run of a ramp, at most
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import CAMERA_HEIGHT, floor_frames, on_floor
+from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, floor_frames, on_floor
 from jaxdet.floor.plane import StepHeight, depth_range, quadratic_table, step_height
 from jaxdet.reference._cells import cell_centers, cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
@@ -253,6 +253,6 @@ def _free(
         floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
         place = cell.right, cell.forward, cell.height
         view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
-        parts.append(floor_ahead(view, frame[6:9], far, gap))
+        parts.append(floor_ahead(view, frame[DOWN], far, gap))
     line, end = zip(*parts, strict=True)
     return np.stack(line), np.stack(end)

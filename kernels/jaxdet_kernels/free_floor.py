@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS
                         right.data + at, forward.data + at, height.data + at, low.data + at,
                         bows.data, drops.data, free_out.data + 4 * column,
                         free_end_out.data + column, scratch, false};
-        floor.run(frame.data + b * FreeFloor::FRAME);
+        floor.run(FloorFrame(frame.data + b * FloorFrame::VALUES));
 """,
 )
 def free_floor(

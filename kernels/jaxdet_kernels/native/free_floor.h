@@ -1,14 +1,13 @@
 // How far the floor is seen in each column of cells, and what ends it. Twin of
 // jaxdet/reference/_free.py.
 #pragma once
+#include "floor_frame.h"
 #include "warp.h"
 
 struct FreeFloor {
     // End of the range; the floor ends where so much of it shows no measurement.
     enum { FAR, GAP, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
-    // Values of a floor frame; from the seventh on, down in the camera.
-    enum { FRAME = 13, DOWN = 6 };
     enum {
         // So many measured cells one after the other are a drop lower than the last floor.
         RUN = 3,
@@ -61,8 +60,8 @@ struct FreeFloor {
     }
 
     // Of a camera mounted in any way; of one on its side nothing is said.
-    void run(const int* frame) {
-        const int aside = frame[DOWN], upright = frame[DOWN + 1];
+    void run(const FloorFrame& frame) {
+        const int aside = frame.axes[6], upright = frame.axes[7];  // of down
         turned = upright < 0;
         if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
             run();
