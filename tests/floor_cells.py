@@ -63,6 +63,13 @@ def cast(
     return z
 
 
+def cast_step(pose: Pose, drop: float, start: float) -> np.ndarray:
+    """Depth of a floor that is lower by ``drop`` from ``start`` on [m], and a box before that."""
+    low = pose._replace(height=pose.height + drop)
+    box = (-0.3, start - 0.5, drop), (0.1, start - 0.2, drop + 0.3)
+    return cast(low, [((-9.0, -1.0, 0.0), (9.0, start, drop)), box])
+
+
 def measured(z: np.ndarray, seed: int = 0, noise: float = 0.002) -> np.ndarray:
     """The same as a stereo camera has it, with its noise and holes [mm]."""
     rng = np.random.default_rng(seed)

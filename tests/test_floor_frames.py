@@ -19,6 +19,7 @@ from tests.floor_cells import (
     assert_found,
     assert_refused,
     cast,
+    cast_step,
     found,
     measured,
     positions,
@@ -161,6 +162,26 @@ def test_a_plane_too_far_from_the_prior_is_refused():
     for wrong in ((0.0, 0.0, 6.0), (0.12, 0.0, 0.0)):
         prior = pose.plane(*wrong)
         assert_refused(found(z, prior), Refusal.FAR, prior)
+
+
+@pytest.mark.parametrize("pose", [Pose(0.3, 10, 1), Pose(0.8, 20, 1), Pose(1.3, 30, -2)])
+@pytest.mark.parametrize("drop", [0.09, 0.15, 0.25, 0.35, 0.9])
+@pytest.mark.parametrize("start", [1.8, 2.5])
+def test_the_floor_before_a_step_down_is_found(pose, drop, start):
+    """A plane turned by 1 to 4 degrees runs from the floor before the step to the one beyond."""
+    z = measured(cast_step(pose, drop, start), noise=0.004)
+    for wrong in ((0.0, 0.0, 0.0), (0.03, 1.5, -1.0), (-0.02, -1.5, 1.0), (0.0, 2.0, 0.0)):
+        fit = found(z, pose.plane(*wrong))
+        assert_found(fit, pose)
+        assert np.isinf(fit.plane.ramp_start[0])
+
+
+def test_a_step_counts_as_floor():
+    """Beyond a step the lower floor is neither a table's surroundings nor missing."""
+    pose = Pose(1.3, 30.0, 0.0)
+    shown = cast_step(pose, 0.25, 1.8), cast(pose, [])
+    share = [found(measured(z), pose.plane()).share[0] for z in shown]
+    assert share[0] > 0.8 * share[1]
 
 
 @pytest.mark.parametrize("slope", [-8.0, -4.0, 4.0, 8.0])

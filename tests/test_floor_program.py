@@ -27,6 +27,7 @@ from tests.floor_cells import (
     UNIT,
     Pose,
     cast,
+    cast_step,
     measured,
     positions,
 )
@@ -96,6 +97,21 @@ def test_boxes_and_ramps() -> None:
     assert set(refused.tolist()) >= {0, 3}
 
 
+def test_steps_down() -> None:
+    """Steps are found from any height, with priors that are right, wrong and none."""
+    depths, known = [], []
+    for pose in (Pose(0.3, 10.0, 1.0), Pose(0.8, 20.0, 1.0), Pose(1.3, 30.0, -2.0)):
+        for drop, start in ((0.05, 1.8), (0.09, 1.2), (0.15, 2.5), (0.35, 1.8), (1.3, 1.8)):
+            z = measured(cast_step(pose, drop, start), noise=0.004)
+            for prior in priors(pose.plane()):
+                depths.append(z)
+                known.append(prior)
+    grid, prior = positions(np.stack(depths), CAMERA), join_planes(known)
+    found = assert_same(grid, prior)
+    flat = assert_same(grid, prior, FloorConfig(ramps=False))
+    assert (found != flat).any(axis=1).sum() > 20
+
+
 def test_tables_walls_and_little() -> None:
     pose = POSES[3]
     things = [
@@ -138,10 +154,11 @@ def test_settings(config: FloorConfig) -> None:
 @pytest.mark.parametrize("unit", [0.0001, 0.01])
 def test_depth_units(unit: float) -> None:
     pose = POSES[1]
-    grid = positions(measured(cast(pose, BOXES, ramp=(1.3, 0.1)))[None], CAMERA)
+    shown = cast(pose, BOXES, ramp=(1.3, 0.1)), cast_step(pose, 0.25, 1.8)
+    grid = positions(np.stack([measured(z) for z in shown]), CAMERA)
     scaled = [np.rint(a * (UNIT / unit)).astype(np.int32) for a in grid]
     for prior in priors(pose.plane()):
-        assert_same(scaled, prior, CONFIG, unit)
+        assert_same(scaled, repeat_plane(prior, 2), CONFIG, unit)
 
 
 # anything
@@ -178,7 +195,14 @@ def test_any_roll(roll_deg: float) -> None:
 
 @pytest.mark.parametrize(
     ("family", "depth_error"),
-    [("corridor", 1.0), ("room", 1.0), ("tables", 1.0), ("ramps", 0.0), ("mixed", 0.0)],
+    [
+        ("corridor", 1.0),
+        ("room", 1.0),
+        ("tables", 1.0),
+        ("ramps", 0.0),
+        ("mixed", 0.0),
+        ("drops", 1.0),
+    ],
 )
 def test_simulated(family: str, depth_error: float) -> None:
     frames = list(sample_frames(family, 300, 2, depth_error=depth_error))

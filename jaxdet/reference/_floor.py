@@ -18,6 +18,7 @@ from jaxdet.floor.units import (
     stride,
 )
 from jaxdet.reference._cells import margins
+from jaxdet.reference._floor_ahead import find_ahead
 from jaxdet.reference._floor_planes import (
     BELOW,
     BELOW_COST,
@@ -27,14 +28,8 @@ from jaxdet.reference._floor_planes import (
     refined,
     score,
 )
-from jaxdet.reference._floor_ramp import (
-    Hinge,
-    crossing,
-    distance,
-    find_hinge,
-    ramp_plane,
-    rises,
-)
+from jaxdet.reference._floor_profile import Ahead, distance
+from jaxdet.reference._floor_ramp import crossing, ramp_plane
 from jaxdet.reference._floor_search import any_plane, is_usual, least_share, near_planes
 from jaxdet.types import GroundPlane, Refusal
 
@@ -51,7 +46,7 @@ class _Found(NamedTuple):
     """The best floor of one frame."""
 
     plane: Plane
-    hinge: Hinge | None
+    ahead: Ahead | None
     on: int  # cells on it
     total: int  # all cells
     refused: Refusal
@@ -59,7 +54,8 @@ class _Found(NamedTuple):
     @property
     def row(self) -> tuple[int, ...]:
         """As :func:`jaxdet.floor.units.floor_fit` takes it."""
-        return (*self.plane, *(self.hinge or (0, 0)), self.on, self.total, self.refused)
+        ramp = self.ahead[:2] if self.ahead and self.ahead.turn else (0, 0)
+        return (*self.plane, *ramp, self.on, self.total, self.refused)
 
 
 def find_floor(
@@ -147,11 +143,13 @@ def _find(
     allowed = [(v, p) for v, p, n in zip(votes, planes, near, strict=True) if n]
     if not allowed:
         allowed = [(votes[0], guess)]
-    plane, hinge = max(allowed, key=lambda pair: pair[0])[1], None
+    plane, ahead = max(allowed, key=lambda pair: pair[0])[1], None
     if config.ramps:
-        plane, hinge = find_hinge(plane, [p for _, p in allowed], few, scale)
-    plane, hinge = _refined(plane, hinge, cells, prior, scale)
-    found = _judge(plane, hinge, cells, prior, config, scale)
+        plane, ahead = find_ahead(
+            plane, [p for _, p in allowed], few, scale, steps=prior is not None
+        )
+    plane, ahead = _refined(plane, ahead, cells, prior, scale)
+    found = _judge(plane, ahead, cells, prior, config, scale)
     best = votes.index(max(votes))
     least = (100 * found.on + FAR_GAIN * found.total) * len(few.z)
     if prior and not near[best] and 100 * votes[best] * found.total > least:
@@ -167,17 +165,19 @@ def _find(
 
 
 def _refined(
-    plane: Plane, hinge: Hinge | None, cells: Sample, prior: Plane | None, scale: Scale
-) -> tuple[Plane, Hinge | None]:
-    """A plane refined on all cells, or on those before its ramp, and the ramp on those after."""
-    if not hinge:
+    plane: Plane, ahead: Ahead | None, cells: Sample, prior: Plane | None, scale: Scale
+) -> tuple[Plane, Ahead | None]:
+    """A plane refined on all cells, or on those before its ramp or step; and the ramp beyond."""
+    if not ahead:
         return refined(plane, cells, (0, 1, 5), prior, scale), None
-    steep = ramp_plane(plane, hinge)
-    beyond = distance(plane, cells) >= hinge.start
-    plane = refined(plane, cells.take(~beyond), (0, 1, 5), prior, scale)
+    beyond = distance(plane, cells) >= ahead.start
+    own = refined(plane, cells.take(~beyond), (0, 1, 5), prior, scale)
+    if not ahead.turn:
+        return own, ahead
+    steep = ramp_plane(plane, ahead)
     steep = refined(steep, cells.take(beyond), (0, 1, 5), steep, scale)
-    ahead = crossing(plane, steep)
-    return plane, ahead if ahead and 0 < ahead.start <= scale.length(RAMP_M) else hinge
+    ramp = crossing(own, steep)
+    return own, ramp if ramp and 0 < ramp.start <= scale.length(RAMP_M) else ahead
 
 
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
@@ -194,16 +194,16 @@ def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scal
 
 def _as_ramp(
     steep: Plane, prior: Plane, config: FloorConfig, scale: Scale
-) -> tuple[Plane, Hinge] | None:
+) -> tuple[Plane, Ahead] | None:
     """A plane far from the prior as a ramp ahead of it, where the two cross."""
     level = prior._replace(roll=steep.roll)
-    hinge = crossing(level, steep) if _is_near(level, prior, config, scale) else None
-    return (level, hinge) if hinge and 0 < hinge.start <= scale.length(RAMP_M) else None
+    ramp = crossing(level, steep) if _is_near(level, prior, config, scale) else None
+    return (level, ramp) if ramp and 0 < ramp.start <= scale.length(RAMP_M) else None
 
 
 def _judge(
     plane: Plane,
-    hinge: Hinge | None,
+    ahead: Ahead | None,
     cells: Sample,
     prior: Plane | None,
     config: FloorConfig,
@@ -211,8 +211,8 @@ def _judge(
 ) -> _Found:
     """Says whether a floor is to be believed."""
     deep = below(plane, cells)
-    if hinge:
-        deep = deep + rises(np.array(hinge.start), np.array(hinge.turn), distance(plane, cells))
+    if ahead:
+        deep = deep + ahead.rise(distance(plane, cells))
     slack, total = scale.fine.of(cells.z, plane.height), len(cells.z)
     on = int(np.count_nonzero(np.abs(deep) <= slack))
     low = int(np.count_nonzero(deep > BELOW * slack + scale.length(TABLE_M)))
@@ -233,7 +233,7 @@ def _judge(
         refused = Refusal.MOSTLY_OBSTACLE
     elif 1000 * enough < least * total:
         refused = Refusal.TOO_LITTLE
-    return _Found(plane, hinge, on, total, refused)
+    return _Found(plane, ahead, on, total, refused)
 
 
 def _permille(share: float) -> int:

@@ -1,8 +1,8 @@
 // The best floor of a frame, in its own cells. Twin of `_find` in jaxdet/reference/_floor.py; the
 // constants are its.
 #pragma once
+#include "floor_ahead.h"
 #include "floor_search.h"
-#include "floor_ramp.h"
 
 struct Floor {
     enum {
@@ -36,7 +36,7 @@ struct Floor {
     bool known;
     // Scratch.
     unsigned long long *sums, *keys;
-    int *counts, *planes, *votes, *alone, *bound, *cells, *parts, *few, *inner, *slack, *weights;
+    int *counts, *planes, *votes, *most_ramp, *most_step, *cells, *parts, *few, *inner, *slack, *weights;
     int *rows, *places, *table, *lattice, *ends;
     int most, most_few, room;
 
@@ -66,9 +66,9 @@ struct Floor {
         counts = always(COUNTS);
         planes = always(3 * 3 * PLANES);
         votes = always(PLANES);
-        alone = always(PLANES);
-        bound = always(PLANES);
-        rows = always(FloorRamps::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
+        most_ramp = always(PLANES);
+        most_step = always(PLANES);
+        rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
         const auto now = [&](int words) {
             int* const place = words <= room ? quick : at;
             at += words <= room ? 0 : words;
@@ -159,24 +159,26 @@ struct Floor {
         const int number = counts[ENDS + FloorSearch::RINGS - 1];
         if (number < MIN_CELLS) {
             const FloorPlane plane = known ? prior : FloorPlane{0, 0, 0};
-            write(out, plane, {0, 0}, 0, 0, TOO_LITTLE);
+            write(out, plane, {}, 0, 0, TOO_LITTLE);
         } else {
             find(number, out);
         }
         team.sync();
     }
 
-    void write(int* out, FloorPlane plane, FloorHinge hinge, int on, int total, int refused) const {
+    void write(int* out, FloorPlane plane, FloorAhead ahead, int on, int total, int refused) const {
         if (team.rank) return;
-        const int values[RESULTS] = {plane.pitch, plane.roll, plane.height, hinge.start,
-                                     hinge.turn,  on,         total,        refused};
+        const int start = ahead.turn ? ahead.start : 0;
+        const int values[RESULTS] = {plane.pitch, plane.roll, plane.height, start,
+                                     ahead.turn,  on,         total,        refused};
         for (int k = 0; k < RESULTS; k++) out[k] = values[k];
     }
 
-    FloorRamps ramps() const {
-        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places,
-                table,  alone,    bound};
+    FloorProfile profile() const {
+        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places, table};
     }
+
+    FloorRamps ramps() const { return {profile()}; }
 
     void find(int number, int* out) const {
         const FloorCells sample = of(few, most_few, 0, number);
@@ -196,7 +198,7 @@ struct Floor {
         }
         if (first < 0) first = 0;
         FloorPlane plane = all[first];
-        FloorHinge hinge = {0, 0};
+        FloorAhead ahead;
         if (settings[FloorSetting::RAMPS]) {
             int others = 0;
             for (int n = -1; n < count; n++) {
@@ -208,12 +210,13 @@ struct Floor {
                 team.sync();
                 others += is_new;
             }
-            plane = ramps().run(team, different, others, hinge);
+            const FloorOutlook outlook = {ramps(), {profile()}, known, most_ramp, most_step};
+            plane = outlook.run(team, different, others, ahead);
         }
         ThreadGroup everyone(team, sums);
-        refine(everyone, plane, hinge);
+        refine(everyone, plane, ahead);
         int found[3];
-        judge(everyone, plane, hinge, found);
+        judge(everyone, plane, ahead, found);
         const long long least = (100LL * found[0] + (long long)FAR_GAIN * found[1]) * number;
         FloorPlane steep = plane;
         bool far = found[2] == FAR;
@@ -223,21 +226,21 @@ struct Floor {
         }
         if (far) {
             found[2] = FAR;
-            FloorHinge ahead = {0, 0};
+            FloorAhead ramp;
             const FloorPlane level = {prior.pitch, steep.roll, prior.height};
             if (known && settings[FloorSetting::RAMPS] && is_near(level))
-                ahead = ramps().crossing(level, steep);
-            if (is_ahead(ahead)) {
+                ramp = ramps().crossing(level, steep);
+            if (is_ahead(ramp)) {
                 plane = level;
-                hinge = ahead;
-                judge(everyone, plane, hinge, found);
+                ahead = ramp;
+                judge(everyone, plane, ahead, found);
             }
         }
-        write(out, plane, hinge, found[0], found[1], found[2]);
+        write(out, plane, ahead, found[0], found[1], found[2]);
     }
 
-    bool is_ahead(FloorHinge hinge) const {
-        return hinge.turn && hinge.start > 0 && hinge.start <= settings[FloorSetting::FARTHEST_RAMP];
+    bool is_ahead(FloorAhead ramp) const {
+        return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
     }
 
     // Whether a plane is no farther from the prior than that is corrected; without one, usual.
@@ -249,18 +252,19 @@ struct Floor {
                apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
     }
 
-    // A plane refined on all cells, or on those before its ramp, and the ramp on those after.
-    void refine(ThreadGroup& group, FloorPlane& plane, FloorHinge& hinge) const {
+    // A plane refined on all cells, or on those before its ramp or step; and the ramp beyond.
+    void refine(ThreadGroup& group, FloorPlane& plane, FloorAhead& ahead) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorRamps ramp = ramps();
         FloorPlane steep = plane;
         int before = all.count, beyond = 0;
-        if (hinge.turn) {
-            steep = ramp.steeper(plane, hinge);
+        const bool is_split = ahead.turn || ahead.drop;
+        if (ahead.turn) steep = ramp.steeper(plane, ahead);
+        if (is_split) {
             const FloorDirection forward = angles.forward(plane);
             for (int i = team.rank; i < all.count; i += team.size) {
                 const int x = all.x[i], y = all.y[i], z = all.z[i];
-                const bool is_beyond = forward.along(x, y, z) >= hinge.start;
+                const bool is_beyond = forward.along(x, y, z) >= ahead.start;
                 const int n = team.count(counts + (is_beyond ? BEYOND : BEFORE));
                 const int k = is_beyond ? most - 1 - n : n;
                 parts[k] = x;
@@ -272,36 +276,38 @@ struct Floor {
             beyond = counts[BEYOND];
         }
         // One call, so that it is compiled once.
-        for (int n = 0; n <= (hinge.turn != 0); n++) {
+        for (int n = 0; n <= (ahead.turn != 0); n++) {
             const FloorPlane start = n ? steep : plane;
             const FloorRefine refined = {angles, settings, n ? steep : prior, n || known, weights};
             const FloorPlane found = refined.run(
                 group, start,
-                of(hinge.turn ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
+                of(is_split ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
                 5);
             if (n)
                 steep = found;
             else
                 plane = found;
         }
-        if (!hinge.turn) return;
-        const FloorHinge ahead = ramp.crossing(plane, steep);
-        if (is_ahead(ahead)) hinge = ahead;
+        if (!ahead.turn) return;
+        const FloorAhead between = ramp.crossing(plane, steep);
+        if (is_ahead(between)) ahead = between;
     }
 
     // Says whether a floor is to be believed: cells on it, all cells, and a refusal.
-    void judge(ThreadGroup& group, FloorPlane plane, FloorHinge hinge, int* found) const {
+    void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
         const FloorSlack fine(settings[FloorSetting::FINE_BASE], settings[FloorSetting::FINE_PER_Z],
                               settings[FloorSetting::NOISE], plane.height);
         const FloorRamps ramp = ramps();
-        const int slope = hinge.turn ? angles.slope(hinge.turn) : 0;
+        const int slope = ahead.turn ? angles.slope(ahead.turn) : 0;
+        const bool is_flat = !ahead.turn && !ahead.drop;
         const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
         int on = 0, low = 0, high = 0, dents = 0;
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
-            const int up = slope ? ramp.rise(hinge.start, slope, forward.along(x, y, z)) : 0;
+            const int run = is_flat ? 0 : forward.along(x, y, z);
+            const int up = ramp.rise(ahead.start, slope, run) - (run >= ahead.start ? ahead.drop : 0);
             const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
             on += (deep <= s) & (-deep <= s);
             low += deep > FloorScore::BELOW * s + table_depth;

@@ -1,15 +1,9 @@
-// A ramp ahead of a plane, by votes on the floor's profile: cells by distance and height.
+// A ramp ahead of a plane, by votes on the floor's profile.
 // Twin of jaxdet/reference/_floor_ramp.py; the constants are its.
 #pragma once
-#include "floor_planes.h"
-#include "warp.h"
+#include "floor_profile.h"
 
-struct FloorHinge {
-    // Where it begins, and its pitch against the plane, uphill positive; turn 0: there is none.
-    int start, turn;
-};
-
-struct FloorRamps {
+struct FloorRamps : FloorProfile {
     enum {
         LEAST_TURN = 3 * FloorAngles::ANGLES,
         MOST_TURN = 12 * FloorAngles::ANGLES,
@@ -19,50 +13,19 @@ struct FloorRamps {
         AROUND = 4,
         FINE = 2 * AROUND + 1,
         FINE_TURN = FloorAngles::ANGLES / 4,
-        MIN_GAIN = 5,
         MIN_SHARE = 40,
-        // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
-        // told (2), where the next cell goes.
-        ROW_ARRAYS = 8,
         // Ramps taken together: three degrees of turns, and so many starts side by side.
         SECTOR = 3 * FloorAngles::ANGLES,
         SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
         ABREAST = Warp::size > 1 ? 1 : STARTS
     };
-    FloorAngles angles;
-    const int* settings;
-    // The inner cells.
-    FloorCells cells;
-    // Scratch: a key; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words; twice a
-    // word a plane.
-    unsigned long long* key;
-    int *rows, *places, *table, *alone, *bound;
 
-    int runs() const { return settings[FloorSetting::RUNS]; }
-    int half() const { return settings[FloorSetting::HALF]; }
-    int* row(int k) const { return rows + k * (runs() + 1); }
-    // Where the cells of each distance begin in `sorted`.
-    int* begin() const { return row(0); }
-    int* flat() const { return row(1); }
+    // At most how many votes each distance and those beyond give any ramp, once there are limits.
     int* most() const { return row(2); }
-    int* coarse() const { return row(3); }
-    int* fine() const { return row(4); }
     int* anew() const { return row(5); }
     int* there() const { return row(6); }
-    int* cursor() const { return row(7); }
     // Of each cell in `sorted`.
     int* worth() const { return places; }
-
-    // The middle of a distance.
-    int middle(int k) const {
-        const int bits = settings[FloorSetting::RUN_BITS];
-        return (k << bits) + (1 << bits >> 1);
-    }
-
-    int index(int height) const {
-        const int place = (height >> settings[FloorSetting::RISE_BITS]) + half();
-        return place < 0 ? 0 : place > 2 * half() ? 2 * half() : place;
-    }
 
     int rise(int start, int slope, int run) const {
         const int beyond = run > start ? run - start : 0;
@@ -73,87 +36,6 @@ struct FloorRamps {
     // What has SLOPE_BITS fraction bits. Distances of cells have 19 bits, slopes 12.
     static int rounded(int product) {
         return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
-    }
-
-    // Tolerances at each distance, and the cells of a plane by distance, with their heights.
-    void sort(const Team& team, FloorPlane plane) const {
-        const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
-        const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
-        const int noise = settings[FloorSetting::NOISE], per_z = settings[FloorSetting::FINE_PER_Z];
-        const FloorSlack wide(settings[FloorSetting::PROFILE_BASE], per_z, noise, plane.height);
-        const FloorSlack tight(settings[FloorSetting::ROUGH_BASE], per_z, noise, plane.height);
-        for (int k = team.rank; k <= n; k += team.size) {
-            coarse()[k] = wide.at(middle(k));
-            fine()[k] = tight.at(middle(k));
-            begin()[k] = 0;
-        }
-        team.sync();
-        const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
-        int* run = places;
-        int *high = run + cells.count, *sorted = high + cells.count, *at = sorted + cells.count;
-        for (int i = team.rank; i < cells.count; i += team.size) {
-            const int x = cells.x[i], y = cells.y[i], z = cells.z[i];
-            const int ahead = forward.along(x, y, z) >> run_bits;
-            const int up = ((plane.height - down.along(x, y, z)) >> rise_bits) + middle_rise;
-            run[i] = ahead >= 0 && ahead < n && up < 2 * middle_rise ? ahead : -1;
-            high[i] = up > 0 ? up : 0;
-        }
-        for (int i = team.rank; i < cells.count; i += team.size)
-            if (run[i] >= 0) team.add(begin() + run[i], 1);
-        team.sync();
-        const Warp warp(team);
-        if (warp.index == 0) {
-            warp.run_up(begin(), n);
-            for (int k = warp.rank; k <= n; k += warp.size) cursor()[k] = begin()[k];
-        }
-        team.sync();
-        for (int i = team.rank; i < cells.count; i += team.size)
-            if (run[i] >= 0) {
-                const int place = team.add(cursor() + run[i], 1);
-                sorted[place] = high[i];
-                at[place] = run[i];
-            }
-        team.sync();
-#if defined(__CUDA_ARCH__)
-        // Heights of a distance in order, so that those below any are found by halves.
-        for (int i = team.rank; i < begin()[n]; i += team.size) {
-            const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
-            int place = from;
-            for (int j = from; j < to; j++) place += sorted[j] < h + (j < i);
-            high[place] = h;
-        }
-        team.sync();
-#endif
-    }
-
-    // Heights of the cells by distance, on CUDA in order.
-    const int* sorted() const {
-#if defined(__CUDA_ARCH__)
-        return places + cells.count;
-#else
-        return places + 2 * cells.count;
-#endif
-    }
-
-    // Of heights of the profile, how many cells at a distance are lower than each.
-    void lower(int k, const int* heights, int* counts, int number) const {
-#if defined(__CUDA_ARCH__)
-        const int* in_order = sorted();
-        const int from = begin()[k], to = begin()[k + 1];
-        for (int m = 0; m < number; m++) counts[m] = from;
-        if (from == to) return;
-        // Few are clearly below: the last height asked for is often lower than all.
-        const int asked = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
-        for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
-            for (int m = 0; m < asked; m++) {
-                const int next = counts[m] + part;
-                if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
-            }
-        for (int m = 0; m < number; m++) counts[m] -= from;
-#else
-        const int* row = table + k * (2 * half() + 1);
-        for (int m = 0; m < number; m++) counts[m] = row[heights[m]];
-#endif
     }
 
     // Of each distance: votes for a floor that goes on flat, and at most how many any ramp gets. Of
@@ -259,33 +141,6 @@ struct FloorRamps {
         return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
-    // Running counts of the cells of each distance over their heights, where these are in no order.
-    void count(const Team& team) const {
-#if !defined(__CUDA_ARCH__)
-        const int n = runs(), width = 2 * half() + 1;
-        const int* heights = sorted();
-        for (int k = team.rank; k < n; k += team.size) {
-            const int from = begin()[k], to = begin()[k + 1];
-            if (from == to) continue;
-            int* counts = table + k * width;
-            for (int h = 0; h < width; h++) counts[h] = 0;
-            for (int i = from; i < to; i++) counts[heights[i] + 1]++;
-            int sum = 0;
-            for (int h = 0; h < width; h++) counts[h] = sum += counts[h];
-        }
-        team.sync();
-#endif
-    }
-
-    // Cells under a height over the plane at a distance.
-    int under(int k, int height) const {
-        if (begin()[k] == begin()[k + 1]) return 0;
-        const int end = index(height);
-        int count;
-        lower(k, &end, &count, 1);
-        return count;
-    }
-
     // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
     // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
     // many votes as the best so far counts, and others are passed over.
@@ -319,12 +174,10 @@ struct FloorRamps {
             }
             if (votes < known || k < n) continue;
             known = votes;
-            team.least(key, (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)m);
+            team.least(key, key_of(votes, m));
         }
         team.sync();
     }
-
-    int votes_of(unsigned long long key) const { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
 
     // The first distance whose middle lies beyond a start.
     int first_beyond(int start) const {
@@ -350,7 +203,7 @@ struct FloorRamps {
 
     // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
     // than `least` or the ramp is not seen.
-    bool hinge(const Team& team, int least, FloorHinge& found, int& votes) const {
+    bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
         count(team);
         // The rough lattice and then the finer one around its best ramp.
         int start0 = 0, turn0 = 0;
@@ -377,11 +230,11 @@ struct FloorRamps {
     }
 
     // Whether the ramp shows itself from near its start on, over some distance.
-    bool is_seen(const Team& team, FloorHinge hinge, const int* slack) const {
-        const int slope = angles.slope(hinge.turn);
-        const bool uphill = hinge.turn > 0;
+    bool is_seen(const Team& team, FloorAhead ramp, const int* slack) const {
+        const int slope = angles.slope(ramp.turn);
+        const bool uphill = ramp.turn > 0;
         for (int k = team.rank; k < runs(); k += team.size) {
-            const int up = rise(hinge.start, slope, middle(k)), s = slack[k];
+            const int up = rise(ramp.start, slope, middle(k)), s = slack[k];
             const bool telling = up > s || -up > s;
             // Where the tolerances of ramp and plane overlap, a cell is the plane's.
             int low = up - s, high = up + s;
@@ -409,47 +262,10 @@ struct FloorRamps {
                middle(last) - middle(first) > settings[FloorSetting::RAMP_SPREAD];
     }
 
-    // The plane and ramp that clearly more cells speak for than for any plane alone. Planes are
-    // different ones; the first is taken where there is no ramp.
-    FloorPlane run(const Team& team, const FloorPlane* planes, int count, FloorHinge& out) const {
-        int most_alone = -0x7fffffff;
-        for (int n = 0; n < count; n++) {
-            if (team.rank == 0) bound[n] = -0x7fffffff;
-            sort(team, planes[n]);
-            limits(team, fine());
-            const int votes = flat()[runs()];
-            most_alone = votes > most_alone ? votes : most_alone;
-            limit(team, fine(), bound + n);
-            team.sync();
-        }
-        const int gain = most_alone > 0 ? MIN_GAIN : 0;
-        const long long least = (100LL + gain) * most_alone;
-        const int needed = (int)angles.quotient(least, 100) + 1;
-        int best_plane = -1, best_votes = -0x7fffffff, sorted = count - 1;
-        for (int n = 0; n < count; n++) {
-            if (bound[n] < needed || bound[n] <= best_votes) continue;
-            FloorHinge found = {0, 0};
-            int votes = 0;
-            if (n != sorted) sort(team, planes[n]);
-            sorted = n;
-            if (hinge(team, needed > best_votes ? needed : best_votes + 1, found, votes)) {
-                best_votes = votes;
-                best_plane = n;
-                out = found;
-            }
-            team.sync();
-        }
-        if (best_plane < 0) {
-            out = {0, 0};
-            return planes[0];
-        }
-        return planes[best_plane];
-    }
-
     // The ramp that a steeper plane is, ahead of a level one.
-    FloorHinge crossing(FloorPlane level, FloorPlane steep) const {
+    FloorAhead crossing(FloorPlane level, FloorPlane steep) const {
         const int turn = steep.pitch - level.pitch, size = turn < 0 ? -turn : turn;
-        if (size < LEAST_TURN || size > MOST_TURN) return {0, 0};
+        if (size < LEAST_TURN || size > MOST_TURN) return {};
         const long long one = 1 << FloorAngles::SINE_BITS;
         const long long over = angles.quotient(steep.height * one, angles.cosine(turn)) - level.height;
         const long long rise = over * (1 << FloorAngles::SLOPE_BITS);
@@ -460,10 +276,10 @@ struct FloorRamps {
     }
 
     // The plane of a ramp; `crossing` gives the ramp back.
-    FloorPlane steeper(FloorPlane level, FloorHinge hinge) const {
-        const long long up = (long long)hinge.start * angles.slope(hinge.turn);
+    FloorPlane steeper(FloorPlane level, FloorAhead ramp) const {
+        const long long up = (long long)ramp.start * angles.slope(ramp.turn);
         const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);
-        return {level.pitch + hinge.turn, level.roll,
-                (int)(height * angles.cosine(hinge.turn) >> FloorAngles::SINE_BITS)};
+        return {level.pitch + ramp.turn, level.roll,
+                (int)(height * angles.cosine(ramp.turn) >> FloorAngles::SINE_BITS)};
     }
 };

@@ -1,0 +1,72 @@
+"""The floor's profile over a plane: cells by distance and height."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxdet.floor.units import FARTHEST_M, HIGHEST_M, RISE_M, RUN_M, SLOPE_BITS, Scale, slopes
+from jaxdet.reference._floor_planes import BELOW, BELOW_COST, Plane, Sample, along, floor_axes
+
+
+class Ahead(NamedTuple):
+    """How a floor goes on ahead of its plane: as a ramp, or lower after a step."""
+
+    start: int  # distance forward at which it begins [depth units]
+    turn: int = 0  # the ramp's pitch against the plane, uphill positive, 0 = none [angle steps]
+    drop: int = 0  # the step, 0 = none [depth units]
+
+    def rise(self, run: np.ndarray) -> np.ndarray:
+        """How much higher than the plane it is at distances, ``(T,)`` [depth units]."""
+        ramp = rises(np.array(self.start), np.array(self.turn), run)
+        return ramp - np.where(run >= self.start, self.drop, 0)
+
+
+def rises(starts: np.ndarray, turns: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Heights of ramps over the plane at distances ``(T,)``, ``(..., T)`` [depth units]."""
+    beyond = np.maximum(run - starts[..., None], 0)
+    return (slopes(turns)[..., None] * beyond + (1 << (SLOPE_BITS - 1))) >> SLOPE_BITS
+
+
+class Profile(NamedTuple):
+    """Running counts of cells over their height, by distance forward of the camera."""
+
+    counts: np.ndarray  # (T, rises + 1) int64
+    run: np.ndarray  # (T,) int64, the middles of the distances [depth units]
+    bits: int  # heights are 2**bits depth units apart
+
+    def under(self, height: np.ndarray) -> np.ndarray:
+        """Cells below a height over the plane ``(..., T)`` [depth units], by distance."""
+        last = self.counts.shape[1] - 1
+        index = np.clip((height >> self.bits) + last // 2, 0, last)
+        return self.counts[np.arange(len(self.run)), index]
+
+    def on(self, rise: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """Cells within the tolerance of a floor that rises so, by distance."""
+        return self.under(rise + slack) - self.under(rise - slack)
+
+    def each(self, rise: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """Cells on a floor less ``BELOW_COST`` times those clearly below it, by distance."""
+        return self.on(rise, slack) - BELOW_COST * self.under(rise - BELOW * slack)
+
+    def votes(self, rise: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """The same of all distances, ``(...)``."""
+        return self.each(rise, slack).sum(axis=-1)
+
+
+def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
+    """The profile of cells over a plane."""
+    run_bits, rise_bits, unit = scale.bits(RUN_M), scale.bits(RISE_M), scale.unit
+    runs, half = round(FARTHEST_M / unit) >> run_bits, round(HIGHEST_M / unit) >> rise_bits
+    _, down, forward = floor_axes(plane)
+    run = along(forward, cells) >> run_bits
+    rise = ((plane.height - along(down, cells)) >> rise_bits) + half
+    inside = (run >= 0) & (run < runs) & (rise < 2 * half)
+    place = run[inside] * 2 * half + np.maximum(rise[inside], 0)
+    counts = np.bincount(place, minlength=runs * 2 * half).reshape(runs, 2 * half)
+    middles = (np.arange(runs) << run_bits) + (1 << run_bits >> 1)
+    return Profile(np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0))), middles, rise_bits)
+
+
+def distance(plane: Plane, cells: Sample) -> np.ndarray:
+    """How far forward of the camera cells are on a plane, ``(K,)`` int64 [depth units]."""
+    return along(floor_axes(plane)[2], cells)
