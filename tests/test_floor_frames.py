@@ -20,6 +20,7 @@ from tests.floor_cells import (
     assert_refused,
     cast,
     cast_step,
+    errors,
     found,
     measured,
     positions,
@@ -174,6 +175,19 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
         fit = found(z, pose.plane(*wrong))
         assert_found(fit, pose)
         assert np.isinf(fit.plane.ramp_start[0])
+
+
+@pytest.mark.parametrize(
+    ("pose", "start", "end"),
+    [(Pose(0.6, 25, 0), 0.3, 0.8), (Pose(0.6, 25, 0), 0.3, 1.1), (Pose(1.3, 30, -2), 0.7, 1.5)],
+)
+@pytest.mark.parametrize("high", [0.055, 0.065])
+def test_what_is_low_and_as_wide_as_the_picture_is_not_the_floor(pose, start, end, high):
+    """Beyond it the floor is where the camera's is: no step leads down there."""
+    platform: Box = ((-3.0, start, 0.0), (3.0, end, high))
+    fit = found(measured(cast(pose, [platform]), noise=0.004), pose.plane())
+    height, pitch, _ = errors(fit, pose)
+    assert abs(height) < 4.0 and abs(pitch) < 0.12
 
 
 def test_a_step_counts_as_floor():

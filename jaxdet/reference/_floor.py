@@ -145,9 +145,8 @@ def _find(
         allowed = [(votes[0], guess)]
     plane, ahead = max(allowed, key=lambda pair: pair[0])[1], None
     if config.ramps:
-        plane, ahead = find_ahead(
-            plane, [p for _, p in allowed], few, scale, steps=prior is not None
-        )
+        farthest = prior and prior.height + scale.length(config.max_shift_m)
+        plane, ahead = find_ahead(plane, [p for _, p in allowed], few, scale, farthest)
     plane, ahead = _refined(plane, ahead, cells, prior, scale)
     found = _judge(plane, ahead, cells, prior, config, scale)
     best = votes.index(max(votes))

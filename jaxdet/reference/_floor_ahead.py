@@ -14,7 +14,7 @@ floor, not of the frame, which walls may fill."""
 
 
 def find_ahead(
-    flat: Plane, planes: list[Plane], cells: Sample, scale: Scale, *, steps: bool
+    flat: Plane, planes: list[Plane], cells: Sample, scale: Scale, farthest: int | None
 ) -> tuple[Plane, Ahead | None]:
     """The plane, with a ramp or a step where clearly more cells speak for that than for any plane.
 
@@ -23,8 +23,9 @@ def find_ahead(
         planes: Those that may end in one.
         cells: Their inner ones are used.
         scale: The depth unit.
-        steps: Try steps down. Where nothing is known of the floor, the top of a table with the
-            floor beyond it is as a floor with a step.
+        farthest: How far below the camera its floor may be [depth units]. Beyond a step the floor
+            is lower: else what stands on it, wide and low, would be the floor before a step. None:
+            nothing is known, and no step is tried, for the top of a table is as a floor before one.
     """
     inner = cells.take(cells.inner)
     alone, ramps, lower = [], [], []
@@ -38,8 +39,8 @@ def find_ahead(
         votes, ramp = best_ramp(seen, coarse, fine, scale.unit)
         if is_seen(seen, ramp, fine, scale.unit):
             ramps.append((votes, plane, ramp))
-        if steps:
-            votes, step = best_step(seen, coarse, fine, scale.unit)
+        if farthest is not None:
+            votes, step = best_step(seen, coarse, fine, farthest - plane.height, scale.unit)
             lower.append((votes, plane, step))
     found = [*ramps, *lower]  # of as many votes the first wins
     votes, plane, ahead = max(found, key=lambda one: one[0], default=(NONE, flat, None))

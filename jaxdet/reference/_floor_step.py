@@ -11,7 +11,7 @@ NONE = -(1 << 40)  # fewer votes than any step has
 
 
 def best_step(
-    seen: Profile, coarse: np.ndarray, fine: np.ndarray, unit: float
+    seen: Profile, coarse: np.ndarray, fine: np.ndarray, deeper: int, unit: float
 ) -> tuple[int, Ahead]:
     """The step down with most votes.
 
@@ -22,6 +22,7 @@ def best_step(
         seen: The profile over a plane.
         coarse: ``(T,)`` tolerance of the lower floor at each distance [depth units].
         fine: The same of the plane.
+        deeper: The step is deeper than this [depth units].
         unit: Metres in one depth unit.
 
     Returns:
@@ -33,7 +34,7 @@ def best_step(
     before = _sums_before(seen.each(level, fine))
     beyond = _sums_from(seen.each(low, coarse))
     own, lower = _sums_before(seen.on(level, fine)), _sums_from(seen.on(low, coarse))
-    allowed = (drops[:, None] > 2 * coarse) & (OWN * own >= own + lower)
+    allowed = (drops[:, None] > np.maximum(2 * coarse, deeper)) & (OWN * own >= own + lower)
     votes = np.where(allowed, before + beyond, NONE)
     i, k = (int(n) for n in np.unravel_index(np.argmax(votes), votes.shape))
     start = int(seen.run[k] - seen.run[0])  # where that distance begins

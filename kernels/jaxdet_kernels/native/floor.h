@@ -210,7 +210,9 @@ struct Floor {
                 team.sync();
                 others += is_new;
             }
-            const FloorOutlook outlook = {ramps(), {profile()}, known, most_ramp, most_step};
+            const int farthest = prior.height + settings[FloorSetting::MAX_SHIFT];
+            const FloorOutlook outlook = {ramps(),  {profile()}, known,
+                                          farthest, most_ramp,   most_step};
             plane = outlook.run(team, different, others, ahead);
         }
         ThreadGroup everyone(team, sums);

@@ -8,8 +8,9 @@ struct FloorOutlook {
     enum { MIN_GAIN = 5 };
     FloorRamps ramps;
     FloorSteps steps;
-    // Whether steps are tried.
+    // Whether steps are tried, and how far below the camera its floor may be.
     bool may_step;
+    int farthest;
     // Scratch: a word a plane each.
     int *most_ramp, *most_step;
 
@@ -42,7 +43,8 @@ struct FloorOutlook {
             sorted = n;
             FloorAhead found;
             int votes;
-            if (!steps.step(team, best_votes + 1, found, votes)) continue;
+            const int deeper = farthest - planes[n].height;
+            if (!steps.step(team, best_votes + 1, deeper, found, votes)) continue;
             best_votes = votes;
             best_plane = n;
             out = found;

@@ -19,9 +19,9 @@ struct FloorSteps : FloorProfile {
         if (here) team.add(found, here);
     }
 
-    // The first step with most votes of a plane whose cells are sorted, and its votes; false where
-    // these are fewer than `least`.
-    bool step(const Team& team, int least, FloorAhead& found, int& votes) const {
+    // The first step with most votes of a plane whose cells are sorted, of those deeper than
+    // `deeper`, and its votes; false where these are fewer than `least`.
+    bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
         count(team);
@@ -45,7 +45,7 @@ struct FloorSteps : FloorProfile {
                 if (k >= 0) here = on(k, -drop, coarse()[k], low);
                 const int votes_up_to = warp.sum_up_to(here - each * low);
                 const int cells_up_to = warp.sum_up_to(here);
-                if (k >= 0 && drop > 2 * coarse()[k]) {
+                if (k >= 0 && drop > 2 * coarse()[k] && drop > deeper) {
                     const int all = flat()[k] + beyond + votes_up_to, mine = own()[k];
                     if (all >= least && OWN * mine >= mine + lower + cells_up_to)
                         team.least(key, key_of(all, i * n + k));
