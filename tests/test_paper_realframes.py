@@ -159,17 +159,28 @@ def test_rooms_have_labels_of_their_frames():
 
 
 def test_stills_of_repositories_become_logs(tmp_path):
-    """One has aligned depth in fifths of a millimetre, two have a depth camera of their own."""
+    """One has aligned depth in fifths of a millimetre, others have a depth camera of their own."""
     rooms = json.loads((BOXES / "rooms.json").read_text(encoding="utf-8"))
-    chosen = [room for room in rooms if room["name"] in ("pioneer", "classroom", "profoffice")]
-    rng, depths = np.random.default_rng(0), {}
+    names = "pioneer", "classroom", "profoffice", "pavement_a", "pavement_b"
+    chosen = [room for room in rooms if room["name"] in names]
+    rng, depths, pictures = np.random.default_rng(0), {}, {}
     for room in chosen:
         clone = tmp_path / "clones" / room["repository"].rsplit("/", 1)[1]
         for color, depth in room["frames"]:
             for name in (color, depth):
                 (clone / name).parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(clone / color), rng.integers(0, 256, (480, 640, 3)).astype(np.uint8))
+            picture = rng.integers(0, 256, (480, 640, 3)).astype(np.uint8)
             image = rng.integers(500, 9000, (480, 640)).astype(np.uint16)
+            if color.endswith(".npy"):
+                image = (image + 0.25).astype(np.float32)
+                image[0, 0] = 1e6  # farther than 16 bits have room for
+                np.save(clone / color, picture)
+                np.save(clone / depth, image)
+                pictures[room["name"]] = pictures.get(room["name"], picture)
+                image = np.minimum(image, 65535)
+                depths.setdefault(room["name"], np.rint(image))
+                continue
+            cv2.imwrite(str(clone / color), picture)
             if depth.endswith(".mat"):
                 savemat(clone / depth, {"depth_array": image})
             else:
@@ -179,13 +190,15 @@ def test_stills_of_repositories_become_logs(tmp_path):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "rooms")]
     run = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-    assert run.stdout.count("no clone of") == len(rooms) - 3
-    for name, frames in (("pioneer", 1), ("classroom", 4)):
+    assert run.stdout.count("no clone of") == len(rooms) - len(names)
+    for name, frames in (("pioneer", 1), ("classroom", 4), ("pavement_a", 6)):
         with open_log(str(tmp_path / "rooms" / f"{name}.mcap")) as log:
             assert log.num_frames == frames
             batch = next(iter(log.batches(1)))
             np.testing.assert_array_equal(batch.frames.depth[0], depths[name])
             assert (log.calibration.depth is None) == (name == "pioneer")
+            if name in pictures:
+                np.testing.assert_array_equal(batch.frames.color[0], pictures[name][..., ::-1])
     command[2] = str(tmp_path / "rooms")
     run = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no clone" in run.stderr
