@@ -178,6 +178,29 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
 
 
 @pytest.mark.parametrize(
+    ("pose", "start"),
+    [
+        *((Pose(0.3, 10, 1), start) for start in (0.8, 1.2, 2.4)),
+        *((Pose(0.6, 25, 0), start) for start in (1.2, 1.8, 2.4)),
+        (Pose(1.3, 30, -2), 1.8),
+    ],
+)
+@pytest.mark.parametrize("high", [0.065, 0.08, 0.1, 0.13, 0.2])
+def test_the_floor_before_a_kerb_is_found(pose, start, high):
+    """A plane that runs from the road to the pavement would hide the kerb."""
+    z = measured(cast(pose, [((-9.0, start, 0.0), (9.0, 9.0, high))]), noise=0.004)
+    for wrong in ((0.0, 0.0, 0.0), (0.02, 0.7, -1.0), (-0.02, -0.7, 1.0)):
+        assert_found(found(z, pose.plane(*wrong)), pose, angle=0.2, height=5.0)
+
+
+def test_a_wall_behind_the_floor_is_no_step():
+    """It gives as many cells at any height, but at one distance."""
+    pose = Pose(1.7, 29.0, -0.8)
+    walls: list[Box] = [((-4.0, 2.6, 0.0), (4.0, 2.7, 2.5)), ((-0.9, 1.4, 0.2), (0.8, 2.6, 0.6))]
+    assert_found(found(measured(cast(pose, walls)), pose.plane()), pose)
+
+
+@pytest.mark.parametrize(
     ("pose", "start", "end"),
     [(Pose(0.6, 25, 0), 0.3, 0.8), (Pose(0.6, 25, 0), 0.3, 1.1), (Pose(1.3, 30, -2), 0.7, 1.5)],
 )

@@ -97,19 +97,20 @@ def test_boxes_and_ramps() -> None:
     assert set(refused.tolist()) >= {0, 3}
 
 
-def test_steps_down() -> None:
-    """Steps are found from any height, with priors that are right, wrong and none."""
+def test_steps() -> None:
+    """Steps down and up from any height, with priors that are right, wrong and none."""
     depths, known = [], []
     for pose in (Pose(0.3, 10.0, 1.0), Pose(0.8, 20.0, 1.0), Pose(1.3, 30.0, -2.0)):
         for drop, start in ((0.05, 1.8), (0.09, 1.2), (0.15, 2.5), (0.35, 1.8), (1.3, 1.8)):
-            z = measured(cast_step(pose, drop, start), noise=0.004)
-            for prior in priors(pose.plane()):
-                depths.append(z)
-                known.append(prior)
+            kerb = [((-9.0, start, 0.0), (9.0, 9.0, drop / 2))]
+            for shown in (cast_step(pose, drop, start), cast(pose, kerb)):
+                for prior in priors(pose.plane()):
+                    depths.append(measured(shown, noise=0.004))
+                    known.append(prior)
     grid, prior = positions(np.stack(depths), CAMERA), join_planes(known)
     found = assert_same(grid, prior)
     flat = assert_same(grid, prior, FloorConfig(ramps=False))
-    assert (found != flat).any(axis=1).sum() > 20
+    assert (found != flat).any(axis=1).sum() > 40
 
 
 def test_tables_walls_and_little() -> None:

@@ -1,8 +1,8 @@
-"""How a floor goes on ahead: flat, as a ramp, or lower after a step."""
+"""How a floor goes on ahead: flat, as a ramp, or after a step."""
 
 import numpy as np
 
-from jaxdet.floor.units import FINE_PER_Z, PROFILE_M, ROUGH_M, Scale
+from jaxdet.floor.units import ALIKE_M, FINE_PER_Z, PROFILE_M, ROUGH_M, Scale
 from jaxdet.reference._floor_planes import Plane, Sample
 from jaxdet.reference._floor_profile import Ahead, profile
 from jaxdet.reference._floor_ramp import best_ramp, is_seen
@@ -11,6 +11,10 @@ from jaxdet.reference._floor_step import NONE, best_step
 MIN_GAIN = 5
 """A ramp or step must explain so many percent more cells than the best plane alone does: of the
 floor, not of the frame, which walls may fill."""
+
+ALIKE = 3
+"""Of planes turned by so much at most [angle steps], whose heights differ by no more than
+``ALIKE_M``, the first is tried with steps."""
 
 
 def find_ahead(
@@ -23,12 +27,12 @@ def find_ahead(
         planes: Those that may end in one.
         cells: Their inner ones are used.
         scale: The depth unit.
-        farthest: How far below the camera its floor may be [depth units]. Beyond a step the floor
-            is lower: else what stands on it, wide and low, would be the floor before a step. None:
-            nothing is known, and no step is tried, for the top of a table is as a floor before one.
+        farthest: How far below the camera its floor may be [depth units]. Beyond a step down the
+            floor is lower: else what stands on it, wide and low, would be the floor before a step.
+            None: nothing is known, and no step is tried: a table's top is like a floor before one.
     """
     inner = cells.take(cells.inner)
-    alone, ramps, lower = [], [], []
+    alone, ramps, steps, stepped = [], [], [], []
     for plane in dict.fromkeys([flat, *planes]):
         seen = profile(plane, inner, scale)
         coarse, fine = (
@@ -39,11 +43,17 @@ def find_ahead(
         votes, ramp = best_ramp(seen, coarse, fine, scale.unit)
         if is_seen(seen, ramp, fine, scale.unit):
             ramps.append((votes, plane, ramp))
-        if farthest is not None:
+        if farthest is not None and not any(_alike(plane, one, scale) for one in stepped):
+            stepped.append(plane)
             votes, step = best_step(seen, coarse, fine, farthest - plane.height, scale.unit)
-            lower.append((votes, plane, step))
-    found = [*ramps, *lower]  # of as many votes the first wins
+            steps.append((votes, plane, step))
+    found = [*ramps, *steps]  # of as many votes the first wins
     votes, plane, ahead = max(found, key=lambda one: one[0], default=(NONE, flat, None))
     if 100 * (votes - max(alone)) <= MIN_GAIN * max(*alone, 0):
         return flat, None
     return plane, ahead
+
+
+def _alike(plane: Plane, other: Plane, scale: Scale) -> bool:
+    apart = max(abs(plane.pitch - other.pitch), abs(plane.roll - other.roll))
+    return apart <= ALIKE and abs(plane.height - other.height) <= scale.length(ALIKE_M)

@@ -9,11 +9,11 @@ from jaxdet.reference._floor_planes import BELOW, BELOW_COST, Plane, Sample, alo
 
 
 class Ahead(NamedTuple):
-    """How a floor goes on ahead of its plane: as a ramp, or lower after a step."""
+    """How a floor goes on ahead of its plane: as a ramp, or lower or higher after a step."""
 
     start: int  # distance forward at which it begins [depth units]
     turn: int = 0  # the ramp's pitch against the plane, uphill positive, 0 = none [angle steps]
-    drop: int = 0  # the step, 0 = none [depth units]
+    drop: int = 0  # the step, down positive, 0 = none [depth units]
 
     def rise(self, run: np.ndarray) -> np.ndarray:
         """How much higher than the plane it is at distances, ``(T,)`` [depth units]."""

@@ -1,11 +1,11 @@
-"""A step down ahead of a plane, by votes on the floor's profile."""
+"""A step ahead of a plane, down or up, by votes on the floor's profile."""
 
 import numpy as np
 
-from jaxdet.floor.units import DROP_M
+from jaxdet.floor.units import DROP_M, SPREAD_M
 from jaxdet.reference._floor_profile import Ahead, Profile
 
-DROPS = 28  # steps down tried, up to 1.1 m
+DROPS, RISES = 28, 10  # steps tried: down to 1.1 m, and up to 0.4 m
 OWN = 4  # of the cells on both floors, one of so many must be on the nearer one
 NONE = -(1 << 40)  # fewer votes than any step has
 
@@ -13,32 +13,36 @@ NONE = -(1 << 40)  # fewer votes than any step has
 def best_step(
     seen: Profile, coarse: np.ndarray, fine: np.ndarray, deeper: int, unit: float
 ) -> tuple[int, Ahead]:
-    """The step down with most votes.
+    """The step with most votes.
 
-    The floor before it is the plane, the one beyond is parallel. The lower one must lie clear of
-    the plane, and enough of the cells before the step: else all of the floor is lower.
+    The floor before it is the plane, the one beyond is parallel. The other floor must lie clear of
+    the plane and be seen over some distance, which a wall is not; and enough of the cells must be
+    before the step: else all of the floor is lower or higher.
 
     Args:
         seen: The profile over a plane.
-        coarse: ``(T,)`` tolerance of the lower floor at each distance [depth units].
+        coarse: ``(T,)`` tolerance of the other floor at each distance [depth units].
         fine: The same of the plane.
-        deeper: The step is deeper than this [depth units].
+        deeper: A step down is deeper than this [depth units].
         unit: Metres in one depth unit.
 
     Returns:
         Its votes, and the step; :data:`NONE` where there is none.
     """
-    drops = np.arange(1, DROPS + 1) * max(round(DROP_M / unit), 1)
-    level = np.zeros_like(seen.run)
-    low = np.broadcast_to(-drops[:, None], (DROPS, len(seen.run)))
+    drops = np.concatenate([np.arange(1, DROPS + 1), -np.arange(1, RISES + 1)])
+    drops = drops[:, None] * max(round(DROP_M / unit), 1)
+    level, other = np.zeros_like(seen.run), np.broadcast_to(-drops, (len(drops), len(seen.run)))
     before = _sums_before(seen.each(level, fine))
-    beyond = _sums_from(seen.each(low, coarse))
-    own, lower = _sums_before(seen.on(level, fine)), _sums_from(seen.on(low, coarse))
-    allowed = (drops[:, None] > np.maximum(2 * coarse, deeper)) & (OWN * own >= own + lower)
-    votes = np.where(allowed, before + beyond, NONE)
+    beyond = _sums_from(seen.each(other, coarse))
+    own, others = _sums_before(seen.on(level, fine)), _sums_from(seen.on(other, coarse))
+    allowed = (abs(drops) > 2 * coarse) & ((drops > deeper) | (drops < 0))
+    votes = np.where(allowed & (OWN * own >= own + others), before + beyond, NONE)
     i, k = (int(n) for n in np.unravel_index(np.argmax(votes), votes.shape))
+    run, running = seen.run[k:], np.cumsum(seen.on(other[i], coarse)[k:])
+    first, last = (int(run[np.argmax(10 * running >= n * running[-1])]) for n in (1, 9))
+    is_seen = last - first > round(SPREAD_M / unit)
     start = int(seen.run[k] - seen.run[0])  # where that distance begins
-    return int(votes[i, k]), Ahead(start, drop=int(drops[i]))
+    return int(votes[i, k]) if is_seen else NONE, Ahead(start, drop=int(drops[i, 0]))
 
 
 def _sums_before(values: np.ndarray) -> np.ndarray:

@@ -71,6 +71,7 @@ def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
         "ramp_spread": round(units.SPREAD_M / unit),
         "start_step": round(units.FINE_START_M / unit),
         "drop": scale.length(units.DROP_M),
+        "alike": scale.length(units.ALIKE_M),
         "starts": tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
     }
 

@@ -36,7 +36,7 @@ struct Floor {
     bool known;
     // Scratch.
     unsigned long long *sums, *keys;
-    int *counts, *planes, *votes, *most_ramp, *most_step, *cells, *parts, *few, *inner, *slack, *weights;
+    int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
     int *rows, *places, *table, *lattice, *ends;
     int most, most_few, room;
 
@@ -67,7 +67,6 @@ struct Floor {
         planes = always(3 * 3 * PLANES);
         votes = always(PLANES);
         most_ramp = always(PLANES);
-        most_step = always(PLANES);
         rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
         const auto now = [&](int words) {
             int* const place = words <= room ? quick : at;
@@ -211,8 +210,7 @@ struct Floor {
                 others += is_new;
             }
             const int farthest = prior.height + settings[FloorSetting::MAX_SHIFT];
-            const FloorOutlook outlook = {ramps(),  {profile()}, known,
-                                          farthest, most_ramp,   most_step};
+            const FloorOutlook outlook = {ramps(), {profile()}, known, farthest, most_ramp};
             plane = outlook.run(team, different, others, ahead);
         }
         ThreadGroup everyone(team, sums);

@@ -4,9 +4,10 @@
 #include "floor_planes.h"
 #include "warp.h"
 
-// How a floor goes on ahead of its plane: as a ramp, or lower after a step.
+// How a floor goes on ahead of its plane: as a ramp, or lower or higher after a step.
 struct FloorAhead {
-    // Where it begins; the ramp's pitch against the plane, uphill positive, and the step. 0: none.
+    // Where it begins; the ramp's pitch against the plane, uphill positive, and the step, down
+    // positive. 0: none.
     int start = 0, turn = 0, drop = 0;
 };
 
