@@ -6,12 +6,13 @@ from jaxdet.floor.units import ALIKE_M, FINE_PER_Z, PROFILE_M, ROUGH_M, Scale
 from jaxdet.reference._floor_planes import Plane, Sample
 from jaxdet.reference._floor_profile import Ahead, profile
 from jaxdet.reference._floor_ramp import best_ramp, is_seen
-from jaxdet.reference._floor_step import NONE, best_step
+from jaxdet.reference._floor_step import best_step
 
 MIN_GAIN = 5
 """A ramp or step must explain so many percent more cells than the best plane alone does: of the
 floor, not of the frame, which walls may fill."""
-
+OVER_RAMP = 2
+"""And a step so many percent more than a ramp, of which it may be a part."""
 ALIKE = 3
 """Of planes turned by so much at most [angle steps], whose heights differ by no more than
 ``ALIKE_M``, the first is tried with steps."""
@@ -47,11 +48,13 @@ def find_ahead(
             stepped.append(plane)
             votes, step = best_step(seen, coarse, fine, farthest - plane.height, scale.unit)
             steps.append((votes, plane, step))
-    found = [*ramps, *steps]  # of as many votes the first wins
-    votes, plane, ahead = max(found, key=lambda one: one[0], default=(NONE, flat, None))
-    if 100 * (votes - max(alone)) <= MIN_GAIN * max(*alone, 0):
-        return flat, None
-    return plane, ahead
+    best = max(alone), flat, None
+    for found in (ramps, steps):
+        one = max(found, key=lambda ahead: ahead[0], default=best)
+        gain = OVER_RAMP if best[2] else MIN_GAIN
+        if 100 * (one[0] - best[0]) > gain * max(best[0], 0):
+            best = one
+    return best[1:]
 
 
 def _alike(plane: Plane, other: Plane, scale: Scale) -> bool:

@@ -5,7 +5,7 @@
 #include "floor_step.h"
 
 struct FloorOutlook {
-    enum { MIN_GAIN = 5, ALIKE = 3 };
+    enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
     FloorRamps ramps;
     FloorSteps steps;
     // Whether steps are tried, and how far below the camera its floor may be.
@@ -48,10 +48,13 @@ struct FloorOutlook {
             best_votes = needed - 1;
             best_plane = 0;
             out = {};
+        } else {
+            // So many are enough for a ramp to be taken instead.
+            const int percent = 100 + OVER_RAMP, votes = best_votes;
+            const int enough = votes > 0 ? (100 * votes + percent - 1) / percent : votes;
+            best_votes = (enough > needed ? enough : needed) - 1;
         }
         int sorted = count - 1;
-        // Of as many votes those for a ramp win.
-        if (out.drop) best_votes--;
         for (int n = 0; n < count; n++) {
             if (most_ramp[n] <= best_votes) continue;
             if (n != sorted) ramps.sort(team, planes[n]);
