@@ -166,7 +166,7 @@ class FloorConfig:
     """The same without a prior, of a camera pitched by up to 35 degrees; 1.2 % more for each degree
     beyond. Cells clearly below the floor count twice against it."""
     ramps: bool = True
-    """Look for a ramp ahead, or a step down where something is known of the floor."""
+    """Look for a ramp ahead, or for a step where something is known of the floor."""
     bow_per_m: float = 0.01
     """What is measured below the plane by the step height and this, in proportion to z squared, is
     floor still: far floors are bowed [1/m]."""
