@@ -162,6 +162,17 @@ def test_depth_units(unit: float) -> None:
         assert_same(scaled, repeat_plane(prior, 2), CONFIG, unit)
 
 
+def test_cells_at_the_very_edge_of_the_tolerance_move_no_plane() -> None:
+    """In coarse units it is a few, and Tukey's biweight of what lies there is 0."""
+    z = np.broadcast_to(np.arange(340, 590, 5, dtype=np.int32)[:, None], (50, 40))[None].copy()
+    x = np.broadcast_to(np.arange(-20, 20, dtype=np.int32), z.shape).copy()
+    given = flat_plane(*(np.array([a]) for a in (0.5, 0.0, 0.0)))
+    config = FloorConfig(noise_per_m=0.0, max_turn_deg=0.0, max_shift_m=0.0)
+    for below in (3, -3):
+        (found,) = assert_same([x, np.full_like(x, 50 + below), z], given, config, 0.01)
+        assert found[:3].tolist() == [0, 0, 50]
+
+
 # anything
 
 

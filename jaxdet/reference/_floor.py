@@ -66,13 +66,13 @@ def find_floor(
     config: FloorConfig,
     depth_unit: float,
 ) -> FloorFit:
-    """Finds the floor plane of each frame, and a ramp ahead, in the frame alone.
+    """Finds the floor plane of each frame, and a ramp or step ahead, in the frame alone.
 
     Planes on a fixed lattice of pitch, roll and height, around the prior or over all that cameras
     can have, get the votes of a fourth of the cells: one for each cell within a tolerance that
     grows with depth, less two for each clearly below. The best few are refined by weighted least
     squares on the cells near them, in fixed rounds. Planes that only the nearer cells speak for are
-    tried with ramps ahead; a ramp is taken where clearly more cells speak for it.
+    tried with ramps and steps ahead; one is taken where clearly more cells speak for it.
 
     Every decision is made on integers: angles of 1/32 degree and whole depth units. Only tables of
     sines and tangents are rounded from floating point.

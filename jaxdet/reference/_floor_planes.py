@@ -111,7 +111,8 @@ def refine(
     ``TURN_BITS`` before they are multiplied, so all products are exact too.
 
     Args:
-        plane: Where to begin; it stays where fewer than 20 cells are near.
+        plane: Where to begin; it stays where fewer than 20 cells are near, or all of them as far
+            away as that allows.
         cells: ``K`` of them.
         slack: Cells one and a half times so far away count as near. The weight is its inverse
             square times Tukey's biweight, so that the feet of walls weigh little.
@@ -130,6 +131,8 @@ def refine(
         gate = 9 * allowed[near] * allowed[near]
         taper = 64 - 64 * 4 * e[near] * e[near] // gate
         weight = taper * taper * (64 * 9 * slack.base * slack.base // gate + 1) >> 6
+        if not weight.any():
+            return plane
         t, s = (along(axis, some) >> lever_bits for axis in (forward, right))
         turns = _turns(weight, e[near], t, s, _pull(plane, prior), lever_bits)
         pitch, roll = plane.pitch + turns[0], plane.roll

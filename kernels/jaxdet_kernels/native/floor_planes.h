@@ -186,7 +186,7 @@ struct FloorRefine {
         }
         long long sums[10] = {count, w0, we, wt, ws, tt, ts, ss, te, se};
         group.sum(sums, 10);
-        if (sums[0] < FEWEST) return false;
+        if (sums[0] < FEWEST || !sums[1]) return false;
         int turned_to[2] = {0, 0};
         if (group.leads()) turn(sums, plane, turned_to);
         group.broadcast(turned_to, 2);
