@@ -44,8 +44,8 @@ RUN_M, RISE_M = 0.064, 0.004
 FARTHEST_M, HIGHEST_M = 6.0, 1.3
 """Where the profile ends; what is lower is counted at its lower edge."""
 RAMP_NEAR_M, SPREAD_M = 0.5, 0.4
-"""A ramp must be seen this near to where it can be told from the plane, and over such a distance, as
-the floor beyond a step; an obstacle's top or face is seen in one place."""
+"""A ramp must be seen this near to where it can be told from the plane, and over such a distance,
+as the floor beyond a step; an obstacle's top or face is seen in one place."""
 RAMP_M = 3.6  # a plane far from the prior is a ramp where it crosses the prior so near
 STEP_M, TABLE_M = 0.05, 0.10
 """Cells so far above a plane are an obstacle's, cells so far below it show that it is no floor."""
