@@ -176,16 +176,15 @@ def test_stills_of_repositories_become_logs(tmp_path):
                 image[0, 0] = 1e6  # farther than 16 bits have room for
                 np.save(clone / color, picture)
                 np.save(clone / depth, image)
-                pictures[room["name"]] = pictures.get(room["name"], picture)
-                image = np.minimum(image, 65535)
-                depths.setdefault(room["name"], np.rint(image))
-                continue
-            cv2.imwrite(str(clone / color), picture)
-            if depth.endswith(".mat"):
-                savemat(clone / depth, {"depth_array": image})
+                pictures.setdefault(room["name"], picture)
             else:
-                cv2.imwrite(str(clone / depth), image)
-            depths.setdefault(room["name"], np.rint(image * room["depth_unit_m"] * 1000))
+                cv2.imwrite(str(clone / color), picture)
+                if depth.endswith(".mat"):
+                    savemat(clone / depth, {"depth_array": image})
+                else:
+                    cv2.imwrite(str(clone / depth), image)
+            stored = np.rint(image * room["depth_unit_m"] * 1000)
+            depths.setdefault(room["name"], np.minimum(stored, 65535))
     script = str(Path(__file__).parents[1] / "scripts" / "rooms_to_mcap")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "rooms")]

@@ -67,6 +67,13 @@ def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
     return Profile(np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0))), middles, rise_bits)
 
 
+def spread(run: np.ndarray, counts: np.ndarray) -> tuple[int, int]:
+    """Between which distances ``(T,)`` all but a tenth of the cells at each end lie."""
+    running = np.cumsum(counts)
+    first, last = (int(run[np.argmax(10 * running >= n * running[-1])]) for n in (1, 9))
+    return first, last
+
+
 def distance(plane: Plane, cells: Sample) -> np.ndarray:
     """How far forward of the camera cells are on a plane, ``(K,)`` int64 [depth units]."""
     return along(floor_axes(plane)[2], cells)

@@ -14,7 +14,7 @@ from jaxdet.floor.units import (
     slopes,
 )
 from jaxdet.reference._floor_planes import BELOW, Plane
-from jaxdet.reference._floor_profile import Ahead, Profile, rises
+from jaxdet.reference._floor_profile import Ahead, Profile, rises, spread
 
 LEAST_TURN, MOST_TURN = 3 * ANGLES, 12 * ANGLES
 TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
@@ -86,9 +86,9 @@ def is_seen(seen: Profile, ramp: Ahead, slack: np.ndarray, unit: float) -> bool:
     high = rise + slack if ramp.turn > 0 else np.minimum(rise + slack, -slack)
     anew = np.where(telling, seen.under(high) - seen.under(low), 0)
     there = np.where(telling, seen.under(np.maximum(rise, 0) + BELOW * slack), 0)
-    total, running = int(anew.sum()), np.cumsum(anew)
+    total = int(anew.sum())
     if 100 * total < MIN_SHARE * int(there.sum()) or not total:
         return False
-    first, last = (int(seen.run[np.argmax(10 * running >= n * total)]) for n in (1, 9))
+    first, last = spread(seen.run, anew)
     begin = int(seen.run[np.argmax(telling)])
     return first < begin + round(RAMP_NEAR_M / unit) and last - first > round(SPREAD_M / unit)

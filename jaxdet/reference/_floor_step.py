@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdet.floor.units import DROP_M, SPREAD_M
-from jaxdet.reference._floor_profile import Ahead, Profile
+from jaxdet.reference._floor_profile import Ahead, Profile, spread
 
 DROPS, RISES = 28, 10  # steps tried: down to 1.1 m, and up to 0.4 m
 OWN = 4  # of the cells on both floors, one of so many must be on the nearer one
@@ -38,8 +38,7 @@ def best_step(
     allowed = (abs(drops) > 2 * coarse) & ((drops > deeper) | (drops < 0))
     votes = np.where(allowed & (OWN * own >= own + others), before + beyond, NONE)
     i, k = (int(n) for n in np.unravel_index(np.argmax(votes), votes.shape))
-    run, running = seen.run[k:], np.cumsum(seen.on(other[i], coarse)[k:])
-    first, last = (int(run[np.argmax(10 * running >= n * running[-1])]) for n in (1, 9))
+    first, last = spread(seen.run[k:], seen.on(other[i], coarse)[k:])
     is_seen = last - first > round(SPREAD_M / unit)
     start = int(seen.run[k] - seen.run[0])  # where that distance begins
     return int(votes[i, k]) if is_seen else NONE, Ahead(start, drop=int(drops[i, 0]))

@@ -68,7 +68,7 @@ def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
         "half": round(units.HIGHEST_M / unit) >> rise_bits,
         "profile_base": scale.length(units.PROFILE_M),
         "ramp_near": round(units.RAMP_NEAR_M / unit),
-        "ramp_spread": round(units.SPREAD_M / unit),
+        "spread": round(units.SPREAD_M / unit),
         "start_step": round(units.FINE_START_M / unit),
         "drop": scale.length(units.DROP_M),
         "alike": scale.length(units.ALIKE_M),

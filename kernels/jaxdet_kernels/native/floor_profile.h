@@ -146,6 +146,30 @@ struct FloorProfile {
 #endif
     }
 
+    // Cells at a distance on a floor so much above the plane; and those clearly below it.
+    int on(int k, int height, int slack, int& low) const {
+        low = 0;
+        if (begin()[k] == begin()[k + 1]) return 0;
+        const int ends[3] = {index(height + slack), index(height - slack),
+                             index(height - FloorScore::BELOW * slack)};
+        int under[3];
+        lower(k, ends, under, 3);
+        low = under[2];
+        return under[0] - under[1];
+    }
+
+    // Between which distances all but a tenth of the cells at each end lie, by how many each has.
+    void spread(const int* counts, int& first, int& last) const {
+        long long total = 0, running = 0;
+        for (int k = 0; k < runs(); k++) total += counts[k];
+        first = last = -1;
+        for (int k = 0; k < runs(); k++) {
+            running += counts[k];
+            if (first < 0 && 10 * running >= total) first = k;
+            if (last < 0 && 10 * running >= 9 * total) last = k;
+        }
+    }
+
     // Cells under a height over the plane at a distance.
     int under(int k, int height) const {
         if (begin()[k] == begin()[k + 1]) return 0;

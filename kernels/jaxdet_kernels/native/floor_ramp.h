@@ -49,12 +49,9 @@ struct FloorRamps : FloorProfile {
         team.sync();
 #if defined(__CUDA_ARCH__)
         for (int k = team.rank; k < runs(); k += team.size) {
-            if (begin()[k] == begin()[k + 1]) continue;
-            const int s = slack[k];
-            const int ends[3] = {index(s), index(-s), index(-FloorScore::BELOW * s)};
-            int under[3];
-            lower(k, ends, under, 3);
-            flat()[k] = under[0] - under[1] - each * under[2];
+            int low;
+            const int here = on(k, 0, slack[k], low);
+            flat()[k] = here - each * low;
         }
 #endif
         for (int i = team.rank; i < begin()[runs()]; i += team.size) {
@@ -252,14 +249,10 @@ struct FloorRamps : FloorProfile {
             if (begins < 0) begins = k;
         }
         if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
-        int first = -1, last = -1, running = 0;
-        for (int k = 0; k < runs(); k++) {
-            running += anew()[k];
-            if (first < 0 && 10LL * running >= total) first = k;
-            if (last < 0 && 10LL * running >= 9LL * total) last = k;
-        }
+        int first, last;
+        spread(anew(), first, last);
         return middle(first) < middle(begins) + settings[FloorSetting::RAMP_NEAR] &&
-               middle(last) - middle(first) > settings[FloorSetting::RAMP_SPREAD];
+               middle(last) - middle(first) > settings[FloorSetting::SPREAD];
     }
 
     // The ramp that a steeper plane is, ahead of a level one.

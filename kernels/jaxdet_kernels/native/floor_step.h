@@ -16,21 +16,9 @@ struct FloorSteps : FloorProfile {
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
     }
 
-    // Cells at a distance on a floor so much above the plane; and those clearly below it.
-    int on(int k, int height, int slack, int& low) const {
-        low = 0;
-        if (begin()[k] == begin()[k + 1]) return 0;
-        const int ends[3] = {index(height + slack), index(height - slack),
-                             index(height - FloorScore::BELOW * slack)};
-        int under[3];
-        lower(k, ends, under, 3);
-        low = under[2];
-        return under[0] - under[1];
-    }
-
-    // The first step with most votes of a plane whose cells are sorted, and its votes; false where
-    // these are fewer than `least` or the other floor is not seen over some distance. A step down is
-    // deeper than `deeper`.
+    // The first step with most votes of a plane whose cells are sorted, once there are flat votes
+    // of the fine tolerance, and its votes; false where these are fewer than `least` or the other
+    // floor is not seen over some distance. A step down is deeper than `deeper`.
     bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
@@ -39,11 +27,9 @@ struct FloorSteps : FloorProfile {
         for (int k = team.rank; k < n; k += team.size) {
             int low;
             own()[k] = on(k, 0, fine()[k], low);
-            flat()[k] = own()[k] - each * low;
         }
         team.sync();
         if (warp.index == 0) warp.run_up(own(), n);
-        if (warp.index == 1 % warp.count) warp.run_up(flat(), n);
         team.sync();
         for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
             const int deep = drop(i), size = deep < 0 ? -deep : deep;
@@ -83,14 +69,9 @@ struct FloorSteps : FloorProfile {
             others()[k] = k < from ? 0 : on(k, -deep, coarse()[k], low);
         }
         team.sync();
-        const Warp warp(team);
-        if (warp.index == 0) warp.run_up(others(), n);
+        int first, last;
+        spread(others(), first, last);
         team.sync();
-        const long long total = others()[n];
-        int first = from, last = from;
-        while (first < n - 1 && 10LL * others()[first + 1] < total) first++;
-        while (last < n - 1 && 10LL * others()[last + 1] < 9 * total) last++;
-        team.sync();
-        return middle(last) - middle(first) > settings[FloorSetting::RAMP_SPREAD];
+        return middle(last) - middle(first) > settings[FloorSetting::SPREAD];
     }
 };
