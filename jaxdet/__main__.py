@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import suppress
 from typing import NoReturn
 
 from jaxdet.cli import main
@@ -16,11 +17,12 @@ def command() -> NoReturn:
     _open_streams()
     code = main(sys.argv[1:])
     _remove_temporary()
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:  # whoever read it has gone, or the disk is full
-            code = code or 1
+    try:
+        sys.stdout.flush()
+    except OSError:  # whoever read it has gone, or the disk is full
+        code = code or 1
+    with suppress(OSError):  # progress and warnings that nobody reads cost nothing
+        sys.stderr.flush()
     os._exit(code)
 
 

@@ -27,7 +27,8 @@ def quiet_warp() -> None:
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
-    sys.stderr.flush()
+    with suppress(OSError):  # nobody reads it
+        sys.stderr.flush()
     stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)  # the note comes from native code
