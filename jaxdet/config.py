@@ -53,6 +53,9 @@ class GroundConfig:
     noise_per_m: float = 0.07
     """Noise of depth on the floor [1/m]: the step height is at least this times the camera's height
     above the floor and the depth, an s-th of it with cells of s x s pixels. 0: as good as none."""
+    max_height_m: float = 2.0
+    """What the robot fits under [m]: what hangs higher is no obstacle. Of what stands the part
+    below counts. 0: no limit; clusters of points have none."""
     camera_height_m: float | None = None
     """Optical centre above the floor [m], as far as known; unset: from the log's TF, else from a
     sample of its frames. Each frame's own depth corrects it."""
@@ -74,6 +77,11 @@ class GroundConfig:
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
         _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
         _require_within(self, 0, FARTHEST_M, "step_height_m")
+        _require(
+            self.max_height_m == 0 or self.step_height_m < self.max_height_m <= FARTHEST_M,
+            "ground.max-height-m",
+            f"above the step height, to {FARTHEST_M:g} m, or 0",
+        )
         _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
         _require(0 <= self.noise_per_m < 1, "ground.noise-per-m", "in [0, 1)")
         _require(

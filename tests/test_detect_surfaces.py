@@ -126,6 +126,34 @@ def test_free_floor_before_and_beside_a_box() -> None:
     assert len(beyond) > 50 and (beyond > 3400).all() and (beyond <= 4000).all()
 
 
+def test_what_hangs_higher_than_the_robot_is_no_obstacle() -> None:
+    """A gate of two posts 1.2 m apart and a beam from 0.5 m up, in one plane."""
+    posts = [((-0.8, 2.0, 0.0), (-0.6, 2.2, 1.0)), ((0.6, 2.0, 0.0), (0.8, 2.2, 1.0))]
+    gate = made(cast(POSE, [*posts, ((-0.6, 2.0, 0.5), (0.6, 2.2, 1.0))])[None], POSE.plane())
+
+    def under(height_m: float) -> Detections:
+        ground = replace(SURFACES.ground, max_height_m=height_m)
+        return found(gate, replace(SURFACES, ground=ground))
+
+    for height_m in (0.0, 1.3):
+        whole = under(height_m)
+        assert count(whole) == 1 and sizes(whole)[0, 0] == pytest.approx(1.6, abs=0.05)
+        assert sizes(whole)[0, 2] > 0.7
+    low = under(0.45)
+    assert count(low) == 2 and (sizes(low)[:, 0] < 0.3).all()
+    assert (sizes(low)[:, 2] <= 0.45).all() and (sizes(low)[:, 2] > 0.4).all()
+    assert low.scene
+    between = np.abs(low.scene.free[0, :, 1, 0]) < 0.5 * low.scene.free[0, :, 1, 1] / 2.2
+    assert between.sum() > 20 and (low.scene.free_end[0, between] == FreeEnd.RANGE).all()
+
+
+def test_without_a_floor_nothing_hangs_higher() -> None:
+    given = made(cast(POSE, [BOX])[None], None)
+    unknown = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
+    limits = (replace(SURFACES.ground, max_height_m=m) for m in (0.0, 0.1))
+    assert_equal(*(found(given, replace(unknown, ground=limit)) for limit in limits))
+
+
 def test_cells_of_twice_the_pixels_add_half_to_the_step() -> None:
     """A box 9 cm high and 2.6 m away, in cells of one pixel and of 2 x 2 equal ones."""
     fine_camera = Intrinsics(320, 240, 304.0, 304.0, 159.5, 119.5)

@@ -122,8 +122,10 @@ def test_slanted_things(shape, noise):
         with_surface(step_m=1e3, step_per_m=1e3, crease_m=1e3, bent_m=1e3, beyond=4.0),
         with_surface(step_m=0.0, step_per_m=0.0, min_cells=1, bent_m=0.0),
         with_surface(min_cells=60),
+        replace(SURFACES, ground=replace(SURFACES.ground, max_height_m=0.3)),
+        replace(SURFACES, ground=replace(SURFACES.ground, max_height_m=0.0)),
     ],
-    ids=["tabletop", "wide", "sharp", "endless", "none", "large"],
+    ids=["tabletop", "wide", "sharp", "endless", "none", "large", "low", "high"],
 )
 def test_settings(config):
     rng = np.random.default_rng(1)

@@ -42,6 +42,7 @@ COMMON = (
     "ground.camera_roll_rad",
     "ground.max_depth_m",
     "ground.step_height_m",
+    "ground.max_height_m",
     "obstacle.min_size_m",
     "log.color",
     "log.depth",

@@ -14,7 +14,8 @@ FLOOR_VALUES = 13
 """Integers of a floor frame: right, forward and down in the camera (three each, ``FRAME_BITS``
 fraction bits), height of the optical centre [depth units], whether the floor is known, where a ramp
 begins [depth units], and its rise over its run (``FRAME_BITS`` fraction bits)."""
-DOWN, CAMERA_HEIGHT = slice(6, 9), 9  # where down and the height are among them
+DOWN, CAMERA_HEIGHT, IS_KNOWN = slice(6, 9), 9, 10
+"""Where down, the height and whether the floor is known are among them."""
 UNKNOWN_HEIGHT = 1 << 20  # of everything, where the floor is not known [depth units]
 STEEPEST_SLOPE = 8  # rise over run of a ramp, at most
 

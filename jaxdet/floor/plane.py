@@ -102,6 +102,11 @@ def depth_range(min_depth_m: float, max_depth_m: float, depth_unit: float) -> tu
     return max(1, nearest), min(65535, farthest)
 
 
+def max_height(config: GroundConfig, depth_unit: float) -> int:
+    """``max_height_m`` in whole depth units, 2^30 for none."""
+    return min(round(config.max_height_m / depth_unit) or 1 << 30, 1 << 30)
+
+
 def floor_limits(
     camera: Intrinsics, plane: GroundPlane, config: GroundConfig, depth_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -49,8 +49,8 @@ class LogOptions:
     """Metres in one unit of a 16-bit depth image; unset: 0.001. 32FC1 is in metres always and
     is rounded to this unit."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
-    """T_color_depth as tx ty tz qx qy qz qw [m]: takes depth-camera points to the colour
-    camera; goes before what the log says."""
+    """T_color_depth, from depth to colour camera: tx ty tz qx qy qz qw [m]; goes before what
+    the log says."""
     color_intrinsics: tuple[float, float, float, float] | None = None
     """fx fy cx cy of the colour camera [pixel]; goes before what the log says."""
     depth_intrinsics: tuple[float, float, float, float] | None = None

@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, floor_frames, on_floor
-from jaxdet.floor.plane import StepHeight, depth_range, quadratic_table, step_height
+from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, IS_KNOWN, floor_frames, on_floor
+from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
 from jaxdet.reference._cells import cell_centers, cells, cover, margins
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._features import features
@@ -143,7 +143,8 @@ def _surfaces(
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
     rise = step.at(view.z, int(floor[CAMERA_HEIGHT]))
     in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
-    keep = in_range & (view.height > rise)
+    below = (view.height <= max_height(ground_config, unit)) | (floor[IS_KNOWN] == 0)
+    keep = in_range & (view.height > rise) & below
     label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= rise)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)

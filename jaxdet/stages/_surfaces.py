@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import depth_range, quadratic_table, step_height
+from jaxdet.floor.plane import depth_range, max_height, quadratic_table, step_height
 from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
 from jaxdet.types import Array, Calibration
 from jaxdet_kernels import surfaces as kernels
@@ -44,7 +44,7 @@ def tables(calibration: Calibration, config: Config) -> Tables:
         steps=np.minimum(steps, MOST_STEP),
         limits=np.minimum(limits, MOST_LIMIT),
         rises=step.table,
-        settings=(nearest, farthest, *creases, bent, step.noise),
+        settings=(nearest, farthest, *creases, bent, step.noise, max_height(ground, unit)),
     )
 
 

@@ -34,7 +34,7 @@ def surfaces(
     steps: wp.array[wp.int32],  # (65536,) by z, largest step between neighbours, at most 2^16
     limits: wp.array[wp.int32],  # (65536,) by z, deeper bends are creases, at most 2^17
     rises: wp.array[wp.int32],  # (65536,) by z, what is no higher above the floor is floor
-    settings: wp.array[wp.int32],  # (7,) see native/surfaces.h
+    settings: wp.array[wp.int32],  # (8,) see native/surfaces.h
     right_out: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward_out: wp.array3d[wp.int32],
     height_out: wp.array3d[wp.int32],  # above the floor, ramps included

@@ -19,8 +19,8 @@ struct Surfaces {
     };
     // Where each setting is: depths up to which surfaces are followed; the height up to which those
     // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
-    // camera's height, with NOISE_BITS fraction bits.
-    enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, SETTINGS };
+    // camera's height, with NOISE_BITS fraction bits; and what hangs higher is no obstacle.
+    enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, SETTINGS };
     enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
     const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
@@ -82,7 +82,8 @@ struct Surfaces {
         int high = frame.level(a, b, d);
         if (frame.has_ramp()) high -= frame.rise(ahead);
         const bool above = high > rise;
-        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above;
+        const bool below = (high <= settings[HIGHEST]) | !frame.valid;
+        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
         right[k] = frame.right(a, b, d);
         forward[k] = ahead;
         height[k] = high;
