@@ -18,6 +18,7 @@ from jaxdet.io import Log, LogOptions, find_logs, open_log
 from jaxdet.io.bag import BagFile, records
 from jaxdet.sim import SimConfig, write_log
 from tests.io_helpers import convert_log
+from tests.io_helpers import write_log as write_made
 
 TABLES = ("frames.parquet", "obstacles.parquet")
 
@@ -290,4 +291,12 @@ def test_db3_that_was_not_closed_or_is_compressed(db3, tmp_path):
     with closing(sqlite3.connect(path)) as file, file:
         file.execute("UPDATE messages SET data = X'28B52FFD0000'")
     with pytest.raises(InputError, match=r"compressed one by one.*rosbags-convert"):
+        open_log(str(path))
+
+
+@pytest.mark.parametrize("suffix", ["-wal", "-journal"])
+def test_a_database_with_a_journal_was_not_closed(tmp_path, suffix):
+    path = convert_log(write_made(tmp_path / "x.mcap"), tmp_path / "db")
+    path.with_name(path.name + suffix).write_bytes(b"x")
+    with pytest.raises(InputError, match=f"was not closed: .*{suffix} holds part of it"):
         open_log(str(path))

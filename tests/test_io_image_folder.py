@@ -216,3 +216,19 @@ def test_stamps_that_are_none(tmp_path, stamp):
     with pytest.raises(InputError, match=r"rgb\.txt.*(no stamp|out of range)") as caught:
         open_log(str(folder), GIVEN)
     assert len(str(caught.value)) < 200 + len(str(folder))
+
+
+def test_a_camera_file_without_a_scale_is_in_millimetres(tmp_path):
+    with open_log(str(write_open3d(tmp_path / "room"))) as log:
+        assert log.calibration.depth_unit == 0.001
+
+
+def test_images_of_other_sizes_are_another_folder(tmp_path):
+    sizes = {"a.png": 1, "b.png": 2}
+    found = []
+    for _ in range(2):
+        for name, size in sizes.items():
+            (tmp_path / name).write_bytes(b"x" * size)
+        found.append(fingerprint(tmp_path)["fingerprint"])
+        sizes = {"a.png": 2, "b.png": 1}
+    assert found[0] != found[1]

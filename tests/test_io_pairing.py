@@ -6,11 +6,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from jaxdet.errors import CalibrationError
+from jaxdet.errors import CalibrationError, FrameStatus
+from jaxdet.io import LogOptions, open_log
 from jaxdet.io.messages import TransformMessage
-from jaxdet.io.motion import MARGIN_S, MAX_GAP_S, difference, interpolate, inverse, motion_matrix
+from jaxdet.io.motion import (
+    MARGIN_S,
+    MAX_GAP_S,
+    MotionSamples,
+    difference,
+    interpolate,
+    inverse,
+    motion_matrix,
+)
 from jaxdet.io.pairing import pair
 from jaxdet.io.transforms import TransformTree
+from tests.io_helpers import (
+    COLOR,
+    COLOR_FRAME,
+    DEPTH,
+    DEPTH_FRAME,
+    START,
+    STORE,
+    LogFile,
+    make_scene,
+    ros_image,
+    write_calibration,
+    write_log,
+)
 
 MS = 1_000_000
 STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted(s), np.int64) * MS)
@@ -134,3 +156,90 @@ def test_inverse_and_difference():
     second = motion_matrix(np.array([1.0, 2, 3.5]), Rotation.from_euler("z", -0.1).as_quat())
     np.testing.assert_allclose(inverse(first) @ first, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(difference(first, second), (0.5, 0.3))
+
+
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
+
+def test_of_equal_stamps_the_last_motion_counts():
+    samples = MotionSamples()
+    for x in (1.0, 2.0):
+        samples.add(START, (x, 0.0, 0.0), NO_TURN)
+    assert samples.at(np.array([START]))[0, 0, 3] == 2.0
+
+
+def transform(parent, child, x=0.0, at=START):
+    return TransformMessage(at, parent, child, (x, 0.0, 0.0), NO_TURN)
+
+
+def test_a_static_transform_goes_before_a_moving_one_of_another_parent():
+    tree = TransformTree()
+    tree.add([transform("odom", "camera")], static=False)
+    tree.add([transform("base", "camera", 2.0)], static=True)
+    tree.settle()
+    T = tree.fixed("base", "camera")
+    assert T is not None and T[0, 3] == 2.0
+    assert tree.parent("camera") == "base"
+
+
+@pytest.mark.parametrize("once", [False, True])
+def test_one_moving_transform_is_static_only_where_nothing_tells(once):
+    tree = TransformTree()
+    tree.add([transform("base", "camera")], static=False, once_is_static=once)
+    tree.settle()
+    assert (tree.fixed("base", "camera") is not None) is once
+
+
+def test_images_of_equal_stamps_go_by_log_time(tmp_path):
+    scene, path = make_scene(2), tmp_path / "x.mcap"
+    with LogFile(path) as log:
+        write_calibration(log)
+        for number, at in (
+            (1, START + 9_000_000),
+            (0, START + 5_000_000),
+        ):  # the later one is first
+            log.ros(DEPTH, ros_image(scene.depth[number], "16UC1", START, DEPTH_FRAME), at)
+            log.ros(COLOR, ros_image(scene.color[number], "rgb8", START, COLOR_FRAME), at)
+    for scan in (False, True):
+        with open_log(str(path), LogOptions(scan=scan)) as log:
+            batch = log.read([0, 1])
+            np.testing.assert_array_equal(batch.frames.color, scene.color)
+            np.testing.assert_array_equal(batch.frames.depth, scene.depth)
+
+
+def raw(log, topic, data, at):
+    name = "sensor_msgs/msg/Image"
+    text = STORE.generate_msgdef(name, ros_version=2)[0].encode()
+    log.raw(topic, "cdr", (name, "ros2msg", text), data, at)
+
+
+def test_an_image_whose_stamp_cannot_be_read_keeps_its_place(tmp_path):
+    scene, path = make_scene(5), tmp_path / "x.mcap"
+    with LogFile(path) as log:
+        write_calibration(log)
+        for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
+            log.ros(DEPTH, ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME), int(depth_at))
+            if i == 2:
+                raw(log, COLOR, b"\0\1\0\0", int(at))
+            else:
+                log.ros(COLOR, ros_image(color, "rgb8", int(at), COLOR_FRAME), int(at))
+    for scan in (False, True):
+        with open_log(str(path), LogOptions(scan=scan)) as log:
+            [batch] = log.batches(5)
+            bad, good = FrameStatus.DECODE_ERROR, FrameStatus.OK
+            assert batch.status == (good, good, bad, good, good)
+            assert batch.frames.stamp_ns.tolist() == scene.color_ns.tolist()
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_a_clock_that_begins_at_zero(tmp_path, scan):
+    scene = make_scene(4)
+    scene = scene._replace(
+        color_ns=np.arange(4) * 33_333_333 + 4_000_000, depth_ns=np.arange(4) * 33_333_333
+    )
+    path = write_log(tmp_path / "x.mcap", scene)
+    with open_log(str(path), LogOptions(scan=scan)) as log:
+        [batch] = log.batches(4)
+        assert batch.status == (FrameStatus.OK,) * 4, batch.errors
+        np.testing.assert_array_equal(batch.frames.depth, scene.depth)
+        assert log.described(batch.notes).pairing.num_unpaired_color == 0

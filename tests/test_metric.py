@@ -134,3 +134,18 @@ def test_straight_down_uses_the_image_up() -> None:
 def test_unknown_pose_is_nan() -> None:
     found = metric.to_world(np.zeros((1, 2, 4, 2)), np.full((1, 4, 4), np.nan))
     assert np.isnan(found).all()
+
+
+def test_the_nearest_of_a_b_and_c_is_the_distance():
+    near = [(300, 400), (0, 1000), (0, 900)]
+    for turn in range(3):
+        points = near[turn:] + near[:turn]
+        assert metric.corner_distances(outline(*points)).tolist() == [[500.0]]
+
+
+def test_the_margin_goes_outward_where_the_vertex_is_nearer_than_ab():
+    config = FootprintConfig(extension_m=0.2, margin_m=0.1, margin_per_m2=0.0)
+    given = outline((-200, 1000), (200, 1000), (0, 800), True)
+    found = metric.rectangles(given, 0.001, config)[0, 0]
+    np.testing.assert_allclose(found.min(axis=0), [-0.3, 0.7])
+    np.testing.assert_allclose(found.max(axis=0), [0.3, 1.1])

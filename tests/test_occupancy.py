@@ -106,3 +106,11 @@ def test_a_cell_may_be_occupied_and_free() -> None:
     assert ((image.free > 0) & (image.counts > 0)).any()
     assert image.free.shape == image.counts.shape
     np.testing.assert_allclose(image.origin, (0.0, 0.0), atol=CELL_M)
+
+
+def test_what_two_maps_left_out_adds_up():
+    maps = [OccupancyMap(), OccupancyMap()]
+    for one in maps:
+        one.add(np.full((1, 8), 1e15))
+    maps[0].merge(maps[1])
+    assert maps[0].skipped == 2

@@ -335,3 +335,10 @@ def test_parts_are_in_order_and_their_sides_long_enough(contour: list) -> None:
     parts = straight_parts(points, 150, 400, 400)
     assert parts[0] == 0 and parts == sorted(set(parts))
     assert parts[-1] < max(len(points), 1)
+
+
+def test_both_sides_of_a_corner_must_be_long_enough():
+    left = [(-600, y) for y in (2800, 2900)]
+    across = [(x, 3000) for x in range(-600, 600, 100)]
+    assert straight_parts(np.array(left + across), 100, 300, 200) == [0]
+    assert straight_parts(np.array(left + across), 100, 150, 200) == [0, 2]

@@ -2,7 +2,9 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,7 +18,7 @@ from jaxdet.io import LogOptions, find_logs
 from jaxdet.results import writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_file_name, file_names
-from jaxdet.results.reading import Results
+from jaxdet.results.reading import Chunk, Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
 from tests.made_results import make_results
@@ -195,3 +197,12 @@ def test_files_of_different_logs_and_cameras_have_different_names() -> None:
     assert len(files) == len(cameras)
     for name in (*names, *files):
         assert set(name.encode()).isdisjoint(b"/ ") and len(name.encode()) < 110
+
+
+def test_obstacles_of_other_frames_are_refused():
+    frames = pa.table({"log": ["a"] * 2, "camera": ["c"] * 2, "frame": [0, 1]})
+    obstacles = pa.table({"log": ["a"], "camera": ["c"], "frame": [0]})
+    results, log = SimpleNamespace(folder=Path("x")), SimpleNamespace(name="a", camera="c")
+    Results._check(results, log, Chunk(frames, obstacles), np.array([1, 0]))
+    with pytest.raises(InputError, match="belong together"):
+        Results._check(results, log, Chunk(frames, obstacles), np.array([0, 1]))

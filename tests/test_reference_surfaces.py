@@ -304,3 +304,26 @@ def test_small_grids(shape: tuple, config: SurfaceConfig) -> None:
     assert (none == -1).all()
     if z.size:
         assert (without_bent_floor(none, z > 0, z, 0 * z, UNIT, config) == -1).all()
+
+
+def test_a_thing_at_the_lower_edge_of_a_margin_is_no_bent_floor():
+    label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
+    label[2:, :2], height[2:, :2] = 0, 60
+    forward = np.full((4, 24), 1000)
+    config = SurfaceConfig(bent_m=0.2)
+    kept = without_bent_floor(label, label < 0, forward, height, 0.001, config)
+    np.testing.assert_array_equal(kept, label)
+
+
+def test_a_speck_does_not_join_what_is_far_behind_it():
+    z = np.array([[500, 1500, 1500, 1500]], np.int32)
+    assert surfaces(z, z > 0, 0.001, SurfaceConfig(min_cells=2)).tolist() == [[-1, 0, 0, 0]]
+
+
+@pytest.mark.parametrize(("steep", "kept"), [(4, True), (3, False)])
+def test_a_front_is_two_thirds_of_the_lowest_cells(steep, kept):
+    label = np.array([[0] * 5, [-1] * 5])
+    height = np.array([[60] * 5, [0] * 5])
+    forward = np.array([[1000] * steep + [1400] * (5 - steep), [1000] * 5])
+    found = without_bent_floor(label, label < 0, forward, height, 0.001, SurfaceConfig(bent_m=0.2))
+    assert (found[0] == (0 if kept else -1)).all()

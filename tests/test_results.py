@@ -14,6 +14,7 @@ from jaxdet.errors import OutputError
 from jaxdet.results import writer
 from jaxdet.results.lists import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.summary import problems
 from jaxdet.results.writer import ResultWriter, Tables, write_json
 from tests.conftest import ROOT
 
@@ -146,3 +147,10 @@ assert "pandas" not in sys.modules
 def test_a_folder_that_is_not_there_is_an_error_of_the_output(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="can't be written"):
         ResultWriter(tmp_path / "missing")
+
+
+def test_lost_frames_are_a_problem_of_the_run():
+    lost = "a, frames 5 to 9: worker_crashed (out of memory)"
+    log = {"log": "a", "error": None, "frames": 10, "frame_errors": [], "lost": [lost]}
+    log["status"] = {"ok": 5, "worker_crashed": 5}
+    assert problems({"logs": [log]}) == [lost]

@@ -35,8 +35,11 @@ from jaxdet.results.writer import ResultWriter
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import track_results
 from jaxdet.verify import verify
+from tests.io_helpers import make_scene
+from tests.io_helpers import write_log as write_made
 from tests.killed_runs import named, remembered
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth
+from tests.test_io_index import chunks_of, flip
 from tests.test_workers import Odd, alive, descendants, same_results
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -342,13 +345,15 @@ def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path)
 
 
 def test_results_of_older_versions_are_known(tmp_path: Path) -> None:
-    for name in ("frames.parquet", "map_a.npz", "map_mine.npz", "pictures/a.png", "pictures/b.png"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
+    folder = tmp_path / "results"
+    names = "frames.parquet", "map_a.npz", "map_mine.npz", "pictures/a.png", "pictures/b.png"
+    for name in (*names, "../outside.png"):
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).touch()
     log = {"map": "map_a", "pictures": ["pictures/a.png", "../outside.png"]}
-    (tmp_path / "summary.json").write_text(json.dumps({"logs": [log]}), encoding="utf-8")
+    (folder / "summary.json").write_text(json.dumps({"logs": [log]}), encoding="utf-8")
     want = {"frames.parquet", "summary.json", "map_a.npz", "pictures/a.png"}
-    assert set(result_files(tmp_path)) == want
+    assert set(result_files(folder)) == want
 
 
 def test_files_of_others_are_not_replaced(many: list, tmp_path: Path) -> None:
@@ -697,3 +702,26 @@ def test_an_output_whose_name_is_not_utf8(many: list, tmp_path: Path) -> None:
     track_results(output)
     report = verify(output, sample=0)
     assert not report.findings and (report.files, report.frames) == (7, 10)
+
+
+def test_a_log_that_was_scanned_goes_on_so(tmp_path):
+    path = write_made(tmp_path / "x.mcap", make_scene(40), compression="none", chunk_size=1)
+    chunk = chunks_of(path)[10]  # of a colour image
+    flip(path, chunk.chunk_start_offset + chunk.chunk_length - 8)
+    config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
+
+    def run(output, stop):
+        def progress(now):
+            if stop and now.done == 20:
+                signal.raise_signal(signal.SIGINT)
+
+        how = engine.RunOptions(output, backend="reference", batch_size=5, pictures=0, workers=1)
+        return engine.run(find_logs([str(path)]), config, LogOptions(), how, progress=progress)
+
+    whole = run(tmp_path / "whole", False)
+    assert whole.frames == 39
+    with pytest.raises(Interrupted):
+        run(tmp_path / "parts", True)
+    run(tmp_path / "parts", False)
+    for name in ("frames.parquet", "obstacles.parquet"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

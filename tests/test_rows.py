@@ -210,3 +210,17 @@ def test_free_polygons_go_over_columns_that_show_floor() -> None:
     np.testing.assert_allclose(np.concatenate(others), np.concatenate([first, last]) + [5.0, 0])
     nothing = free([0.5, 0.5], [1, 1]).in_world(T[:1])
     assert nothing.points.shape == (0, 2) and not nothing.frame.size
+
+
+def test_contours_of_a_camera_upside_down_go_from_left_to_right():
+    batch, config = boxes(), preset("wheeled")
+    frames = batch.frames
+    plane = frames.plane._replace(roll=np.full_like(frames.plane.roll, np.pi))
+    turned = np.ascontiguousarray(frames.depth[:, ::-1, ::-1])
+    batch = batch._replace(frames=frames._replace(depth=turned, plane=plane, T_world_camera=None))
+    found = detect(batch.frames, config, backend="reference")
+    rows = batch_rows("log", "cam", batch, plane, ["flags"] * 3, row_inputs(found), config)
+    table = to_table(rows.obstacles, OBSTACLES_SCHEMA).to_pylist()
+    assert table
+    for row in table:
+        assert (np.diff(np.array(row["contour"])[::2]) > 0).all()
