@@ -45,6 +45,16 @@ def test_range_bounds_are_inclusive(backend):
 
 
 @BACKENDS
+def test_all_depths_of_fine_units_may_be_too_near(backend):
+    z = np.full((1, 48, 64), 65535, np.uint16)
+    for nearest, some in ((0.65, True), (0.8, False)):
+        config = replace(Config(), ground=GroundConfig(min_depth_m=nearest))
+        fine = Calibration(CAMERA, depth_unit=1e-5)
+        keep = backend.ground(aligned(z), unknown_plane(1), fine, config)
+        assert np.asarray(keep.mask).all() == np.asarray(keep.has_depth).all() == some
+
+
+@BACKENDS
 def test_level_camera_equals_equation_5_on_every_pixel(backend):
     """v - c_y >= f (h - 0.05) / z, in rational arithmetic, for every row and many depths."""
     height, step, unit = Fraction("0.62"), Fraction("0.05"), Fraction("0.001")

@@ -35,7 +35,7 @@ def tables(
     planes = tuple(map(tuple, different.tolist()))
     limits = _limits(calibration.color, planes, settings, unit)
     bounds = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
-    nearest, farthest = (jnp.asarray(np.uint16(bound)) for bound in bounds)
+    nearest, farthest = (jnp.asarray(np.int32(bound)) for bound in bounds)
     return limits, jnp.asarray(which.reshape(-1).astype(np.int32)), nearest, farthest
 
 
@@ -61,6 +61,7 @@ def keep(
 ) -> Keep:
     """The pixels kept, from :func:`tables`."""
     with jax.named_scope("ground"):
-        in_range = (z >= nearest) & (z <= farthest)
+        depth = z.astype(nearest.dtype)  # in fine units the nearest may be more than 16 bits
+        in_range = (depth >= nearest) & (depth <= farthest)
         mask = in_range & (z <= limits[which])
         return Keep(mask, z, in_range.any(axis=(1, 2)))
