@@ -185,6 +185,14 @@ def test_a_plane_too_far_from_the_prior_is_refused():
         assert_refused(found(z, prior), Refusal.FAR, prior)
 
 
+def test_a_floor_above_the_camera_is_refused():
+    """A ceiling 2 cm above the axis, where the camera is said to be 4 cm up."""
+    pose = Pose(0.04, 0.0, 0.0)
+    ceiling = np.flip(cast(pose._replace(height=0.02), []), axis=0)
+    fit = found(measured(ceiling, noise=0.0), pose.plane())
+    assert not fit.own[0] and fit.refused[0] in (Refusal.FAR, Refusal.TOO_LITTLE)
+
+
 @pytest.mark.parametrize("pose", [Pose(0.3, 10, 1), Pose(0.8, 20, 1), Pose(1.3, 30, -2)])
 @pytest.mark.parametrize("drop", [0.09, 0.15, 0.25, 0.35, 0.9])
 @pytest.mark.parametrize("start", [1.8, 2.5])

@@ -9,9 +9,10 @@ import pytest
 
 from benchmarks.paper.labelled import RECORDINGS, Recording
 from jaxdet import open_log
+from jaxdet.camera import pixel_rays
 from jaxdet.config import Config, FloorConfig
 from jaxdet.floor.plane import flat_plane, join_planes, repeat_plane, unknown_plane
-from jaxdet.floor.units import Scale, floor_fit, prior_units
+from jaxdet.floor.units import STEEPEST, Scale, floor_fit, prior_units
 from jaxdet.reference import cells
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
@@ -152,7 +153,7 @@ def test_settings(config: FloorConfig) -> None:
     assert_same(positions(np.stack(depths), CAMERA), join_planes(known), config)
 
 
-@pytest.mark.parametrize("unit", [0.0001, 0.01])
+@pytest.mark.parametrize("unit", [0.0001, 0.01, 0.1])
 def test_depth_units(unit: float) -> None:
     pose = POSES[1]
     shown = cast(pose, BOXES, ramp=(1.3, 0.1)), cast_step(pose, 0.25, 1.8)
@@ -171,6 +172,35 @@ def test_cells_at_the_very_edge_of_the_tolerance_move_no_plane() -> None:
     for below in (3, -3):
         (found,) = assert_same([x, np.full_like(x, 50 + below), z], given, config, 0.01)
         assert found[:3].tolist() == [0, 0, 50]
+
+
+def test_ramps_seen_from_straight_above() -> None:
+    """The plane of a ramp ahead of a steep one is pitched by up to 97 degrees, 90 among them."""
+    depths, known = [], []
+    for pitch, turn, start in ((80.0, 7.0, 0.15), (80.0, 9.0, 0.25), (82.0, 8.0, 0.15)):
+        pose = Pose(1.5, pitch, 0.0)
+        shown = cast(pose, [], ramp=(start, float(np.tan(np.radians(turn)))))
+        depths.append(measured(shown, noise=0.0))
+        depths.append(np.rint(shown / UNIT).astype(np.uint16))
+        known += 2 * [pose.plane()]
+    found = assert_same(positions(np.stack(depths), CAMERA), join_planes(known))
+    assert (np.abs(found[:, 0]) <= STEEPEST).all()
+
+
+@pytest.mark.parametrize("low", [1e-5, 0.003])
+def test_a_plane_above_the_camera_has_no_smaller_tolerance(low: float) -> None:
+    """With much noise and the largest shift, in fine units, it would be some units or negative."""
+    rng = np.random.default_rng(3)
+    config = FloorConfig(noise_per_m=0.6, max_shift_m=1.0, max_turn_deg=10.0, min_share=0.0)
+    pitch = rng.uniform(np.radians(-85), np.radians(-60), 12)
+    x, y = (axis[::2, ::2] for axis in pixel_rays(CAMERA))
+    above = y * np.cos(pitch)[:, None, None] + np.sin(pitch)[:, None, None]
+    z = np.where(above < -0.05, rng.uniform(0.09, 0.2, (12, 1, 1)) / np.maximum(-above, 0.05), 0.0)
+    z = np.minimum(z, 0.65)
+    grid = [np.rint(a / 1e-5).astype(np.int32) for a in (x * z, y * z, z)]
+    assert_same(grid, flat_plane(np.full(12, low), pitch, np.zeros(12)), config, 1e-5)
+    sharp = Scale(1e-5, 0.6).sharp
+    assert (sharp.of(grid[2].astype(np.int64), -20000) >= sharp.base).all()
 
 
 # anything

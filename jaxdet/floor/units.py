@@ -61,8 +61,8 @@ class Slack(NamedTuple):
     ``SLACK_BITS`` fraction bits."""
 
     def of(self, z: np.ndarray, height: int) -> np.ndarray:
-        """The tolerance at each depth, ``(K,)`` int64 [depth units]."""
-        return self.base + ((z * (self.per_z + self.noise * height)) >> SLACK_BITS)
+        """The tolerance at each depth, ``(K,)`` int64 [depth units], at least ``base``."""
+        return self.base + ((z * (self.per_z + self.noise * max(height, 0))) >> SLACK_BITS)
 
 
 class Scale(NamedTuple):

@@ -180,12 +180,13 @@ def _refined(
 
 
 def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scale) -> bool:
-    """Whether a plane is no farther from the prior than that is corrected; without one, usual."""
+    """Whether a plane is below the camera and near the prior, or usual where there is none."""
     if prior is None:
         return is_usual(plane)
     turn = round(config.max_turn_deg * ANGLES)
     return (
-        abs(plane.pitch - prior.pitch) <= turn
+        plane.height > 0
+        and abs(plane.pitch - prior.pitch) <= turn
         and abs(plane.roll - prior.roll) <= turn
         and abs(plane.height - prior.height) <= scale.length(config.max_shift_m)
     )

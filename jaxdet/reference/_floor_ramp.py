@@ -10,6 +10,7 @@ from jaxdet.floor.units import (
     SLOPE_BITS,
     SPREAD_M,
     STARTS_M,
+    STEEPEST,
     cosine,
     slopes,
 )
@@ -42,7 +43,7 @@ def best_ramp(
     """
     starts = np.rint(STARTS_M / unit).astype(np.int64)
     first = _best(seen, starts, np.concatenate([-TURNS[::-1], TURNS]), coarse)[1]
-    starts = first.start + np.arange(-4, 5) * round(FINE_START_M / unit)
+    starts = first.start + np.arange(-4, 5) * max(round(FINE_START_M / unit), 1)
     turns = abs(first.turn) + np.arange(-4, 5) * FINE_TURN
     turns = np.sign(first.turn) * np.clip(turns, LEAST_TURN, MOST_TURN)
     return _best(seen, starts, turns, fine)
@@ -71,10 +72,11 @@ def crossing(level: Plane, steep: Plane) -> Ahead | None:
 
 
 def ramp_plane(level: Plane, ramp: Ahead) -> Plane:
-    """The plane of a ramp; :func:`crossing` gives the ramp back."""
+    """The plane of a ramp, no steeper than planes are; :func:`crossing` gives the ramp back."""
     height = level.height + (ramp.start * int(slopes(np.array(ramp.turn))) >> SLOPE_BITS)
     height = height * int(cosine(ramp.turn)) >> SINE_BITS
-    return Plane(level.pitch + ramp.turn, level.roll, height)
+    pitch = min(max(level.pitch + ramp.turn, -STEEPEST), STEEPEST)
+    return Plane(pitch, level.roll, height)
 
 
 def is_seen(seen: Profile, ramp: Ahead, slack: np.ndarray, unit: float) -> bool:

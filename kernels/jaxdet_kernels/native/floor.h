@@ -243,12 +243,12 @@ struct Floor {
         return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
     }
 
-    // Whether a plane is no farther from the prior than that is corrected; without one, usual.
+    // Whether a plane is below the camera and near the prior, or usual where there is none.
     bool is_near(FloorPlane plane) const {
         if (!known) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
         const int turn = settings[FloorSetting::MAX_TURN];
-        return apart(plane.pitch, prior.pitch) <= turn && apart(plane.roll, prior.roll) <= turn &&
+        return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn && apart(plane.roll, prior.roll) <= turn &&
                apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
     }
 

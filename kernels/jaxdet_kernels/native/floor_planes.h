@@ -48,7 +48,7 @@ struct FloorSlack {
     long long rate;
 
     FloorSlack(int base, int per_z, int noise, int height)
-        : base(base), rate(per_z + (long long)noise * height) {}
+        : base(base), rate(per_z + (long long)noise * (height > 0 ? height : 0)) {}
 
     int at(int z) const { return base + (int)((z * rate) >> BITS); }
 };
@@ -166,9 +166,9 @@ struct FloorRefine {
             const int off = down.along(x, y, z) - height, allowed = slack.at(z);
             const bool near = 2 * off <= 3 * allowed && -2 * off <= 3 * allowed;
             const int e = near ? off : 0;
-            const long long gate = 9 * (long long)allowed * allowed, divisor = gate ? gate : 1;
-            const int taper = 64 - ratio(256 * (long long)e * e, divisor);
-            const int part = ratio(gate ? squares : 0, divisor) + 1;
+            const long long gate = 9 * (long long)allowed * allowed;
+            const int taper = 64 - ratio(256 * (long long)e * e, gate);
+            const int part = ratio(squares, gate) + 1;
             const int w = near ? (int)((long long)(taper * taper) * part >> 6) : 0;
             const int t = forward.along(x, y, z) >> lever, s = right.along(x, y, z) >> lever;
             out[i] = w;

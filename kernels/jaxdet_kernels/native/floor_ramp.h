@@ -268,11 +268,11 @@ struct FloorRamps : FloorProfile {
         return {angles.clipped(start, 1 << 30), turn};
     }
 
-    // The plane of a ramp; `crossing` gives the ramp back.
+    // The plane of a ramp, no steeper than planes are; `crossing` gives the ramp back.
     FloorPlane steeper(FloorPlane level, FloorAhead ramp) const {
         const long long up = (long long)ramp.start * angles.slope(ramp.turn);
         const long long height = level.height + (up >> FloorAngles::SLOPE_BITS);
-        return {level.pitch + ramp.turn, level.roll,
+        return {angles.clipped(level.pitch + ramp.turn, FloorAngles::STEEPEST), level.roll,
                 (int)(height * angles.cosine(ramp.turn) >> FloorAngles::SINE_BITS)};
     }
 };
