@@ -19,8 +19,17 @@ MAX_POINTS = 8192
 TRIM_SHARE = 16
 """At most this part of an obstacle's points is passed over at each side, and in front."""
 
-FARTHEST_M = 1000.0
-"""Largest length in a configuration [m]: what 32-bit integers of depth units hold."""
+LARGEST_STEP_M = 1.0
+"""Largest step, margin or error in a configuration [m]; larger numbers are millimetres."""
+
+LARGEST_SIZE_M = 5.0
+"""Largest size of a thing, and gap in depth, in a configuration [m]."""
+
+LARGEST_GAP_M = 10.0
+"""Largest gap on the floor in a configuration [m]."""
+
+FARTHEST_M = 65.535
+"""Farthest depth [m]: 16 bits of millimetres."""
 
 
 def _require(condition: bool, field_name: str, rule: str) -> None:
@@ -32,8 +41,9 @@ def _require_within(part: Any, low: float, high: float, *names: str) -> None:
     """Refuses a part of the configuration with such a field outside of the bounds."""
     section, rule = type(part).__name__.removesuffix("Config").lower(), f"from {low:g} to {high:g}"
     for name in names:
+        unit = " m" if name.endswith("_m") and "_per_" not in name else ""
         within = low <= getattr(part, name) <= high
-        _require(within, f"{section}.{name.replace('_', '-')}", rule)
+        _require(within, f"{section}.{name.replace('_', '-')}", rule + unit)
 
 
 @dataclass(frozen=True)
@@ -75,12 +85,12 @@ class GroundConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max)")
-        _require(self.max_depth_m <= 65.535, "ground.max-depth-m", "at most 65.535 m")
-        _require_within(self, 0, FARTHEST_M, "step_height_m")
+        _require_within(self, 0, FARTHEST_M, "max_depth_m")
+        _require_within(self, 0, LARGEST_STEP_M, "step_height_m")
         _require(
-            self.max_height_m == 0 or self.step_height_m < self.max_height_m <= FARTHEST_M,
+            self.max_height_m == 0 or self.step_height_m < self.max_height_m <= LARGEST_GAP_M,
             "ground.max-height-m",
-            f"above the step height, to {FARTHEST_M:g} m, or 0",
+            f"above the step height, to {LARGEST_GAP_M:g} m, or 0",
         )
         _require(0 <= self.step_height_per_m < 1, "ground.step-height-per-m", "in [0, 1)")
         _require(0 <= self.noise_per_m < 1, "ground.noise-per-m", "in [0, 1)")
@@ -186,12 +196,13 @@ class FloorConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         _require(self.max_cells >= 100, "floor.max-cells", "at least 100")
-        _require_within(self, 0, 65.535, "max_depth_m")
+        _require_within(self, 0, FARTHEST_M, "max_depth_m")
         _require_within(
             self, 0, 1, "noise_per_m", "max_shift_m", "min_share", "min_share_alone", "bow_per_m"
         )
         _require_within(self, 0, 10, "max_turn_deg")
-        _require_within(self, 0, FARTHEST_M, "drop_m", "gap_m")
+        _require_within(self, 0, LARGEST_SIZE_M, "drop_m")
+        _require_within(self, 0, LARGEST_GAP_M, "gap_m")
 
 
 @dataclass(frozen=True)
@@ -226,9 +237,8 @@ class SurfaceConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         _require_within(self, 1e-4, 0.1, "cell_rad")
-        _require_within(
-            self, 0, FARTHEST_M, "step_m", "step_per_m", "crease_m", "crease_per_m", "bent_m"
-        )
+        _require_within(self, 0, LARGEST_STEP_M, "step_m", "crease_m", "bent_m")
+        _require_within(self, 0, 1, "step_per_m", "crease_per_m")
         _require_within(self, 1, 16, "crease_cells")
         _require_within(self, 0, 16, "crease_margin")
         _require_within(self, 1, MAX_POINTS, "min_cells")
@@ -269,8 +279,9 @@ class ObstacleConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        lengths = (name for name in self.__dataclass_fields__ if name.endswith("_m"))
-        _require_within(self, 0, FARTHEST_M, *lengths)
+        _require_within(self, 0, LARGEST_STEP_M, "contact_m")
+        _require_within(self, 0, LARGEST_SIZE_M, "depth_gap_m", "bend_m", "min_size_m")
+        _require_within(self, 0, LARGEST_GAP_M, "lateral_gap_m", "forward_gap_m", "side_m")
         _require(self.affinity in AFFINITIES, "obstacle.affinity", " or ".join(AFFINITIES))
         _require_within(self, 1, MAX_POINTS, "min_cells")
 
@@ -291,7 +302,8 @@ class ClusterConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_within(self, 0, FARTHEST_M, "depth_gap_m", "lateral_gap_m")
+        _require_within(self, 0, LARGEST_SIZE_M, "depth_gap_m")
+        _require_within(self, 0, LARGEST_GAP_M, "lateral_gap_m")
         _require_within(self, 0, MAX_POINTS, "min_points")
 
 
@@ -326,12 +338,13 @@ class FootprintConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require_within(
-            self, 0, FARTHEST_M, "vertex_threshold_m", "side_band_per_m", "near_band_per_m2"
-        )
+        _require_within(self, 0, LARGEST_STEP_M, "vertex_threshold_m", "margin_m")
+        _require_within(self, 0, 1, "side_band_per_m", "near_band_per_m2", "margin_per_m2")
         _require_within(self, 0, MAX_POINTS, "trim")
-        _require(0 < self.extension_m <= FARTHEST_M, "footprint.extension-m", "above 0, to 1000 m")
-        _require_within(self, 0, FARTHEST_M, "margin_m", "margin_per_m2", "long_m")
+        extension = 0 < self.extension_m <= LARGEST_SIZE_M
+        rule = f"above 0 and at most {LARGEST_SIZE_M:g} m"
+        _require(extension, "footprint.extension-m", rule)
+        _require_within(self, 0, FARTHEST_M, "long_m")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from jaxdet.config import (
     ClusterConfig,
     Config,
     FeaturesConfig,
+    FloorConfig,
     FootprintConfig,
     GroundConfig,
     ObstacleConfig,
@@ -110,25 +111,37 @@ def test_numbers_that_no_integer_holds(settings, names):
                 settings(**{name: value})
 
 
+@pytest.mark.parametrize(
+    ("settings", "given"),
+    [
+        (GroundConfig, {"step_height_m": 30}),
+        (FloorConfig, {"max_shift_m": 70, "drop_m": 50, "gap_m": 500}),
+        (SurfaceConfig, {"step_m": 30, "crease_m": 10, "bent_m": 200}),
+        (ObstacleConfig, {"lateral_gap_m": 1500, "forward_gap_m": 800, "depth_gap_m": 120}),
+        (ObstacleConfig, {"contact_m": 100, "bend_m": 150, "side_m": 1000, "min_size_m": 50}),
+        (ClusterConfig, {"depth_gap_m": 100, "lateral_gap_m": 400}),
+        (FootprintConfig, {"vertex_threshold_m": 30, "extension_m": 200}),
+        (FootprintConfig, {"margin_m": 30, "long_m": 3000}),
+    ],
+)
+def test_lengths_in_millimetres(settings, given):
+    """Of the defaults' size, they don't pass for metres."""
+    for name, value in given.items():
+        with pytest.raises(ConfigError, match=rf"{name.replace('_', '-')} must be .* m; see --"):
+            settings(**{name: float(value)})
+
+
 def test_the_largest_numbers_work():
-    """Lengths of a kilometre, for points and for surfaces."""
-
-    def widest(part):
-        numbers = {"min_cells": 8192, "affinity": "surfaces", "cell_rad": 0.02, "beyond": 4.0}
-        numbers |= {"crease_cells": 16, "crease_margin": 16}
-        return {name: numbers.get(name, 1000.0) for name in part.__dataclass_fields__}
-
+    """For points and for surfaces."""
     config = Config(
         features=FeaturesConfig(min_distance=8192.0),
-        cluster=ClusterConfig(True, 1000.0, 1000.0, 8192),
-        footprint=FootprintConfig(1000.0, 8192, 1000.0, 1000.0),
+        cluster=ClusterConfig(True, 5.0, 10.0, 8192),
+        footprint=FootprintConfig(1.0, 8192, 1.0, 1.0, 5.0, 1.0, 1.0, 65.535),
     )
-    surfaces = replace(
-        config, cluster=ClusterConfig(), surface=SurfaceConfig(**widest(SurfaceConfig))
-    )
-    obstacles = replace(
-        config, cluster=ClusterConfig(), obstacle=ObstacleConfig(**widest(ObstacleConfig))
-    )
+    widest = SurfaceConfig(0.02, 1.0, 1.0, 16, 1.0, 1.0, 16, 8192, 1.0, 4.0)
+    surfaces = replace(config, cluster=ClusterConfig(), surface=widest)
+    largest = ObstacleConfig("surfaces", 10.0, 10.0, 5.0, 1.0, 5.0, 10.0, 5.0, 8192)
+    obstacles = replace(config, cluster=ClusterConfig(), obstacle=largest)
     for each in (config, surfaces, obstacles):
         assert_equal(detect(made(), each), detect(made(), each, backend="reference"))
 

@@ -143,7 +143,7 @@ def hostile_features(seed: int, batch: int, n: int) -> tuple[Features, Labels]:
 
 @pytest.mark.parametrize(
     "settings",
-    [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 3.0, 9.0)],
+    [outline(), FootprintConfig(), outline(trim=8192), outline(2, 0.1), outline(0, 1.0, 1.0)],
 )
 @pytest.mark.parametrize(("batch", "n"), [(1, 44), (3, 300), (1, 8191), (1, 8192)])
 def test_twin(device, batch, n, settings):

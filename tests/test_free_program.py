@@ -97,7 +97,7 @@ def test_floors_with_obstacles(seed: int) -> None:
 def test_settings() -> None:
     batch = with_floor(drawn((2, 50, 60), 3, 9, block=12), 9, far=4500, step=60)
     before = len(_traced)
-    floors = ({"gap_m": 0.0}, {"gap_m": 1000.0}, {"drop_m": 0.0}, {"drop_m": 1000.0},
+    floors = ({"gap_m": 0.0}, {"gap_m": 10.0}, {"drop_m": 0.0}, {"drop_m": 5.0},
               {"noise_per_m": 1.0, "bow_per_m": 1.0}, {"bow_per_m": 0.0})  # fmt: skip
     for floor in floors:
         assert_twins(batch, replace(SURFACES, floor=replace(SURFACES.floor, **floor)))

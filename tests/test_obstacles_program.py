@@ -192,7 +192,7 @@ def test_scattered(surfaces: int) -> None:
     given = [scattered(seed, 41, 67, surfaces) for seed in range(1 if surfaces > 100 else 3)]
     assert {one.label.max() + 1 for one in given} == {surfaces}
     assert_twin(given, farthest=65535)
-    wide = replace(CONFIG, lateral_gap_m=500, forward_gap_m=500, depth_gap_m=20, contact_m=0.5)
+    wide = replace(CONFIG, lateral_gap_m=10, forward_gap_m=10, depth_gap_m=5, contact_m=0.5)
     assert_twin(given, replace(wide, min_cells=1), farthest=65535)
 
 

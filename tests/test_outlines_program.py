@@ -68,7 +68,7 @@ def test_random_frames(shape: tuple[int, int, int], obstacles: int, reach: int) 
 
 @pytest.mark.parametrize("footprint", [
     {"trim": 0}, {"trim": 9, "long_m": 0.1}, {"trim": 8192, "side_band_per_m": 0.5},
-    {"vertex_threshold_m": 0.5, "long_m": 0.0}, {"near_band_per_m2": 900.0, "long_m": 1000.0},
+    {"vertex_threshold_m": 0.5, "long_m": 0.0}, {"near_band_per_m2": 1.0, "long_m": 65.0},
 ])  # fmt: skip
 def test_settings(footprint: dict[str, float]) -> None:
     batch = drawn((2, 30, 50), 6, seed=2, reach=2500, block=7)

@@ -119,7 +119,7 @@ def test_slanted_things(shape, noise):
         TABLETOP,
         with_surface(crease_cells=16, crease_margin=16),
         with_surface(crease_cells=1, crease_margin=0, crease_m=0.0, crease_per_m=0.0),
-        with_surface(step_m=1e3, step_per_m=1e3, crease_m=1e3, bent_m=1e3, beyond=4.0),
+        with_surface(step_m=1.0, step_per_m=1.0, crease_m=1.0, bent_m=1.0, beyond=4.0),
         with_surface(step_m=0.0, step_per_m=0.0, min_cells=1, bent_m=0.0),
         with_surface(min_cells=60),
         replace(SURFACES, ground=replace(SURFACES.ground, max_height_m=0.3)),
@@ -154,7 +154,7 @@ def test_more_surfaces_than_there_is_room_for():
     """Every cell is one; those from the 513th on have no label but are kept."""
     v, u = np.mgrid[:40, :50]
     z = 1000 + 200 * ((u + 2 * v) % 5)
-    config = with_surface(step_m=0.01, step_per_m=0.0, min_cells=1, crease_m=10.0)
+    config = with_surface(step_m=0.01, step_per_m=0.0, min_cells=1, crease_m=1.0)
     got = assert_twin(*sideways(z[None]), unknown_plane(1), config)
     assert got.num_surfaces.tolist() == [2000]
     np.testing.assert_array_equal(

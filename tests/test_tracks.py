@@ -385,6 +385,9 @@ def test_settings_out_of_range(field):
         TrackConfig(**{field: float("inf")})
     with pytest.raises(ConfigError, match=f"{name}: bool is not what it takes"):
         TrackConfig(**{field: False})
+    if field.endswith("_m"):
+        with pytest.raises(ConfigError, match=f"{name} is out of its range"):
+            TrackConfig(**{field: 100.0})
 
 
 def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: object) -> Path:

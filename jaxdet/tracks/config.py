@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from jaxdet.arguments import check_fields
+from jaxdet.config import FARTHEST_M
 from jaxdet.errors import ConfigError
 
 
@@ -55,5 +56,6 @@ class TrackConfig:
             "smooth-s": self.smooth_s > 0,
         }
         for name, kept in rules.items():
-            if not kept or not math.isfinite(getattr(self, name.replace("-", "_"))):
+            most = FARTHEST_M if name.endswith("-m") else math.inf
+            if not (kept and getattr(self, name.replace("-", "_")) < most):
                 raise ConfigError(f"{name} is out of its range", remedy="see jaxdet track --help")
