@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxdet.arguments import of_type
 from jaxdet.camera import NUM_COEFFICIENTS, cell_side
-from jaxdet.config import MAX_POINTS, SurfaceConfig
+from jaxdet.config import DEPTH_UNITS_M, MAX_POINTS, SurfaceConfig
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import (
     MAX_CONTOUR,
@@ -34,19 +34,48 @@ MAX_FRAMES = 1 << 16
 """Most frames of a batch."""
 
 FOCAL_LENGTHS = 1.0, 1e6
-"""Shortest and longest focal length [pixel]."""
+"""Shortest and longest focal length [pixel], of images of any size."""
+VIEW_DEG = 1.0, 179.0
+"""Narrowest and widest field of view, along the side of the images that shows more [degree]."""
+MAX_PIXEL_ASPECT = 4.0
+"""Most that fx and fy differ by, as a factor: rows or columns that are binned make it 2."""
 MAX_COEFFICIENT = 1e4
 """Largest magnitude of a distortion coefficient."""
 MAX_BASELINE_M = 10.0
 """Farthest that the depth camera may be from the colour camera."""
-DEPTH_UNITS_M = 1e-5, 0.1
-"""Smallest and largest depth unit: 16 bits of them reach from 0.65 m to 6.5 km."""
 MAX_SKEW = 1e-3
 """How far the product of a rotation and its transpose may be from the unit matrix."""
 
 
 def check_calibration(calibration: Calibration) -> None:
     """Refuses a calibration that no cameras have.
+
+    Raises:
+        CalibrationError: See :func:`check_numbers`; or a camera's field of view or optical centre
+            is not one of images of its size.
+    """
+    check_numbers(calibration)
+    for name, camera in (("color", calibration.color), ("depth", calibration.depth)):
+        if camera is not None:
+            _check_view(name, camera)
+
+
+def check_camera(name: str, camera: Intrinsics) -> None:
+    """Refuses intrinsics that no camera has.
+
+    Args:
+        name: ``color`` or ``depth``, as in the flags.
+        camera: Of plain numbers.
+
+    Raises:
+        CalibrationError: See :func:`check_calibration`.
+    """
+    _check_camera(name, camera)
+    _check_view(name, camera)
+
+
+def check_numbers(calibration: Calibration) -> None:
+    """Refuses a calibration that no cameras have, whatever the size of their images.
 
     Raises:
         CalibrationError: A size is not positive; a focal length, an optical centre, a distortion
@@ -90,13 +119,7 @@ def _check_ranges(calibration: Calibration) -> None:
     for name, camera in (("color", calibration.color), ("depth", calibration.depth)):
         if camera is not None:
             _check_camera(name, camera)
-    smallest, largest = DEPTH_UNITS_M
-    if not smallest <= calibration.depth_unit <= largest:
-        raise CalibrationError(
-            f"a depth unit of {calibration.depth_unit:g} m, but cameras have {smallest:g} to "
-            f"{largest:g}",
-            remedy="give --log.depth-unit-m",
-        )
+    check_depth_unit(calibration.depth_unit)
     motion = calibration.color_from_depth
     if motion is None:
         return
@@ -115,6 +138,20 @@ def _check_ranges(calibration: Calibration) -> None:
         )
 
 
+def check_depth_unit(unit: float) -> None:
+    """Refuses a depth unit [m] that no camera has.
+
+    Raises:
+        CalibrationError: It is out of ``DEPTH_UNITS_M``.
+    """
+    smallest, largest = DEPTH_UNITS_M
+    if not smallest <= unit <= largest:
+        raise CalibrationError(
+            f"a depth unit of {unit:g} m, but cameras have {smallest:g} to {largest:g}",
+            remedy="give --log.depth-unit-m",
+        )
+
+
 def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
     """Whether numbers, row by row, are those of a rotation matrix."""
     found = np.array(values, np.float64).ravel()
@@ -124,10 +161,39 @@ def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0)
 
 
+def _check_view(name: str, camera: Intrinsics) -> None:
+    """Refuses a camera that does not see what images of its size show.
+
+    An optical centre may be as far outside of the image as that is large, as in parts of images.
+    """
+    width, height, fx, fy, cx, cy = camera[:6]
+    remedy = f"give --log.{name}-intrinsics fx fy cx cy"
+    name, size = _said(name), f"images of {width}x{height} pixels"
+    if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
+        problem = f"the optical centre ({cx:g}, {cy:g}) is far outside of the {name} {size}"
+        raise CalibrationError(problem, remedy=remedy)
+    sides = (width, fx, cx), (height, fy, cy)
+    view = max(
+        math.degrees(math.atan2(size - center, focal) + math.atan2(center, focal))
+        for size, focal, center in sides
+    )
+    narrowest, widest = VIEW_DEG
+    if not narrowest <= view <= widest:
+        raise CalibrationError(
+            f"the {name} camera sees {view:.3g}° (fx {fx:g}, fy {fy:g}, {size}), but cameras see "
+            f"{narrowest:g}° to {widest:g}°",
+            remedy=remedy,
+        )
+
+
+def _said(name: str) -> str:
+    return "colour" if name == "color" else name
+
+
 def _check_camera(name: str, camera: Intrinsics) -> None:
     flag = f"--log.{name}-intrinsics fx fy cx cy"
     width, height, fx, fy, cx, cy, model, coefficients = camera
-    name = "colour" if name == "color" else name
+    name = _said(name)
     if min(width, height) < 1:
         problem = f"the {name} camera has images of {width}x{height} pixels"
         raise CalibrationError(problem, remedy="give the size of its images")
@@ -135,6 +201,9 @@ def _check_camera(name: str, camera: Intrinsics) -> None:
     if not all(shortest <= focal <= longest for focal in (fx, fy)):
         problem = f"the {name} camera is not calibrated (fx {fx:g}, fy {fy:g})"
         raise CalibrationError(problem, remedy=f"give {flag}")
+    if max(fx, fy) > MAX_PIXEL_ASPECT * min(fx, fy):
+        problem = f"fx {fx:g} and fy {fy:g} of the {name} camera differ by more than a factor of"
+        raise CalibrationError(f"{problem} {MAX_PIXEL_ASPECT:g}", remedy=f"give {flag}")
     if not (abs(cx) <= longest and abs(cy) <= longest):
         problem = f"the optical centre ({cx:g}, {cy:g}) is nowhere near the {name} image"
         raise CalibrationError(problem, remedy=f"give {flag}")

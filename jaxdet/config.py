@@ -31,6 +31,9 @@ LARGEST_GAP_M = 10.0
 FARTHEST_M = 65.535
 """Farthest depth [m]: 16 bits of millimetres."""
 
+DEPTH_UNITS_M = 1e-5, 0.1
+"""Smallest and largest depth unit: 16 bits of them reach from 0.65 m to 6.5 km."""
+
 
 def _require(condition: bool, field_name: str, rule: str) -> None:
     if not condition:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxdet import detect, find_floors, stages
+from jaxdet.checks import check_calibration
 from jaxdet.config import (
     ClusterConfig,
     Config,
@@ -21,7 +22,7 @@ from jaxdet.config import (
 )
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.results import metric
-from jaxdet.types import Calibration, Frames, Intrinsics, Keep, Labels
+from jaxdet.types import Calibration, Distortion, Frames, Intrinsics, Keep, Labels
 from tests.scenes import (
     LENSES,
     assert_equal,
@@ -29,7 +30,6 @@ from tests.scenes import (
     frames,
     level,
     points,
-    resized,
     small,
     smooth_depth,
 )
@@ -75,7 +75,8 @@ def test_the_stages_refuse_other_sizes():
 
 @pytest.mark.parametrize(("width", "height"), [(4097, 3), (3, 4097), (2, 60), (60, 2)])
 def test_images_smaller_or_larger_than_the_kernels_take(width, height):
-    camera = resized(small().color, width, height)
+    focal = float(max(width, height))
+    camera = Intrinsics(width, height, focal, focal, width / 2, height / 2)
     z = np.zeros((1, height, width), np.uint16)
     color, keep = np.zeros((*z.shape, 3), np.uint8), Keep(z > 0, z, np.zeros(1, bool))
     config = Config(cluster=ClusterConfig(points=True))
@@ -252,6 +253,8 @@ def test_damaged_calibrations_are_refused_or_used_alike():
     [
         ("fx", 1e-45, "not calibrated.*--log.color-intrinsics"),
         ("cy", math.nan, "optical centre.*--log.color-intrinsics"),
+        ("cy", -1e4, "optical centre.*far outside of the colour.*--log.color-intrinsics"),
+        ("fx", 1e5, "fx 100000 and fy .* a factor of 4; give --log.color-intrinsics"),
         ("coefficients", (math.inf,), "not those of a lens"),
         ("coefficients", (0.1,) * 9, "not those of a lens"),
         ("distortion", "thin_prism", "'thin_prism' is unknown; it can be"),
@@ -262,6 +265,30 @@ def test_cameras_that_do_not_exist(part, value, said):
     camera = given.calibration.color._replace(**{part: value})
     with pytest.raises(CalibrationError, match=said):
         detect(given._replace(calibration=given.calibration._replace(color=camera)))
+
+
+@pytest.mark.parametrize(("focal", "view"), [(309_000.0, "0.0593"), (1.0, "179.")])
+def test_views_that_no_camera_has(focal, view):
+    """Micrometres for pixels, or a matrix that is none."""
+    camera = Intrinsics(320, 240, focal, focal, 159.0, 123.0)
+    said = f"sees {view}.* 320x240 pixels.*1° to 179°; give --log.color-intrinsics fx fy cx cy"
+    with pytest.raises(CalibrationError, match=said):
+        check_calibration(Calibration(camera))
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Intrinsics(640, 240, 613.0, 306.5, 320.0, 119.5),  # of 640x480, rows binned
+        Intrinsics(200, 480, 613.0, 613.0, -120.0, 240.0),  # the right of 640x480
+        Intrinsics(4096, 33, 4000.0, 4000.0, 2048.0, 16.5),  # a few rows
+        Intrinsics(640, 480, 200.0, 200.0, 320.0, 240.0, Distortion.EQUIDISTANT, (0.0,) * 4),
+        Intrinsics(1920, 1200, 9000.0, 9000.0, 960.0, 600.0),  # a long lens
+    ],
+    ids=["binned", "part", "rows", "fisheye", "narrow"],
+)
+def test_unusual_cameras_pass(camera):
+    check_calibration(Calibration(camera))
 
 
 def test_motions_and_units_that_no_cameras_have():

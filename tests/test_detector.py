@@ -376,6 +376,7 @@ REFUSED_ARGUMENTS = {
     "fx NaN": ({"K": [np.nan, 1, 2, 3]}, "K: .* not calibrated .* pixels$"),
     "fx negative": ({"K": [-600, 600, 80, 60]}, "K: .* not calibrated"),
     "fx zero": ({"depth_K": [0, 0, 80, 60]}, "depth_K: .* not calibrated"),
+    "fx alone scaled": ({"K": [6e5, 600, 80, 60]}, "K: fx 600000 and fy 600 .* factor of 4"),
     "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
     "a file name": ({"K": "camera.json"}, "K: str is no matrix; give a"),
     "K of text": ({"K": "600"}, "K: "),
@@ -443,6 +444,9 @@ def test_images_that_are_none_name_their_argument(name):
 def test_the_calibration_is_of_the_first_images():
     given = Detector([600.0, 600.0, 320.0, 240.0], backend="reference")
     with pytest.raises(CalibrationError, match=r"K: the optical centre \(320, 240\) lies outside"):
+        given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
+    given = Detector([6e4, 6e4, 80.0, 60.0], backend="reference")
+    with pytest.raises(CalibrationError, match=r"K: the colour camera sees 0.153° .* in pixels$"):
         given(COLOR[0], smooth_depth(1, CALIBRATION.color)[0])
     with pytest.raises(CalibrationError, match=r"not aligned to colour .* give depth_K"):
         Detector(K, backend="reference")(COLOR[0], DEPTH[0][:60])

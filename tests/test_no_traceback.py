@@ -58,6 +58,8 @@ FLAGS = {
     "--ground.window-s inf": "ground.window-s must be",
     "--features.canny-low nan": "features.canny-low must be a number",
     "--log.max-pixels 0": "max-pixels must be",
+    "--log.depth-unit-m 1e-9": "depth-unit-m must be from 1e-05 to 0.1 m",
+    "--log.depth-unit-m 0.5": "depth-unit-m must be from 1e-05 to 0.1 m",
 }
 
 
@@ -68,10 +70,11 @@ def test_flags(capsys, tmp_path, made, flags):
 
 
 LOG_FLAGS = {
-    "--log.depth-unit-m 1e-9": "a depth unit of 1e-09 m",
     "--log.color-from-depth nan 0 0 0 0 0 1": "nan m from the colour camera",
     "--log.depth-intrinsics 1e-45 1e-45 0 0": "depth camera is not calibrated",
-    "--log.color-intrinsics 1 1 1e39 0": "optical centre",
+    "--log.color-intrinsics 50 50 1e39 0": "optical centre",
+    "--log.color-intrinsics 309000 309 48 36": "/color/camera_info: fx 309000 and fy 309",
+    "--log.color-intrinsics 309000 309000 48 36": "the colour camera sees 0.0178°",
 }
 
 

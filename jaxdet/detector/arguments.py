@@ -4,7 +4,7 @@ Everything is checked here, and errors name the argument.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Literal, get_args
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.arguments import numbers
-from jaxdet.checks import MAX_FRAMES, check_calibration, is_rotation
+from jaxdet.checks import MAX_FRAMES, check_calibration, check_numbers, is_rotation
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, focal_and_center
 
@@ -73,7 +73,8 @@ class Cameras:
                 self._motion = _motion(T_color_depth)
         # What does not depend on the images' size is checked at once.
         small = [_sized(camera, (2, 2)) for camera in (self._color, self._depth)]
-        self._check(Calibration(small[0] or _NOTHING, small[1], self._motion, self.depth_unit_m))
+        whole = Calibration(small[0] or _NOTHING, small[1], self._motion, self.depth_unit_m)
+        self._check(whole, check_numbers)
 
     @classmethod
     def of(cls, calibration: Calibration) -> "Cameras":
@@ -138,21 +139,21 @@ class Cameras:
             self._motion,
             self.depth_unit_m,
         )
-        self._check(whole)
+        self._check(whole, check_calibration)
         return whole
 
-    def _check(self, whole: Calibration) -> None:
+    def _check(self, whole: Calibration, check: Callable[[Calibration], None]) -> None:
         """The checks of every calibration, one argument after the other."""
         pinhole = "give (3, 3), or fx fy cx cy, or jaxdet.Intrinsics, in pixels"
         with named("K", pinhole):
-            check_calibration(Calibration(whole.color))
+            check(Calibration(whole.color))
         if whole.depth is not None:
             with named("depth_K", pinhole):
-                check_calibration(Calibration(whole.depth))
+                check(Calibration(whole.depth))
             with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
-                check_calibration(whole._replace(depth_unit=0.001))
+                check(whole._replace(depth_unit=0.001))
         with named("depth_unit_m", "give metres, 0.001 for millimetres"):
-            check_calibration(whole)
+            check(whole)
 
 
 _NOTHING = Intrinsics(0, 0, 0.0, 0.0, 0.0, 0.0)

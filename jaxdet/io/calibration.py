@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.checks import check_calibration
+from jaxdet.checks import check_calibration, check_depth_unit
 from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.image_folder import LISTED_DEPTH
@@ -103,9 +103,11 @@ def _depth_unit(
     topic = max(near, key=lambda name: affinity(name, depth_topic))
     # The shortest decimal that is this float32: 0.001, not 0.0010000000475.
     unit = float(str(np.float32(index.depth_units[topic])))
-    if not 0 < unit < 1:
-        problem, remedy = f"a depth unit of {unit:g} m", "give --log.depth-unit-m"
-        raise CalibrationError(problem, path=path, topic=printable(topic), remedy=remedy)
+    try:
+        check_depth_unit(unit)
+    except CalibrationError as error:
+        where, remedy = printable(topic), error.remedy
+        raise CalibrationError(error.problem, path=path, topic=where, remedy=remedy) from error
     return unit, f"topic {printable(topic)}"
 
 

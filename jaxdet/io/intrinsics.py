@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.checks import check_camera
 from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.options import LogOptions
@@ -72,8 +73,8 @@ def find_intrinsics(source: CameraSource) -> Found:
     has distortion coefficients, are described by the projection matrix P without distortion.
 
     Raises:
-        CalibrationError: There is no calibration, it is no camera matrix, its size contradicts
-            the images', or its distortion can't be understood; the text names the flag.
+        CalibrationError: There is no calibration, it is one that no camera has, its size
+            contradicts the images', or its distortion can't be understood; the text names the flag.
     """
     info, flag = source.info, f"--log.{source.name}-intrinsics"
     if info is None and source.matrix is None:
@@ -95,21 +96,18 @@ def find_intrinsics(source: CameraSource) -> Found:
         fx, fy, cx, cy = info.K[0], info.K[4], info.K[2], info.K[5]
     else:
         raise source.error("K does not have nine numbers", f"give {flag}")
-    values = np.array([fx, fy, cx, cy])
-    if not np.isfinite(values).all() or fx <= 0 or fy <= 0:
-        problem = f"the {source.camera} camera is not calibrated (fx {fx:g}, fy {fy:g})"
-        raise source.error(problem, f"give {flag} fx fy cx cy")
-    if not (-size.width <= cx <= 2 * size.width and -size.height <= cy <= 2 * size.height):
-        problem = f"the optical centre ({cx:g}, {cy:g}) is far outside the image"
-        raise source.error(problem, f"give {flag}")
+    model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
+    found = Intrinsics(size.width, size.height, fx, fy, cx, cy, model, coefficients)
+    try:
+        check_camera(source.name, found)
+    except CalibrationError as error:
+        raise source.error(error.problem, error.remedy) from error
     off = max(abs((cx + 0.5) / size.width - 0.5), abs((cy + 0.5) / size.height - 0.5))
     if off > OFF_MIDDLE:
         warnings.append(
             f"the optical centre ({cx:g}, {cy:g}) is far from the middle of the {source.camera} "
             f"images, {size.width}x{size.height}: is it that of another image size?"
         )
-    model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
-    found = Intrinsics(size.width, size.height, fx, fy, cx, cy, model, coefficients)
     return Found(found, origin, tuple(warnings))
 
 

@@ -6,6 +6,7 @@ The flags are ``--log.*``, but those of what is worked on: ``--camera --start --
 from dataclasses import dataclass, field
 
 from jaxdet.arguments import check_fields
+from jaxdet.config import DEPTH_UNITS_M
 from jaxdet.errors import ConfigError
 from jaxdet.io.moments import parse_moment
 
@@ -47,7 +48,7 @@ class LogOptions:
     allows for the long exposures of a dim room (0.10 s on a real D435)."""
     depth_unit_m: float | None = None
     """Metres in one unit of a 16-bit depth image; unset: 0.001. 32FC1 is in metres always and
-    is rounded to this unit."""
+    is rounded to this unit. From 0.00001 to 0.1."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
     """T_color_depth, from depth to colour camera: tx ty tz qx qy qz qw [m]; goes before what
     the log says."""
@@ -86,8 +87,9 @@ class LogOptions:
         if self.every < 1:
             raise ConfigError(f"every {self.every}", remedy="give --every 1 or more")
         _require(0 <= self.pair_tolerance_s < 1e6, "pair-tolerance-s", "at least 0")
-        unit = self.depth_unit_m
-        _require(unit is None or 0 < unit < 1, "depth-unit-m", "between 0 and 1 m")
+        unit, (smallest, largest) = self.depth_unit_m, DEPTH_UNITS_M
+        known = unit is None or smallest <= unit <= largest
+        _require(known, "depth-unit-m", f"from {smallest:g} to {largest:g} m")
         _require(1 <= self.max_chunk_mib <= 1 << 20, "max-chunk-mib", "at least 1")
         _require(self.max_pixels >= 1, "max-pixels", "at least 1")
         for name in ("color_intrinsics", "depth_intrinsics"):
