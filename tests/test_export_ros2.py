@@ -10,12 +10,11 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from jaxdet.cli import main
-from jaxdet.config import SurfaceConfig
 from jaxdet.errors import InputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.grid import last_grid
 from jaxdet.export.recordings import find, images, look_again
-from jaxdet.io import LogFiles, LogOptions, open_log
+from jaxdet.io import LogFiles, LogOptions
 from jaxdet.results.reading import Frame, Results
 from tests.export_results import run, sim_log
 
@@ -113,20 +112,15 @@ def test_points_are_the_obstacles_own_where_the_log_is_given(
     driven_log: Path, driven_results: Path, tmp_path: Path
 ) -> None:
     topics, frames = exported(driven_results, tmp_path / "out", driven_log)
-    with open_log(driven_log) as log:
-        focal = min(log.calibration.color.fx, log.calibration.color.fy)
     for (_, message), (_, obstacles) in zip(topics[POINTS], frames, strict=True):
-        cloud, some = cloud_of(message), 0
-        assert {*cloud["obstacle"].tolist()} <= {o["obstacle"] for o in obstacles}
+        cloud = cloud_of(message)
+        assert len(cloud) == sum(obstacle["num_points"] for obstacle in obstacles)
         for obstacle in obstacles:
             own = cloud[cloud["obstacle"] == obstacle["obstacle"]]
-            some += len(own) > 0
-            # A corner is on a cell or a pixel beside it; half a cell and whole pixels are rounded.
-            beyond = own["z"] * (SurfaceConfig.cell_rad / 2 + 2 / focal)
-            for axis, more in zip("xyz", (beyond, beyond, 0.05), strict=True):
-                low, high = obstacle[f"{axis}_min"], obstacle[f"{axis}_max"]
-                assert ((own[axis] > low - more) & (own[axis] < high + more)).all()
-        assert some >= 0.8 * len(obstacles)
+            assert len(own) == obstacle["num_points"]
+            for axis in "xyz":
+                assert own[axis].min() == pytest.approx(obstacle[f"{axis}_min"], abs=1e-6)
+                assert own[axis].max() == pytest.approx(obstacle[f"{axis}_max"], abs=1e-6)
 
 
 def test_the_map_is_an_occupancy_grid(driven_results: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from jaxdet.config import Config
 from jaxdet.detector.arguments import ColorOrder, color_images, named, one_frame
 from jaxdet.errors import ConfigError, FrameStatus
 from jaxdet.floor.mount import Mount
-from jaxdet.results.masks import label_image
+from jaxdet.results.masks import label_image, obstacle_points
 from jaxdet.results.metric import rectangles
 from jaxdet.results.rows import Rows
 from jaxdet.types import Detections, Frames
@@ -218,15 +218,7 @@ class FrameResult(Sequence[Obstacle]):
         found, row = self._batch.found, self._row
         if not len(self):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
-        if found.cells is None:
-            label, place = found.labels.labels[row], found.features
-            used = label >= 0
-        else:
-            label, place = found.cells.label[row], found.cells.cells
-            used = (label >= 0) & place.in_view[row]
-        xyz = np.stack([axis[row][used] for axis in (place.x, place.y, place.z)], axis=1)
-        unit = self._batch.frames.calibration.depth_unit
-        return (xyz.astype(np.float64) * unit).astype(np.float32), label[used]
+        return obstacle_points(found, row, self._batch.frames.calibration.depth_unit)
 
     def draw(self, color: Any) -> np.ndarray:
         """A picture as ``jaxdet run`` draws it.

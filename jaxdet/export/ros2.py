@@ -26,6 +26,7 @@ from jaxdet.export.sidecar import moments, sidecars
 from jaxdet.io import LogFiles
 from jaxdet.io.writer import Ros2LogWriter, pose_of, xyz
 from jaxdet.io.writer_cdr import header
+from jaxdet.results.masks import obstacle_points
 from jaxdet.results.reading import Frame, ResultLog, Results
 
 DETECTIONS, POINTS, MAP = "detections", "points", "map"
@@ -103,14 +104,11 @@ def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
 
 
 def _own_points(results: Results, log: ResultLog, files: LogFiles) -> Iterator[np.ndarray]:
-    """For each frame the features that its obstacles are made of."""
-    for batch, found, chunk in look_again(results, log, files):
-        features, labels = found.features, found.labels.labels
+    """For each frame the points of its obstacles."""
+    for batch, found, chunk in look_again(results, log, files, with_cells=True):
         unit = batch.frames.calibration.depth_unit
         for i, count in enumerate(chunk.frames["num_obstacles"].to_pylist()):
-            used = features.valid[i] & (labels[i] >= 0) & (labels[i] < count)
-            xyz_units = np.stack([features.x[i], features.y[i], features.z[i]], axis=1)
-            yield _cloud(xyz_units[used] * unit, labels[i][used])
+            yield _cloud(*obstacle_points(found, i, unit)) if count else np.zeros(0, POINT)
 
 
 def _cloud(points: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""Which pixels of the colour image are an obstacle's."""
+"""Which pixels of the colour image, and which points, are an obstacle's."""
 
 import numpy as np
 
-from jaxdet.types import CellLabels, Intrinsics
+from jaxdet.types import CellLabels, Detections, Intrinsics
 
 
 def label_image(found: CellLabels, row: int, camera: Intrinsics) -> np.ndarray:
@@ -31,3 +31,25 @@ def label_image(found: CellLabels, row: int, camera: Intrinsics) -> np.ndarray:
     image = np.full((camera.height, camera.width), -1, np.int32)
     image[low[cell, 1] + v, low[cell, 0] + u] = label[cell]
     return image
+
+
+def obstacle_points(found: Detections, row: int, unit: float) -> tuple[np.ndarray, np.ndarray]:
+    """The points of a frame's obstacles: the cells in the colour image, else the points clustered.
+
+    Args:
+        found: NumPy arrays, with cells where obstacles are made of surfaces.
+        row: The frame's row in them.
+        unit: Metres in a depth unit.
+
+    Returns:
+        ``(P, 3)`` float32 in the colour optical frame [m], and ``(P,)`` int32, the obstacle of
+        each; ``num_points`` of each obstacle.
+    """
+    if found.cells is None:
+        label, place = found.labels.labels[row], found.features
+        used = label >= 0
+    else:
+        label, place = found.cells.label[row], found.cells.cells
+        used = (label >= 0) & place.in_view[row]
+    xyz = np.stack([axis[row][used] for axis in (place.x, place.y, place.z)], axis=1)
+    return (xyz.astype(np.float64) * unit).astype(np.float32), label[used]
