@@ -197,11 +197,15 @@ def test_the_floor_frame_is_where_the_table_says(driven_results: Path, tmp_path:
 
 def test_boxes_are_in_the_colour_image(driven_results: Path, tmp_path: Path) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
+    tops = [text for _, shown in topics[BOXES] for text in shown.texts]
+    assert min(text.position.y - text.font_size for text in tops) >= 0  # its lower left corner
+    assert any(o["v_min"] < tops[0].font_size for _, obstacles in frames for o in obstacles)
     for (at, shown), (_, obstacles) in zip(topics[BOXES], frames, strict=True):
         for box, text, o in zip(shown.points, shown.texts, obstacles, strict=True):
             assert box.timestamp.ToNanoseconds() == text.timestamp.ToNanoseconds() == at
             u, v = zip(*((p.x, p.y) for p in box.points), strict=True)
             edges = min(u), max(u), min(v), max(v)
+            assert text.position.x == o["u_min"] and text.position.y >= o["v_min"]
             assert edges == (o["u_min"], o["u_max"] + 1, o["v_min"], o["v_max"] + 1)
             assert box.type == box.LINE_LOOP and text.text == f"{o['obstacle']}   " + text.text[-6:]
 

@@ -76,6 +76,8 @@ HEAD_M = 0.15
 """Length of an arrow's head [m]."""
 PATH_POINTS = 300
 """Of a track's way so many frames are shown."""
+TEXT_PX, LINE_PX = 14.0, 18.0
+"""Size of a label in the image, and of its line [pixel]."""
 _CELL_FIELDS = ("red", "green", "blue", "alpha")
 
 
@@ -257,9 +259,10 @@ def annotations(frame: Frame) -> ImageAnnotations:
         texts.append(
             TextAnnotation(
                 timestamp=stamp,
-                position=Point2(x=left, y=upper),
+                # The lower left corner of the text, which would end above the image.
+                position=Point2(x=left, y=max(upper, LINE_PX)),
                 text=label(obstacle),
-                font_size=14.0,
+                font_size=TEXT_PX,
                 text_color=_TEXT,
                 background_color=_DARK,
             )
