@@ -72,6 +72,17 @@ def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
         assert [flag for flag in flags if flag not in whole] == []
 
 
+def test_short_help_of_sim_says_where_the_other_scenes_are(capsys: Captured) -> None:
+    main(["sim", "--help"])
+    assert re.search(r"More scenes .*moving.*: --help-all", capsys.readouterr().out)
+
+
+def test_help_of_run_says_what_a_moment_is(capsys: Captured) -> None:
+    main(["run", "--help"])
+    said = capsys.readouterr().out
+    assert "12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]" in said
+
+
 def test_help_shows_angles_in_degrees(capsys: Captured) -> None:
     main(["sim", "--help"])
     text = capsys.readouterr().out

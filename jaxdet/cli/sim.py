@@ -12,8 +12,8 @@ from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig
 
 DESCRIPTION = """\
-Simulates a robot with a depth camera in a furnished room and writes a ROS 2 log (MCAP). The
-truth goes beside it as PATH.truth.npz; jaxdet run --truth PATH compares with it.
+Simulates a robot with a depth camera and writes a ROS 2 log (MCAP), with the truth beside it as
+PATH.truth.npz, for jaxdet run --truth PATH. More scenes (rooms, ramps, moving): --help-all.
 
 Example:
   jaxdet sim sim.mcap --scene demo --frames 60

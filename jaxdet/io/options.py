@@ -22,11 +22,12 @@ class LogOptions:
     """The camera, where a log has several; unset: all of them, one after the other. Its name is
     what its topics have before colour and depth; jaxdet info lists the names."""
     start: str | None = field(default=None, metadata=SHORT)
-    """Where to begin: seconds into the log (12.5 or 90s), or a header stamp. Seconds count from its
-    first colour frame. A stamp is a time (2024-05-01T10:00:00Z; without a zone UTC) or nanoseconds
-    (1714557600000000000). Frame numbers stay those of the whole log."""
+    """Begin 12.5s into the log, at 2024-05-01T10:00:00Z, or at a stamp [ns]. Seconds, with s or
+    without, count from the log's first colour frame. A time without a zone is UTC, and a stamp in
+    nanoseconds has 16 to 19 digits (1714557600000000000); both are header stamps. Frame numbers
+    stay those of the whole log."""
     stop: str | None = field(default=None, metadata=SHORT)
-    """Where to end, likewise; a frame with this very stamp is not among them."""
+    """End likewise; a frame with this very stamp is not among them."""
     every: int = field(default=1, metadata=SHORT)
     """Take the frames whose number in the log is a multiple of this."""
     color: str | None = None
