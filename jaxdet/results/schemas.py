@@ -97,13 +97,13 @@ OBSTACLES_SCHEMA = _schema(
     _Column("u_max", _I32, "pixel", "last column"),
     _Column("v_min", _I32, "pixel", "first row"),
     _Column("v_max", _I32, "pixel", "last row"),
-    _Column("x_min", _F32, "m", "left side of its box in the colour optical frame"),
+    _Column("x_min", _F32, "m", "left side of what the colour image shows, optical frame"),
     _Column("x_max", _F32, "m", "right side"),
     _Column("y_min", _F32, "m", "upper side; y points down"),
     _Column("y_max", _F32, "m", "lower side"),
     _Column("z_min", _F32, "m", "near side"),
     _Column("z_max", _F32, "m", "far side"),
-    _Column("x", _F32, "m", "centroid in the colour optical frame, right"),
+    _Column("x", _F32, "m", "centroid of what the colour image shows, right"),
     _Column("y", _F32, "m", "centroid, down"),
     _Column("z", _F32, "m", "centroid, forward"),
     _Column("vertices", _I8, "", "1 where a vertex stands out towards the camera, else 0"),
@@ -111,7 +111,8 @@ OBSTACLES_SCHEMA = _schema(
         "corners_ground",
         pa.list_(_item(_F32), 8),
         "m",
-        "outline on the floor, right and forward of the camera in turn: A, B, beyond B, beyond A",
+        "rectangle on the floor, beside the colour image too; it may leave out single cells: right "
+        "and forward of the camera in turn, A, B, beyond B, beyond A",
     ),
     _Column(
         "corners_world",
@@ -121,9 +122,17 @@ OBSTACLES_SCHEMA = _schema(
         True,
     ),
     _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),
-    _Column("bottom_m", _F32, "m", "height of its lowest cell above the floor", True),
-    _Column("top_m", _F32, "m", "height of its highest cell above the floor", True),
-    _Column("contour", _LIST, "m", "visible edge on the floor, right and forward in turn", True),
+    _Column(
+        "bottom_m", _F32, "m", "lowest cell above the floor, in the colour image or beside", True
+    ),
+    _Column("top_m", _F32, "m", "highest cell above the floor, likewise", True),
+    _Column(
+        "contour",
+        _LIST,
+        "m",
+        "visible edge on the floor, beside the colour image too, right and forward in turn",
+        True,
+    ),
 )
 """``obstacles.parquet``: one row for each obstacle."""
 
