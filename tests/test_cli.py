@@ -225,7 +225,7 @@ def test_version(capsys: Captured) -> None:
         (["run", "--output", "x"], 2, "no log given"),
         (["run", "missing.mcap", "--output", "x"], 1, "missing.mcap: no such file"),
         (["run", "a", "--output", "x", "--preset", "boat"], 2, "no preset 'boat'"),
-        (["run", "a", "--output", "x", "--cluster.depth-gap-m", "-1"], 2, "from 0 to 1000"),
+        (["run", "a", "--output", "x", "--cluster.depth-gap-m", "-1"], 2, "from 0 to 5 m"),
         (["run", "a", "--output", "x", "--config", "none.toml"], 2, "none.toml"),
         (["run", "a", "--output", "x", "--start", "today"], 2, "--start 'today' is no time"),
         (["run", "a", "--output", "x", "--every", "0"], 2, "give --every 1 or more"),
