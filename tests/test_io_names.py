@@ -1,5 +1,7 @@
 """Files to logs, and the topic names of many cameras' drivers."""
 
+import errno
+import os
 import struct
 from pathlib import Path
 
@@ -60,6 +62,29 @@ def test_links_are_called_by_their_own_names(tmp_path):
     latest = find_logs([str(tmp_path / "drives/latest.mcap")])
     assert [log.name for log in latest] == ["latest"]
     assert find_logs([one, str(tmp_path / "drives/latest.mcap")]) == find_logs([one])
+
+
+def test_a_folder_that_cant_be_listed_is_a_log_that_fails(tmp_path, monkeypatch):
+    """Shut as its content can't be listed, or as its files can't be looked at."""
+    touch(tmp_path, "a.mcap", "unlisted/b.mcap", "unsearched/c.mcap", "z.mcap")
+
+    def refusing(call, *shut):
+        def guarded(path=".", *rest, **options):
+            if str(path).endswith(shut):
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return call(path, *rest, **options)
+
+        return guarded
+
+    for name in ("scandir", "listdir"):
+        monkeypatch.setattr(os, name, refusing(getattr(os, name), "unlisted"))
+    monkeypatch.setattr(os, "stat", refusing(os.stat, "unsearched/.", "unsearched/c.mcap"))
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["a", "unlisted", "unsearched", "z"]
+    [alone] = find_logs([str(tmp_path / "unlisted")])
+    assert alone == logs[1]
+    with pytest.raises(InputError, match=r"unlisted: can't be read \(Permission denied\); check"):
+        open_log(alone)
 
 
 def test_siblings_of_a_single_split(tmp_path):

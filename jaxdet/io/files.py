@@ -49,9 +49,10 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
     its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
     these formats one is taken, MCAP first. Where there is none of them, a folder of colour and
-    depth images (:mod:`jaxdet.io.image_folder`) is a log called by its name. Names are made
-    printable. Equal names get as many parent folders put before them as it takes. A file named
-    twice counts once; the order is by path and does not depend on the order of ``inputs``.
+    depth images (:mod:`jaxdet.io.image_folder`) is a log called by its name. So is a folder that
+    can't be listed, which fails when it is opened. Names are made printable. Equal names get as
+    many parent folders put before them as it takes. A file named twice counts once; the order is by
+    path and does not depend on the order of ``inputs``.
 
     Raises:
         InputError: An input doesn't exist or holds nothing that is read.
@@ -151,7 +152,7 @@ def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
 
 
 def _seen(text: str) -> list[Path]:
-    """The files that an input names, of whatever kind, in order."""
+    """The files that an input names, of whatever kind, in order, and folders that are shut."""
     path = Path(text)
     _check_path(path)
     if not text:  # a shell's variable that is not set is not this folder
@@ -161,6 +162,8 @@ def _seen(text: str) -> list[Path]:
     if not glob.has_magic(text):
         raise InputError("no such file or folder", path=text, remedy="check the path")
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+    for match in matches:
+        _check_path(match)
     return [file for match in matches for file in _within(match)]
 
 
@@ -168,6 +171,7 @@ def _files(text: str) -> tuple[list[Path], str]:
     """The files of an input that are read, at least one, and what is to be said of the choice."""
     path, named = Path(text), _seen(text)
     seen = [file for file in named if file.is_file()]
+    shut = [folder for folder in named if folder.is_dir()]
     links = [file for file in named if file.is_symlink() and _kind(file) in SUFFIXES]
     gone = [file for file in links if not file.exists()]
     others = [file for file in seen if _kind(file) in _OTHERS]
@@ -179,8 +183,9 @@ def _files(text: str) -> tuple[list[Path], str]:
             raise InputError(problem, path=text, remedy=remedy)
         return seen, ""
     folders = image_folders(seen)
-    if not found and folders:
-        return folders, "; ".join(note for item in folders if (note := stamp_note(item)))
+    if not found and (folders or shut):
+        notes = "; ".join(note for item in folders if (note := stamp_note(item)))
+        return [*folders, *shut], notes
     if not found and datasets:
         problem = "is a LeRobot dataset, which holds no camera's calibration"
         raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)
@@ -198,7 +203,7 @@ def _files(text: str) -> tuple[list[Path], str]:
     left = [f"{printable(file.name)} is left out: a link to nothing" for file in gone]
     left += [f"{printable(item.name)} is left out: images beside recordings" for item in folders]
     left += [f"{printable(item.name)} is left out: a LeRobot dataset" for item in datasets]
-    return taken, "; ".join(filter(None, [note, *left[:_MAX_LISTED]]))
+    return [*taken, *shut], "; ".join(filter(None, [note, *left[:_MAX_LISTED]]))
 
 
 def _is_dataset(file: Path) -> bool:
@@ -254,17 +259,29 @@ def _kind(path: Path) -> str:
 
 
 def _within(path: Path) -> Iterable[Path]:
-    """A file, or what is in a folder and its subfolders; links are followed once."""
+    """A file, or what is in a folder and its subfolders; links are followed once.
+
+    Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
+    """
     if not path.is_dir():
         yield path
-    walked = set[tuple[int, int]]()
-    for folder, folders, files in os.walk(path, followlinks=True):
-        about = os.stat(folder)
+    walked, shut = set[tuple[int, int]](), list[Path]()
+    listed = os.walk(
+        path, onerror=lambda error: shut.append(Path(error.filename)), followlinks=True
+    )
+    for folder, folders, files in listed:
+        try:
+            about = os.stat(os.path.join(folder, os.curdir))
+        except OSError:
+            folders.clear()
+            shut.append(Path(folder))
+            continue
         if (about.st_dev, about.st_ino) in walked:
             folders.clear()
             continue
         walked.add((about.st_dev, about.st_ino))
         yield from (Path(folder, name) for name in files)
+    yield from shut
 
 
 def _number(path: Path) -> int:
