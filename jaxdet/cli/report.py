@@ -1,7 +1,6 @@
 """Results as lines for a person."""
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,8 @@ MANY_LOGS = 12
 """With more logs than this each has one line."""
 MOST_WARNINGS = 12
 """Kinds of warnings listed of many logs."""
+MOST_NAMED = 3
+"""Logs named of those that have a warning."""
 
 
 def summary_lines(summary: "Summary", output: Path) -> list[str]:
@@ -56,14 +57,20 @@ def _results_line(summary: "Summary", output: Path) -> str:
 
 def _warnings(logs: Sequence["LogSummary"]) -> list[str]:
     """The warnings of many logs, each once, those of most logs first."""
-    found = Counter(warning for log in logs for warning in dict.fromkeys(log.warnings))
-    of = {warning: _label(log) for log in logs for warning in log.warnings}
-    lines = [
-        f"warning    {f'{count} logs' if count > 1 else of[warning]}: {warning}"
-        for warning, count in found.most_common(MOST_WARNINGS)
-    ]
+    found: dict[str, list[str]] = {}
+    for log in logs:
+        for warning in dict.fromkeys(log.warnings):
+            found.setdefault(warning, []).append(_label(log))
+    common = sorted(found.items(), key=lambda item: -len(item[1]))[:MOST_WARNINGS]
+    lines = [f"warning    {_named(labels)}: {warning}" for warning, labels in common]
     left = len(found) - len(lines)
     return [*lines, f"warning    {left} more in summary.json"] if left else lines
+
+
+def _named(labels: Sequence[str]) -> str:
+    """Some logs, the first by name."""
+    left = len(labels) - MOST_NAMED
+    return ", ".join(labels[:MOST_NAMED]) + (f" and {left} more" if left > 0 else "")
 
 
 def many(count: int, what: str) -> str:
