@@ -229,6 +229,12 @@ def test_a_folder_is_searched_through_links_and_whatever_the_case(mcap, tmp_path
     found = find_logs([str(folder)])
     assert sorted(log.name for log in found) == ["A", "b"]
     assert [log.note for log in found if log.note] == ["lost.mcap is left out: a link to nothing"]
+    for number in range(20):
+        (folder / f"lost_{number:02}.mcap").symlink_to(tmp_path / "nothing.mcap")
+    said = [log.note for log in find_logs([str(folder)]) if log.note]
+    assert len(said) == 1 and said[0].endswith(
+        "lost_02.mcap is left out: a link to nothing; and 17 more"
+    )
     for name in ("A.MCAP", "day2"):
         (folder / name).unlink()
     with pytest.raises(InputError, match=r"lost\.mcap: a link to nothing.*mend the link"):
@@ -239,6 +245,11 @@ def test_folder_without_anything_to_read(tmp_path):
     (tmp_path / "run.bag.active").write_bytes(b"x")
     with pytest.raises(InputError, match=r"run\.bag\.active.*rosbag reindex"):
         find_logs([str(tmp_path)])
+    (tmp_path / "run.mcap.active").write_bytes(b"x")
+    with pytest.raises(
+        InputError, match=r"\.active files are not read; take \.active off its name"
+    ):
+        find_logs([str(tmp_path / "run.mcap.active")])
 
 
 def test_a_lerobot_dataset_says_what_can_be_done(mcap, tmp_path):

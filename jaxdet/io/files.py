@@ -18,13 +18,15 @@ _SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.(?i:mcap|db3|bag)")
 _OTHERS = {
     ".zstd": "run unzstd on it",
     ".zst": "run unzstd on it",
+    ".mcap.active": "take .active off its name when nothing writes to it any more",
+    ".db3.active": "take .active off its name when nothing writes to it any more",
     ".active": "run rosbag reindex on it and name it .bag",
     ".svo": "play it to ROS 2 topics and record them as MCAP",
     ".svo2": "play it to ROS 2 topics and record them as MCAP",
     ".mkv": "play it to ROS 2 topics and record them as MCAP",
     ".oni": "play it to ROS 2 topics and record them as MCAP",
 }
-"""Suffixes of recordings that are not read, and what can be done."""
+"""How names of recordings end that are not read, and what can be done; the first that fits."""
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
 """What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
 version, and nowhere has it the camera's calibration."""
@@ -174,13 +176,13 @@ def _files(text: str) -> tuple[list[Path], str]:
     shut = [folder for folder in named if folder.is_dir()]
     links = [file for file in named if file.is_symlink() and _kind(file) in SUFFIXES]
     gone = [file for file in links if not file.exists()]
-    others = [file for file in seen if _kind(file) in _OTHERS]
+    others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     found = [file for file in seen if _kind(file) in SUFFIXES]
     if path.is_file():
         if others:
-            problem, remedy = f"{path.suffix} files are not read", _OTHERS[_kind(path)]
-            raise InputError(problem, path=text, remedy=remedy)
+            problem = f"{path.suffix} files are not read"
+            raise InputError(problem, path=text, remedy=_advice(path))
         return seen, ""
     folders = image_folders(seen)
     if not found and (folders or shut):
@@ -193,17 +195,26 @@ def _files(text: str) -> tuple[list[Path], str]:
         where, remedy = text, "name an MCAP file or a folder"
         problem = "no .mcap, .bag or .db3 file and no folder of images found"
         if others:
-            where, remedy = str(others[0]), _OTHERS[_kind(others[0])]
+            where, remedy = str(others[0]), _advice(others[0])
             problem = f"{others[0].suffix} files are not read, and there is nothing else here"
         elif gone:
             where, remedy = str(gone[0]), "mend the link"
             problem = "a link to nothing, and there is nothing else here"
         raise InputError(problem, path=where, remedy=remedy)
-    taken, note = _preferred(found, others)
-    left = [f"{printable(file.name)} is left out: a link to nothing" for file in gone]
-    left += [f"{printable(item.name)} is left out: images beside recordings" for item in folders]
-    left += [f"{printable(item.name)} is left out: a LeRobot dataset" for item in datasets]
-    return [*taken, *shut], "; ".join(filter(None, [note, *left[:_MAX_LISTED]]))
+    taken, left = _preferred(found)
+    left += [(file, _advice(file)) for file in others]
+    left += [(file, "a link to nothing") for file in gone]
+    left += [(item, "images beside recordings") for item in folders]
+    left += [(item, "a LeRobot dataset") for item in datasets]
+    notes = [f"{printable(item.name)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
+    more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
+    return [*taken, *shut], "; ".join(notes + more)
+
+
+def _advice(file: Path) -> str:
+    """What can be done with a recording that is not read; empty for all else."""
+    name = file.name.lower()
+    return next((remedy for ending, remedy in _OTHERS.items() if name.endswith(ending)), "")
 
 
 def _is_dataset(file: Path) -> bool:
@@ -231,21 +242,20 @@ def _check_path(path: Path) -> None:
         raise InputError(problem, path=str(path)[:200], remedy="check the path") from error
 
 
-def _preferred(found: Sequence[Path], others: Sequence[Path]) -> tuple[list[Path], str]:
-    """The files that are taken of those found, and which others are left out and why."""
+def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
+    """The files that are taken of those found, and the others, each with the reason."""
     formats: dict[tuple[Path, str], set[str]] = {}
     for file in found:
         formats.setdefault(_recording(file), set()).add(_kind(file))
     best = {key: min(kinds, key=SUFFIXES.index) for key, kinds in formats.items()}
-    taken = [file for file in found if _kind(file) == best[_recording(file)]]
-    notes = []
+    taken, left = [], []
     for file in found:
         suffix = best[_recording(file)]
-        if _kind(file) != suffix:
-            notes.append(f"{file.name} is left out: its recording is there as {suffix}")
-    notes += [f"{file.name} is left out: {_OTHERS[_kind(file)]}" for file in others]
-    more = [f"and {len(notes) - _MAX_LISTED} more"] if len(notes) > _MAX_LISTED else []
-    return taken, "; ".join(map(printable, notes[:_MAX_LISTED] + more))
+        if _kind(file) == suffix:
+            taken.append(file)
+        else:
+            left.append((file, f"its recording is there as {suffix}"))
+    return taken, left
 
 
 def _recording(path: Path) -> tuple[Path, str]:
