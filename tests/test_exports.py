@@ -12,10 +12,10 @@ import pytest
 from mcap.reader import make_reader
 
 from jaxdet.cli import main
-from jaxdet.errors import ConfigError, OutputError
+from jaxdet.errors import ConfigError, InputError, OutputError, TopicError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.recordings import find, look_again
-from jaxdet.io import LogOptions
+from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.reading import Results
 from tests.camera_logs import join_cameras
 from tests.export_results import run, sim_log
@@ -63,6 +63,20 @@ def test_sidecars_have_the_log_times_of_the_recording(
     with Results(parts / "results") as results:
         for row, _ in results.frames():
             assert row["log_time_ns"] == row["stamp_ns"] + LATE_NS
+
+
+@pytest.mark.parametrize("to", ["foxglove", "ros2"])
+def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
+    """Beside a log they are left out; named themselves, or alone, they are called what they are."""
+    folder = exported(parts, to, tmp_path / "out")
+    name = "both@rear.jaxdet.mcap"
+    with pytest.raises(InputError, match=r"front\.jaxdet\.mcap: an export of jaxdet.*name the log"):
+        find_logs([str(folder)])
+    (folder / "both.mcap").symlink_to(parts / "both.mcap")
+    [log] = find_logs([str(folder)])
+    assert log.name == "both" and log.note.endswith(f"{name} is left out: an export of jaxdet")
+    with pytest.raises(TopicError, match=f"{name}: an export of jaxdet.*name the log"):
+        open_log(str(folder / name))
 
 
 def test_ros2_points_are_of_the_part(parts: Path) -> None:

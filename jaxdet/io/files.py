@@ -30,6 +30,9 @@ _OTHERS = {
 _DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
 """What can be done with a LeRobot dataset: its depth is video of 12 bits, TIFF or Parquet, by
 version, and nowhere has it the camera's calibration."""
+EXPORTED = ".jaxdet.mcap"
+"""How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
+so, as their headers are those of any writer."""
 _MAX_LISTED = 4
 
 
@@ -52,9 +55,10 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
     these formats one is taken, MCAP first. Where there is none of them, a folder of colour and
     depth images (:mod:`jaxdet.io.image_folder`) is a log called by its name. So is a folder that
-    can't be listed, which fails when it is opened. Names are made printable. Equal names get as
-    many parent folders put before them as it takes. A file named twice counts once; the order is by
-    path and does not depend on the order of ``inputs``.
+    can't be listed, which fails when it is opened. Exports of jaxdet are left out, unless they are
+    named themselves. Names are made printable. Equal names get as many parent folders put before
+    them as it takes. A file named twice counts once; the order is by path and does not depend on
+    the order of ``inputs``.
 
     Raises:
         InputError: An input doesn't exist or holds nothing that is read.
@@ -178,7 +182,8 @@ def _files(text: str) -> tuple[list[Path], str]:
     gone = [file for file in links if not file.exists()]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
-    found = [file for file in seen if _kind(file) in SUFFIXES]
+    exports = [file for file in seen if _is_export(file)]
+    found = [file for file in seen if _kind(file) in SUFFIXES and not _is_export(file)]
     if path.is_file():
         if others:
             problem = f"{path.suffix} files are not read"
@@ -192,18 +197,11 @@ def _files(text: str) -> tuple[list[Path], str]:
         problem = "is a LeRobot dataset, which holds no camera's calibration"
         raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)
     if not found:
-        where, remedy = text, "name an MCAP file or a folder"
-        problem = "no .mcap, .bag or .db3 file and no folder of images found"
-        if others:
-            where, remedy = str(others[0]), _advice(others[0])
-            problem = f"{others[0].suffix} files are not read, and there is nothing else here"
-        elif gone:
-            where, remedy = str(gone[0]), "mend the link"
-            problem = "a link to nothing, and there is nothing else here"
-        raise InputError(problem, path=where, remedy=remedy)
+        raise _nothing(text, others, exports, gone)
     taken, left = _preferred(found)
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a link to nothing") for file in gone]
+    left += [(file, "an export of jaxdet") for file in exports]
     left += [(item, "images beside recordings") for item in folders]
     left += [(item, "a LeRobot dataset") for item in datasets]
     notes = [f"{printable(item.name)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
@@ -215,6 +213,28 @@ def _advice(file: Path) -> str:
     """What can be done with a recording that is not read; empty for all else."""
     name = file.name.lower()
     return next((remedy for ending, remedy in _OTHERS.items() if name.endswith(ending)), "")
+
+
+def _nothing(
+    text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
+) -> InputError:
+    """The error of an input without logs, by what else is there."""
+    where, remedy = text, "name an MCAP file or a folder"
+    problem = "no .mcap, .bag or .db3 file and no folder of images found"
+    if others:
+        where, remedy = str(others[0]), _advice(others[0])
+        problem = f"{others[0].suffix} files are not read, and there is nothing else here"
+    elif exports:
+        where, remedy = str(exports[0]), "name the log that it was made of"
+        problem = "an export of jaxdet, and there is nothing else here"
+    elif gone:
+        where, remedy = str(gone[0]), "mend the link"
+        problem = "a link to nothing, and there is nothing else here"
+    return InputError(problem, path=where, remedy=remedy)
+
+
+def _is_export(file: Path) -> bool:
+    return file.name.lower().endswith(EXPORTED)
 
 
 def _is_dataset(file: Path) -> bool:

@@ -258,6 +258,9 @@ def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
 
 
 def _missing(index: LogIndex, what: str, path: str) -> TopicError:
+    if not index.streams and any(name.startswith("/jaxdet/") for name in index.topics):
+        problem, remedy = "an export of jaxdet, without images", "name the log that it was made of"
+        return TopicError(problem, path=path, remedy=remedy)
     names = []
     for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
         kind = "" if info.problem else info.channel.schema_name or "no schema"
