@@ -1,6 +1,7 @@
 """Runs with obstacles made of surfaces: everything found is in the folder, whatever the split."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,15 @@ def test_far_from_the_mount_every_frame_is_refused_with_a_warning(
     assert about.floor_refused == {row["floor_refused"]: FRAMES for row in frames}
     (warning,) = [text for text in about.warnings if "don't show their floor" in text]
     assert f"{FRAMES} have that of flags: give" in warning and "--ground.camera-height-m" in warning
+
+
+@pytest.mark.parametrize("far, told", [(10, True), (8, False)])
+def test_floors_far_from_the_mount_everywhere_may_be_depths_fault(far: int, told: bool) -> None:
+    log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(tf=10))
+    log.floor_refused = Counter(far=far, too_little=10 - far)
+    warning = log.floor_warning
+    assert warning and "give the camera's true" in warning
+    assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is told
 
 
 def test_source_none_drops_nothing_as_floor(tf_log: Path, tmp_path: Path) -> None:

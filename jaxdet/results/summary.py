@@ -21,6 +21,8 @@ ON_DEVICES = ("transfer", "compute")
 """What GPUs do, where there are any."""
 MANY_REFUSED = 0.1
 """More of the frames without a floor of their own are worth a warning."""
+MOSTLY_FAR = 0.9
+"""Where more have a floor far from what was expected, depth itself may be wrong."""
 
 
 @dataclass(kw_only=True)
@@ -129,6 +131,9 @@ class LogSummary(Counts):
         remedy = "give the camera's true --ground.camera-height-m and --ground.camera-pitch"
         if self.floor_sources["flags"]:
             remedy += ", or leave both out"
+        if self.floor_refused["far"] > MOSTLY_FAR * good:
+            remedy += "; where the mount is true, check the depth unit (--log.depth-unit-m), the "
+            remedy += "intrinsics and how depth lies to colour"
         return (
             f"{refused} of {good} frames don't show their floor themselves ({reasons}; "
             f"see floor_refused in jaxdet help tables), "
