@@ -395,6 +395,20 @@ def test_a_comparison_says_how_many_frames_it_is_of(
     assert "truth      compared in none of 2 frames\n" in capfd.readouterr().out
 
 
+def test_the_truth_of_another_log_is_refused(
+    sim_log: Path, tmp_path: Path, capfd: Captured
+) -> None:
+    """Its stamps and sizes are those of the log, its obstacles are not."""
+    other = tmp_path / "other.mcap"
+    write_log(other, SimConfig(scene="corridor", frames=2, width=160, height=120))
+    args = ["--output", str(tmp_path / "out"), "--backend", "reference", "--pictures", "0"]
+    assert main(["run", str(sim_log), *args, "--truth", str(other)]) == 1
+    said = (
+        "other.mcap: the truth has other obstacles than the log's depth shows; give the log's own"
+    )
+    assert said in capfd.readouterr().err
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 @pytest.mark.parametrize("way", ["full", "gone"])
 def test_progress_that_nobody_takes_costs_nothing(sim_log: Path, tmp_path: Path, way: str) -> None:
