@@ -1,5 +1,6 @@
 """A results folder read back: every row in order, whatever the chunks, and nothing half."""
 
+import errno
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,7 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
-from jaxdet.results import writer
+from jaxdet.results import reading, writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_file_name, file_names
 from jaxdet.results.reading import Chunk, Results
@@ -139,6 +140,24 @@ def test_half_a_folder_is_refused(folder: Path, tmp_path: Path, name: str) -> No
         (half / name).write_bytes(damaged)
         with pytest.raises(InputError, match="is not"):
             Results(half)
+
+
+def test_a_file_that_is_shut_is_not_called_damaged(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shut(path: Path, mode: str) -> None:
+        raise PermissionError(errno.EACCES, "Failed to open", str(path))
+
+    said = r"%s: can't be read \(%s\); check its permissions"
+    with monkeypatch.context() as patch, pytest.raises(InputError) as caught:
+        patch.setattr(reading, "open_file", shut)
+        Results(folder)
+    assert caught.match(said % ("frames.parquet", "Permission denied"))
+    new = copied(folder, tmp_path / "new")
+    (new / "summary.json").unlink()
+    (new / "summary.json").mkdir()
+    with pytest.raises(InputError, match=said % ("summary.json", "Is a directory")):
+        Results(new)
 
 
 def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import typing
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -306,6 +307,8 @@ class Results:
         except FileNotFoundError as error:
             problem = f"is no whole results folder ({name} is missing)"
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
+        except OSError as error:
+            raise _unread(path, error) from error
         except ValueError as error:
             raise InputError("is not JSON", path=str(path), remedy=_AGAIN) from error
         if not isinstance(found, dict):
@@ -320,6 +323,8 @@ class Results:
             problem = f"is no whole results folder ({path.name} is missing)"
             raise InputError(problem, path=str(self.folder), remedy=_AGAIN) from error
         except (pa.ArrowException, OSError) as error:
+            if getattr(error, "errno", None):  # else it is Parquet's own
+                raise _unread(path, error) from error
             raise InputError("is not a Parquet file", path=str(path), remedy=_AGAIN) from error
         if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
             problem = f"has format {found} of the tables, not {FORMAT}"
@@ -445,6 +450,12 @@ def _batches(
     """
     for group in groups:
         yield from file.iter_batches(size, [group], columns)
+
+
+def _unread(path: Path, error: OSError) -> InputError:
+    """The error of a file that the system doesn't give, whatever is in it."""
+    problem = f"can't be read ({os.strerror(error.errno or 0)})"
+    return InputError(problem, path=str(path), remedy="check its permissions and its disk")
 
 
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:
