@@ -488,11 +488,30 @@ def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
 
 def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
     caches = Caches(tmp_path / "jax", tmp_path / "warp")
-    assert str(tmp_path / "jax") in first_time(caches)
-    (tmp_path / "jax").mkdir()
-    assert "compiles" in first_time(caches)
+    for _ in range(2):
+        assert f"compiles for this machine, up to half a minute; kept in {tmp_path / 'jax'}" in (
+            first_time(caches)
+        )
     (tmp_path / "jax" / "program").touch()
     assert first_time(caches) == first_time(Caches(None, None)) == ""
+
+
+def test_a_cache_that_cant_be_written_to_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from jaxdet.cli import doctor
+
+    file = tmp_path / "file"
+    file.touch()
+    said = "can't be written to; set JAXDET_CACHE to a folder that can be, or to off"
+    assert first_time(Caches(file / "jax", None)).endswith(f"keeps nothing: {file / 'jax'} {said}")
+    for name in ("JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("JAXDET_CACHE", str(file))
+    good, text = doctor.caches()
+    assert not good and text.startswith(str(file)) and text.endswith(said)
+    monkeypatch.setenv("JAXDET_CACHE", "off")
+    assert doctor.caches() == (True, "jax not kept, warp not kept")
 
 
 def test_sim_tells_how_far_it_is(tmp_path: Path) -> None:

@@ -125,10 +125,13 @@ def small_case() -> "jaxdet.Frames":
 
 def caches() -> tuple[bool, str]:
     """Where compiled programs stay between runs."""
-    from jaxdet.engine import use_caches
+    from jaxdet.engine.startup import NOT_KEPT, cache_folders, use_caches
 
-    names = [f"{name} {folder or 'not kept'}" for name, folder in use_caches()._asdict().items()]
-    return True, ", ".join(names)
+    found, used = cache_folders(), use_caches()
+    lost = next((folder for folder in found if folder and folder not in used), None)
+    if lost:
+        return False, f"{lost} {NOT_KEPT}"
+    return True, ", ".join(f"{name} {path or 'not kept'}" for name, path in used._asdict().items())
 
 
 CHECKS = {

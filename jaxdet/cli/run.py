@@ -133,9 +133,15 @@ def _run(command: RunCommand) -> int:
 
 
 def first_time(caches: "Caches") -> str:
-    """What is said where nothing that was compiled is kept yet; empty elsewhere."""
+    """What is said where nothing that was compiled is kept yet, or can be; empty elsewhere."""
+    from jaxdet.engine.startup import NOT_KEPT, is_writable
+
     folder = caches.jax
-    if folder is None or (folder.is_dir() and any(folder.iterdir())):
+    if folder is None:
+        return ""
+    if not is_writable(folder):
+        return f"this run compiles, up to half a minute, and keeps nothing: {folder} {NOT_KEPT}"
+    if any(folder.iterdir()):
         return ""
     return f"the first run compiles for this machine, up to half a minute; kept in {folder}"
 

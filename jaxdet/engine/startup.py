@@ -17,6 +17,8 @@ from jaxdet.quiet import quiet_warp
 
 ENVIRONMENT = "JAXDET_CACHE"
 """Environment variable: the folder, or ``off``."""
+NOT_KEPT = "can't be written to; set JAXDET_CACHE to a folder that can be, or to off"
+"""Said of a folder."""
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
@@ -60,7 +62,7 @@ def use_caches() -> Caches:
     """
     import jax
 
-    folders = Caches(*(folder if _writable(folder) else None for folder in cache_folders()))
+    folders = Caches(*(folder if is_writable(folder) else None for folder in cache_folders()))
     if folders.jax:
         jax.config.update("jax_compilation_cache_dir", str(folders.jax))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -144,7 +146,7 @@ def start_reading() -> None:
     keep_memory()
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
     folder = cache_folders().warp
-    if _writable(folder):
+    if is_writable(folder):
         os.environ["WARP_CACHE_PATH"] = str(folder)
 
 
@@ -177,7 +179,8 @@ def _processor() -> str:
     return f"{platform.machine()}-{zlib.crc32(features.encode()):08x}"
 
 
-def _writable(folder: Path | None) -> bool:
+def is_writable(folder: Path | None) -> bool:
+    """Whether a folder is there, made if need be, and can be written to."""
     if folder is None:
         return False
     try:
