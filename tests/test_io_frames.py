@@ -110,14 +110,16 @@ def test_errors_say_what_could_not_be_decoded(tmp_path):
         open_log(str(tmp_path / "log.mcap"))
 
 
-def test_an_encoding_that_is_not_read_is_named(tmp_path):
+@pytest.mark.parametrize("encoding", ["bayer_rggb8", "rgb16", "nv12"])
+def test_an_encoding_that_is_not_read_is_named(tmp_path, encoding):
     scene = make_scene(2)
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)
         for color, depth, at in zip(scene.color, scene.depth, scene.color_ns.tolist(), strict=True):
-            log.ros(COLOR, ros_image(color[..., 0], "bayer_rggb8", at, COLOR_FRAME), at)
+            log.ros(COLOR, ros_image(color[..., 0], encoding, at, COLOR_FRAME), at)
             log.ros(DEPTH, ros_image(depth, "16UC1", at, DEPTH_FRAME), at)
-    said = rf"no colour image topic; its topics are {COLOR} \(.*Image, bayer_rggb8\), .*encodings"
+    said = rf"no colour image topic; encodings not read: '{encoding}' of {COLOR}; its topics are "
+    said += rf"{COLOR} \(.*Image, {encoding}\), .*encodings"
     with pytest.raises(TopicError, match=said):
         open_log(str(tmp_path / "log.mcap"))
 

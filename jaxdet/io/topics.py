@@ -267,11 +267,25 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
         encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     listed = f"its topics are {_listed(names)}" if names else "it has no messages"
+    if unread := _unread(index):
+        listed = f"encodings not read: {_listed(unread)}; {listed}"
     remedy = (
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
         "with --log.color, --log.depth"
     )
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
+
+
+def _unread(index: LogIndex) -> list[str]:
+    """Encodings of raw images that are neither colour's nor depth's, each with its topic."""
+    images = {topic: first_image(stream, False) for topic, stream in sorted(index.streams.items())}
+    return [
+        f"{image.encoding!a} of {topic}"
+        for topic, image in images.items()
+        if isinstance(image, ImageMessage)
+        and not is_color_encoding(image.encoding)
+        and not is_depth_encoding(image.encoding)
+    ]
 
 
 def _listed(names: Sequence[str]) -> str:
