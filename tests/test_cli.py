@@ -1,9 +1,11 @@
 """The command line as a user meets it: help, exit codes, precedence, what goes where."""
 
+import gc
 import json
 import math
 import os
 import re
+import resource
 import subprocess
 import sys
 import typing
@@ -540,6 +542,14 @@ def test_sim_writes_a_log_and_its_truth(tmp_path: Path, monkeypatch, capsys: Cap
         patch.setattr("jaxdet.sim.write_log", full)
         assert main([*args, "--overwrite"]) == 1
     assert "can't be written (No space left on device)" in capsys.readouterr().err
+    kept = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, kept[1]))  # no file closes well
+    try:
+        assert main([*args, "--overwrite"]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, kept)
+    gc.collect()  # nothing is said when files are let go
+    assert capsys.readouterr().err.endswith("can't be written (File too large)\n")
     assert sorted(path.parent.iterdir()) == before and path.read_bytes() == b"precious"
     assert main([*args, "--overwrite"]) == 0
     assert path.stat().st_size > 1000 and sorted(path.parent.iterdir()) == before

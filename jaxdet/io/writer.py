@@ -87,8 +87,8 @@ class Ros2LogWriter:
     def close(self) -> None:
         """Write the summary and close the file; safe to call twice."""
         if not self._stream.closed:
-            self._writer.finish()
-            self._stream.close()
+            with self._stream:  # it is closed on a full disk, too
+                self._writer.finish()
 
     def write(
         self,

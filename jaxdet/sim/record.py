@@ -43,8 +43,10 @@ def write_log(
     config = config or SimConfig()
     quiet_warp()  # standard output is the caller's
     scene, calibration = scene_of(config), calibration_of(config)
-    truth = TruthWriter(truth_path(path), config, scene)
-    with Ros2LogWriter(path, config.compression) as writer:
+    with (
+        TruthWriter(truth_path(path), config, scene) as truth,
+        Ros2LogWriter(path, config.compression) as writer,
+    ):
         _write_static(writer, config, calibration)
         odometry = _odometry_times(config)
         for index in range(config.frames):
@@ -57,7 +59,7 @@ def write_log(
                 progress(index + 1)
         for time_s in odometry:
             _write_odometry(writer, config, scene, time_s)
-    return truth.finish()
+        return truth.finish()
 
 
 def _odometry_times(config: SimConfig) -> deque[float]:

@@ -10,9 +10,10 @@ shows floor to drive on, ``(H, W)`` bool, as ``drivable_<i, six digits>``. Any N
 import io
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def truth_path(log: str | Path) -> Path:
 
 
 class TruthWriter:
-    """Writes the truth frame by frame, so memory stays small.
+    """Writes the truth frame by frame, so memory stays small; a context manager.
 
     Args:
         path: The file to write.
@@ -95,6 +96,13 @@ class TruthWriter:
         self._config, self._scene = config, scene
         self._zip = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
         self._rows: list[Truth] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError, ValueError):  # what failed to be written is told already
+            self._zip.close()
 
     def add(self, frame: SimFrame) -> None:
         """Take one frame in."""
