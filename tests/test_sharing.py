@@ -251,6 +251,20 @@ def test_what_makes_no_sense(sim_logs, tmp_path, options, problem):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_bucket_that_cant_be_reached_is_no_bad_usage(sim_logs, tmp_path, monkeypatch):
+    class Unreached:
+        @staticmethod
+        def from_uri(url: str) -> None:
+            raise OSError(f"When resolving region for {url}: Could not resolve hostname")
+
+    monkeypatch.setattr("pyarrow.fs.FileSystem", Unreached)
+    said = (
+        r"^s3://far/c: can't be used \(When resolving region for s3://far/c: Could.*check the addr"
+    )
+    with pytest.raises(OutputError, match=said):
+        run(sim_logs, tmp_path / "out", parts="s3://me:secret@far/c", share="1/2")
+
+
 def test_parts_of_another_run_are_refused(sim_logs, tmp_path):
     place = str(tmp_path / "parts")
     run(sim_logs, tmp_path / "out", parts=place, share="1/2")

@@ -78,9 +78,13 @@ class PartStore(NamedTuple):
         try:
             yield
         except (OSError, pa.ArrowException) as error:
-            text = getattr(error, "strerror", None) or error
-            remedy = "check the address, and who may read and write there"
-            raise OutputError(f"can't be used ({text})", path=str(self), remedy=remedy) from error
+            raise self.unreached(error) from error
+
+    def unreached(self, error: Exception) -> OutputError:
+        """The error of a place that can't be reached."""
+        text = getattr(error, "strerror", None) or str(error).replace(self.url, str(self))
+        remedy = "check the address, and who may read and write there"
+        return OutputError(f"can't be used ({text})", path=str(self), remedy=remedy)
 
 
 @cache
@@ -89,13 +93,16 @@ def _opened(url: str) -> tuple[Any, str]:
 
     Raises:
         ConfigError: It is no address that is known.
+        OutputError: It can't be reached.
     """
     import pyarrow as pa
     from pyarrow.fs import FileSystem
 
     try:
         found, path = FileSystem.from_uri(url if "://" in url else str(Path(url).absolute()))
-    except (OSError, ValueError, pa.ArrowException) as error:
+    except OSError as error:
+        raise PartStore(url).unreached(error) from None
+    except (ValueError, pa.ArrowException) as error:
         shown = str(PartStore(url))
         raise ConfigError(
             f"--parts {shown}: {str(error).replace(url, shown)}",
