@@ -170,7 +170,8 @@ def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
     (results / "map_a.npz").unlink()
     (results / "map_b.npz").write_bytes(b"")
     (results / "pictures" / "c_000000.png").touch()
-    (results / "mine.txt").touch()
+    for mine in ("map_mine.txt", "mine.txt", "pictures/mine.txt"):
+        (results / mine).touch()
     (results / ".jaxdet").mkdir()
     report = verify(results, sample=0)
     assert found(report)[0] == "map_a.npz: is missing"
@@ -178,7 +179,9 @@ def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
     assert found(report)[2:] == ["pictures/c_000000.png: is not in the manifest"]
     assert report.notes == [
         "a run that will replace these results goes on here, or was stopped",
+        "map_mine.txt is no file of the results",
         "mine.txt is no file of the results",
+        "pictures/mine.txt is no file of the results",
     ]
     (results / "manifest.json").unlink()
     (results / ".jaxdet" / "commit").touch()

@@ -170,7 +170,8 @@ def result_files(folder: Path) -> tuple[str, ...]:
 
 def is_like_result(name: str) -> bool:
     """Whether a file's name in the folder is one that maps, pictures and tracks have."""
-    return name.startswith(("map_", "tracks_", "pictures/"))
+    maps = name.startswith("map_") and name.endswith((".npz", ".png"))
+    return maps or (name.startswith(("tracks_", "pictures/")) and name.endswith(".png"))
 
 
 def files_like_results(folder: Path) -> tuple[str, ...]:

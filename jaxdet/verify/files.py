@@ -32,7 +32,7 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
         return {}
     for name, about in manifest["files"].items():
         _check_file(folder, name, about, report)
-    for name in _files(folder) - manifest["files"].keys() - {MANIFEST}:
+    for name in sorted(_files(folder) - manifest["files"].keys() - {MANIFEST}):
         if name.endswith(".parquet") or is_like_result(name):
             report.add("files", printable(name), "is not in the manifest")
         else:
