@@ -109,11 +109,13 @@ class ResultsError(ConfigError):
         path: The folder.
         file: One of them.
         same: Whether they are what the run would make.
+        reason: Why not, where that is known.
     """
 
-    def __init__(self, path: str, file: str, *, same: bool) -> None:
+    def __init__(self, path: str, file: str, *, same: bool, reason: str = "") -> None:
         remedy = "give another --output, or --overwrite to replace them"
-        super().__init__(f"holds results already ({file})", path=path, remedy=remedy)
+        problem = f"holds results already ({file})" + (f", but {reason}" if reason else "")
+        super().__init__(problem, path=path, remedy=remedy)
         self.same = same
 
 

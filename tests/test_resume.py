@@ -329,8 +329,14 @@ def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path)
 
     run(many[:2], tmp_path)
     (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(ConfigError, match="holds results already"):
+    known = r"holds results already \(frames\.parquet\), but "
+    with pytest.raises(ConfigError, match=f"{known}the log 02 was not among its logs; give"):
         run(many[1:3], tmp_path)
+    changed = r"ground\.camera_height_m was not set and is 0\.5 now"
+    with pytest.raises(ConfigError, match=f"{known}{changed}; give"):
+        run(many[:2], tmp_path, height=0.5)
+    with pytest.raises(ConfigError, match=r"holds results already \(frames\.parquet\); give"):
+        run(many[:2], tmp_path, pictures=1)
     for _ in range(2):
         with pytest.raises(Interrupted):
             run(many[1:3], tmp_path, overwrite=True, progress=stop_at("02", interrupt))

@@ -10,7 +10,8 @@ import jaxdet
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.plan import Observer
-from jaxdet.results.manifest import fingerprint
+from jaxdet.errors import JaxdetError
+from jaxdet.results.manifest import fingerprint, read_manifest
 from jaxdet.results.summary import plain
 from jaxdet.results.versions import source_digest, versions
 
@@ -69,6 +70,21 @@ def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
     name = ".".join(part for part in key if part not in ("about", "config"))
     name = "jaxdet's own code" if key == ("about", "source") else name
     return f"{name} was {was} and is {is_now} now"
+
+
+def difference_from_results(folder: Path, now: Mapping[str, Any]) -> str | None:
+    """The first thing in which whole results differ from those of a record, as far as they tell.
+
+    They don't tell the number of pictures and the truth that they were compared with.
+    """
+    try:
+        manifest = read_manifest(folder)
+        config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+        about = {name: manifest[name] for name in now["about"]}
+        before = {"about": about, "config": {name: config[name] for name in now["config"]}}
+        return difference(before, {name: now[name] for name in before})
+    except (JaxdetError, OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None  # they are not whole, or of another version
 
 
 _NOT = object()

@@ -26,7 +26,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxdet.engine.record import difference, digest
+from jaxdet.engine.record import difference, difference_from_results, digest
 from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
@@ -193,7 +193,8 @@ class Workspace:
         found = result_files(self.output)
         if found:
             same = made_by(self.output) == digest(self.record)
-            raise ResultsError(str(self.output), found[0], same=same)
+            reason = None if same else difference_from_results(self.output, self.record)
+            raise ResultsError(str(self.output), found[0], same=same, reason=reason or "")
         if found := files_like_results(self.output):
             raise ConfigError(
                 f"holds {found[0]}, which is named as results are",
