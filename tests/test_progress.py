@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands, reporting
-from jaxdet.cli.report import MANY_LOGS, summary_lines
+from jaxdet.cli.report import MANY_LOGS, ground_text, summary_lines
 from jaxdet.cli.tell import tell
-from jaxdet.engine import LogSummary, Progress
+from jaxdet.engine import GroundRecord, LogSummary, Progress
 from jaxdet.results.summary import Summary
 
 
@@ -100,6 +100,13 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     assert "  frames     10 (9 ok, 1 unpaired)" in summary_lines(
         Summary("jax", 16, logs[:MANY_LOGS], 20.0), Path("out")
     )
+
+
+def test_a_floor_that_frames_show_but_the_log_has_not_is_not_unknown() -> None:
+    searched = "each frame is searched alone; %d of 18 sampled frames show their floor"
+    for count, said in ((18, "not one for all frames"), (0, "unknown")):
+        record = GroundRecord("none", message=searched % count, frames_used=count)
+        assert ground_text([record]) == f"{said} ({searched % count})"
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,10 @@ def ground_text(records: Sequence["GroundRecord"]) -> str:
     """The plane or planes of a log in one line."""
     known = [record for record in records if record.height_m is not None]
     if not known:
-        return f"unknown ({records[0].message})" if records else "unknown"
+        if not records:
+            return "unknown"
+        shown = any(record.frames_used for record in records)
+        return f"{'not one for all frames' if shown else 'unknown'} ({records[0].message})"
     first = known[0]
     degrees = [math.degrees(angle or 0.0) for angle in (first.pitch_rad, first.roll_rad)]
     spread = first.height_spread_m
