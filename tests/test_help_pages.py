@@ -23,6 +23,7 @@ from jaxdet.cli.help import FIRST, pages, title_of
 from jaxdet.engine import log_run
 from jaxdet.errors import FrameStatus
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
 
@@ -185,6 +186,12 @@ def test_columns_that_the_readme_names_are_there():
 def test_each_status_is_explained():
     text = DOCUMENTS["logs"].read_text(encoding="utf-8")
     assert all(f"| `{status}` |" in text for status in FrameStatus)
+
+
+def test_each_key_of_the_summary_is_explained():
+    text = DOCUMENTS["runs"].read_text(encoding="utf-8")
+    told = {**Summary("jax", 1).to_dict(), **LogSummary("a", ()).to_dict()}
+    assert [key for key in told if f"`{key}`" not in text] == []
 
 
 def test_pages_that_are_named_are_there():
