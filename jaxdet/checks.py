@@ -42,7 +42,8 @@ MAX_PIXEL_ASPECT = 4.0
 MAX_COEFFICIENT = 1e4
 """Largest magnitude of a distortion coefficient."""
 MAX_BASELINE_M = 10.0
-"""Farthest that the depth camera may be from the colour camera."""
+"""Farthest that the depth camera may be from the colour camera; and no farther than depth reaches,
+so that sums of products have 32 bits."""
 MAX_SKEW = 1e-3
 """How far the product of a rotation and its transpose may be from the unit matrix."""
 
@@ -130,10 +131,11 @@ def _check_ranges(calibration: Calibration) -> None:
     if not is_rotation(motion.rotation):
         raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)
     distance = math.hypot(*motion.translation)
-    if len(motion.translation) != 3 or not distance <= MAX_BASELINE_M:
+    farthest = min(MAX_BASELINE_M, 65535 * calibration.depth_unit)
+    if len(motion.translation) != 3 or not distance <= farthest:
         raise CalibrationError(
             f"the depth camera is {distance:g} m from the colour camera, but at most "
-            f"{MAX_BASELINE_M:g} m are taken",
+            f"{farthest:g} m are taken with a depth unit of {calibration.depth_unit:g} m",
             remedy=remedy,
         )
 

@@ -306,6 +306,10 @@ def test_motions_and_units_that_no_cameras_have():
         wrong = given.calibration._replace(**{part: value})
         with pytest.raises(CalibrationError, match=said):
             detect(given._replace(calibration=wrong))
+    apart = motion._replace(translation=(0.0, 0.66, 0.0))
+    wrong = given.calibration._replace(color_from_depth=apart, depth_unit=1e-5)
+    with pytest.raises(CalibrationError, match=r"at most 0\.65535 m are taken with a depth"):
+        detect(given._replace(calibration=wrong))
     aligned = given.calibration._replace(depth=None)
     with pytest.raises(CalibrationError, match="no depth camera: the depth is aligned"):
         detect(given._replace(calibration=aligned))
