@@ -1,11 +1,14 @@
 """The map of a log: integer counts that depend on no order."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from jaxdet.errors import InputError
 from jaxdet.results.free_floor import Polygons
-from jaxdet.results.occupancy import CELL_M, OccupancyMap
+from jaxdet.results.occupancy import CELL_M, OccupancyMap, load_map, save_map
 
 
 def square(x: float, y: float, side: float = 0.2) -> np.ndarray:
@@ -25,6 +28,23 @@ def test_map_counts_do_not_depend_on_order() -> None:
     np.testing.assert_array_equal(a.counts, b.counts)
     assert a.origin == b.origin == pytest.approx((-30.0, -12.85), abs=CELL_M)
     assert a.counts.max() == 3
+
+
+def test_a_map_that_is_damaged_anywhere_is_no_map_or_another(tmp_path: Path) -> None:
+    """Zip files say themselves what is needed to read them: versions, encryption, methods."""
+    drawn, path = OccupancyMap(), tmp_path / "map.npz"
+    drawn.add(square(0.0, 0.0))
+    image = drawn.image()
+    assert image is not None
+    save_map(path, image)
+    content, refused = path.read_bytes(), 0
+    for place in range(len(content)):
+        path.write_bytes(content[:place] + b"\xff" + content[place + 1 :])
+        try:
+            load_map(path)
+        except InputError:
+            refused += 1
+    assert refused > len(content) // 2
 
 
 def test_map_cell_positions() -> None:

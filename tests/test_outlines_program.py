@@ -108,7 +108,7 @@ def test_an_obstacle_in_the_margins() -> None:
         in_view = np.ones((1, 12, 40), bool)
         view = batch.found[0].view._replace(in_view=in_view[0])
         grid = batch.grid._replace(in_view=in_view)
-        for long_m in (0.1, 100.0):
+        for long_m in (0.1, 60.0):
             found = [batch.found[0]._replace(label=label, view=view)]
             assert assert_twins(Batch(grid, found), changed(long_m=long_m)) == 1
 

@@ -68,7 +68,8 @@ def test_settings_of_features_compile_nothing_anew():
 def test_one_pixel_of_depth(width, height, units):
     """The depth image as small as can be, and smaller than the tiles whose range is known."""
     calibration = small(48, 36)
-    depth_camera = calibration.depth._replace(width=width, height=height)
+    middle = {"cx": (width - 1) / 2, "cy": (height - 1) / 2}
+    depth_camera = calibration.depth._replace(width=width, height=height, **middle)
     depth = np.zeros((1, height, width), np.uint16)
     depth[0, height // 2, width // 2] = units
     made = calibration._replace(depth=depth_camera)
