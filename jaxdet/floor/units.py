@@ -37,7 +37,7 @@ RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
 """Before a ramp, only the cells up to some distance tell the plane."""
 STARTS_M = np.arange(0.4, 3.5, 0.2)  # distances at which a ramp is tried to begin
 FINE_START_M = 0.05  # steps of the finer lattice
-DROP_M = 0.04  # steps are tried so far apart
+DROP_SPACING_M = 0.04  # steps are tried so far apart
 ALIKE_M = 0.004  # planes whose heights differ by less are not both tried with steps
 RUN_M, RISE_M = 0.064, 0.004
 """A cell of the profile; both are rounded to powers of two of the depth unit."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.floor.units import DROP_M, SPREAD_M
+from jaxdet.floor.units import DROP_SPACING_M, SPREAD_M
 from jaxdet.reference._floor_profile import Ahead, Profile, spread
 
 DROPS, RISES = 28, 10  # steps tried: down to 1.1 m, and up to 0.4 m
@@ -30,7 +30,7 @@ def best_step(
         Its votes, and the step; :data:`NONE` where there is none.
     """
     drops = np.concatenate([np.arange(1, DROPS + 1), -np.arange(1, RISES + 1)])
-    drops = drops[:, None] * max(round(DROP_M / unit), 1)
+    drops = drops[:, None] * max(round(DROP_SPACING_M / unit), 1)
     level, other = np.zeros_like(seen.run), np.broadcast_to(-drops, (len(drops), len(seen.run)))
     before = _sums_before(seen.each(level, fine))
     beyond = _sums_from(seen.each(other, coarse))

@@ -70,7 +70,7 @@ def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
         "ramp_near": round(units.RAMP_NEAR_M / unit),
         "spread": round(units.SPREAD_M / unit),
         "start_step": scale.length(units.FINE_START_M),
-        "drop": scale.length(units.DROP_M),
+        "drop_spacing": scale.length(units.DROP_SPACING_M),
         "alike": scale.length(units.ALIKE_M),
         "starts": tuple(np.rint(units.STARTS_M / unit).astype(np.int64).tolist()),
     }

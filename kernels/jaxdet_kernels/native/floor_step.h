@@ -12,7 +12,7 @@ struct FloorSteps : FloorProfile {
 
     // The steps tried, down first.
     int drop(int i) const {
-        const int each = settings[FloorSetting::DROP];
+        const int each = settings[FloorSetting::DROP_SPACING];
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
     }
 
