@@ -128,6 +128,16 @@ def test_not_asked_for_is_not_wrong():
     assert evaluate(detections(points, [1000, 1000, 2000]), low).ignored == 2
 
 
+def test_half_of_the_points_on_what_is_not_asked_for():
+    """What is found is not left out as well; what is half a wall is one."""
+    far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
+    got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)
+    assert counted(got) == (2, 1, 1, 1, 0, 0)
+    wall, floor = [(30, 1, 0), (31, 1, 0)], [(20, 37, 0), (21, 37, 0)]
+    got = evaluate(detections(wall + floor, [1000]), truth())
+    assert (got.on_wall, got.false, got.on_floor) == (1, 0, 0)
+
+
 def test_tolerance():
     beside = [(3, 20, 0), (15 + 1, 20, 0), (10, 31, 0)]
     assert evaluate(detections(beside, [1000]), truth()).found == 1

@@ -22,6 +22,7 @@ from jaxdet.eval import (
     total,
     truth_of,
 )
+from jaxdet.eval.score import errors
 from jaxdet.eval.tally import COUNTS
 from jaxdet.results.metric import to_world
 from jaxdet.types import Intrinsics
@@ -185,3 +186,11 @@ def test_truth_of_a_log(moving):
     assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
     log.height_m = np.array([[0.1], [0.2]])
     assert truth_of(log, which, np.zeros((len(which), 2, 2), int)).height_m[0] == [0.2]
+
+
+def test_quantiles_of_errors():
+    cases = np.repeat(np.arange(11.0)[:, None], 7, axis=1)
+    cases[::2, 3:] *= -1
+    figures = errors(cases)
+    for name in ("nearest", "position", "width"):
+        assert (figures[f"{name}_error_m"], figures[f"{name}_error_p90_m"]) == (5.0, 9.0)
