@@ -384,23 +384,23 @@ def test_definitions_lose_what_says_nothing_of_bytes():
 
 
 @pytest.fixture
-def fail(monkeypatch) -> Callable[[int], list[float]]:
+def fail(monkeypatch) -> Callable[..., list[float]]:
     """Makes so many of the next calls fail that read; returns what is waited for them [s]."""
-    left, waited = 0, []
+    left, waited, number = 0, [], errno.EIO
 
     def flaky(call: Callable[..., Any]) -> Callable[..., Any]:
         def sometimes(*args: Any) -> Any:
             nonlocal left
             if left:
                 left -= 1
-                raise OSError(errno.EIO, "Input/output error")
+                raise OSError(number, os.strerror(number))
             return call(*args)
 
         return sometimes
 
-    def begin(count: int) -> list[float]:
-        nonlocal left
-        left = count
+    def begin(count: int, error: int = errno.EIO) -> list[float]:
+        nonlocal left, number
+        left, number = count, error
         return waited
 
     for name in ("pread", "preadv"):
@@ -433,6 +433,16 @@ def test_a_file_that_is_bad_for_good_is_not_waited_for_at_each_place(tmp_path, f
         with pytest.raises(DamageError, match="file can't be read"):
             file.read(0, 8)
     assert 20 < sum(waited) <= 30
+    file.close()
+
+
+def test_only_errors_that_may_pass_are_waited_for(tmp_path, fail):
+    file = McapFile(write_log(tmp_path / "x.mcap", SCENE), 1 << 20)
+    for error in (errno.EACCES, errno.EISDIR, errno.EBADF):
+        waited = fail(1, error)
+        with pytest.raises(DamageError, match="file can't be read"):
+            file.read(0, 8)
+    assert not waited and file.read(0, 8) == file.magic
     file.close()
 
 

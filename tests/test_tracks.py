@@ -124,6 +124,14 @@ def test_two_people_cross():
     assert all((row if f % 2 else row[::-1]) == first for f, row in enumerate(of))
 
 
+@pytest.mark.parametrize(("hidden_s", "count"), [(2.4, 1), (2.6, 2)])
+def test_what_is_gone_for_long_is_another(hidden_s, count):
+    """It is back where it stood."""
+    box, hidden = [corners_of(2, 0)], round(hidden_s * RATE_HZ)
+    tracks, of = follow([box] * 10 + [[]] * (hidden - 1) + [box] * 10)
+    assert len(tracks) == count and of[0] == [0] and of[-1] == [count - 1]
+
+
 def test_behind_a_pillar():
     """A person who is hidden for a second is the same one, with a point in each frame."""
     frames = []
