@@ -15,7 +15,7 @@ from jaxdet.errors import ConfigError, InputError
 from jaxdet.export import export
 from jaxdet.export.coco import run_lengths
 from jaxdet.export.recordings import find
-from jaxdet.io import LogOptions, find_logs
+from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.masks import label_image
 from jaxdet.results.reading import Results
 from jaxdet.sim import SimConfig, write_log
@@ -66,6 +66,10 @@ def check(coco: Any, folder: Path, output: Path) -> list[tuple[dict, dict, np.nd
 def test_simulated_log(drive: Path, tmp_path: Path) -> None:
     folder, truth = drive / "out", np.load(drive / "drive.mcap.truth.npz")
     found = check(coco_of(folder, tmp_path / "set"), folder, tmp_path / "set")
+    with open_log(str(drive / "drive.mcap")) as log:
+        color = log.read([0]).frames.color[0].astype(int)
+    picture = cv2.imread(str(tmp_path / "set" / found[0][0]["file_name"]), cv2.IMREAD_COLOR_RGB)
+    assert np.abs(picture - color).mean() < 3 < np.abs(picture[..., ::-1] - color).mean()
     assert len(found) > 20
     share, taken = [], {}
     for image, _, mask in found:

@@ -218,6 +218,7 @@ def test_the_map_is_a_grid_in_the_world(driven_results: Path, tmp_path: Path) ->
         want = last_grid(results, results.logs[0])
     assert want is not None
     assert [field.name for field in grid.fields] == ["red", "green", "blue", "alpha"]
+    assert grid.row_stride == 4 * want.states.shape[1]
     cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.row_stride)
     cells = cells.reshape(-1, grid.column_count, grid.cell_stride)
     assert (cells[..., 3] > 0).tolist() == (want.states >= 0).tolist()

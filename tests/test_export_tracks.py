@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.errors import InputError
+from jaxdet.export.shapes import T_camera_floor
 from jaxdet.results.reading import Results
 from jaxdet.tracks import TrackConfig, track_results
 from tests.export_results import run, sim_log
@@ -48,6 +49,7 @@ def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) ->
     tracks, of = pq.read_table(folder / "tracks.parquet").to_pylist(), linked(folder)
     topics, frames = exported(folder, tmp_path / "to")
     assert any(track["moving"] for track in tracks)
+    headed = 0
     for frame, (_, scene) in zip(frames, topics["/jaxdet/obstacles"], strict=True):
         number, row = frame.row["frame"], frame.row
         ids = [entity.id for entity in scene.entities]
@@ -55,6 +57,13 @@ def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) ->
         own = [f"track {t}" for t in of[number] if t is not None]
         assert {i for i in ids if i.startswith("track")} >= {*own}
         assert len([i for i in ids if not i.startswith("way")]) == len(of[number])
+        for entity in scene.entities:
+            for text in entity.texts:  # above the nearest point
+                p = text.pose.position
+                about = {pair.key: float(pair.value) for pair in entity.metadata}
+                place = np.linalg.inv(T_camera_floor(row)) @ [p.x, p.y, p.z, 1.0]
+                assert np.hypot(*place[:2]) == pytest.approx(about["distance_m"], abs=2e-3)
+                assert place[2] == pytest.approx(about["top_m"] + 0.08, abs=2e-3)
         there = [t for t in tracks if t["first_frame"] <= number <= t["last_frame"]]
         ways = {e.id: e for e in scene.entities if e.id.startswith("way")}
         assert {*ways} == {f"way of track {t['track']}" for t in there if t["moving"]}
@@ -68,6 +77,17 @@ def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) ->
                 place = arrow.pose.position.x, arrow.pose.position.y
                 np.testing.assert_allclose(place, track["path"][2 * at : 2 * at + 2], atol=1e-6)
                 assert len(line.points) == at + 1
+                path = np.reshape(track["path"], (-1, 2))[: at + 1]
+                way_back = [(p.x + place[0], p.y + place[1]) for p in line.points]
+                np.testing.assert_allclose(way_back, path, atol=1e-5)
+                on_floor = row["camera_position_world"][2] - row["camera_height_m"]
+                assert arrow.pose.position.z == pytest.approx(on_floor, abs=1e-6)
+                turn, goes = arrow.pose.orientation, path[-1] - path[0]
+                if np.hypot(*goes) > 0.3:
+                    ahead = 2 * np.arctan2(turn.z, turn.w) - np.arctan2(goes[1], goes[0])
+                    assert np.cos(ahead) > 0.8
+                    headed += 1
+    assert headed
 
 
 def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
