@@ -234,22 +234,43 @@ def test_exchanged_contents_are_found(results: Path) -> None:
     assert {*numbers} == {*range(8)}
 
 
+def raised(table: pa.Table, name: str, row: int, by: float) -> pa.Table:
+    """A table with another value in a column."""
+    values = table[name].to_pylist()
+    values[row] += by
+    column = table.column_names.index(name)
+    field = table.schema.field(column)
+    return table.set_column(column, field, [pa.array(values, field.type)])
+
+
 def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
     tables = read(results)
     obstacles = tables["obstacles.parquet"]
     (row, *_) = frames_of(obstacles, "b", 11, 12)
-    values = obstacles["distance_m"].to_pylist()
-    values[row] += 0.001
-    column = obstacles.column_names.index("distance_m")
-    field = obstacles.schema.field(column)
-    tables["obstacles.parquet"] = obstacles.set_column(
-        column, field, [pa.array(values, field.type)]
-    )
+    tables["obstacles.parquet"] = raised(obstacles, "distance_m", row, 0.001)
     rewrite(results, tables)
     assert found(verify(results, sample=2), but="tracks") == [
         "b: frame 11: distance_m of obstacles.parquet is not what the reference finds"
     ]
     assert {finding.check for finding in verify(results, sample=0).findings} == {"tracks"}
+
+
+@pytest.mark.parametrize(
+    ("column", "problem"),
+    [
+        ("obstacle", "b: obstacles of a frame are not numbered from 0"),
+        ("stamp_ns", "b: stamp_ns of obstacles is not that of their frames"),
+    ],
+)
+def test_obstacles_that_are_not_their_frames_are_found(
+    results: Path, column: str, problem: str
+) -> None:
+    tables = read(results)
+    obstacles = tables["obstacles.parquet"]
+    (row, *_) = frames_of(obstacles, "b", 11, 12)
+    tables["obstacles.parquet"] = raised(obstacles, column, row, 1)
+    rewrite(results, tables)
+    assert problem in found(verify(results, sample=0))
 
 
 @pytest.mark.parametrize(
