@@ -10,28 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import OutputError
 from jaxdet.results.durable import write_whole
 from jaxdet.results.manifest import made_by, make_manifest, result_files
 from jaxdet.results.writer import write_json
-
-
-def commit(output: Path, text: str) -> None:
-    with Workspace(output, {"of": text}, overwrite=True, say=lambda line: None) as work:
-        names = (
-            "config.json",
-            "frames.parquet",
-            "obstacles.parquet",
-            "pictures/a.png",
-            "summary.json",
-        )
-        files = {name: work.result / name for name in names}
-        for path in files.values():
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        files |= write_json(work.result / "manifest.json", make_manifest({}, files))
-        work.commit(files, None)
+from tests.committed import commit
 
 
 def test_a_commit_is_on_the_disk_step_by_step(tmp_path, monkeypatch):
@@ -61,7 +44,7 @@ def test_a_commit_is_on_the_disk_step_by_step(tmp_path, monkeypatch):
     moves = [(i, c[1], c[2]) for i, c in enumerate(calls) if c[0] == "replace" and i > journal]
     out = [i for i, source, _ in moves if source.parent == output or source.parent.parent == output]
     arrived = [(i, source, target) for i, source, target in moves if working in source.parents]
-    assert len(out) == 6 and len(arrived) == 6
+    assert len(out) == 7 and len(arrived) == 7
 
     def flushes(path, first, last):
         return any(c[:2] == ("fsync", path) for c in calls[first:last])
