@@ -248,7 +248,8 @@ struct Floor {
         if (!known) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
         const int turn = settings[FloorSetting::MAX_TURN];
-        return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn && apart(plane.roll, prior.roll) <= turn &&
+        return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn &&
+               apart(plane.roll, prior.roll) <= turn &&
                apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
     }
 
