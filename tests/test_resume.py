@@ -92,19 +92,19 @@ def interrupt() -> None:
     signal.raise_signal(signal.SIGINT)
 
 
-@pytest.mark.parametrize("name", ["commits", "runs"])
-def test_whatever_system_call_is_the_last(tmp_path: Path, name: str) -> None:
-    arguments = [str(tmp_path), *(["29"] if name == "runs" else [])]
-    ends = [sys.executable, "-m", f"tests.killed_{name}", *arguments]
+@pytest.mark.parametrize("how", ["commits", "runs 29 alone", "runs 29 updated"])
+def test_whatever_system_call_is_the_last(tmp_path: Path, how: str) -> None:
+    name, *arguments = how.split()
+    ends = [sys.executable, "-m", f"tests.killed_{name}", str(tmp_path), *arguments]
     done = subprocess.run(ends, cwd=ROOT, capture_output=True, text=True)
     assert not done.returncode, done.stderr
     assert min(map(int, re.findall(r"(\d+) calls", done.stdout))) > 50
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [("1",), ("7", "shared")], ids=["alone", "shared"])
-def test_every_system_call_of_a_run(tmp_path: Path, how: tuple[str, ...]) -> None:
-    ends = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), *how]
+@pytest.mark.parametrize("how", ["1 alone", "7 shared", "1 updated"])
+def test_every_system_call_of_a_run(tmp_path: Path, how: str) -> None:
+    ends = [sys.executable, "-m", "tests.killed_runs", str(tmp_path), *how.split()]
     subprocess.run(ends, cwd=ROOT, check=True)
 
 
@@ -335,7 +335,7 @@ def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path)
     changed = r"ground\.camera_height_m was not set and is 0\.5 now"
     with pytest.raises(ConfigError, match=f"{known}{changed}; give"):
         run(many[:2], tmp_path, height=0.5)
-    with pytest.raises(ConfigError, match=r"holds results already \(frames\.parquet\); give"):
+    with pytest.raises(ConfigError, match=f"{known}pictures was 0 and is 1 now; give"):
         run(many[:2], tmp_path, pictures=1)
     for _ in range(2):
         with pytest.raises(Interrupted):

@@ -19,8 +19,9 @@ MOST_NAMED = 3
 
 def summary_lines(summary: "Summary", output: Path) -> list[str]:
     """What a person wants to read after a run."""
-    brief, text = len(summary.logs) > MANY_LOGS, []
-    for log in summary.logs:
+    done = [log for log in summary.logs if log.log not in summary.kept]
+    brief, text = len(done) > MANY_LOGS, []
+    for log in done:
         if log.error:
             if log.frames or len(summary.logs) > 1:  # else there is no more than the error
                 text.append(f"{_label(log)}: failed after {many(log.frames, 'frame')}")
@@ -29,20 +30,27 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
             text.append(f"{_label(log)}: {counts[0]} ({_states(log)}), {counts[1]}")
         else:
             text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
-    text += _warnings(summary.whole) if brief else []
+    text += _warnings([log for log in done if not log.error]) if brief else []
     failed = len(summary.failed)
     some = f"{failed} of {many(len(summary.logs), 'log')} failed"
     if failed == len(summary.logs) and not summary.frames:
         return [*text, f"{some}; nothing was written" if failed > 1 else "nothing was written"]
-    rate = (
-        f"{summary.frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
-    )
-    found = f"{many(summary.frames, 'frame')}, {many(summary.obstacles, 'obstacle')}"
+    if summary.kept:
+        stay = [log for log in summary.whole if log.log in summary.kept]
+        text.append(f"{many(len(summary.kept), 'log')} as before: {_counts(stay)}")
+    done = [log for log in done if not log.error]
+    frames, found = sum(log.frames for log in done), _counts(done)
+    rate = f"{frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
     text.append(f"{found} in {summary.seconds:.1f} s")
     text[-1] += f" ({rate})" if rate else ""
     text[-1] += f"; {some}" if failed else ""
     nothing = failed == len(summary.logs)
     return [*text, "nothing was written" if nothing else _results_line(summary, output)]
+
+
+def _counts(logs: Sequence["LogSummary"]) -> str:
+    frames, obstacles = sum(log.frames for log in logs), sum(log.obstacles for log in logs)
+    return f"{many(frames, 'frame')}, {many(obstacles, 'obstacle')}"
 
 
 def _results_line(summary: "Summary", output: Path) -> str:

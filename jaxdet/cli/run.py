@@ -29,7 +29,6 @@ Examples:
   jaxdet run drive.mcap --output results
   jaxdet run bags/ --output results --preset d435 --config mine.toml --ground.step-height-m 0.03
   jaxdet run drive.mcap --output results --ground.camera-height-m 0.3 --ground.camera-pitch 10deg
-  jaxdet run drive.mcap --output again --config results/config.json
 
 A value comes from the flag, else from the file of --config (section [ground], key max_depth_m),
 else from the preset. M are metres, S seconds, ANGLE is a number with its unit: 10deg or 0.17rad.
@@ -154,6 +153,8 @@ def _there(command: RunCommand) -> int:
     elif not command.quiet:
         _say(f"{command.run.output} holds the results of this command already")
     code = _exit_code(json.loads(text))
+    if any(log["error"] or log["lost"] for log in json.loads(text)["logs"]):
+        tell("jaxdet: --update does again what failed or was lost")
     if command.tracks:
         _link(command)
     return code

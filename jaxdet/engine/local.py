@@ -5,12 +5,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.engine.join import WHOLE
+from jaxdet.engine.kept import KeptLogs
 from jaxdet.engine.log_run import PLAN, LogRun, Shared
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
@@ -77,11 +79,12 @@ def run(
     Memory(options.memory, 1)  # too little is said before anything is touched
     ordered = sorted(logs, key=lambda log: log.name)
     seen = observers or {}
-    output, overwrite = options.output, options.overwrite
+    output = options.output
     _check_outside(output, ordered)
     record = make_record(ordered, config, log_options, options, seen, preset)
     store = options.parts and open_store(options.parts, record, begin=options.share is not None)
-    with Workspace(output, record, overwrite=overwrite, say=say) as work:
+    update = partial(KeptLogs, output, ordered, record) if options.update else None
+    with Workspace(output, record, overwrite=options.overwrite, update=update, say=say) as work:
         if work.done:
             return work.done.told[1]
         whole = _Run(ordered, config, log_options, options, seen, work)
@@ -90,7 +93,7 @@ def run(
             say(f"continuing: {there} there")
         try:
             with stops_raised():
-                return whole.run(record)
+                return whole.run(work.record)
         except KeyboardInterrupt as stop:
             there = whole.standing()
             there = f"{there} done; the same command goes on" if there else "nothing is done yet"
@@ -123,16 +126,19 @@ class _Run:
         observers: Mapping[str, Observer],
         work: Workspace,
     ) -> None:
-        self.logs, self.config, self.log_options = logs, config, log_options
+        self.kept = kept = work.kept
+        self.logs = kept.logs if kept else logs
+        self.config, self.log_options = config, log_options
         self.options, self.observers, self.work = options, observers, work
         self.progress: ProgressCallback | None = None
         self.say: Callable[[str], None] = print
         self.store: PartStore | None = None
         self.summary = Summary(options.backend, options.batch_size or 0)
+        self.summary.kept = kept.names if kept else frozenset()
         self.files: dict[str, Path] = {}
         """Of the results, by their names."""
         self._start = time.perf_counter()
-        self._names = file_names(log.name for log in logs)
+        self._names = file_names(log.name for log in self.logs)
 
     def run(self, record: Mapping[str, Any]) -> Summary:
         """All logs are in the results, but those that have failed."""
@@ -162,7 +168,7 @@ class _Run:
         """How much is on the disk, for people; empty: nothing."""
         logs = sorted(self.work.logs.glob("*"))
         done = sum((log / WHOLE).exists() for log in logs)
-        text = f"{done} of {len(self.logs)} logs"
+        text = f"{done} of {len(self.logs) - len(self.summary.kept)} logs"
         for folder in sorted(self.work.logs.glob("*/*/"), reverse=True):
             parts = len(list(folder.glob("*.part")))
             plan: LogPlan | None = self.work.read(folder / PLAN)
@@ -188,6 +194,10 @@ class _Run:
         shared = Shared(*given, self.memory, pool, writer, self.store, self.say)
         fetched = 0
         for number, files in enumerate(self.logs):
+            if self.kept and files.name in self.kept.names:
+                self.summary.logs += self.kept.take(files, writer)
+                self.files |= self.kept.link_files(files, self.work.result / "kept")
+                continue
             report = reporter(self.progress, number, len(self.logs))
             one = LogRun(shared, files, self._names[number], report, number)
             folder, options = self.work.log_folder(number), self.log_options

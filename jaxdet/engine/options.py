@@ -39,6 +39,8 @@ class RunOptions:
     """Frames of each log to draw, evenly spaced."""
     overwrite: bool = False
     """Replace the results in the output folder."""
+    update: bool = False
+    """Add new, changed and failed logs to the results that are there."""
 
     def __post_init__(self) -> None:
         if self.batch_size is not None and self.batch_size < 1:
@@ -52,6 +54,9 @@ class RunOptions:
                 raise ConfigError(f"--share {self.share} is no share", remedy=remedy)
             if self.parts is None:
                 raise ConfigError("--share without a place for it", remedy="give --parts as well")
+        if self.update and (self.overwrite or self.parts):
+            other = "--overwrite" if self.overwrite else "--parts"
+            raise ConfigError(f"--update with {other}", remedy="give one of them")
         if self.pictures < 0:
             raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
         if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:

@@ -32,16 +32,17 @@ def make_record(
     Workers and batches are not in it, as they change no result.
 
     Returns:
-        What JSON can hold: ``about``, which goes into the manifest of the results, with versions
-        and inputs, ``config``, most of ``config.json``, and ``drawn`` and ``observed``.
+        What JSON can hold: ``about``, which goes into the manifest of the results, with versions,
+        inputs, the number of pictures and what they are compared with, and ``config``, most of
+        ``config.json``.
     """
     inputs = {log.name: [fingerprint(path) for path in log.paths] for log in logs}
     which = {"jaxdet": jaxdet.__version__, "source": source_digest(), "versions": versions()}
-    about = {**which, "inputs": inputs}
     chosen = {"preset": preset, "backend": options.backend, **plain(config)}
     chosen["log"] = plain(log_options)
     observed = {name: {type(one).__name__: plain(vars(one))} for name, one in observers.items()}
-    record = {"about": about, "config": chosen, "pictures": options.pictures, "observed": observed}
+    about = {**which, "inputs": inputs, "pictures": options.pictures, "observed": observed}
+    record = {"about": about, "config": chosen}
     return json.loads(json.dumps(record, default=lambda value: type(value).__name__))
 
 
@@ -72,19 +73,29 @@ def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
     return f"{name} was {was} and is {is_now} now"
 
 
-def difference_from_results(folder: Path, now: Mapping[str, Any]) -> str | None:
-    """The first thing in which whole results differ from those of a record, as far as they tell.
+def difference_but_logs(before: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """The first thing beside the logs in which two records differ, likewise."""
+    about = {**before["about"], "inputs": now["about"]["inputs"]}
+    return difference({**before, "about": about}, now)
 
-    They don't tell the number of pictures and the truth that they were compared with.
+
+def record_of_results(folder: Path, like: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The record of whole results.
+
+    Args:
+        folder: Where they are.
+        like: Another record, of this version.
+
+    Returns:
+        As of :func:`make_record`; None: they are not whole, or of another version.
     """
     try:
         manifest = read_manifest(folder)
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-        about = {name: manifest[name] for name in now["about"]}
-        before = {"about": about, "config": {name: config[name] for name in now["config"]}}
-        return difference(before, {name: now[name] for name in before})
+        about = {name: manifest[name] for name in like["about"]}
+        return {"about": about, "config": {name: config[name] for name in like["config"]}}
     except (JaxdetError, OSError, ValueError, TypeError, KeyError, AttributeError):
-        return None  # they are not whole, or of another version
+        return None
 
 
 _NOT = object()

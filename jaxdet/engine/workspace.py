@@ -24,14 +24,29 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxdet.engine.record import difference, difference_from_results, digest
+from jaxdet.engine.record import (
+    difference,
+    difference_but_logs,
+    digest,
+    record_of_results,
+)
 from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, Journal, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
-from jaxdet.results.manifest import RESULTS, WORKING, files_like_results, made_by, result_files
+from jaxdet.results.manifest import (
+    MANIFEST,
+    RESULTS,
+    WORKING,
+    files_like_results,
+    made_by,
+    result_files,
+)
+
+if TYPE_CHECKING:
+    from jaxdet.engine.kept import KeptLogs
 
 Say = Callable[[str], None]
 
@@ -45,31 +60,41 @@ class Workspace:
         output: The output folder; made when missing.
         record: What decides the results, see :func:`jaxdet.engine.record.make_record`.
         overwrite: Replace results that are there.
+        update: Brings results that are there up to date: opens them. Else they are replaced.
         say: Gets a line for each thing worth knowing.
 
     Raises:
-        ResultsError: The folder holds results and ``overwrite`` is off.
+        ResultsError: The folder holds results and ``overwrite`` is off, or all that are to be
+                made.
         ConfigError: It holds an unfinished run of another record, files named as results are, or
             what these can't take the place of; another run works there; or it is a file.
         InputError: The folder can't be written to, or holds another user's unfinished run.
     """
 
     def __init__(
-        self, output: Path, record: Mapping[str, Any], *, overwrite: bool, say: Say
+        self,
+        output: Path,
+        record: Mapping[str, Any],
+        *,
+        overwrite: bool,
+        update: Callable[[], "KeptLogs"] | None = None,
+        say: Say,
     ) -> None:
         self.output, self.record = output, record
         self.folder = output.absolute() / WORKING
         if output.exists() and not output.is_dir():
             raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
-        if not self.folder.exists() and not overwrite:
+        if not self.folder.exists() and not (overwrite or update):
             self._refuse_results()
         self._lock = Lock(self.folder / "lock")
         self.done: Journal | None = None
         """The results were whole already, and are in their place now."""
+        self.kept: KeptLogs | None = None
+        """What stays of results that are brought up to date; their record is that of all logs."""
         self.taken_over = self._lock.before is not None
         """The run before this one ended without a word."""
         try:
-            self._enter(overwrite=overwrite, say=say)
+            self._enter(update, overwrite=overwrite, say=say)
         except BaseException:
             self._leave()
             raise
@@ -82,7 +107,7 @@ class Workspace:
         """Unlocks it, and removes it where nothing in it is of use."""
         self._leave()
 
-    def _enter(self, *, overwrite: bool, say: Say) -> None:
+    def _enter(self, update: Callable[[], "KeptLogs"] | None, *, overwrite: bool, say: Say) -> None:
         if self._lock.before:
             say(f"taken over from a run that ended without a word ({self._lock.before})")
         if journal := settle(self.folder):
@@ -91,7 +116,10 @@ class Workspace:
             if journal.told and difference(journal.told[0], self.record) is None:
                 self.done = journal
                 return
-        if not overwrite:
+        if update and (self.output / MANIFEST).exists():
+            self.kept = update()
+            self.record = self.kept.record
+        if not overwrite and (self.kept is None or self.kept.all_stay):
             self._refuse_results()
         self._refuse_blocked()
         begun = self.read("plan")
@@ -180,6 +208,8 @@ class Workspace:
                 path.unlink()
 
     def _leave(self) -> None:
+        if self.kept:
+            self.kept.close()
         kept = next(self.folder.glob("logs-*/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
         if self.done or not kept:
             with suppress(OSError):
@@ -193,8 +223,12 @@ class Workspace:
         found = result_files(self.output)
         if found:
             same = made_by(self.output) == digest(self.record)
-            reason = None if same else difference_from_results(self.output, self.record)
-            raise ResultsError(str(self.output), found[0], same=same, reason=reason or "")
+            before = None if same else record_of_results(self.output, self.record)
+            reason = difference(before, self.record) if before else None
+            error = ResultsError(str(self.output), found[0], same=same, reason=reason or "")
+            if before and not difference_but_logs(before, self.record):
+                error.add_remedy("or --update to do new logs alone")
+            raise error
         if found := files_like_results(self.output):
             raise ConfigError(
                 f"holds {found[0]}, which is named as results are",
@@ -208,7 +242,8 @@ class Workspace:
             if path.is_dir() and not path.is_symlink():
                 self._refuse(path, "is a folder, where a file of the results would be")
         pictures = self.output / "pictures"
-        if not self.record.get("pictures") or not (pictures.is_symlink() or pictures.exists()):
+        drawn = self.record.get("about", {}).get("pictures")
+        if not drawn or not (pictures.is_symlink() or pictures.exists()):
             return
         if not pictures.is_dir():
             self._refuse(pictures, "is no folder, where one of the results would be")

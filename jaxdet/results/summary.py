@@ -19,6 +19,8 @@ from jaxdet.results.versions import version, versions
 STEPS = ("read", "decode", "transfer", "compute", "write")
 ON_DEVICES = ("transfer", "compute")
 """What GPUs do, where there are any."""
+_DERIVED = ("bottleneck", "rates")
+"""What a log's entry has beside its fields and what observers say."""
 MANY_REFUSED = 0.1
 """More of the frames without a floor of their own are worth a warning."""
 MOSTLY_FAR = 0.9
@@ -108,6 +110,19 @@ class LogSummary(Counts):
     """Ranges of frames without results, as the processes that worked on them failed, twice."""
     error: str | None = None
     """Why the log failed as a whole; it then has no rows."""
+
+    @classmethod
+    def from_dict(cls, told: Mapping[str, Any]) -> "LogSummary":
+        """A summary from what :meth:`to_dict` made of it, which it makes of this again."""
+        kinds = {part.name: part for part in dataclasses.fields(cls)}
+        counters = {part.name for part in dataclasses.fields(Counts) if part.type is not int}
+        values: dict[str, Any] = {
+            name: Counter(value) if name in counters else value
+            for name, value in told.items()
+            if name in kinds
+        }
+        observed = {k: v for k, v in told.items() if k not in {*kinds, *_DERIVED}}
+        return cls(**values, observed=observed)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it, what observers say under their names."""
@@ -215,6 +230,8 @@ class Summary:
     seconds: float = 0.0
     workers: int = 1
     """Processes that shared the frames."""
+    kept: frozenset[str] = frozenset()
+    """Names of the logs that stay as results that were there have them."""
 
     @property
     def frames(self) -> int:
@@ -251,6 +268,7 @@ class Summary:
             "obstacles": self.obstacles,
             "overflow_frames": sum(log.overflow_frames for log in self.whole),
             "failed_logs": len(self.failed),
+            "kept_logs": len(self.kept),
             "lost_units": sum(len(log.lost) for log in self.whole),
             "seconds": round(self.seconds, 3),
             "logs": [log.to_dict() for log in self.logs],

@@ -1,0 +1,336 @@
+"""Results that are brought up to date: the bytes of a run over all logs, and no log done twice."""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from jaxdet import engine
+from jaxdet.cli.main import main
+from jaxdet.config import Config, GroundConfig
+from jaxdet.engine import device, kept, log_run
+from jaxdet.errors import (
+    ConfigError,
+    InputError,
+    Interrupted,
+    OutputError,
+    ResultsError,
+)
+from jaxdet.io import LogFiles, LogOptions
+from jaxdet.results.manifest import changed_manifest, read_manifest
+from jaxdet.results.summary import LogSummary
+from jaxdet.results.writer import write_json
+from jaxdet.sim import SimConfig, write_log
+from jaxdet.tracks import track_results
+from jaxdet.verify import verify
+from tests.killed_runs import named, remembered
+from tests.test_engine_parts import sim_log as sim_log
+from tests.test_engine_parts import two_cameras as two_cameras  # a fixture
+from tests.test_resume import interrupt, stop_at
+from tests.test_workers import same_results
+
+COMPUTED = remembered(device.detect)
+CONFIG = Config(GroundConfig(source="none"))
+
+
+class Logs:
+    """Logs of ten frames each, files of a few bytes, and which of them were opened."""
+
+    def __init__(self, folder: Path, names: str) -> None:
+        self.folder, self.opened, self.broken = folder, list[str](), set[str]()
+        self.all = [self.add(name) for name in names]
+
+    def add(self, name: str, content: str = "") -> LogFiles:
+        path = self.folder / f"{name}.mcap"
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_text(content or name, encoding="utf-8")
+        os.utime(path, ns=(0, 0))
+        return LogFiles(name, (path,))
+
+    def open(self, files: LogFiles, options: LogOptions, memory: Any) -> Any:
+        self.opened.append(files.name)
+        if files.name in self.broken:
+            raise InputError("is torn", path=files.name)
+        return named(files.name)
+
+    def run(self, which: str, output: Path, **more: Any) -> list[str]:
+        """Runs over the logs of these names; returns which were opened."""
+        self.opened.clear()
+        self.go([log for log in self.all if log.name in which], output, **more)
+        return sorted(self.opened)
+
+    def go(self, logs: list[LogFiles], output: Path, **more: Any) -> engine.Summary:
+        own = {name: more.pop(name) for name in ("progress", "say") if name in more}
+        config = more.pop("config", CONFIG)
+        how = {"backend": "reference", "batch_size": 5, "pictures": 1, "workers": 1, **more}
+        return engine.run(logs, config, LogOptions(), engine.RunOptions(output, **how), **own)
+
+
+@pytest.fixture
+def logs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Logs:
+    made = Logs(tmp_path / "logs", "abcd")
+    monkeypatch.setattr(log_run, "open_log", made.open)
+    monkeypatch.setattr(device, "detect", COMPUTED)
+    return made
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+def rows(folder: Path) -> list[str]:
+    """The logs of the frames."""
+    return pq.read_table(folder / "frames.parquet", columns=["log"])["log"].to_pylist()
+
+
+@pytest.mark.parametrize("more", [{}, {"copies": True}], ids=["links", "copies"])
+def test_new_logs_before_between_and_behind(
+    logs: Logs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
+) -> None:
+    if more:
+
+        def refuse(self: Path, target: Path) -> None:
+            raise PermissionError(1, "Operation not permitted")
+
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+    output = tmp_path / "out"
+    logs.run("b", output)
+    before = summary(output)["logs"]
+    assert logs.run("bd", output, update=True) == ["d"]
+    assert logs.run("abcd", output, update=True) == ["a", "c"]
+    assert logs.run("abcd", tmp_path / "whole") == ["a", "b", "c", "d"]
+    same_results(output, tmp_path / "whole")
+    assert [log for log in summary(output)["logs"] if log["log"] == "b"] == before
+    assert (summary(output)["kept_logs"], summary(tmp_path / "whole")["kept_logs"]) == (2, 0)
+    report = verify(output, sample=0)
+    assert not [finding for finding in report.findings if finding.check != "log"]
+    with pytest.raises(ResultsError) as caught:
+        logs.run("abcd", output, update=True)
+    assert caught.value.same
+    assert not logs.opened
+    assert not (output / ".jaxdet").exists()
+
+
+def test_what_is_there_without_results_is_a_run(logs: Logs, tmp_path: Path) -> None:
+    assert logs.run("ab", tmp_path / "out", update=True) == ["a", "b"]
+    assert rows(tmp_path / "out") == ["a"] * 10 + ["b"] * 10
+
+
+def test_logs_that_are_not_named_stay(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.run("abc", output)
+    (logs.folder / "a.mcap").unlink()
+    assert logs.run("d", output, update=True) == ["d"]
+    assert rows(output) == [name for name in "abcd" for _ in range(10)]
+    assert [log["paths"] for log in summary(output)["logs"]] == [
+        [str(logs.folder / f"{name}.mcap")] for name in "abcd"
+    ]
+
+
+@pytest.mark.parametrize("how", ["content", "time"])
+def test_a_changed_log_is_done_again(logs: Logs, tmp_path: Path, how: str) -> None:
+    output = tmp_path / "out"
+    logs.run("abc", output)
+    if how == "content":
+        logs.add("b", "x")
+    else:  # bytes in the middle of a large log may have changed
+        os.utime(logs.folder / "b.mcap", ns=(1, 1))
+    assert logs.run("abc", output, update=True) == ["b"]
+    assert rows(output) == [name for name in "abc" for _ in range(10)]
+
+
+def test_a_log_that_moved_stays(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.run("ab", output)
+    moved = logs.folder.rename(tmp_path / "moved")
+    there = [LogFiles(name, (moved / f"{name}.mcap",)) for name in "ab"]
+    logs.go(there, output, update=True)
+    assert [log["paths"] for log in summary(output)["logs"]] == [
+        [str(moved / f"{name}.mcap")] for name in "ab"
+    ]
+    logs.opened.clear()
+    with pytest.raises(ResultsError):
+        logs.go(there, output, update=True)
+    assert not logs.opened
+
+
+def test_failed_logs_are_done_again(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+
+    def errors() -> list[str | None]:
+        return [log["error"] for log in summary(output)["logs"]]
+
+    logs.broken = {"b", "d"}
+    logs.run("abcd", output)
+    assert logs.run("abcd", output, update=True) == ["b", "d"]
+    assert errors() == [None, "b: is torn", None, "d: is torn"]
+    logs.broken = set()
+    assert logs.run("abc", output, update=True) == ["b"]  # d is not asked for, and still failed
+    assert errors() == [None, None, None, "d: is torn"]
+    assert logs.run("abcd", output, update=True) == ["d"]
+    logs.run("abcd", tmp_path / "whole")
+    same_results(output, tmp_path / "whole")
+
+
+def test_logs_with_lost_frames_are_done_again(logs: Logs, tmp_path: Path, monkeypatch) -> None:
+    output = tmp_path / "out"
+    join = log_run.join_parts
+
+    def losing(plan: Any, about: LogSummary, room: int) -> Any:
+        notes = join(plan, about, room)
+        about.lost.append("frames 0 to 4: a worker ended")
+        return notes
+
+    with monkeypatch.context() as patch:
+        patch.setattr(log_run, "join_parts", losing)
+        logs.run("a", output)
+    assert logs.run("ab", output, update=True) == ["a", "b"]
+    assert not any(log["lost"] for log in summary(output)["logs"])
+    assert logs.run("abc", output, update=True) == ["c"]
+
+
+def test_cameras_and_scores_stay(two_cameras: Path, sim_log: Path, tmp_path: Path) -> None:
+    for path in (two_cameras, sim_log):
+        shutil.copy2(path, tmp_path)
+    shutil.copy2(f"{sim_log}.truth.npz", tmp_path)
+    sim, two = tmp_path / sim_log.name, tmp_path / two_cameras.name
+    how = ["--backend", "reference", "--pictures", "1", "--truth", str(sim), "--quiet"]
+    assert main(["run", str(two), "--output", str(tmp_path / "out"), *how]) == 0
+    before = summary(tmp_path / "out")["logs"]
+    assert before[0]["score"]["frames"] != before[1]["score"]["frames"]
+    assert main(["run", str(tmp_path), "--output", str(tmp_path / "out"), *how, "--update"]) == 0
+    assert summary(tmp_path / "out")["logs"][1:] == before
+    assert main(["run", str(tmp_path), "--output", str(tmp_path / "whole"), *how]) == 0
+    same_results(tmp_path / "out", tmp_path / "whole")
+    assert not verify(tmp_path / "out", sample=0).findings
+    for told in summary(tmp_path / "out")["logs"]:
+        assert LogSummary.from_dict(told).to_dict() == told
+
+
+def test_tracks_go_with_the_results_that_they_are_of(logs: Logs, tmp_path: Path) -> None:
+    logs.run("a", tmp_path / "out")
+    track_results(tmp_path / "out")
+    logs.run("ab", tmp_path / "out", update=True)
+    assert not list((tmp_path / "out").glob("track*"))
+
+
+def test_an_update_that_is_stopped_goes_on(logs: Logs, tmp_path: Path) -> None:
+    output, said = tmp_path / "out", list[str]()
+    logs.run("a", output)
+    with pytest.raises(Interrupted, match=r"1 of 3 logs and 1 of 2 units of c are done"):
+        logs.run("abcd", output, update=True, progress=stop_at("c", interrupt))
+    assert rows(output) == ["a"] * 10
+    with pytest.raises(ConfigError, match="holds results already"):
+        logs.run("abcd", output)
+    with pytest.raises(ConfigError, match="an unfinished run, but the log d was among its logs"):
+        logs.run("abc", output, update=True)
+    assert logs.run("abcd", output, update=True, say=said.append) == ["c", "d"]
+    assert said == ["continuing: 1 of 3 logs and 1 of 2 units of c are there"]
+    logs.run("abcd", tmp_path / "whole")
+    same_results(output, tmp_path / "whole")
+
+
+def test_what_can_not_be_brought_up_to_date(logs: Logs, tmp_path: Path, monkeypatch) -> None:
+    output = tmp_path / "out"
+    logs.run("ab", output)
+
+    def refused(match: str, go: Callable[[], Any]) -> None:
+        before = {path: path.read_bytes() for path in output.rglob("*") if path.is_file()}
+        with pytest.raises(ConfigError, match=f"be brought up to date: {match}; give") as caught:
+            go()
+        assert "--overwrite to do all logs again" in str(caught.value)
+        assert {path: path.read_bytes() for path in output.rglob("*") if path.is_file()} == before
+
+    def update(which: str = "abc", **more: Any) -> Callable[[], Any]:
+        return lambda: logs.run(which, output, update=True, **more)
+
+    step = Config(GroundConfig(source="none", step_height_m=0.06))
+    refused(r"ground.step_height_m was 0.05 and is 0.06 now", update(config=step))
+    refused("pictures was 1 and is 2 now", update(pictures=2))
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxdet.__version__", "0.2.0")
+        refused('jaxdet was "0.1.0" and is "0.2.0" now', update())
+    other = logs.add("other/b", "another log of this name")._replace(name="b")
+    there = re.escape(str(logs.folder / "b.mcap"))
+    refused(f"b is {there} there", lambda: logs.go([other], output, update=True))
+    renamed = logs.all[1]._replace(name="logs/b")
+    refused("the log logs/b is called b there", lambda: logs.go([renamed], output, update=True))
+    copied = logs.add("copy/b", "b")._replace(name="copy")
+    refused("the log copy is called b there", lambda: logs.go([copied], output, update=True))
+    with monkeypatch.context() as patch:
+        older = {k: v for k, v in read_manifest(output).items() if k != "pictures"}
+        patch.setattr("jaxdet.results.manifest.read_manifest", lambda folder: older)
+        write_json(output / "manifest.json", changed_manifest(output, (), {}))
+    refused("they are of another version", update())
+
+
+def test_names_of_files_stay(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([logs.add("a_b")], output)
+    with pytest.raises(ConfigError, match="files of the log a_b would be called a_b_2"):
+        logs.go([logs.add("a b")], output, update=True)
+
+
+@pytest.mark.parametrize("name", ["obstacles.parquet", "pictures/a_000000.png", "summary.json"])
+def test_damaged_results_are_refused(logs: Logs, tmp_path: Path, name: str) -> None:
+    output = tmp_path / "out"
+    logs.run("ab", output)
+    content = bytearray((output / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (output / name).write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(name)):
+        logs.run("abc", output, update=True)
+    assert bytes(content) == (output / name).read_bytes()
+    (output / name).unlink()
+    with pytest.raises(InputError, match=re.escape(name)):
+        logs.run("abc", output, update=True)
+
+
+def test_no_memory_for_rows_that_stay(logs: Logs, tmp_path: Path, monkeypatch) -> None:
+    logs.run("a", tmp_path)
+
+    def full(*_: object) -> Any:
+        raise MemoryError
+
+    monkeypatch.setattr(kept, "Tables", full)
+    with pytest.raises(OutputError, match="no memory for its rows"):
+        logs.run("ab", tmp_path, update=True)
+    assert rows(tmp_path) == ["a"] * 10
+
+
+def test_flags_that_exclude_each_other(tmp_path: Path) -> None:
+    for more in ({"overwrite": True}, {"parts": str(tmp_path)}):
+        with pytest.raises(ConfigError, match=f"--update with --{next(iter(more))}"):
+            engine.RunOptions(tmp_path, update=True, **more)
+
+
+def test_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "logs").mkdir()
+    for name in "ab":
+        write_log(tmp_path / "logs" / f"{name}.mcap", SimConfig(frames=2, width=160, height=120))
+    (tmp_path / "logs" / "c.mcap").write_bytes(b"no log")
+    run = ["run", str(tmp_path / "logs"), "--output", str(tmp_path / "out"), "--backend"]
+    run += ["reference", "--pictures", "0"]
+    (tmp_path / "logs" / "b.mcap").rename(tmp_path / "b.mcap")
+    assert main(run) == 1
+    capsys.readouterr()
+    assert main(run) == 1
+    said = capsys.readouterr().err
+    assert "holds the results of this command already" in said
+    assert said.endswith("jaxdet: --update does again what failed or was lost\n")
+    (tmp_path / "b.mcap").rename(tmp_path / "logs" / "b.mcap")
+    assert main(run) == 2
+    said = capsys.readouterr().err
+    assert "the log b was not among its logs; give another --output" in said
+    assert said.endswith("--overwrite to replace them; or --update to do new logs alone\n")
+    assert main([*run, "--update"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "b"
+    assert re.fullmatch(r"1 log as before: 2 frames, \d+ obstacles", lines[-3])
+    assert re.fullmatch(r"2 frames, \d+ obstacles in .* 1 of 3 logs failed", lines[-2])
