@@ -56,6 +56,31 @@ def test_reading_holds_one_row_group(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(held) == 40 and max(held) < 500_000
 
 
+def test_logs_one_after_the_other_are_read_once(tmp_path: Path, monkeypatch) -> None:
+    """Of logs of few frames a row group holds many."""
+    read, batches = [], reading._batches
+
+    def counted(file, groups, *more):
+        for batch in batches(file, groups, *more):
+            read.append(batch.num_rows)
+            yield batch
+
+    monkeypatch.setattr(reading, "_batches", counted)
+    logs = {f"{number:03d}": 50 for number in range(60)}
+    with Results(make_results(tmp_path / "out", logs)) as results:
+        want = results.summary["frames"], results.summary["obstacles"]
+        for log in results.logs:  # as whoever looks at logs in several ways does
+            for columns in (["frame"], ["stamp_ns"]):
+                found = [*results.chunks(log, columns, columns, size=20)]
+                assert [chunk.frames.num_rows for chunk in found] == [20, 20, 10]
+        assert sum(read) <= 2 * sum(want)
+        read.clear()
+        for log in reversed(results.logs):
+            (first, *_) = results.chunks(log, ["log"], [])
+            assert first.frames["log"][0].as_py() == log.name
+        assert sum(read) > 10 * sum(want)
+
+
 def copied(folder: Path, to: Path) -> Path:
     to.mkdir()
     for path in folder.glob("*.*"):

@@ -154,6 +154,8 @@ class Results:
         if self._json(MANIFEST) != manifest:
             problem = "the results were replaced while they were opened"
             raise InputError(problem, path=str(folder), remedy="read them again")
+        self._read_on: list[_Rows] = []
+        """Tables read up to the end of a log, from where others are read on."""
         self.metadata = _metadata(self._obstacles)
         self.frames_metadata = _metadata(self._frames)
         self.version = self.metadata.get(VERSION_KEY, "")
@@ -247,13 +249,13 @@ class Results:
         """
         for one in self.logs if log is None else (log,):
             start = one.first_frame, one.first_obstacle
-            rows = _Rows(
+            own = obstacles and [name for name in obstacles if name != "track"]
+            linked = self.tracked and (obstacles is None or "track" in obstacles)
+            rows = self._rows(
                 self._frames, start[0], frames, ("log", "camera", "frame", "num_obstacles")
             )
-            own = obstacles and [name for name in obstacles if name != "track"]
-            parts = _Rows(self._obstacles, start[1], own, ("log", "camera", "frame"))
-            linked = self.tracked and (obstacles is None or "track" in obstacles)
-            links = _Rows(self._links, start[1], ("track",), ("frame",)) if linked else None
+            parts = self._rows(self._obstacles, start[1], own, ("log", "camera", "frame"))
+            links = self._rows(self._links, start[1], ("track",), ("frame",)) if linked else None
             left = one.num_frames
             with self._reading():
                 while left:
@@ -266,6 +268,7 @@ class Results:
                     chunk = Chunk(taken, parts.take(int(count.sum(dtype=np.int64))))
                     self._check(one, chunk, count)
                     yield chunk if links is None else self._linked(chunk, links)
+            self._read_on += [table for table in (rows, parts, links) if table is not None]
 
     def frames(
         self,
@@ -377,6 +380,16 @@ class Results:
             raise InputError(problem, path=str(self.folder), remedy="run jaxdet track again")
         return chunk._replace(obstacles=chunk.obstacles.append_column("track", taken["track"]))
 
+    def _rows(self, file: pq.ParquetFile, start: int, *columns: Any) -> "_Rows":
+        """Rows of a table from one on, with these columns of :class:`_Rows`.
+
+        Of small logs one row group holds many, which it would take to read for each of them.
+        """
+        wanted = file, start, columns
+        found = next((rows for rows in self._read_on if rows.at == wanted), None)
+        self._read_on = [r for r in self._read_on if (r.at[0], r.at[2]) != (file, columns)]
+        return found or _Rows(file, start, *columns)
+
     @contextmanager
     def _reading(self) -> Iterator[None]:
         """Tables that are damaged are errors of the input."""
@@ -409,6 +422,8 @@ class _Rows:
         columns: Sequence[str] | None,
         always: tuple[str, ...],
     ) -> None:
+        self.at = file, start, (columns, always)
+        """The table, the next row, and the columns asked for."""
         named = None if columns is None else [*always, *(c for c in columns if c not in always)]
         sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
         ends = np.cumsum(sizes, dtype=np.int64)
@@ -435,6 +450,8 @@ class _Rows:
             if part.num_rows:
                 found.append(part.select(self.schema.names))
             count -= part.num_rows
+        taken, (file, row, columns) = sum(part.num_rows for part in found), self.at
+        self.at = file, row + taken, columns
         return pa.Table.from_batches(found, schema=self.schema).combine_chunks()
 
 
@@ -442,7 +459,7 @@ def _batches(
     file: pq.ParquetFile,
     groups: Iterable[int],
     columns: Sequence[str] | None = None,
-    size: int = 1 << 16,
+    size: int = 2048,
 ) -> Iterator[pa.RecordBatch]:
     """The rows of some row groups, at most ``size`` together, each by a reader of its own.
 
