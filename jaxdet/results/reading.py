@@ -193,11 +193,13 @@ class Results:
         if not self.tracked:
             return
         with self._reading():
-            groups = self._track_groups.get((log.name, log.camera), [])
-            for batch in _batches(self._tracks, groups, size=CHUNK_FRAMES):
-                for row in batch.to_pylist():
-                    if (row["log"], row["camera"]) == (log.name, log.camera):
-                        yield row
+            own = self._track_rows.get((log.name, log.camera))
+            if own is None:
+                return
+            rows = self._rows(self._tracks, own.start, None, ())
+            for first in range(own.start, own.stop, CHUNK_FRAMES):
+                yield from rows.take(min(CHUNK_FRAMES, own.stop - first)).to_pylist()
+        self._read_on.append(rows)
 
     @cached_property
     def method(self) -> Config:
@@ -359,13 +361,15 @@ class Results:
         return self._table_of_tracks(TRACKS)
 
     @cached_property
-    def _track_groups(self) -> dict[tuple[str, str], list[int]]:
-        """The row groups that hold the tracks of each log and camera."""
-        found: dict[tuple[str, str], list[int]] = {}
+    def _track_rows(self) -> dict[tuple[str, str], range]:
+        """The rows of each log and camera, one after the other as in the other tables."""
+        found: dict[tuple[str, str], range] = {}
+        row = 0
         for group in range(self._tracks.num_row_groups):
             names = self._tracks.read_row_group(group, ["log", "camera"]).to_pydict()
-            for of in {*zip(names["log"], names["camera"], strict=True)}:
-                found.setdefault(of, []).append(group)
+            for of in zip(names["log"], names["camera"], strict=True):
+                first = found[of].start if of in found else row
+                found[of], row = range(first, row + 1), row + 1
         return found
 
     @cached_property
