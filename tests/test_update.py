@@ -256,18 +256,56 @@ def test_what_can_not_be_brought_up_to_date(logs: Logs, tmp_path: Path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr("jaxdet.__version__", "0.2.0")
         refused('jaxdet was "0.1.0" and is "0.2.0" now', update())
-    other = logs.add("other/b", "another log of this name")._replace(name="b")
-    there = re.escape(str(logs.folder / "b.mcap"))
-    refused(f"b is {there} there", lambda: logs.go([other], output, update=True))
-    renamed = logs.all[1]._replace(name="logs/b")
-    refused("the log logs/b is called b there", lambda: logs.go([renamed], output, update=True))
-    copied = logs.add("copy/b", "b")._replace(name="copy")
-    refused("the log copy is called b there", lambda: logs.go([copied], output, update=True))
     with monkeypatch.context() as patch:
         older = {k: v for k, v in read_manifest(output).items() if k != "pictures"}
         patch.setattr("jaxdet.results.manifest.read_manifest", lambda folder: older)
         write_json(output / "manifest.json", changed_manifest(output, (), {}))
     refused("they are of another version", update())
+
+
+def test_logs_keep_the_names_that_they_have_in_the_results(logs: Logs, tmp_path: Path) -> None:
+    """Names depend on which logs are found together."""
+    output = tmp_path / "out"
+    first = logs.add("may/drive")
+    logs.go([first._replace(name="drive")], output)
+    second = logs.add("june/drive")
+    logs.opened.clear()
+    logs.go([second._replace(name="drive")], output, update=True)
+    third, copied = logs.add("july/drive"), logs.add("july/copy", "may/drive")
+    every = [first, second, third, copied]
+    logs.go(every, output, update=True)
+    assert logs.opened == ["june/drive", "july/copy", "july/drive"]
+    told = {log["log"]: Path(log["paths"][0]) for log in summary(output)["logs"]}
+    assert told == {
+        "drive": first.paths[0],
+        "july/copy": copied.paths[0],
+        "july/drive": third.paths[0],
+        "june/drive": second.paths[0],
+    }
+    with pytest.raises(ResultsError):
+        logs.go(every, output, update=True)
+    with pytest.raises(ResultsError):
+        logs.go([copied._replace(name="drive")], output, update=True)
+    assert len(logs.opened) == 3
+
+
+def test_a_log_that_took_the_place_of_another(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([logs.add("drive", "old")], output)
+    both = [logs.add("drive", "new"), logs.add("drive.1", "old")]
+    logs.opened.clear()
+    logs.go(both, output, update=True)
+    assert logs.opened == ["drive", "drive.1"]
+    assert rows(output) == ["drive"] * 10 + ["drive.1"] * 10
+
+
+def test_names_that_no_folder_makes_different() -> None:
+    log = LogFiles("a/drive", (Path("/x/y/drive.mcap"),))
+    assert kept._free_name(log, set()) == "a/drive"
+    assert kept._free_name(log, {"a/drive"}) == "y/drive"
+    assert kept._free_name(log, {"a/drive", "y/drive"}) == "x/y/drive"
+    every = {"a/drive", "y/drive", "x/y/drive", "a/drive (2)"}
+    assert kept._free_name(log, every) == "a/drive (3)"
 
 
 def test_names_of_files_stay(logs: Logs, tmp_path: Path) -> None:

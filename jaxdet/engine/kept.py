@@ -1,12 +1,12 @@
 """Results that a run brings up to date: which of their logs stay, with rows, pictures and maps."""
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxdet.engine.record import difference_but_logs, digest, record_of_results
-from jaxdet.errors import ConfigError, InputError, OutputError
+from jaxdet.errors import ConfigError, InputError, OutputError, printable
 from jaxdet.io.files import LogFiles
 from jaxdet.results.arrow import with_schema
 from jaxdet.results.durable import sha256, writing
@@ -35,8 +35,8 @@ class KeptLogs:
         record: What decides the run's results, see :func:`jaxdet.engine.record.make_record`.
 
     Raises:
-        ConfigError: The results are of another configuration or version; or a log would have
-            another name, or another log its name.
+        ConfigError: The results are of another configuration or version; or files of a log would
+            have other names.
         InputError: They can't be read, or a file of them is not as it was written.
     """
 
@@ -56,7 +56,7 @@ class KeptLogs:
             raise
 
     logs: list[LogFiles]
-    """All logs of the new results, in order."""
+    """All logs of the new results, in order, those of the old ones with their names there."""
     record: Mapping[str, Any]
     """What decides these."""
     names: frozenset[str]
@@ -124,13 +124,13 @@ class KeptLogs:
         if reason:
             self._refuse(reason)
 
-    def _decide(self, logs: Sequence[LogFiles], record: Mapping[str, Any]) -> None:
+    def _decide(self, given: Sequence[LogFiles], record: Mapping[str, Any]) -> None:
         """Which logs stay, and what all of them are then."""
         told, now = self._manifest["inputs"], record["about"]["inputs"]
-        named = {log.name: log for log in logs}
+        names = self._names(given, now)
+        named = {names[log.name]: log._replace(name=names[log.name]) for log in given}
+        now = {names[name]: files for name, files in now.items()}
         left = {name: self._recorded(name) for name in told.keys() - named.keys()}
-        for log in logs:
-            self._check_name(log, now[log.name], left)
         same = {
             name
             for name in told.keys() & named.keys()
@@ -150,24 +150,32 @@ class KeptLogs:
         """A log as the results tell of it."""
         return LogFiles(name, tuple(map(Path, self._entries[name][0]["paths"])))
 
-    def _check_name(
-        self,
-        log: LogFiles,
-        inputs: Sequence[Mapping[str, Any]],
-        left: Mapping[str, LogFiles],
-    ) -> None:
-        """Makes sure that a log and its name are in the results what they are in the run."""
-        places, told = {path.absolute() for path in log.paths}, self._manifest["inputs"]
+    def _names(
+        self, logs: Sequence[LogFiles], inputs: Mapping[str, Sequence[Mapping[str, Any]]]
+    ) -> dict[str, str]:
+        """What the run's logs are called in the results, by their names in the run.
 
-        def is_it(name: str) -> bool:
-            same = _contents(told[name]) == (_contents(inputs) or None)
-            return same or not places.isdisjoint(self._recorded(name).paths)
-
-        if log.name in told:
-            if not is_it(log.name):
-                self._refuse(f"{log.name} is {told[log.name][0]['path']} there")
-        elif other := next(filter(is_it, left), None):
-            self._refuse(f"the log {log.name} is called {other} there")
+        They are known again by their place, else by what is in them, and keep the name that they
+        have there. New ones whose name is taken get as many folders put before it as it takes.
+        """
+        told = self._manifest["inputs"]
+        places = {path: name for name in told for path in self._recorded(name).paths}
+        contents = {_key(_contents(files)): name for name, files in told.items()}
+        found = {
+            log.name: places[log.paths[0].absolute()]
+            for log in logs
+            if log.paths[0].absolute() in places
+        }
+        for log in logs:
+            known = contents.get(_key(_contents(inputs[log.name]) or [["unread"]]))
+            if log.name not in found and known and known not in found.values():
+                found[log.name] = known
+        taken = {*told, *found.values()}
+        for log in logs:
+            if log.name not in found:
+                found[log.name] = _free_name(log, taken)
+                taken.add(found[log.name])
+        return found
 
     def _refuse(self, reason: str) -> NoReturn:
         problem = f"holds results that can't be brought up to date: {reason}"
@@ -190,6 +198,24 @@ def _contents(files: Sequence[Mapping[str, Any]], *more: str) -> list[list[Any]]
     """What files hold, by their fingerprints; nothing where one can't be read."""
     found = [[file.get(key) for key in ("size", "fingerprint", *more)] for file in files]
     return [] if any(None in one for one in found) else found
+
+
+def _key(contents: list[list[Any]]) -> tuple[tuple[Any, ...], ...]:
+    return tuple(map(tuple, contents))
+
+
+def _free_name(log: LogFiles, taken: Collection[str]) -> str:
+    """A name for a log that no other has."""
+    folders, name = log.paths[0].absolute().parent.parts[1:], log.name
+    own = name.rpartition("/")[2]
+    for depth in range(1, len(folders) + 1):
+        if name not in taken:
+            break
+        name = printable("/".join([*folders[-depth:], own]))
+    number = 2
+    while name in taken:
+        name, number = f"{log.name} ({number})", number + 1
+    return name
 
 
 def _files_of(entry: Mapping[str, Any]) -> list[str]:
