@@ -4,8 +4,10 @@ import bz2
 import importlib.util
 import sqlite3
 import struct
+from collections import Counter
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +16,10 @@ from jaxdet import engine
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
 from jaxdet.errors import FrameStatus, InputError
-from jaxdet.io import Log, LogOptions, find_logs, open_log
+from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite_index
 from jaxdet.io.bag import BagFile, records
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.sqlite import SqliteFile
 from jaxdet.sim import SimConfig, write_log
 from tests.io_helpers import convert_log
 from tests.io_helpers import write_log as write_made
@@ -200,6 +204,25 @@ def test_damaged_db3_accounts_for_every_message(db3, tmp_path, where, torn):
         assert images + log.num_frames <= 8
         for batch in log.batches(4):
             assert set(batch.status) <= {FrameStatus.OK, FrameStatus.UNPAIRED}
+
+
+@pytest.mark.parametrize("answer", ["SELECT 1 WHERE 0", "SELECT -1, 1, 1, NULL, 1"])
+def test_a_damaged_db3_that_ends_or_leads_back(db3, monkeypatch, answer):
+    """All rows are asked for, which fails, then each by itself, which gives none or an old one."""
+    query = SqliteFile.query
+
+    def damaged(self: SqliteFile, text: str, values: Any = ()) -> sqlite3.Cursor:
+        if "count" not in values:
+            return query(self, text, values)
+        if values["count"] == -1:
+            raise DamageError("disk image is malformed")
+        return query(self, answer)
+
+    monkeypatch.setattr(SqliteFile, "query", damaged)
+    lost = Counter[str]()
+    with closing(SqliteFile(db3, 1 << 30)) as file:
+        assert [*sqlite_index._rows(file, lost)] == []
+    assert lost["page is damaged"] == count_messages(db3) + 1
 
 
 def test_formats_of_one_recording_and_others_beside_it(mcap, bag, db3, tmp_path):

@@ -5,7 +5,7 @@ Source: rosbag2's ``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from threading import local
 
@@ -44,7 +44,9 @@ class SqliteFile(MessageFile):
         self._connections = []
         super().close()
 
-    def query(self, text: str, values: Sequence[object] = ()) -> sqlite3.Cursor:
+    def query(
+        self, text: str, values: Sequence[object] | Mapping[str, object] = ()
+    ) -> sqlite3.Cursor:
         """The rows of a query.
 
         Raises:

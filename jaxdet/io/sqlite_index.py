@@ -25,10 +25,11 @@ _DAMAGED = "page is damaged"
 _MAX_LOST = 100_000
 """Numbers tried one by one where pages are damaged; a few seconds."""
 _INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
-_DATA = """SELECT id, topic_id, timestamp, CASE WHEN length(data) <= ?1 THEN data END, length(data)
-FROM messages WHERE id > ?2 ORDER BY id LIMIT ?3"""
+_DATA = """SELECT id, topic_id, timestamp,
+CASE WHEN length(data) <= :most THEN data END, length(data)
+FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
 _WITHOUT_DATA = """SELECT id, topic_id, timestamp, NULL, length(data)
-FROM messages WHERE id > ?2 AND ?1 ORDER BY id LIMIT ?3"""
+FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
 _COUNT = "SELECT count(*) FROM messages INDEXED BY timestamp_idx"
 _GREATEST = "SELECT max(id) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
@@ -108,21 +109,29 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
     The data are None where they can't be read.
     """
     before, last = -1, _last_number(file)
+
+    def after(text: str, count: int) -> sqlite3.Cursor:
+        values = {"most": file.max_bytes, "before": before, "count": count}
+        return file.query(text, values)
+
+    def comes_next(row: tuple[Any, ...]) -> bool:  # a damaged page may lead back
+        return isinstance(row[0], int) and row[0] > before
+
     while before < last and lost[_DAMAGED] < _MAX_LOST:
         with suppress(sqlite3.Error, DamageError):
-            for row in file.query(_DATA, (file.max_bytes, before, -1)):
-                # A damaged page may lead back.
-                if isinstance(row[0], int) and row[0] > before:
+            for row in after(_DATA, -1):
+                if comes_next(row):
                     yield row
                     before = row[0]
             return
         # The next one may be whole: what SQLite could not read can come after it.
         for text in (_DATA, _WITHOUT_DATA):
             with suppress(sqlite3.Error, DamageError):
-                [row] = file.query(text, (file.max_bytes, before, 1)).fetchall()
-                yield row
-                before = max(before + 1, row[0])
-                break
+                row = next(iter(after(text, 1).fetchall()), None)
+                if row and comes_next(row):
+                    yield row
+                    before = row[0]
+                    break
         else:
             lost[_DAMAGED] += 1
             before += 1
