@@ -1,5 +1,6 @@
 """Recordings for Rerun, read back with its own reader and compared with the tables."""
 
+import json
 import shutil
 import subprocess
 from collections import defaultdict
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -126,6 +128,28 @@ def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
     check(folder, found)
     check_points(folder, found)
     assert len(found[f"{CAMERA}/color"]["blob"]) == 18 and "/world/map" not in found
+
+
+def test_a_frame_lost_in_the_run_has_images_and_no_points(drive: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(drive, tmp_path / "drive") / "out"
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    for name, column in (("frames", "num_obstacles"), ("obstacles", "frame")):
+        path = folder / f"{name}.parquet"
+        about = pq.read_metadata(path).metadata
+        own = {key: value for key, value in about.items() if key.startswith(b"jaxdet.")}
+        table = pq.read_table(path)
+        rows = table.to_pylist()
+        if name == "obstacles":
+            rows = [row for row in rows if row[column] != 2]
+            summary["obstacles"] = summary["logs"][0]["obstacles"] = len(rows)
+        else:
+            assert rows[2][column] > 0
+            rows[2] |= {column: 0, "status": "worker_crashed"}
+        pq.write_table(pa.Table.from_pylist(rows, table.schema.with_metadata(own)), path)
+    (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    found = recording_of(folder, tmp_path / "out", str(drive / "drive.mcap"))
+    assert 2 in found[f"{CAMERA}/color"]["blob"] and 2 in found[f"{CAMERA}/depth"]["blob"]
+    assert sorted(found[f"{CAMERA}/points"]["positions"]) == [0, 1, 3, 4]
 
 
 def test_each_log_and_lost_frames(tmp_path: Path) -> None:

@@ -203,7 +203,10 @@ class _Recording:
         reach = (0.0, self.results.method.ground.max_depth_m / unit)
         how = {"media_type": "image/png", "meter": 1 / unit, "depth_range": reach}
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
-        log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
+        if row["status"] == FrameStatus.OK:
+            log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
+        else:  # lost in the run, for instance
+            log(f"{CAMERA}/points", rr.Clear(recursive=False))
 
 
 def _origin(results: Results, log: ResultLog) -> np.ndarray:
@@ -321,7 +324,10 @@ def _free(row: Mapping[str, Any], cell_rad: float) -> rr.Mesh3D | rr.Clear:
 
 
 def _points(found: Detections, b: int, unit: float, obstacles: list[dict[str, Any]]) -> rr.Points3D:
-    """The cells of obstacles, or where obstacles are clusters of points those."""
+    """The cells of obstacles, also beside the colour image, or where those are clusters the points.
+
+    So they reach from ``bottom_m`` to ``top_m``.
+    """
     if found.cells is None:
         label, place = found.labels.labels[b], found.features
     else:
