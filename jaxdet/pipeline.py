@@ -1,7 +1,6 @@
 """``detect``: floor, surfaces, obstacles and outlines of a batch of frames, on either backend."""
 
 from dataclasses import replace
-from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Literal, Protocol, cast
 
@@ -44,14 +43,9 @@ def load_backend(name: BackendName) -> Backend:
     if not isinstance(name, str) or name not in modules:
         said = repr(name[:40]) if isinstance(name, str) else f"of type {type(name).__name__}"
         raise ConfigError(f"no backend {said}", remedy=f"use one of {', '.join(modules)}")
-    return _loaded(modules[name])
-
-
-@cache
-def _loaded(module: str) -> Backend:
-    if module == "jaxdet.stages":
+    if name == "jax":
         quiet_warp()  # standard output is the caller's
-    return cast(Backend, import_module(module))
+    return cast(Backend, import_module(modules[name]))
 
 
 def detect(

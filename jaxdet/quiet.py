@@ -8,7 +8,9 @@ import struct
 import sys
 import time
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from threading import Lock
 
 _ELF = struct.Struct("<40xQ10xHH")
 """Of the head: where the table of sections is, the size of an entry, and their number."""
@@ -22,8 +24,18 @@ def quiet_warp() -> None:
     """Starts Warp without its banner, and without its note that there is no CUDA driver.
 
     Compiled kernels of ours that a crash or a full disk left torn are removed, and made again when
-    they are needed; Warp itself would fail at them at every start.
+    they are needed; Warp itself would fail at them at every start. Once it has started nothing is
+    done any more.
     """
+    with _lock:
+        _start_warp()
+
+
+_lock = Lock()
+
+
+@cache
+def _start_warp() -> None:
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
