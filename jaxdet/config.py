@@ -88,7 +88,9 @@ class GroundConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         _require_within(self, 0, FARTHEST_M, "max_depth_m")
-        _require(0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max-depth-m)")
+        _require(
+            0 <= self.min_depth_m < self.max_depth_m, "ground.min-depth-m", "in [0, max-depth-m)"
+        )
         _require_within(self, 0, LARGEST_STEP_M, "step_height_m")
         _require(
             self.max_height_m == 0 or self.step_height_m < self.max_height_m <= LARGEST_GAP_M,
