@@ -39,12 +39,12 @@ from benchmarks.paper.main import start_worker
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.shots import Shot, Spec, drawn, frames_of
 from benchmarks.paper.systems import eval_config
+from benchmarks.scores.boxes import FLOOR
 from jaxdet.affinity import BEYOND, FRACTION_BITS, GROWS, SEEN
 from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.engine import decide_planes
 from jaxdet.errors import InputError
-from jaxdet.eval.boxes import FLOOR
 from jaxdet.eval.frame import objects_of
 from jaxdet.io import open_log
 from jaxdet.pipeline import floor_of

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.paper.labelled import RECORDINGS, Recording, labels_of
+from benchmarks.scores.boxes import BoxTally, score_boxes, tally_boxes
 from jaxdet import detect
 from jaxdet.config import Config, GroundConfig
-from jaxdet.eval import BoxTally, score_boxes, tally_boxes
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.presets import preset

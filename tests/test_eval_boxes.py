@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.camera import pixel_rays
-from jaxdet.eval import (
+from benchmarks.scores.boxes import (
     BoxTally,
     FrameLabels,
     box_iou,
+    heights,
     labels_of_boxes,
     labels_of_image,
     match_boxes,
@@ -25,7 +25,7 @@ from jaxdet.eval import (
     score_boxes,
     tally_boxes,
 )
-from jaxdet.eval.boxes import heights
+from jaxdet.camera import pixel_rays
 from jaxdet.types import Intrinsics
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 20.0)

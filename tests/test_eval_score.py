@@ -8,14 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.scores.bootstrap import difference_intervals, intervals
+from benchmarks.scores.group import group_objects
 from jaxdet.eval import (
     Case,
     FrameTruth,
     Score,
     Tally,
-    difference_intervals,
-    group_objects,
-    intervals,
     keep_shares,
     nearest_on_floor,
     score,

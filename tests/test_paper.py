@@ -28,7 +28,8 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.plan import Counts
 from benchmarks.paper.shots import Shot
 from benchmarks.paper.table4_distance import run as table4
-from jaxdet.eval import Case, Interval, Tally
+from benchmarks.scores.bootstrap import Interval
+from jaxdet.eval import Case, Tally
 from jaxdet.sim import SimConfig, write_log
 
 TINY = Counts(

@@ -10,7 +10,8 @@ from benchmarks.paper import case_list, floor, goals, hard, mounts, plan, rivals
 from benchmarks.paper.measure import Difference, differences
 from benchmarks.paper.section import Figure
 from benchmarks.paper.systems import OURS
-from jaxdet.eval import Interval, Tally
+from benchmarks.scores.bootstrap import Interval
+from jaxdet.eval import Tally
 
 
 def figure(key, value, low=math.nan, high=math.nan):

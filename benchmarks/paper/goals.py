@@ -12,7 +12,7 @@ from benchmarks.paper.plan import DISTANCES_M, LIGHTS
 from benchmarks.paper.rivals import against, beating
 from benchmarks.paper.section import Figure, Section, percent
 from benchmarks.paper.systems import OURS
-from jaxdet.eval import Interval
+from benchmarks.scores.bootstrap import Interval
 
 ROLLED = ("roll-2", "roll+2")
 DEEP = tuple(product((10, 15, 20, 40), (1.0, 1.5, 2.0)))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.scores.boxes import FrameLabels, labels_of_boxes, labels_of_image
 from jaxdet.errors import InputError
-from jaxdet.eval import FrameLabels, labels_of_boxes, labels_of_image
 from jaxdet.types import Calibration
 
 BESIDE = Path(__file__).parents[3] / "shared" / "data"

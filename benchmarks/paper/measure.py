@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxdet.eval import Interval, Score, Tally, difference_intervals, intervals, score
+from benchmarks.scores.bootstrap import Interval, difference_intervals, intervals
+from jaxdet.eval import Score, Tally, score
 
 
 class Measured(NamedTuple):

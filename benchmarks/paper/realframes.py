@@ -10,10 +10,7 @@ from benchmarks.paper.lab import Lab
 from benchmarks.paper.labelled import Recording, find_recordings, labels_of
 from benchmarks.paper.pictures import encode, grid, titled
 from benchmarks.paper.section import Direction, Section, number, percent, wilson
-from jaxdet import reference
-from jaxdet.config import Config
-from jaxdet.engine import decide_planes
-from jaxdet.eval import (
+from benchmarks.scores.boxes import (
     BoxTally,
     FrameLabels,
     match_boxes,
@@ -21,6 +18,9 @@ from jaxdet.eval import (
     score_boxes,
     tally_boxes,
 )
+from jaxdet import reference
+from jaxdet.config import Config
+from jaxdet.engine import decide_planes
 from jaxdet.io import Log, open_log
 from jaxdet.pipeline import detect, floor_of
 from jaxdet.presets import PRESETS

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from jaxdet.eval import Interval
+from benchmarks.scores.bootstrap import Interval
 
 Direction = Literal["higher", "lower", "info"]
 

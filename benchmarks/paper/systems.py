@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 from benchmarks.baselines import BASELINES, Baseline, Frame, detect_with, prepare, tune
 from benchmarks.paper.shots import Shot, frames_of, load_shots
+from benchmarks.scores.group import group_objects
 from jaxdet import detect
 from jaxdet.config import ClusterConfig, Config
-from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames, group_objects
+from jaxdet.eval import EvalConfig, FrameTruth, Score, Tally, evaluate_frames
 from jaxdet.presets import preset
 from jaxdet.types import Detections
 

@@ -187,10 +187,4 @@ def ground_text(records: Sequence["GroundRecord"]) -> str:
     text += f", from {first.source}"
     if len(records) > 1:
         text += f"; {len(known)} of {len(records)} time windows have one"
-    ramps = [r for r in known if r.ramp_start_m is not None and r.ramp_slope is not None]
-    if len(records) > 1 and ramps:
-        text += f", {len(ramps)} a ramp ahead"
-    elif ramps:
-        angle = math.degrees(math.atan(ramps[0].ramp_slope or 0.0))
-        text += f"; a ramp of {angle:+.1f}° from {ramps[0].ramp_start_m:.2f} m on"
     return text

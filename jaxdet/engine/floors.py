@@ -45,9 +45,6 @@ class GroundRecord:
     height_m: float | None = None
     pitch_rad: float | None = None
     roll_rad: float | None = None
-    ramp_start_m: float | None = None
-    """Where a ramp ahead begins [m]; None: there is none."""
-    ramp_slope: float | None = None
     height_spread_m: float | None = None
     """How much the height differs between the sampled frames (estimate) [m]."""
     frames_used: int | None = None
@@ -241,9 +238,8 @@ def _look(
 
 def _record(source: str, plane: GroundPlane, message: str = "") -> GroundRecord:
     """The record of a plane, ``B = 1``."""
-    height, pitch, roll, _, start, slope = (float(part[0]) for part in plane)
-    ramp = (start, slope) if np.isfinite(start) else (None, None)
-    return GroundRecord(source, None, height, pitch, roll, *ramp, message=message)
+    height, pitch, roll = (float(part[0]) for part in (plane.height, plane.pitch, plane.roll))
+    return GroundRecord(source, None, height, pitch, roll, message=message)
 
 
 def _sample_text(found: SampledFloor) -> str:

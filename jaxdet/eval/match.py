@@ -1,6 +1,7 @@
 """Which detection is which obstacle: votes of the features, then one to one."""
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 
 def feature_objects(
@@ -116,8 +117,7 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
 
     A detection and an obstacle can be a pair when at least ``share`` of the detection's votes
     are for the obstacle. Of all ways to pair them, the one with the most votes in its pairs is
-    taken (:func:`assign`); of equal ones, that whose detections have the larger shares of their
-    votes in it.
+    taken; of equal ones, that whose detections have the larger shares of their votes in it.
 
     Args:
         votes: ``(L, J + 1)`` integer, see :func:`vote_table`.
@@ -136,74 +136,14 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
     shares = votes / np.maximum(votes.sum(axis=1, keepdims=True), 1)
     # The shares of all pairs together stay below one vote.
     weight = np.where(able, votes + shares / (len(votes) + 1), 0.0)
-    pairs = assign(weight)
-    rows = np.arange(len(votes))
-    taken = np.where(pairs >= 0, pairs, 0)
-    return np.where((pairs >= 0) & (weight[rows, taken] > 0), taken, 0)
+    rows, columns = linear_sum_assignment(weight, maximize=True)
+    paired = weight[rows, columns] > 0
+    found = np.zeros(len(votes), np.int64)
+    found[rows[paired]] = columns[paired]
+    return found
 
 
 def eligible(votes: np.ndarray, is_obstacle: np.ndarray, share: float) -> np.ndarray:
     """Which pairs may match: ``(L, J + 1)`` bool."""
     whole = votes.sum(axis=1, keepdims=True)
     return is_obstacle & (votes > 0) & (votes >= share * whole)
-
-
-def assign(weight: np.ndarray) -> np.ndarray:
-    """The one-to-one assignment with the largest sum of weights (Hungarian method).
-
-    Shortest augmenting paths with potentials, ``O(r² c)``. Kuhn, Naval Research Logistics
-    Quarterly 2 (1955), 83-97; the form with potentials is Jonker and Volgenant, Computing 38
-    (1987), 325-340. ``scipy.optimize.linear_sum_assignment(weight, maximize=True)`` gives the
-    same sum.
-
-    Args:
-        weight: ``(r, c)`` finite numbers.
-
-    Returns:
-        ``(r,)`` int64, column of each row, -1 where there are more rows than columns.
-
-    Example:
-        >>> assign(np.array([[3, 2], [3, 0], [1, 1]])).tolist()
-        [1, 0, -1]
-    """
-    weight = np.asarray(weight, np.float64)
-    if weight.shape[0] > weight.shape[1]:
-        rows = np.full(weight.shape[0], -1, np.int64)
-        columns = assign(weight.T)
-        rows[columns] = np.arange(len(columns))
-        return rows
-    cost = -weight
-    count = weight.shape[1]
-    u, v = np.zeros(len(cost)), np.zeros(count)
-    owner = np.full(count, -1, np.int64)
-    for row in range(len(cost)):
-        _augment(cost, u, v, owner, row)
-    pairs = np.full(len(cost), -1, np.int64)
-    pairs[owner[owner >= 0]] = np.flatnonzero(owner >= 0)
-    return pairs
-
-
-def _augment(cost: np.ndarray, u: np.ndarray, v: np.ndarray, owner: np.ndarray, row: int) -> None:
-    """Gives ``row`` a column, and other rows new ones; ``u``, ``v``, ``owner`` change."""
-    count = cost.shape[1]
-    least, back = np.full(count, np.inf), np.full(count, -1, np.int64)
-    done = np.zeros(count, bool)
-    total, column, last = 0.0, -1, row
-    while last >= 0:
-        reach = total + cost[last] - u[last] - v
-        better = ~done & (reach < least)
-        least[better], back[better] = reach[better], column
-        column = int(np.argmin(np.where(done, np.inf, least)))
-        total = least[column]
-        done[column] = True
-        last = int(owner[column])
-    sink = column
-    u[row] += total
-    for one in np.flatnonzero(done):
-        if one != sink:
-            u[owner[one]] += total - least[one]
-            v[one] -= total - least[one]
-    while column >= 0:
-        before = int(back[column])
-        owner[column] = owner[before] if before >= 0 else row
-        column = before
