@@ -158,16 +158,13 @@ def test_groups():
         group_objects(plain._replace(ground_min=None), 0.4, 0.1)
 
 
-@pytest.mark.parametrize("moving", [False, True])
-def test_truth_of_a_log(moving):
+def test_truth_of_a_log():
     T = np.repeat(np.eye(4)[None], 2, axis=0)
     T[:, :3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
     T[1, :3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     T[:, :2, 3] = [[1, 2], [3, -1]]
     local = np.array([[0.5, 2.0], [1.0, 2.0], [1.0, 3.0], [0.5, 3.0]])
     world = to_world(np.broadcast_to(local, (2, 1, 4, 2)), T)
-    box = np.zeros((1, 8, 3))
-    box[0, 4:, 2] = 0.7
     log = SimpleNamespace(
         T_world_camera=T,
         visible_pixels=np.array([[5], [6]]),
@@ -175,16 +172,13 @@ def test_truth_of_a_log(moving):
         ground_min=np.array([[[0.5, 2.0]], [[0.6, 2.1]]]),
         ground_max=np.array([[[1.0, 3.0]], [[1.1, 3.1]]]),
         is_wall=np.array([False]),
-        box_world=np.stack([box, box]) if moving else box,
-        footprint_world=world if moving else world[1],
+        height_m=np.array([[0.1], [0.2]]),
+        footprint_world=world,
     )
-    which = [1, 0] if moving else [1]
-    got = truth_of(log, which, np.zeros((len(which), 2, 2), int))
-    np.testing.assert_allclose(got.footprint, [[local]] * len(which))
-    assert got.height_m.tolist() == [[0.7]] * len(which)
+    got = truth_of(log, [1, 0], np.zeros((2, 2, 2), int))
+    np.testing.assert_allclose(got.footprint, [[local]] * 2)
+    assert got.height_m.tolist() == [[0.2], [0.1]]
     assert got.nearest_forward_m[0, 0] == 2.1 and got.visible_pixels[0, 0] == 6
-    log.height_m = np.array([[0.1], [0.2]])
-    assert truth_of(log, which, np.zeros((len(which), 2, 2), int)).height_m[0] == [0.2]
 
 
 def test_quantiles_of_errors():

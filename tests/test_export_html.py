@@ -100,13 +100,17 @@ def test_timeline_is_the_same_however_it_is_fed() -> None:
     status = np.where(rng.random(n) < 0.1, "unpaired", "ok").astype(object)
     stamps, distance = np.arange(n) * 10, rng.random(count.sum()).astype(np.float32)
     rows = Columns(np.arange(n), stamps, status, np.zeros(n, bool), count, distance)
-    whole = Timeline()
+    whole = Timeline(n)
     whole.add(rows)
     assert MOST_BINS // 2 < whole.bins <= MOST_BINS
     for size in (1, 100, MOST_BINS):
-        parts = Timeline()
+        parts, first = Timeline(n), np.append(0, np.cumsum(count))
         for start in range(0, n, size):
-            parts.add(rows.rows(start, min(n, start + size)))
+            some, own = (
+                slice(start, start + size),
+                slice(first[start], first[start:][: size + 1][-1]),
+            )
+            parts.add(Columns(*(part[some] for part in rows[:-1]), distance[own]))
         for name, values in vars(whole).items():
             np.testing.assert_array_equal(getattr(parts, name), values, name)
 

@@ -110,11 +110,7 @@ class FrameTruth(NamedTuple):
 
 
 class LogTruth(Protocol):
-    """What :func:`truth_of` reads, ``F`` frames; the simulator's ``Truth`` has it.
-
-    ``box_world`` and ``footprint_world`` may have a leading axis ``F`` for what moves. Where it
-    also has ``height_m`` ``(F, J)``, that is the objects' height instead of their boxes'.
-    """
+    """What :func:`truth_of` reads, ``F`` frames; the simulator's ``Truth`` has it."""
 
     @property
     def T_world_camera(self) -> np.ndarray:
@@ -147,13 +143,13 @@ class LogTruth(Protocol):
         ...
 
     @property
-    def box_world(self) -> np.ndarray:
-        """``(J, 8, 3)`` corners [m]."""
+    def height_m(self) -> np.ndarray:
+        """``(F, J)`` [m]."""
         ...
 
     @property
     def footprint_world(self) -> np.ndarray:
-        """``(J, V, 2)``, NaN after the last [m]."""
+        """``(F, J, V, 2)``, NaN after the last [m]."""
         ...
 
 
@@ -177,10 +173,6 @@ def truth_of(
         All other parts filled.
     """
     which = np.asarray(frames, np.int64)
-    batch, objects = len(which), len(log.is_wall)
-    outline = log.footprint_world
-    outline = outline[which] if outline.ndim == 4 else np.repeat(outline[None], batch, axis=0)
-    height = np.broadcast_to(_heights(log), (len(log.visible_pixels), objects))[which]
     return FrameTruth(
         obstacle_id,
         log.visible_pixels[which],
@@ -189,8 +181,8 @@ def truth_of(
         log.is_wall,
         log.ground_min[which],
         log.ground_max[which],
-        to_ground_frame(outline, log.T_world_camera[which]),
-        height,
+        to_ground_frame(log.footprint_world[which], log.T_world_camera[which]),
+        log.height_m[which],
         depth_m,
         drivable,
     )
@@ -243,13 +235,6 @@ def nearest_on_floor(
         nearest[:, b, cut[cut > 0] - 1] = np.inf
     found = np.where(np.isfinite(nearest[0]), *nearest)
     return np.where(np.isfinite(found), found, np.nan)
-
-
-def _heights(log: LogTruth) -> np.ndarray:
-    """``(F, J)`` or ``(1, J)`` [m]: the truth's own ``height_m``, else the height of its box."""
-    own = getattr(log, "height_m", None)
-    box = log.box_world if log.box_world.ndim == 4 else log.box_world[None]
-    return box[..., 2].max(axis=-1) - box[..., 2].min(axis=-1) if own is None else own
 
 
 def to_ground_frame(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ follows is a sum, a product or a shift of integers.
 import numpy as np
 
 from jaxdet.floor.units import ANGLES, FARTHEST, SINE_BITS, SINES, angle_steps
-from jaxdet.types import Array, GroundPlane
+from jaxdet.types import GroundPlane
 
 FRAME_BITS = 13  # fraction bits of the axes of a floor frame
 FLOOR_VALUES = 13
@@ -48,27 +48,26 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
         np.clip(np.rint(a / depth_unit), -FARTHEST, FARTHEST).astype(np.int64) for a in lengths
     )
     slope = np.floor(slope * (1 << FRAME_BITS) + 0.5).astype(np.int64)
-    values = [*axes(pitch, roll, SINES), height, valid, start, slope]
+    values = [*axes(pitch, roll), height, valid, start, slope]
     return np.stack(np.broadcast_arrays(*values), axis=1).astype(np.int32)
 
 
-def axes(pitch: Array, roll: Array, table: Array) -> list[Array]:
+def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
     """Right, forward and down in the camera, nine numbers with ``FRAME_BITS`` fraction bits.
 
     Args:
-        pitch: ``(B,)`` integer [angle steps], NumPy or JAX.
+        pitch: ``(B,)`` integer [angle steps].
         roll: Likewise.
-        table: :data:`jaxdet.floor.units.SINES`, likewise.
 
     Returns:
         Each ``(B,)``, or 0.
     """
     turn, quarter = 180 * ANGLES, 90 * ANGLES
     sin_p, cos_p, sin_r, cos_r = (
-        table[(a + turn) % (2 * turn) + turn + b] for a in (pitch, roll) for b in (0, quarter)
+        SINES[(a + turn) % (2 * turn) + turn + b] for a in (pitch, roll) for b in (0, quarter)
     )
 
-    def product(a: Array, b: Array | int = 1 << SINE_BITS) -> Array:
+    def product(a: np.ndarray, b: np.ndarray | int = 1 << SINE_BITS) -> np.ndarray:
         bits = 2 * SINE_BITS - FRAME_BITS
         return (a * b + (1 << (bits - 1))) >> bits
 

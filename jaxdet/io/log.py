@@ -20,7 +20,7 @@ from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find_indexed, find_scanned
 from jaxdet.io.index import LogIndex
 from jaxdet.io.limits import ReadMemory
-from jaxdet.io.log_frame import LogFrame, one_by_one
+from jaxdet.io.log_frame import LogFrame
 from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
@@ -69,7 +69,18 @@ class Batch(NamedTuple):
 
     def one_by_one(self) -> Iterator[LogFrame]:
         """The frames without the padding."""
-        return one_by_one(self.frames, self.status, self.errors)
+        frames, poses = self.frames, self.frames.T_world_camera
+        for row, (status, error) in enumerate(zip(self.status, self.errors, strict=True)):
+            yield LogFrame(
+                int(frames.number[row]),
+                frames.color[row],
+                frames.depth[row],
+                status,
+                error,
+                int(frames.stamp_ns[row]),
+                int(frames.depth_stamp_ns[row]),
+                None if poses is None else poses[row],
+            )
 
     def without_images(self) -> "Batch":
         """The batch without images and padding: what is small, and stays when memory is reused."""

@@ -1,12 +1,10 @@
 """One frame of a log, for those who look at frames one by one."""
 
-from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import FrameStatus
-from jaxdet.types import Frames
 
 
 class LogFrame(NamedTuple):
@@ -33,21 +31,3 @@ class LogFrame(NamedTuple):
         (height, width), (high, wide) = self.color.shape[:2], self.depth.shape
         sizes = f"colour {width}x{height}, depth {wide}x{high}"
         return f"<LogFrame {self.number}: {self.status}, {sizes}, {self.stamp_ns} ns>"
-
-
-def one_by_one(
-    frames: Frames, statuses: Sequence[FrameStatus], errors: Sequence[str]
-) -> Iterator[LogFrame]:
-    """The frames of a batch without its padding."""
-    poses = frames.T_world_camera
-    for row, (status, error) in enumerate(zip(statuses, errors, strict=True)):
-        yield LogFrame(
-            int(frames.number[row]),
-            frames.color[row],
-            frames.depth[row],
-            status,
-            error,
-            int(frames.stamp_ns[row]),
-            int(frames.depth_stamp_ns[row]),
-            None if poses is None else poses[row],
-        )

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import Results
 
 MOST_BINS = 512
-"""Of a timeline; longer logs have several frames in a bin, of which the nearest obstacle is kept.
-A power of two."""
+"""Of a timeline; longer logs have several frames in a bin, of which the nearest obstacle is
+kept."""
 LOST_KEPT = 12
 """First frames without a result, and with an overflow, that are kept of each log."""
 HISTOGRAM_BINS = 41
@@ -22,9 +22,6 @@ APART = 32
 CHUNK_FRAMES = 1 << 16
 """Read together."""
 FRAME_COLUMNS = ("frame", "stamp_ns", "status", "overflow")
-
-
-_PER_FRAME = ("frame", "stamp_ns", "status", "overflow", "obstacles")
 
 
 class Columns(NamedTuple):
@@ -52,48 +49,43 @@ class Columns(NamedTuple):
             nearest[some] = np.minimum.reduceat(self.distance_m, first)
         return nearest
 
-    def rows(self, start: int, stop: int) -> "Columns":
-        """A range of the rows."""
-        before, some = int(self.obstacles[:start].sum()), slice(start, stop)
-        count = int(self.obstacles[some].sum())
-        distance_m = self.distance_m[before : before + count]
-        parts = {name: getattr(self, name)[some] for name in _PER_FRAME}
-        return self._replace(**parts, distance_m=distance_m)
 
-
-@dataclass
 class Timeline:
-    """The frames of a log in bins of equal numbers of frames, however many there are."""
+    """The frames of a log in bins of equal numbers of frames, however many there are.
 
-    stride: int = 1
-    """Frames in a bin."""
-    count: int = 0
-    """Frames seen."""
-    nearest_m: np.ndarray = field(default_factory=lambda: np.full(2 * MOST_BINS, np.inf))
-    """Of each bin the nearest obstacle."""
-    frame: np.ndarray = field(default_factory=lambda: np.zeros(2 * MOST_BINS, np.int64))
-    """The number of the frame with the nearest obstacle, else of the bin's first."""
-    stamp_ns: np.ndarray = field(default_factory=lambda: np.zeros(2 * MOST_BINS, np.int64))
-    """Of that frame."""
-    lost: np.ndarray = field(default_factory=lambda: np.zeros(2 * MOST_BINS, np.int64))
-    """Frames without a result."""
-    most: np.ndarray = field(default_factory=lambda: np.full(2 * MOST_BINS, -1))
-    """Most obstacles of a frame."""
-    most_frame: np.ndarray = field(default_factory=lambda: np.zeros(2 * MOST_BINS, np.int64))
-    """And its number."""
+    Args:
+        frames: Of the log.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self.stride = 1
+        """Frames in a bin, a power of two."""
+        while self.stride * MOST_BINS < frames:
+            self.stride *= 2
+        self.count = 0
+        """Frames seen."""
+        bins = -(-frames // self.stride)
+        self.nearest_m = np.full(bins, np.inf)
+        """Of each bin the nearest obstacle."""
+        self.frame = np.zeros(bins, np.int64)
+        """The number of the frame with the nearest obstacle, else of the bin's first."""
+        self.stamp_ns = np.zeros(bins, np.int64)
+        """Of that frame."""
+        self.lost = np.zeros(bins, np.int64)
+        """Frames without a result."""
+        self.most = np.full(bins, -1)
+        """Most obstacles of a frame."""
+        self.most_frame = np.zeros(bins, np.int64)
+        """And its number."""
+
+    @property
+    def bins(self) -> int:
+        """How many there are."""
+        return len(self.most)
 
     def add(self, rows: Columns) -> None:
         """Appends rows of the log."""
-        nearest, start = rows.nearest_m, 0
-        while start < len(nearest):
-            while self.count >= self.stride * MOST_BINS:
-                self._halve()
-            stop = min(len(nearest), start + self.stride * MOST_BINS - self.count)
-            self._add(rows.rows(start, stop), nearest[start:stop])
-            start = stop
-
-    def _add(self, rows: Columns, nearest: np.ndarray) -> None:
-        """Rows that have a bin."""
+        nearest = rows.nearest_m
         index = (self.count + np.arange(len(nearest))) // self.stride
         self.count += len(nearest)
         bins, first = np.unique(index, return_index=True)
@@ -107,34 +99,14 @@ class Timeline:
         at, row = bins[more], fullest[more]
         self.most[at], self.most_frame[at] = rows.obstacles[row], rows.frame[row]
 
-    def _halve(self) -> None:
-        """Joins bins in pairs."""
-        even, odd = slice(0, MOST_BINS, 2), slice(1, MOST_BINS, 2)
-        near, full = self.nearest_m[odd] < self.nearest_m[even], self.most[odd] > self.most[even]
-        fresh, half = Timeline(), MOST_BINS // 2
-        fresh.stride, fresh.count = 2 * self.stride, self.count
-        fresh.lost[:half] = self.lost[even] + self.lost[odd]
-        for name in ("nearest_m", "frame", "stamp_ns"):
-            values = getattr(self, name)
-            getattr(fresh, name)[:half] = np.where(near, values[odd], values[even])
-        for name in ("most", "most_frame"):
-            values = getattr(self, name)
-            getattr(fresh, name)[:half] = np.where(full, values[odd], values[even])
-        self.__dict__.update(fresh.__dict__)
-
-    @property
-    def bins(self) -> int:
-        """Bins in use."""
-        return -(-self.count // self.stride)
-
     def nearest_frames(self, most: int) -> list[int]:
         """Numbers of frames with the nearest obstacles, some way apart, the nearest first."""
-        return [int(self.frame[b]) for b in self._spaced(self.nearest_m[: self.bins], most)]
+        return [int(self.frame[b]) for b in self._spaced(self.nearest_m, most)]
 
     def fullest_frames(self, most: int) -> list[int]:
         """Numbers of frames with the most obstacles, likewise."""
         counts = np.where(self.most > 0, -self.most.astype(np.float64), np.inf)
-        return [int(self.most_frame[b]) for b in self._spaced(counts[: self.bins], most)]
+        return [int(self.most_frame[b]) for b in self._spaced(counts, most)]
 
     def _spaced(self, cost: np.ndarray, most: int) -> list[int]:
         """The bins of least cost, each some way from the others; infinite ones are none."""
@@ -161,7 +133,7 @@ class LogFigures:
     log: str
     width_m: float
     """Of a bin of the histograms."""
-    timeline: Timeline = field(default_factory=Timeline)
+    timeline: Timeline
     start_ns: int | None = None
     stop_ns: int | None = None
     per_frame: np.ndarray = field(default_factory=lambda: np.zeros(HISTOGRAM_BINS, np.int64))
@@ -202,7 +174,7 @@ def collect(results: "Results", range_m: float) -> list[LogFigures]:
     """
     width_m, found = range_m / (HISTOGRAM_BINS - 1), []
     for log in results.logs:
-        figures = LogFigures(log.label, width_m)
+        figures = LogFigures(log.label, width_m, Timeline(log.num_frames))
         for chunk in results.chunks(log, FRAME_COLUMNS, ("distance_m",), CHUNK_FRAMES):
             columns = {name: chunk.frames[name].to_numpy() for name in FRAME_COLUMNS}
             count = chunk.frames["num_obstacles"].to_numpy().astype(np.int64)

@@ -1,5 +1,5 @@
 // The frame of the floor that was found, or of the one given where that was refused. Twin of `axes`
-// and `ramp_slopes` in jaxdet/floor/frame.py.
+// in jaxdet/floor/frame.py and of `slopes` in jaxdet/floor/units.py.
 #pragma once
 #include "floor_frame.h"
 #include "floor_planes.h"
