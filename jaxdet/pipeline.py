@@ -16,7 +16,7 @@ from jaxdet.quiet import quiet_warp
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
-    from jaxdet.reference import FloorFit
+    from jaxdet.floor.units import FloorFit
 
 BackendName = Literal["reference", "jax"]
 
@@ -102,7 +102,7 @@ def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax")
 
     Returns:
         The planes, and why they are not the frames' own, see
-        :class:`jaxdet.reference.FloorFit`.
+        :class:`jaxdet.floor.units.FloorFit`.
 
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.

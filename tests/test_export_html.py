@@ -106,10 +106,8 @@ def test_timeline_is_the_same_however_it_is_fed() -> None:
     for size in (1, 100, MOST_BINS):
         parts, first = Timeline(n), np.append(0, np.cumsum(count))
         for start in range(0, n, size):
-            some, own = (
-                slice(start, start + size),
-                slice(first[start], first[start:][: size + 1][-1]),
-            )
+            some = slice(start, min(n, start + size))
+            own = slice(first[some.start], first[some.stop])
             parts.add(Columns(*(part[some] for part in rows[:-1]), distance[own]))
         for name, values in vars(whole).items():
             np.testing.assert_array_equal(getattr(parts, name), values, name)

@@ -75,7 +75,7 @@ class LogPlan(NamedTuple):
     backend: BackendName
     batch_size: int
     """Frames that are read and computed together."""
-    sizes: "UnitSizes"
+    sizes: UnitSizes
     planes: Planes
     drawn: frozenset[int]
     """Frames to draw."""

@@ -196,7 +196,8 @@ class StepHeight(NamedTuple):
         return np.maximum(self.table[z], z * min(slope, STEEPEST_NOISE) >> SLOPE_BITS)
 
 
-NOISE_BITS, SLOPE_BITS = 34, 14
+NOISE_BITS = 34
+SLOPE_BITS = 14  # fraction bits of a slope, its rise over its run
 STEEPEST_NOISE = 32767
 """Most that noise grows with depth, with ``SLOPE_BITS``: so its product with a depth fits."""
 

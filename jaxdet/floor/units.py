@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.config import FloorConfig
-from jaxdet.floor.plane import flat_plane
+from jaxdet.floor.plane import SLOPE_BITS, flat_plane
 from jaxdet.types import GroundPlane, Refusal
 
 ANGLES = 32  # steps of an angle in a degree: 0.03 degrees are 2 mm at 4 m
@@ -18,7 +18,6 @@ _TURN = np.radians(np.arange(-360 * ANGLES, 370 * ANGLES + 1) / ANGLES)
 SINES = np.rint(np.sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 degrees on
 STEEPEST = 85 * ANGLES  # largest pitch, up or down: beyond it roll means nothing
 SLACK_BITS = 26  # fraction bits of what a tolerance has in proportion to depth
-SLOPE_BITS = 14  # fraction bits of a slope, its rise over its run
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
 """Tolerances: roughness [m] where a plane is looked for and where it is known; and how much floors
 and depth images are bowed, for each metre."""

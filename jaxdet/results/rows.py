@@ -166,7 +166,7 @@ def batch_rows(
         config: For the outlines.
 
     Returns:
-        Columns for :meth:`jaxdet.results.writer.ResultWriter.add`, and the arrays behind them.
+        Columns for :meth:`jaxdet.results.writer.Tables.of`, and the arrays behind them.
 
     Raises:
         ValueError: A frame has more obstacles than there are slots.

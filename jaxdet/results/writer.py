@@ -156,7 +156,7 @@ class ResultWriter:
         for table in self._tables:
             table.drop()
 
-    def add(self, rows: "Tables") -> None:
+    def add(self, rows: Tables) -> None:
         """Appends rows, in order."""
         self._inputs.add(rows.frames)
         with writing(self.folder):

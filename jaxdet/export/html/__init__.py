@@ -72,8 +72,9 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
             frame |= frame_picture(read_picture(pictures[key]))
     undrawn = _draw(results, shown, recordings)
     entries = [_log(results, log, one) for log, one in zip(results.logs, figures, strict=True)]
+    mapped = _mapped(results)
     for log, entry in zip(results.logs, entries, strict=True):
-        if log.label in _mapped(results):
+        if log.label in mapped:
             image = results.map(log)
             entry["map"] = map_figure(image) if image else None
     entries += [_failed(entry) for entry in results.summary["logs"] if entry["error"]]

@@ -1,4 +1,4 @@
-// Settings of Canny and of the corners' selection, as jaxdet/stages/_features.py puts them together.
+// Settings of Canny and of the corners' selection, as jaxdet/stages/_corners.py puts them together.
 #pragma once
 #include "team.h"
 
