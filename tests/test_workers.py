@@ -232,11 +232,11 @@ def test_a_worker_that_dies_or_stops_costs_nothing(sim_logs, plain_run, tmp_path
 class SlowLog:
     """A log whose time windows have a frame each, which takes a while to read and has no depth."""
 
-    name, T_base_camera, num_frames = "slow", None, 15
+    name, T_base_camera, num_frames = "slow", None, 32
     frames, stamps_ns = range(num_frames), np.arange(num_frames) * 10**9
 
     def read(self, numbers: list[int]) -> Any:
-        time.sleep(0.2)
+        time.sleep(0.25)
         return SimpleNamespace(frames=SimpleNamespace(valid=np.zeros(len(numbers), bool)))
 
 
@@ -244,9 +244,9 @@ def test_floors_of_many_time_windows_are_progress(monkeypatch):
     config = Config(ground=GroundConfig(source="estimate", window_s=1.0))
     with pool.Pool(1, "reference") as workers:
         workers.call(len, "")  # it has started
-        monkeypatch.setattr(pool, "NO_PROGRESS_S", 2.0)
+        monkeypatch.setattr(pool, "NO_PROGRESS_S", 7.0)
         planes = workers.call(decide_floors, SlowLog(), config, "reference")
-    assert len(planes.windows) == 15
+    assert len(planes.windows) == 32
 
 
 def test_workers_that_are_killed_while_they_start_far_apart():
