@@ -119,6 +119,11 @@ def test_frames_have_their_obstacles(folder: Path) -> None:
     assert sum(len(frame.obstacles) for frame in frames) > 13
 
 
+def test_a_folder_is_named_as_text(folder: Path) -> None:
+    with Results(str(folder)) as results:
+        assert results.folder == folder
+
+
 def test_what_a_run_was_made_with(folder: Path) -> None:
     with Results(folder) as results:
         assert results.method == CONFIG and results.log_options == OPTIONS

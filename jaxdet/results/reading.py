@@ -132,7 +132,7 @@ class Results:
         folder: The folder that ``jaxdet run --output`` was given.
 
     Attributes:
-        folder: The same.
+        folder: The same, as a path.
         config: What ``config.json`` holds.
         summary: What ``summary.json`` holds.
         metadata: What ``obstacles.parquet`` says of itself, see :mod:`jaxdet.results.metadata`.
@@ -144,8 +144,8 @@ class Results:
         InputError: It is no whole results folder, or of a format that this version doesn't read.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = folder = Path(folder)
         check_folder(folder)
         manifest = self._json(MANIFEST)  # the last file to arrive, and the first to leave
         self.summary = self._json("summary.json")
