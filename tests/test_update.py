@@ -178,6 +178,17 @@ def test_failed_logs_are_done_again(logs: Logs, tmp_path: Path) -> None:
     same_results(output, tmp_path / "whole")
 
 
+def test_a_failed_log_that_was_removed_is_left_out(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.broken = {"b"}
+    logs.run("abc", output)
+    (tmp_path / "logs" / "b.mcap").unlink()
+    (tmp_path / "logs" / "c.mcap").unlink()
+    assert logs.run("a", output, update=True) == []
+    assert [log["log"] for log in summary(output)["logs"]] == ["a", "c"]
+    assert rows(output) == ["a"] * 10 + ["c"] * 10
+
+
 def test_logs_with_lost_frames_are_done_again(logs: Logs, tmp_path: Path, monkeypatch) -> None:
     output = tmp_path / "out"
     join = log_run.join_parts

@@ -27,7 +27,8 @@ class KeptLogs:
     """The logs of whole results that stay as they are when a run adds others to them.
 
     A log stays if it is not among the run's, or is the same to the checksum and the time of its
-    last change, and neither failed nor lost frames.
+    last change, and neither failed nor lost frames. One that failed and whose files are gone is
+    left out: it has no rows, and nothing could mend it.
 
     Args:
         folder: The results.
@@ -131,6 +132,7 @@ class KeptLogs:
         named = {names[log.name]: log._replace(name=names[log.name]) for log in given}
         now = {names[name]: files for name, files in now.items()}
         left = {name: self._recorded(name) for name in told.keys() - named.keys()}
+        left = {name: log for name, log in left.items() if not self._failed_and_gone(log)}
         same = {
             name
             for name in told.keys() & named.keys()
@@ -145,6 +147,10 @@ class KeptLogs:
             files = (entry["file_name"] or name for entry in self._entries.get(log.name, ()))
             if log.name in self.names and any(file.partition("@")[0] != name for file in files):
                 self._refuse(f"files of the log {log.name} would be called {name}")
+
+    def _failed_and_gone(self, log: LogFiles) -> bool:
+        failed = all(entry["error"] for entry in self._entries[log.name])
+        return failed and not any(path.exists() for path in log.paths)
 
     def _recorded(self, name: str) -> LogFiles:
         """A log as the results tell of it."""
