@@ -383,3 +383,7 @@ def test_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert lines[0] == "b"
     assert re.fullmatch(r"1 log as before: 2 frames, \d+ obstacles", lines[-3])
     assert re.fullmatch(r"2 frames, \d+ obstacles in .* 1 of 3 logs failed", lines[-2])
+    run[1] += "/a.mcap"
+    assert main([*run, "--update"]) == 1
+    said = capsys.readouterr().err
+    assert "holds the results of this command already" in said and "--update does" not in said

@@ -153,7 +153,8 @@ def _there(command: RunCommand) -> int:
     elif not command.quiet:
         _say(f"{command.run.output} holds the results of this command already")
     code = _exit_code(json.loads(text))
-    if any(log["error"] or log["lost"] for log in json.loads(text)["logs"]):
+    again = any(log["error"] or log["lost"] for log in json.loads(text)["logs"])
+    if again and not command.run.update:
         tell("jaxdet: --update does again what failed or was lost")
     if command.tracks:
         _link(command)
