@@ -310,6 +310,49 @@ def test_a_log_that_took_the_place_of_another(logs: Logs, tmp_path: Path) -> Non
     assert rows(output) == ["drive"] * 10 + ["drive.1"] * 10
 
 
+def test_a_log_that_took_the_place_of_one_while_another_has_its_content(
+    logs: Logs, tmp_path: Path
+) -> None:
+    output = tmp_path / "out"
+    logs.run("ab", output)
+    logs.add("a", "b")
+    assert logs.run("a", output, update=True) == ["a"]
+    assert [(log["log"], log["paths"]) for log in summary(output)["logs"]] == [
+        (name, [str(logs.folder / f"{name}.mcap")]) for name in "ab"
+    ]
+
+
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside-one-that-can"])
+def test_logs_that_can_not_be_read_are_not_one(logs: Logs, tmp_path: Path, beside: bool) -> None:
+    def gone(name: str) -> LogFiles:
+        log, more = logs.add(name), logs.add(f"{name}-2", "same").paths
+        log.paths[0].unlink()
+        return log._replace(paths=(*log.paths, *more[:beside]))
+
+    output, (first, second) = tmp_path / "out", (gone("lost"), gone("missing"))
+    logs.broken = {"lost", "missing"}
+    logs.go([logs.all[0], first], output)
+    logs.go([logs.all[0], second], output, update=True)
+    told = {log["log"]: log["paths"][0] for log in summary(output)["logs"]}
+    assert told == {log.name: str(log.paths[0]) for log in (logs.all[0], first, second)}
+
+
+def test_two_new_logs_that_would_get_one_name(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([logs.add("may/drive")._replace(name="drive")], output)
+    new = [logs.add("x/june/drive"), logs.add("y/june/drive")]
+    names = "drive", "june/drive"
+    new = [log._replace(name=name) for log, name in zip(new, names, strict=True)]
+    logs.go(new, output, update=True)
+    told = {log["log"]: Path(log["paths"][0]) for log in summary(output)["logs"]}
+    assert told == {
+        "drive": logs.folder / "may/drive.mcap",
+        "june/drive": new[0].paths[0],
+        "y/june/drive": new[1].paths[0],
+    }
+    assert rows(output) == ["drive"] * 10 + ["june/drive"] * 10 + ["y/june/drive"] * 10
+
+
 def test_names_that_no_folder_makes_different() -> None:
     log = LogFiles("a/drive", (Path("/x/y/drive.mcap"),))
     assert kept._free_name(log, set()) == "a/drive"
@@ -324,6 +367,15 @@ def test_names_of_files_stay(logs: Logs, tmp_path: Path) -> None:
     logs.go([logs.add("a_b")], output)
     with pytest.raises(ConfigError, match="files of the log a_b would be called a_b_2"):
         logs.go([logs.add("a b")], output, update=True)
+
+
+def test_names_of_files_of_logs_that_are_done_again_may_change(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([logs.add("a_b")], output)
+    both = [logs.add("a_b", "new"), logs.add("a b")]
+    logs.go(both, output, update=True)
+    logs.go(both, tmp_path / "whole")
+    same_results(output, tmp_path / "whole")
 
 
 @pytest.mark.parametrize("name", ["obstacles.parquet", "pictures/a_000000.png", "summary.json"])
