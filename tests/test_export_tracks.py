@@ -1,5 +1,6 @@
 """Tracks in the exports: who is who in each format, and where what moves goes."""
 
+import shutil
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -192,3 +193,43 @@ def test_tracks_of_many_logs_are_read_by_log(tmp_path: Path, monkeypatch: Any) -
     with Results(folder) as results:
         found = [row for log in results.logs for row in results.tracks(log)]
     assert found == rows and read[0] == len(rows) > 100
+
+
+def test_obstacles_of_each_log_have_its_tracks(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "many", {"a": 30, "b": 50, "c": 20})
+    track_results(folder, TrackConfig(min_frames=1))
+    links = pq.read_table(folder / "track_links.parquet").to_pylist()
+    wanted = {name: [row["track"] for row in links if row["log"] == name] for name in "abc"}
+    with Results(folder) as results:
+        for log in reversed(results.logs):  # so that none is read on from the one before
+            (chunk,) = results.chunks(log)
+            assert chunk.obstacles["track"].to_pylist() == wanted[log.name]
+            (chunk,) = results.chunks(log, [], ["track", "distance_m"])
+            assert chunk.obstacles.column_names[-2:] == ["distance_m", "track"]
+            assert chunk.obstacles["track"].to_pylist() == wanted[log.name]
+            (chunk,) = results.chunks(log, [], ["distance_m"])
+            assert "track" not in chunk.obstacles.column_names
+    assert len({*map(tuple, wanted.values())}) == 3
+
+
+def test_one_table_of_tracks_alone_is_none(tmp_path: Path) -> None:
+    folder = make_results(tmp_path / "out", {"a": 10})
+    track_results(folder, TrackConfig(min_frames=1))
+    (folder / "track_links.parquet").unlink()
+    with Results(folder) as results:
+        assert not results.tracked and not [*results.tracks(results.logs[0])]
+        assert "track" not in next(results.chunks()).obstacles.column_names
+
+
+def test_tracks_of_other_results_are_refused(tmp_path: Path) -> None:
+    """Of the same version and configuration, but other logs."""
+    one = make_results(tmp_path / "one", {"a": 10})
+    track_results(one, TrackConfig(min_frames=1))
+    other = make_results(tmp_path / "other", {"a": 10, "b": 10})
+    for name in ("tracks", "track_links"):
+        shutil.copy2(one / f"{name}.parquet", other)
+    with Results(other) as results:
+        with pytest.raises(InputError, match="is not of the results that it lies beside"):
+            list(results.tracks(results.logs[0]))
+        with pytest.raises(InputError, match="is not of the results that it lies beside"):
+            list(results.chunks())

@@ -4,6 +4,7 @@ import errno
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -79,6 +80,29 @@ def test_logs_one_after_the_other_are_read_once(tmp_path: Path, monkeypatch) -> 
             (first, *_) = results.chunks(log, ["log"], [])
             assert first.frames["log"][0].as_py() == log.name
         assert sum(read) > 10 * sum(want)
+
+
+def test_other_columns_are_not_read_on_from_those_before(tmp_path: Path) -> None:
+    with Results(make_results(tmp_path / "out", {"a": 20, "b": 20})) as results:
+        first, second = results.logs
+        for columns in (["stamp_ns"], ["status"], ["status", "stamp_ns"]):
+            list(results.chunks(first, ["status"], ["distance_m"]))
+            (chunk,) = results.chunks(second, columns, columns[:0])
+            always = ["log", "camera", "frame", "num_obstacles"]
+            assert chunk.frames.column_names == [*always, *columns]
+            assert chunk.obstacles.column_names == always[:3]
+
+
+def test_results_that_are_replaced_while_they_are_opened(tmp_path: Path, monkeypatch) -> None:
+    folder, opened = make_results(tmp_path / "out", {"a": 5}), reading.open_file
+
+    def replaced(path: Path, mode: Any) -> Any:
+        (folder / "manifest.json").write_text('{"run": "another"}', encoding="utf-8")
+        return opened(path, mode)
+
+    monkeypatch.setattr(reading, "open_file", replaced)
+    with pytest.raises(InputError, match="were replaced while they were opened; read them again"):
+        Results(folder)
 
 
 def copied(folder: Path, to: Path) -> Path:
@@ -201,6 +225,9 @@ def test_what_does_not_belong_together_is_refused(folder: Path, tmp_path: Path) 
 
     replace(table.slice(1), about)
     with pytest.raises(InputError, match="12 rows, but summary"):
+        Results(other)
+    replace(pa.concat_tables([table, table.slice(12)]), about)
+    with pytest.raises(InputError, match="14 rows, but summary"):
         Results(other)
     replace(pa.concat_tables([table.slice(1), table.slice(0, 1)]), about)
     with Results(other) as results, pytest.raises(InputError, match="don't belong together"):
