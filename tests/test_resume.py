@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,15 @@ def test_every_system_call_of_a_run(tmp_path: Path, how: str) -> None:
     subprocess.run(ends, cwd=ROOT, check=True)
 
 
+@pytest.fixture
+def hangups() -> Iterator[None]:
+    """SIGHUP ends a process, also where nohup runs the tests."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangups")
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 2), (signal.SIGTERM, 15), (signal.SIGHUP, 1)]
 )
@@ -259,7 +268,7 @@ def test_times_of_what_was_there_count_when_a_run_goes_on(many: list, tmp_path: 
     """As its frames do."""
     with pytest.raises(Interrupted):
         run(many[:1], tmp_path, progress=stop_at("00", interrupt))
-    folder, unit = part_of(tmp_path, "00000/0/00000000").parent, engine.Unit(0, 0, 5)
+    folder, unit = part_of(tmp_path, "00-*/0/00000000").parent, engine.Unit(0, 0, 5)
     part = Part.load(folder, unit)
     assert part and part.counts.busy_s["compute"] > 0
     part.counts.busy_s["compute"] += 1000
@@ -341,7 +350,7 @@ def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path)
         with pytest.raises(Interrupted):
             run(many[1:3], tmp_path, overwrite=True, progress=stop_at("02", interrupt))
         assert held() == {"00", "01"}
-        part_of(tmp_path, "00001/0/00000000").unlink()
+        part_of(tmp_path, "02-*/0/00000000").unlink()
     said: list[str] = []
     run(many[1:3], tmp_path, overwrite=True, say=said.append)
     assert said == ["continuing: 1 of 2 logs are there"]
@@ -391,7 +400,7 @@ def test_files_of_others_are_not_replaced(many: list, tmp_path: Path) -> None:
 def test_a_damaged_part_is_done_again(many: list, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
         run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))
-    part = part_of(tmp_path / "a", "00001/0/00000000")
+    part = part_of(tmp_path / "a", "01-*/0/00000000")
     content = bytearray(part.read_bytes())
     content[-100] ^= 1
     part.write_bytes(content)
@@ -404,7 +413,7 @@ def test_a_damaged_part_is_done_again(many: list, tmp_path: Path) -> None:
 def test_a_damaged_part_of_a_whole_log_is_done_again(many: list, tmp_path: Path) -> None:
     with pytest.raises(Interrupted):
         run(many[:2], tmp_path / "a", progress=stop_at("01", interrupt))
-    part = part_of(tmp_path / "a", "00000/0/00000001")
+    part = part_of(tmp_path / "a", "00-*/0/00000001")
     part.write_bytes(b"")
     with pytest.raises(OutputError, match="was changed or removed; run the command again"):
         run(many[:2], tmp_path / "a")

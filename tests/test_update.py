@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.main import main
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, kept, log_run
+from jaxdet.engine import device, kept, log_run, record
+from jaxdet.engine.known import KnownLog, Matches, match_logs
 from jaxdet.errors import (
     ConfigError,
     InputError,
@@ -23,7 +25,7 @@ from jaxdet.errors import (
     ResultsError,
 )
 from jaxdet.io import LogFiles, LogOptions
-from jaxdet.results.manifest import changed_manifest, read_manifest
+from jaxdet.results.manifest import changed_manifest, fingerprint, read_manifest
 from jaxdet.results.summary import LogSummary
 from jaxdet.results.writer import write_json
 from jaxdet.sim import SimConfig, write_log
@@ -49,7 +51,7 @@ class Logs:
     def add(self, name: str, content: str = "") -> LogFiles:
         path = self.folder / f"{name}.mcap"
         path.parent.mkdir(exist_ok=True, parents=True)
-        path.write_text(content or name, encoding="utf-8")
+        path.write_bytes(os.fsencode(content or name))
         os.utime(path, ns=(0, 0))
         return LogFiles(name, (path,))
 
@@ -231,6 +233,18 @@ def test_tracks_go_with_the_results_that_they_are_of(logs: Logs, tmp_path: Path)
     assert not list((tmp_path / "out").glob("track*"))
 
 
+def test_tracks_stay_where_no_row_changed(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.broken = {"b"}
+    logs.run("ab", output)
+    track_results(output)
+    before = {path.name: path.read_bytes() for path in output.glob("track*")}
+    assert len(before) >= 2
+    assert logs.run("ab", output, update=True) == ["b"]
+    assert {path.name: path.read_bytes() for path in output.glob("track*")} == before
+    assert not [one for one in verify(output, sample=0).findings if one.check != "log"]
+
+
 def test_an_update_that_is_stopped_goes_on(logs: Logs, tmp_path: Path) -> None:
     output, said = tmp_path / "out", list[str]()
     logs.run("a", output)
@@ -239,12 +253,43 @@ def test_an_update_that_is_stopped_goes_on(logs: Logs, tmp_path: Path) -> None:
     assert rows(output) == ["a"] * 10
     with pytest.raises(ConfigError, match="holds results already"):
         logs.run("abcd", output)
-    with pytest.raises(ConfigError, match="an unfinished run, but the log d was among its logs"):
-        logs.run("abc", output, update=True)
+    finer = Config(GroundConfig(source="none", step_height_m=0.06))
+    with pytest.raises(ConfigError, match=r"brought up to date: ground\.step_height_m was 0\.05"):
+        logs.run("abcd", output, update=True, config=finer)
     assert logs.run("abcd", output, update=True, say=said.append) == ["c", "d"]
     assert said == ["continuing: 1 of 3 logs and 1 of 2 units of c are there"]
     logs.run("abcd", tmp_path / "whole")
     same_results(output, tmp_path / "whole")
+
+
+@pytest.mark.parametrize("first", ["", "a"], ids=["no-results", "results"])
+def test_an_update_that_was_stopped_takes_other_logs(
+    logs: Logs, tmp_path: Path, first: str
+) -> None:
+    """As logs arrive every day, and may be removed when they are done."""
+    output, said = tmp_path / "out", list[str]()
+    if first:
+        logs.run("a", output)
+        (logs.folder / "a.mcap").unlink()
+    with pytest.raises(Interrupted):
+        logs.run("bc", output, update=True, progress=stop_at("c", interrupt))
+    logs.add("c", "changed")
+    new = logs.add("0")
+    logs.opened.clear()
+    logs.go([*logs.all[1:], new], output, update=True, say=said.append)
+    assert (logs.opened, said) == (["0", "c", "d"], ["continuing: 1 of 4 logs are there"])
+    assert rows(output) == [name for name in f"0{first}bcd" for _ in range(10)]
+    assert not (output / ".jaxdet").exists()
+
+
+def test_an_update_in_a_folder_with_a_run_of_another_kind(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.run("a", output)
+    finer = Config(GroundConfig(source="none", step_height_m=0.06))
+    with pytest.raises(Interrupted):
+        logs.run("b", output, config=finer, overwrite=True, progress=stop_at("b", interrupt))
+    with pytest.raises(ConfigError, match=rf"unfinished .*or remove {output / '.jaxdet'}$"):
+        logs.run("b", output, update=True)
 
 
 def test_what_can_not_be_brought_up_to_date(logs: Logs, tmp_path: Path, monkeypatch) -> None:
@@ -255,7 +300,7 @@ def test_what_can_not_be_brought_up_to_date(logs: Logs, tmp_path: Path, monkeypa
         before = {path: path.read_bytes() for path in output.rglob("*") if path.is_file()}
         with pytest.raises(ConfigError, match=f"be brought up to date: {match}; give") as caught:
             go()
-        assert "--overwrite to do all logs again" in str(caught.value)
+        assert "--overwrite for results of these logs alone" in str(caught.value)
         assert {path: path.read_bytes() for path in output.rglob("*") if path.is_file()} == before
 
     def update(which: str = "abc", **more: Any) -> Callable[[], Any]:
@@ -354,6 +399,171 @@ def test_two_new_logs_that_would_get_one_name(logs: Logs, tmp_path: Path) -> Non
     assert rows(output) == ["drive"] * 10 + ["june/drive"] * 10 + ["y/june/drive"] * 10
 
 
+def split(logs: Logs, *numbers: int, name: str = "rec") -> LogFiles:
+    """A recording of some of its split files."""
+    paths = [logs.folder / f"rec_{number}.mcap" for number in numbers]
+    for path in paths:
+        if not path.exists():
+            logs.add(path.stem)
+    return LogFiles(name, tuple(paths))
+
+
+def test_logs_that_became_one_recording(logs: Logs, tmp_path: Path) -> None:
+    output, alone = tmp_path / "out", [split(logs, n, name=f"rec_{n}") for n in (0, 1)]
+    logs.go(alone, output)
+    logs.go([split(logs, 0, 1)], output, update=True)
+    assert rows(output) == ["rec"] * 10
+    logs.go(alone, output, update=True)  # their schemas may have turned out to differ
+    assert rows(output) == ["rec_0"] * 10 + ["rec_1"] * 10
+
+
+def test_a_recording_that_goes_on(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([split(logs, 0, name="rec_0")], output)
+    for numbers in ((0, 1), (0, 1, 2)):
+        logs.opened.clear()
+        logs.go([split(logs, *numbers)], output, update=True)
+        assert logs.opened == rows(output)[:1] == ["rec_0"]
+
+
+def test_some_files_of_a_recording(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([split(logs, 0, 1, 2)], output)
+    (logs.folder / "rec_0.mcap").unlink()  # it may be removed when it is done
+    logs.opened.clear()
+    with pytest.raises(ResultsError):
+        logs.go([split(logs, 1, 2)], output, update=True)
+    logs.go([split(logs, 2, name="rec_2"), logs.all[0]], output, update=True)
+    assert logs.opened == ["a"]
+    assert len(summary(output)["logs"][1]["paths"]) == 3
+    lost = "rec_0.mcap: is not among the logs now, but others of the log rec are; name it as well"
+    with pytest.raises(ConfigError, match=lost):
+        logs.go([split(logs, 1, 2, 3)], output, update=True)
+    logs.add("rec_1", "other")
+    with pytest.raises(ConfigError, match=lost):
+        logs.go([split(logs, 1, 2)], output, update=True)
+    assert rows(output) == ["a"] * 10 + ["rec"] * 10
+
+
+def test_some_files_of_a_recording_that_failed(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.broken = {"rec"}
+    logs.go([split(logs, 0, 1)], output)
+    logs.broken.clear()
+    logs.go([split(logs, 1)], output, update=True)
+    assert rows(output) == ["rec"] * 10
+
+
+def test_a_recording_that_is_there_in_another_format(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    old = logs.add("x/drive")
+    logs.go([old._replace(paths=(old.paths[0].rename(old.paths[0].with_suffix(".db3")),))], output)
+    logs.go([logs.add("x/drive", "converted")], output, update=True)
+    assert rows(output) == ["x/drive"] * 10
+    assert summary(output)["logs"][0]["paths"] == [str(logs.folder / "x/drive.mcap")]
+    logs.go([LogFiles("drive", (logs.folder / "x/drive",))], output, update=True)  # of images
+    assert len(rows(output)) == 20
+
+
+def test_a_log_that_vanishes_costs_no_other(logs: Logs, tmp_path: Path) -> None:
+    """Also where a log that is done was removed before."""
+    output = tmp_path / "out"
+    logs.run("a", output)
+    (logs.folder / "a.mcap").unlink()
+    opened = logs.open
+
+    def vanish(files: LogFiles, options: LogOptions, memory: Any) -> Any:
+        if files.name == "b":
+            files.paths[0].unlink(missing_ok=True)
+            raise InputError("can't be read", path=str(files.paths[0]))
+        return opened(files, options, memory)
+
+    logs.open = vanish
+    log_run.open_log = vanish  # put back by the fixture
+    logs.run("bc", output, update=True)
+    assert [bool(log["error"]) for log in summary(output)["logs"]] == [False, True, False]
+    (logs.folder / "c.mcap").unlink()
+    logs.add("b")
+    with pytest.raises(InputError, match="is not there any more"):  # perhaps its disk
+        logs.run("b", output, update=True)
+
+
+def test_a_log_that_can_not_be_read_now_stays(logs: Logs, tmp_path: Path, monkeypatch) -> None:
+    output, said = tmp_path / "out", list[str]()
+    logs.run("abc", output)
+    monkeypatch.setattr(record, "fingerprint", unreadable(logs.folder / "b.mcap"))
+    assert logs.run("abcd", output, update=True, say=said.append) == ["d"]
+    assert said == [f"{logs.folder / 'b.mcap'} can't be read; its results stay as they are"]
+    assert rows(output) == [name for name in "abcd" for _ in range(10)]
+    monkeypatch.undo()
+    assert read_manifest(output)["inputs"]["b"] == [fingerprint(logs.folder / "b.mcap")]
+
+
+def unreadable(path: Path) -> Callable[[Path], dict[str, Any]]:
+    """``fingerprint`` on a disk that reads all files but one."""
+    return lambda file: {"path": str(file)} if file == path else fingerprint(file)
+
+
+@pytest.mark.parametrize("strange", ["\u3000", "\n", "\udcff"])
+def test_paths_that_can_not_be_printed(logs: Logs, tmp_path: Path, strange: str) -> None:
+    output, place = tmp_path / "out", f"x{strange}y/a"
+    logs.broken = {"bad"}
+    bad = logs.add(f"x{strange}y/bad")._replace(name="bad")
+    logs.go([logs.add(place)._replace(name="a"), bad], output)
+    logs.go([logs.add(place, "changed")._replace(name="a")], output, update=True)
+    assert rows(output) == ["a"] * 10
+    assert [log["log"] for log in summary(output)["logs"]] == ["a", "bad"]
+
+
+def test_equal_logs_that_moved(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    logs.go([logs.add(f"x/{name}", "same")._replace(name=name) for name in "ab"], output)
+    (logs.folder / "x").rename(logs.folder / "y")
+    moved = [LogFiles(name, (logs.folder / f"y/{name}.mcap",)) for name in "ab"]
+    logs.opened.clear()
+    logs.go(moved, output, update=True)
+    assert (rows(output), logs.opened) == (["a"] * 10 + ["b"] * 10, [])
+    assert summary(output)["batch_size"] == 5
+
+
+def test_another_way_to_name_the_same_logs(logs: Logs, tmp_path: Path, monkeypatch) -> None:
+    logs.run("a", tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ResultsError) as caught:
+        logs.go([LogFiles("a", (Path("logs/a.mcap"),))], tmp_path / "out", update=True)
+    assert caught.value.same
+
+
+def test_reports_of_logs_that_stay(logs: Logs, tmp_path: Path, monkeypatch) -> None:
+    output = tmp_path / "out"
+
+    def torn(files: LogFiles, *rest: Any) -> Any:
+        if files.name == "b":
+            raise ZeroDivisionError
+        return logs.open(files, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(log_run, "open_log", torn)
+        logs.run("ab", output)
+    report = (output / "report_b.txt").read_bytes()
+    logs.run("c", output, update=True)
+    assert (output / "report_b.txt").read_bytes() == report
+    logs.run("abc", output, update=True)
+    assert not (output / "report_b.txt").exists()
+
+
+def test_many_logs_are_known_again_in_little_time(tmp_path: Path) -> None:
+    names = [f"{i:05d}" for i in range(20_000)]
+    files = {name: [{"size": 1, "fingerprint": name, "mtime_ns": 0}] for name in names}
+    old = [KnownLog(name, (f"/old/{name}.mcap",), files[name], True) for name in names]
+    for folder in ("old", "new"):
+        given = [LogFiles(name, (Path(f"/{folder}/{name}.mcap"),)) for name in names]
+        start = time.process_time()
+        matches = match_logs(given, files, old)
+        assert time.process_time() - start < 5
+        assert matches == Matches(dict(zip(names, names, strict=True)), {}, set())
+
+
 def test_names_that_no_folder_makes_different() -> None:
     log = LogFiles("a/drive", (Path("/x/y/drive.mcap"),))
     assert kept._free_name(log, set()) == "a/drive"
@@ -440,3 +650,8 @@ def test_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main([*run, "--update"]) == 1
     said = capsys.readouterr().err
     assert "holds the results of this command already" in said and "--update does" not in said
+    write_log(tmp_path / "logs" / "d.mcap", SimConfig(frames=3, width=160, height=120))
+    assert main(["track", str(tmp_path / "out")]) == 0
+    assert main([*run[:1], str(tmp_path / "logs" / "d.mcap"), *run[2:], "--update"]) == 1
+    said = capsys.readouterr().err
+    assert "jaxdet: tracks were of the old tables and are gone: jaxdet track makes" in said

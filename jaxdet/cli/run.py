@@ -118,6 +118,8 @@ def _run(command: RunCommand) -> int:
     if command.run.backend == "jax" and not silent and (text := first_time(cache_folders())):
         _say(text)
         SPINNER.start("loading")
+    tracks = command.run.output / "tracks.parquet"
+    had_tracks = tracks.exists()
     with reporting(silent) as progress:
         how = command.log, command.run, progress, observers, command.preset
         summary = run(logs, command.method, *how, say=(lambda text: None) if silent else _say)
@@ -128,6 +130,8 @@ def _run(command: RunCommand) -> int:
     code = _exit_code(summary.to_dict())
     if command.tracks and summary.whole and not command.run.share:
         _link(command)
+    elif had_tracks and not (tracks.exists() or silent):
+        _say("tracks were of the old tables and are gone: jaxdet track makes them again")
     return code
 
 
@@ -154,7 +158,7 @@ def _there(command: RunCommand) -> int:
         _say(f"{command.run.output} holds the results of this command already")
     code = _exit_code(json.loads(text))
     again = any(log["error"] or log["lost"] for log in json.loads(text)["logs"])
-    if again and not command.run.update:
+    if again and not (command.run.update or command.run.parts):
         tell("jaxdet: --update does again what failed or was lost")
     if command.tracks:
         _link(command)

@@ -22,6 +22,7 @@ from jaxdet.eval import (
     truth_of,
 )
 from jaxdet.reference import align
+from jaxdet.results.manifest import fingerprint
 from jaxdet.sim import Truth, load_depths, load_drivable, load_obstacle_ids, load_truth
 from jaxdet.types import Detections, Frames
 
@@ -49,6 +50,8 @@ class TruthScore:
 
     def __init__(self, path: Path, config: Config) -> None:
         self.log = Path(str(path).removesuffix(_SUFFIX))
+        self.file = fingerprint(Path(f"{self.log}{_SUFFIX}"))
+        """Tells the results' record of another truth in its place."""
         ground = config.ground
         self.config = EvalConfig(
             ground.min_depth_m,

@@ -5,8 +5,17 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from jaxdet.engine.known import (
+    REMEDY,
+    Fingerprints,
+    KnownLog,
+    Matches,
+    contents_of,
+    match_logs,
+    places_of,
+)
 from jaxdet.engine.record import difference_but_logs, digest, record_of_results
-from jaxdet.errors import ConfigError, InputError, OutputError, printable
+from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError, printable
 from jaxdet.io.files import LogFiles
 from jaxdet.results.arrow import with_schema
 from jaxdet.results.durable import sha256, writing
@@ -20,15 +29,14 @@ from jaxdet.results.writer import Tables
 if TYPE_CHECKING:
     from jaxdet.results.writer import ResultWriter
 
-_REMEDY = "give another --output, or --overwrite to do all logs again"
-
 
 class KeptLogs:
     """The logs of whole results that stay as they are when a run adds others to them.
 
-    A log stays if it is not among the run's, or is the same to the checksum and the time of its
-    last change, and neither failed nor lost frames. One that failed and whose files are gone is
-    left out: it has no rows, and nothing could mend it.
+    A log stays if it is not among the run's (:mod:`jaxdet.engine.known`), or is the same to the
+    checksum and the time of its last change, or can't be read now, and neither failed nor lost
+    frames. One that failed and whose files are gone is left out: it has no rows, and nothing could
+    mend it.
 
     Args:
         folder: The results.
@@ -36,22 +44,24 @@ class KeptLogs:
         record: What decides the run's results, see :func:`jaxdet.engine.record.make_record`.
 
     Raises:
-        ConfigError: The results are of another configuration or version; or files of a log would
-            have other names.
+        ConfigError: The results are of another configuration or version; files of a log would have
+            other names; or a log lacks files that it had.
         InputError: They can't be read, or a file of them is not as it was written.
     """
 
     def __init__(self, folder: Path, logs: Sequence[LogFiles], record: Mapping[str, Any]) -> None:
         self.folder = folder
-        self._manifest = read_manifest(folder)
-        self._results = Results(folder)
+        self.notes: list[str] = []
+        """What is to be said of logs that stay."""
+        self._names: dict[str, str] = {}
+        """What files of the logs are called, by the logs' names."""
+        self._manifest, self._results = self._read()
         try:
             self._entries: dict[str, list[dict[str, Any]]] = {}
             for entry in self._results.summary["logs"]:
                 self._entries.setdefault(entry["log"], []).append(entry)
             self._check_record(record)
             self._decide(logs, record)
-            self._check_files()
         except BaseException:
             self.close()
             raise
@@ -68,6 +78,11 @@ class KeptLogs:
         """Whether the results hold all of the run's logs already."""
         same = self._manifest.get("run") == digest(self.record)
         return same and len(self.names) == len(self.logs)
+
+    @property
+    def batch_size(self) -> int:
+        """How many frames were computed together."""
+        return self._results.summary["batch_size"]
 
     def close(self) -> None:
         """Closes the tables."""
@@ -89,7 +104,7 @@ class KeptLogs:
         except MemoryError as error:
             how = {"path": log.name, "remedy": "end other programs"}
             raise OutputError("no memory for its rows", **how) from error
-        where = {"paths": tuple(str(path.absolute()) for path in log.paths)}
+        where = {"paths": places_of(log)}
         return [LogSummary.from_dict(entry | where) for entry in self._entries[log.name]]
 
     def link_files(self, log: LogFiles, folder: Path) -> dict[str, Path]:
@@ -102,7 +117,26 @@ class KeptLogs:
         Raises:
             OutputError: The disk is full or broken.
         """
-        names = [name for entry in self._entries[log.name] for name in _files_of(entry)]
+        entries = self._entries[log.name]
+        return self._link([name for entry in entries for name in self._files_of(entry)], folder)
+
+    def link_tracks(self, tables: Mapping[str, Path], folder: Path) -> dict[str, Path]:
+        """Makes links to the tracks, where tables of the new results are those that they are of.
+
+        Args:
+            tables: The new ones, by their names in the results.
+            folder: As of :meth:`link_files`.
+
+        Raises:
+            OutputError: The disk is full or broken.
+        """
+        files = self._manifest["files"]
+        tracks = [name for name in files if name.startswith("track")]
+        if tracks and all(sha256(path) == files[name]["sha256"] for name, path in tables.items()):
+            return self._link(tracks, folder)
+        return {}
+
+    def _link(self, names: Sequence[str], folder: Path) -> dict[str, Path]:
         for path in (folder / name for name in names):
             with writing(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -128,86 +162,96 @@ class KeptLogs:
     def _decide(self, given: Sequence[LogFiles], record: Mapping[str, Any]) -> None:
         """Which logs stay, and what all of them are then."""
         told, now = self._manifest["inputs"], record["about"]["inputs"]
-        names = self._names(given, now)
-        named = {names[log.name]: log._replace(name=names[log.name]) for log in given}
-        now = {names[name]: files for name, files in now.items()}
-        left = {name: self._recorded(name) for name in told.keys() - named.keys()}
-        left = {name: log for name, log in left.items() if not self._failed_and_gone(log)}
-        same = {
-            name
-            for name in told.keys() & named.keys()
-            if _contents(told[name], "mtime_ns") == (_contents(now[name], "mtime_ns") or None)
-            and not any(entry["error"] or entry["lost"] for entry in self._entries[name])
-        }
-        self.names = frozenset({*left, *same})
-        self.logs = [log for _, log in sorted({**left, **named}.items())]
-        inputs = {log.name: {**told, **now}[log.name] for log in self.logs}
+        matches = match_logs(given, now, [self._known(name) for name in told])
+        names = self._name(given, matches)
+        left = {*told} - matches.replaced - {*names.values()}
+        stay = {name for name in left if not self._failed_and_gone(name)}
+        logs = {name: self._recorded(name) for name in stay}
+        files: dict[str, Fingerprints] = {name: told[name] for name in stay}
+        for log in (log for log in given if log.name in names):
+            name = names[log.name]
+            logs[name], files[name] = log._replace(name=name), now[log.name]
+            if log.name in matches.names and self._stays(name, log, files[name]):
+                stay.add(name)
+                if places_of(log) == self._known(name).places:  # however the command names them
+                    logs[name], files[name] = self._recorded(name), told[name]
+        self.names = frozenset(stay)
+        self.logs = [logs[name] for name in sorted(logs)]
+        inputs = {log.name: files[log.name] for log in self.logs}
         self.record = {**record, "about": {**record["about"], "inputs": inputs}}
-        for log, name in zip(self.logs, file_names(log.name for log in self.logs), strict=True):
-            files = (entry["file_name"] or name for entry in self._entries.get(log.name, ()))
-            if log.name in self.names and any(file.partition("@")[0] != name for file in files):
-                self._refuse(f"files of the log {log.name} would be called {name}")
+        self._names = dict(zip(inputs, file_names(inputs), strict=True))
+        for name in sorted(stay):
+            own = (entry["file_name"] or self._names[name] for entry in self._entries[name])
+            if any(file.partition("@")[0] != self._names[name] for file in own):
+                self._refuse(f"files of the log {name} would be called {self._names[name]}")
 
-    def _failed_and_gone(self, log: LogFiles) -> bool:
-        failed = all(entry["error"] for entry in self._entries[log.name])
-        return failed and not any(path.exists() for path in log.paths)
+    def _name(self, given: Sequence[LogFiles], matches: Matches) -> dict[str, str]:
+        """What the run's logs are called in the results, but those that are parts of one there.
+
+        What is known again keeps its name. New ones whose name is taken get as many folders put
+        before it as it takes.
+        """
+        names = {**matches.names}
+        taken = {*self._entries} - matches.replaced
+        for log in given:
+            if log.name not in names and log.name not in matches.parts:
+                names[log.name] = _free_name(log, taken)
+                taken.add(names[log.name])
+        return names
+
+    def _stays(self, name: str, log: LogFiles, files: Fingerprints) -> bool:
+        """Whether a log that is known again need not be done again."""
+        if any(entry["error"] or entry["lost"] for entry in self._entries[name]):
+            return False
+        if not contents_of(files):
+            self.notes.append(f"{log.paths[0]} can't be read; its results stay as they are")
+            return True
+        return contents_of(files, "mtime_ns") == contents_of(
+            self._manifest["inputs"][name], "mtime_ns"
+        )
+
+    def _failed_and_gone(self, name: str) -> bool:
+        failed = all(entry["error"] for entry in self._entries[name])
+        places = self._entries[name][0]["paths"]
+        escaped = any("\\" in place for place in places)  # where these are can't be told
+        return failed and not escaped and not any(Path(place).exists() for place in places)
 
     def _recorded(self, name: str) -> LogFiles:
         """A log as the results tell of it."""
         return LogFiles(name, tuple(map(Path, self._entries[name][0]["paths"])))
 
-    def _names(
-        self, logs: Sequence[LogFiles], inputs: Mapping[str, Sequence[Mapping[str, Any]]]
-    ) -> dict[str, str]:
-        """What the run's logs are called in the results, by their names in the run.
+    def _known(self, name: str) -> KnownLog:
+        entries = self._entries[name]
+        has_rows = not all(entry["error"] for entry in entries)
+        return KnownLog(name, tuple(entries[0]["paths"]), self._manifest["inputs"][name], has_rows)
 
-        They are known again by their place, else by what is in them, and keep the name that they
-        have there. New ones whose name is taken get as many folders put before it as it takes.
-        """
-        told = self._manifest["inputs"]
-        places = {path: name for name in told for path in self._recorded(name).paths}
-        contents = {_key(_contents(files)): name for name, files in told.items()}
-        found = {
-            log.name: places[log.paths[0].absolute()]
-            for log in logs
-            if log.paths[0].absolute() in places
-        }
-        for log in logs:
-            known = contents.get(_key(_contents(inputs[log.name]) or [["unread"]]))
-            if log.name not in found and known and known not in found.values():
-                found[log.name] = known
-        taken = {*told, *found.values()}
-        for log in logs:
-            if log.name not in found:
-                found[log.name] = _free_name(log, taken)
-                taken.add(found[log.name])
-        return found
+    def _files_of(self, entry: Mapping[str, Any]) -> list[str]:
+        """The names of a log's pictures, its map and the report of what made it fail."""
+        maps = [f"{entry['map']}.{end}" for end in ("npz", "png")] if entry["map"] else []
+        report = f"report_{entry['file_name'] or self._names[entry['log']]}.txt"
+        reports = [report] if report in self._manifest["files"] else []
+        return [*entry["pictures"], *maps, *reports]
 
     def _refuse(self, reason: str) -> NoReturn:
         problem = f"holds results that can't be brought up to date: {reason}"
-        raise ConfigError(problem, path=str(self.folder), remedy=_REMEDY)
+        raise ConfigError(problem, path=str(self.folder), remedy=REMEDY)
 
-    def _check_files(self) -> None:
-        """Makes sure that what stays is as it was written.
+    def _read(self) -> tuple[dict[str, Any], Results]:
+        """The manifest, and the tables.
 
         Raises:
-            InputError: It isn't.
+            InputError: One can't be read, or a file of theirs is not as it was written.
         """
-        for name, about in self._manifest["files"].items():
-            path = self.folder / name
-            if not path.is_file() or sha256(path) != about["sha256"]:
-                problem, remedy = "is not as it was written", f"see jaxdet verify; or {_REMEDY}"
-                raise InputError(problem, path=str(path), remedy=remedy)
-
-
-def _contents(files: Sequence[Mapping[str, Any]], *more: str) -> list[list[Any]]:
-    """What files hold, by their fingerprints; nothing where one can't be read."""
-    found = [[file.get(key) for key in ("size", "fingerprint", *more)] for file in files]
-    return [] if any(None in one for one in found) else found
-
-
-def _key(contents: list[list[Any]]) -> tuple[tuple[Any, ...], ...]:
-    return tuple(map(tuple, contents))
+        remedy = f"see jaxdet verify; or {REMEDY}"
+        try:
+            manifest = read_manifest(self.folder)
+            for name, about in manifest["files"].items():
+                path = self.folder / name
+                if not path.is_file() or sha256(path) != about["sha256"]:
+                    raise InputError("is not as it was written", path=str(path))
+            return manifest, Results(self.folder)
+        except JaxdetError as error:
+            raise InputError(error.problem, path=error.path, remedy=remedy) from error
 
 
 def _free_name(log: LogFiles, taken: Collection[str]) -> str:
@@ -222,12 +266,6 @@ def _free_name(log: LogFiles, taken: Collection[str]) -> str:
     while name in taken:
         name, number = f"{log.name} ({number})", number + 1
     return name
-
-
-def _files_of(entry: Mapping[str, Any]) -> list[str]:
-    """The names of a log's pictures and map."""
-    maps = [f"{entry['map']}.{end}" for end in ("npz", "png")] if entry["map"] else []
-    return [*entry["pictures"], *maps]
 
 
 def _link(path: Path, link: Path) -> None:

@@ -63,11 +63,13 @@ def run(
         say: Gets a line for each thing worth knowing at the start, such as a run that goes on.
 
     Returns:
-        What is in ``summary.json``.
+        What is in ``summary.json``. Of logs that an update left as they were ``description``,
+        ``calibration`` and ``ground`` are what JSON has of them.
 
     Raises:
         ResultsError: The output folder holds results already.
-        ConfigError: It holds an unfinished run with other inputs, configuration or versions;
+        ConfigError: It holds an unfinished run with other inputs (but for an update),
+            configuration or versions;
             another run works there; it is in a log that is a folder; or the backend has no program
             for the configuration; or there is too little memory for any log.
         InputError: The output folder can't be written to; or the logs are gone, as their disk is;
@@ -133,12 +135,15 @@ class _Run:
         self.progress: ProgressCallback | None = None
         self.say: Callable[[str], None] = print
         self.store: PartStore | None = None
-        self.summary = Summary(options.backend, options.batch_size or 0)
+        computed = options.batch_size or (kept.batch_size if kept else 0)
+        self.summary = Summary(options.backend, computed)
         self.summary.kept = kept.names if kept else frozenset()
         self.files: dict[str, Path] = {}
         """Of the results, by their names."""
         self._start = time.perf_counter()
-        self._names = file_names(log.name for log in self.logs)
+        names = [log.name for log in self.logs]
+        self._names = dict(zip(names, file_names(names), strict=True))
+        """What the logs' files are called."""
 
     def run(self, record: Mapping[str, Any]) -> Summary:
         """All logs are in the results, but those that have failed."""
@@ -154,6 +159,8 @@ class _Run:
                 config, told = {**how, **record["config"]}, summary.to_dict()
                 tables = thread.submit(writer.close, config, told)  # while the processes end
             self.files |= tables.result()
+        if self.kept:
+            self.files |= self.kept.link_tracks(tables.result(), result / "kept")
         self.files |= write_json(result / "config.json", config)
         self.files |= write_json(result / "summary.json", told)
         with writing(result):
@@ -166,16 +173,25 @@ class _Run:
 
     def standing(self) -> str:
         """How much is on the disk, for people; empty: nothing."""
-        logs = sorted(self.work.logs.glob("*"))
+        logs = [self._folder(log) for log in self._to_do]
         done = sum((log / WHOLE).exists() for log in logs)
-        text = f"{done} of {len(self.logs) - len(self.summary.kept)} logs"
-        for folder in sorted(self.work.logs.glob("*/*/"), reverse=True):
+        text = f"{done} of {len(logs)} logs"
+        for folder in (camera for log in reversed(logs) for camera in sorted(log.glob("*/"))):
             parts = len(list(folder.glob("*.part")))
             plan: LogPlan | None = self.work.read(folder / PLAN)
             if parts and plan and not (folder / WHOLE).exists():
                 text += f" and {parts} of {len(list(plan.units()))} units of {plan.label}"
                 return f"{text} are"
         return f"{text} are" if done else ""
+
+    @property
+    def _to_do(self) -> list["LogFiles"]:
+        """The logs that do not stay as they are."""
+        return [log for log in self.logs if log.name not in self.summary.kept]
+
+    def _folder(self, log: "LogFiles") -> Path:
+        """Where a log's parts are."""
+        return self.work.log_folder(log.name, self._names[log.name])
 
     def _pool(self) -> Pool:
         """The processes that share the work, of which none is there yet."""
@@ -199,8 +215,8 @@ class _Run:
                 self.files |= self.kept.link_files(files, self.work.result / "kept")
                 continue
             report = reporter(self.progress, number, len(self.logs))
-            one = LogRun(shared, files, self._names[number], report, number)
-            folder, options = self.work.log_folder(number), self.log_options
+            one = LogRun(shared, files, self._names[files.name], report, number)
+            folder, options = self._folder(files), self.log_options
             try:
                 found = [one.take(folder / "0", options)]
             except CamerasError as error:
@@ -225,14 +241,14 @@ class _Run:
     def _check_there(self, failed: "LogFiles") -> None:
         """Makes sure that the disk of a log that failed is still there.
 
-        It is gone where others of the run are gone with the log. One that is gone alone was
-        removed, and costs no other.
+        It is gone where others that are to be done are gone with the log. One that is gone alone
+        was removed, and costs no other.
 
         Raises:
             InputError: It is gone; nothing that is done is lost.
         """
-        others = (log for log in self.logs if log is not failed)
-        if self._gone(failed) and (len(self.logs) == 1 or any(map(self._gone, others))):
+        others = [log for log in self._to_do if log is not failed]
+        if self._gone(failed) and (not others or any(map(self._gone, others))):
             path, remedy = str(failed.paths[0]), "see that its disk is there"
             raise InputError("is not there any more", path=path, remedy=remedy)
 

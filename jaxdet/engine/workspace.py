@@ -6,7 +6,7 @@
     plan            what decides the results (jaxdet.engine.record)
     logs-3f9a/      a name of each run's own, so that a process which outlives its run finds no
                     place to write to
-      00012/        a log; with a file "whole" it is done
+      drive-5e09…/  a log; with a file "whole" it is done
         0/          its camera: plan, a part for each unit that is done, pictures, and when it is
                     done its summary in "whole"; several cameras are in 1/, 2/, ...
     result/         tables, maps, configuration, summary, manifest
@@ -119,18 +119,22 @@ class Workspace:
         if update and (self.output / MANIFEST).exists():
             self.kept = update()
             self.record = self.kept.record
+            for note in self.kept.notes:
+                say(note)
         if not overwrite and (self.kept is None or self.kept.all_stay):
             self._refuse_results()
         self._refuse_blocked()
         begun = self.read("plan")
-        reason = None if begun is None else difference(begun, self.record)
+        differs = difference_but_logs if update else difference
+        reason = None if begun is None else differs(begun, self.record)
         if reason:
             if not overwrite:
+                anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
                 raise ConfigError(
                     f"holds an unfinished run, but {reason}",
                     path=str(self.output),
                     remedy="repeat that run's command to go on with it, give another --output, "
-                    "or --overwrite to begin anew",
+                    f"or {anew}",
                 )
             say(f"dropped an unfinished run: {reason}")
         if begun is None or reason:
@@ -152,12 +156,15 @@ class Workspace:
         """Where files of the results are made."""
         return self.folder / "result"
 
-    def log_folder(self, number: int) -> Path:
-        """The folder of a log; made when missing."""
-        folder = self.logs / f"{number:05d}"
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        return folder
+    def log_folder(self, log: str, file_name: str) -> Path:
+        """The folder of a log, which is another one if the log changes.
+
+        Args:
+            log: Its name.
+            file_name: What the names of its files begin with.
+        """
+        which = digest({log: self.record["about"]["inputs"][log]})
+        return self.logs / f"{file_name}-{which[:12]}"
 
     def write(self, place: str | Path, value: Any) -> None:
         """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
