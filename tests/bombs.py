@@ -12,6 +12,7 @@ from tests.io_helpers import (
     COLOR_K,
     COLOR_SIZE,
     DEPTH,
+    DEPTH_FRAME,
     START,
     STORE,
     LogFile,
@@ -204,7 +205,7 @@ def jpeg_scans(path: Path) -> Path:
         write_calibration(log)
         at = int(scene.color_ns[0])
         log.ros(COLOR + "/compressed", ros_compressed(many, "jpeg", at, COLOR_FRAME), at)
-        log.ros(DEPTH, ros_image(scene.depth[0], "16UC1", at, COLOR_FRAME), at)
+        log.ros(DEPTH, ros_image(scene.depth[0], "16UC1", at, DEPTH_FRAME), at)
     return path
 
 

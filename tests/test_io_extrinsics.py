@@ -1,15 +1,20 @@
 """Extrinsics, floor, poses and topics of whole logs."""
 
+import re
+
 import numpy as np
 import pytest
 
-from jaxdet.errors import CalibrationError, CamerasError, FrameStatus, TopicError
+from jaxdet.errors import CalibrationError, CamerasError, ConfigError, FrameStatus, TopicError
 from jaxdet.io import LogOptions, open_log
 from tests.io_helpers import (
+    COLOR,
     COLOR_FRAME,
     COLOR_K,
     COLOR_SIZE,
+    DEPTH,
     DEPTH_FRAME,
+    DEPTH_INFO,
     DEPTH_K,
     DEPTH_SIZE,
     SECOND,
@@ -94,6 +99,67 @@ def test_missing_extrinsics_name_the_flag_which_supplies_them(tmp_path):
     with open_log(path, given) as log:
         assert log.calibration.color_from_depth is not None
         assert log.calibration.color_from_depth.translation == (0.015, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("scale", [None, 1, 2])
+def test_images_of_one_frame_are_of_one_place_where_they_are_of_one_lens(tmp_path, scale):
+    """Drivers give all cameras of a device the same frame."""
+    path = tmp_path / "log.mcap"
+    size = tuple(side // (scale or 1) for side in COLOR_SIZE)
+    K = tuple(value / scale for value in COLOR_K) if scale else DEPTH_K
+    with LogFile(path) as log:
+        write_calibration(log, aligned=True)
+        log.ros(DEPTH_INFO, ros_info(size, K, START, COLOR_FRAME), START)
+        for color, at in zip(make_scene().color, range(START, START + 5), strict=False):
+            depth = np.full(size[::-1], 1500, np.uint16)
+            log.ros(DEPTH, ros_image(depth, "16UC1", at, COLOR_FRAME), at)
+            log.ros(COLOR, ros_image(color, "rgb8", at, COLOR_FRAME), at)
+    if scale:
+        with open_log(str(path)) as log:
+            assert "frame" in log.description.extrinsics_source
+        return
+    text = (
+        r"both images are in frame .*, but their camera matrices differ; give --log\.color-from-d"
+    )
+    with pytest.raises(CalibrationError, match=text):
+        open_log(str(path))
+    for given in ({"camera_frame": COLOR_FRAME}, {"depth_aligned": True}):
+        with open_log(str(path), LogOptions(**given)):
+            pass
+
+
+def test_calibrations_with_the_names_of_ros1(tmp_path):
+    """As rosbags-convert writes them."""
+
+    class Converted(LogFile):
+        def raw(self, topic, encoding, schema, data, log_ns):
+            name, kind, text = schema
+            if name == "sensor_msgs/msg/CameraInfo":
+                for letter in "dkrp":
+                    text = re.sub(rb"(float64\[\d*\]) %c\n" % ord(letter), upper, text)
+                assert b"] K\n" in text
+            super().raw(topic, encoding, (name, kind, text), data, log_ns)
+
+    def upper(found):
+        return found[0].upper().replace(b"FLOAT", b"float")
+
+    path = tmp_path / "log.mcap"
+    with Converted(path) as log:
+        write_calibration(log)
+        write_images(log, make_scene())
+    with open_log(str(path)) as log:
+        color = log.calibration.color
+        assert (color.fx, color.fy, color.cx, color.cy) == COLOR_K
+        assert not log.description.warnings
+
+
+@pytest.mark.parametrize("name", ["color_from_depth", "depth_intrinsics"])
+def test_aligned_depth_has_no_use_for_a_camera_of_its_own(name):
+    value = (0, 0, 0, 0, 0, 0, 1) if name == "color_from_depth" else (50, 50, 20, 15)
+    flag = name.replace("_", "-")
+    with pytest.raises(ConfigError, match=rf"log\.depth-aligned with log\.{flag}, which"):
+        LogOptions(depth_aligned=True, **{name: value})
+    LogOptions(depth_aligned=False, **{name: value})
 
 
 def test_floor_and_poses_from_transforms_and_odometry(tmp_path):

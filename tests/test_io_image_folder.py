@@ -187,7 +187,31 @@ def test_recordings_go_before_images_beside_them(tmp_path):
     (tmp_path / "drive.mcap").write_bytes(b"x")
     [log] = find_logs([str(tmp_path)])
     assert [path.name for path in log.paths] == ["drive.mcap"]
-    assert "frames is left out: images beside recordings" in log.note
+    assert "frames is left out: images beside a recording" in log.note
+
+
+def test_images_elsewhere_are_logs_of_their_own(tmp_path):
+    write_open3d(tmp_path / "b" / "one")
+    write_open3d(tmp_path / "a" / "two")
+    (tmp_path / "a" / "drive.mcap").write_bytes(b"x")
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["drive", "one"]
+    assert "a/two is left out: images beside a recording" in logs[0].note
+    assert "one has no stamps" in logs[1].note
+
+
+def test_depth_that_only_the_layout_says_is_aligned(tmp_path):
+    text = "depth is taken to be aligned to colour, as in TUM's and Open3D's folders; else give "
+    for folder, said in (
+        (write_tum(tmp_path / "tum"), True),
+        (write_open3d(tmp_path / "o"), False),
+    ):
+        with open_log(str(folder), GIVEN if said else LogOptions()) as log:
+            found = [line for line in log.description.warnings if line.startswith(text)]
+            assert (len(found), log.description.extrinsics_source) == (
+                said,
+                "not needed: depth is aligned to colour (as in TUM's and Open3D's folders)",
+            )
 
 
 def test_real_folder_of_open3d(shared_data):

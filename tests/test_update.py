@@ -640,7 +640,9 @@ def test_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main(run) == 2
     said = capsys.readouterr().err
     assert "the log b was not among its logs; give another --output" in said
-    assert said.endswith("--overwrite to replace them; or --update to do new logs alone\n")
+    assert said.endswith(
+        "--overwrite to replace them; or --update to do new logs alone and keep the rest\n"
+    )
     assert main([*run, "--update"]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "b"

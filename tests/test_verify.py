@@ -367,6 +367,21 @@ def test_logs_that_moved_are_given_or_noted(whole: Path, tmp_path: Path) -> None
     assert report.findings == report.notes == [] and report.frames_of_logs == 2 * FRAMES
 
 
+def test_logs_with_other_names_now_are_known_by_what_is_in_them(
+    whole: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "all"
+    shutil.copytree(whole.parent, folder)
+    (folder / "a.mcap").rename(folder / "c.mcap")
+    report = verify(folder / "out", [str(folder / "*.mcap")], sample=1)
+    assert not report.findings and report.frames_of_logs == 2 * FRAMES
+    content = (folder / "c.mcap").read_bytes()
+    (folder / "c.mcap").write_bytes(content[:-1])
+    known = "no log 'c'; it holds a, b; logs are known by their names, else by what is in them"
+    with pytest.raises(InputError, match=known):
+        verify(folder / "out", [str(folder / "*.mcap")], sample=1)
+
+
 def test_tracks_are_results(results: Path) -> None:
     track_results(results)
     assert not verify(results, sample=0).findings

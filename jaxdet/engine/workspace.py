@@ -234,7 +234,7 @@ class Workspace:
             reason = difference(before, self.record) if before else None
             error = ResultsError(str(self.output), found[0], same=same, reason=reason or "")
             if before and not difference_but_logs(before, self.record):
-                error.add_remedy("or --update to do new logs alone")
+                error.add_remedy("or --update to do new logs alone and keep the rest")
             raise error
         if found := files_like_results(self.output):
             raise ConfigError(

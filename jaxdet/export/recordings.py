@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
+from jaxdet.engine.known import contents_of
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
+from jaxdet.results.manifest import fingerprint, read_manifest
 from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.rows import to_host
 from jaxdet.types import Detections
@@ -34,8 +36,8 @@ class Seen(NamedTuple):
 def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     """The logs of the results among files, folders and globs.
 
-    They are told by their names; a single one is that of results of a single log. Logs that failed
-    in the run are passed over.
+    They are told by their names, else by what is in them; a single one is that of results of a
+    single log. Logs that failed in the run are passed over.
 
     Returns:
         By name in the results.
@@ -49,11 +51,18 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         return dict(zip(names, logs, strict=True))
     failed = {entry["log"] for entry in results.summary["logs"] if entry["error"]} - names
     logs = [log for log in logs if log.name not in failed]
-    for log in logs:
-        if log.name not in names:
+    found = {log.name: log for log in logs if log.name in names}
+    unknown = [log for log in logs if log.name not in names]
+    inputs = read_manifest(results.folder)["inputs"] if unknown else {}
+    left = {contents_of(inputs[name]): name for name in inputs if name in names - found.keys()}
+    for log in unknown:
+        name = left.pop(contents_of([fingerprint(path) for path in log.paths]) or None, None)
+        if name is None:
             problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"
-            raise InputError(problem, path=str(results.folder))
-    return {log.name: log for log in logs}
+            remedy = "logs are known by their names, else by what is in them"
+            raise InputError(problem, path=str(results.folder), remedy=remedy)
+        found[name] = log
+    return found
 
 
 def recorded(log: ResultLog, flag: str = "--log") -> LogFiles:

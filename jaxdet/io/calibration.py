@@ -22,6 +22,9 @@ DEPTH_UNIT_M = 0.001
 """Metres in one depth unit, where nothing else is said."""
 _ASSUMED = "the default"
 """Where that depth unit comes from."""
+_AS_FOLDERS = "as in TUM's and Open3D's folders"
+_ONE_LENS = 0.01
+"""How much camera matrices of one lens may differ, in widths and heights of their images."""
 
 
 class Calibrated(NamedTuple):
@@ -61,6 +64,9 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     if aligned:
         size = ImageSize(color.intrinsics.width, color.intrinsics.height)
         warnings += _aligned_doubts(depth_source, color.intrinsics, choice.depth)
+        if why == _AS_FOLDERS and color_source.matrix is not None:  # no camera as Open3D's
+            text = f"depth is taken to be aligned to colour, {why}; else give "
+            warnings.append(f"{text}--log.depth-intrinsics and --log.color-from-depth")
         calibration = Calibration(color.intrinsics, None, None, unit)
         extrinsics_source = f"not needed: depth is aligned to colour ({why})"
         sources = [color_source]
@@ -68,7 +74,9 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         sources = [color_source, depth_source]
         depth = find_intrinsics(depth_source)
         topics = choice.color, choice.depth
-        found = find_extrinsics(index, options, topics, color_frame, depth_frame, path)
+        one_lens = _one_lens(color.intrinsics, depth.intrinsics)
+        frames = color_frame, depth_frame
+        found = find_extrinsics(index, options, topics, *frames, path, one_lens=one_lens)
         origins.append(_line("depth", depth.intrinsics, depth.origin))
         warnings += [*depth.warnings, *found.warnings]
         calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
@@ -134,7 +142,7 @@ def _aligned(
     if options.color_from_depth is not None or options.depth_intrinsics is not None:
         return False, "depth's own calibration is given"
     if choice.aligned_by_name:
-        return True, "by the topic's name"
+        return True, _AS_FOLDERS if Path(depth.path).is_dir() else "by the topic's name"
     if not same_frame or depth.size != (color.width, color.height):
         return False, ""
     if depth.info is None:
@@ -145,6 +153,15 @@ def _aligned(
         return False, ""
     same = np.allclose(own[2:6], color[2:6], rtol=0, atol=1e-3)
     return bool(same), "same frame, size and camera matrix as colour"
+
+
+def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
+    """Whether two images can be of one lens, perhaps at different sizes."""
+    values = [
+        (one.fx / one.width, one.fy / one.height, one.cx / one.width, one.cy / one.height)
+        for one in (color, depth)
+    ]
+    return np.allclose(*values, rtol=0, atol=_ONE_LENS)
 
 
 def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[str]:

@@ -19,7 +19,12 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.definition import bare_definition, is_standard, stamp_leads
+from jaxdet.io.definition import (
+    bare_definition,
+    is_standard,
+    stamp_leads,
+    with_ros2_names,
+)
 from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
 from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
@@ -154,7 +159,7 @@ def _raw_decoder(
     decode = None
     try:
         if message_encoding == "cdr" and schema_encoding == "ros2msg":
-            data = bare_definition(data.decode()).encode()
+            data = with_ros2_names(bare_definition(data.decode())).encode()
         schema = Schema(id=1, data=data, encoding=schema_encoding, name=name)
         if message_encoding in factories:
             # mcap_ros2 prints what it can't parse; the error says it too.

@@ -97,6 +97,17 @@ def bare_definition(text: str) -> str:
     return "\n".join(lines)
 
 
+def with_ros2_names(definition: str) -> str:
+    """A bare definition whose fields are named as ROS 2 asks, in lower case.
+
+    Converters of ROS 1 recordings keep the names that fields have there, as CameraInfo's ``K``.
+    """
+    lines = (line.partition(" ") for line in definition.splitlines())
+    return "\n".join(
+        f"{kind} {rest if kind == 'MSG:' else rest.lower()}".rstrip() for kind, _, rest in lines
+    )
+
+
 @lru_cache(16)
 def fields_of(text: str) -> dict[str, tuple[str, ...]]:
     """The fields of each type in a definition, as ``type name``, by the type's name.

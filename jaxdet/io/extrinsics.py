@@ -30,11 +30,14 @@ def find_extrinsics(
     color_frame: str,
     depth_frame: str,
     path: str,
+    *,
+    one_lens: bool,
 ) -> FoundExtrinsics:
     """``T_color_depth`` from the flag, else the extrinsics topic, else TF.
 
-    Two images in one and the same frame have none between them. A difference between topic and
-    TF is a warning; never is a missing motion taken for none.
+    Two images of one lens in one and the same frame have none between them; drivers that give
+    every camera the same frame are known by the lenses. A difference between topic and TF is a
+    warning; never is a missing motion taken for none.
 
     Args:
         index: The log's.
@@ -43,6 +46,7 @@ def find_extrinsics(
         color_frame: Of the colour images; empty where unknown.
         depth_frame: Of the depth images.
         path: The log's, for errors.
+        one_lens: The camera matrices are the same but for the size of the images.
 
     Raises:
         CalibrationError: Nothing in the log tells it, or the transforms form a cycle.
@@ -64,6 +68,12 @@ def find_extrinsics(
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
         problem = f"no transform from depth to colour (frames {frames})"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
+        raise TransformError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
+    if color_frame == depth_frame and not (one_lens or options.camera_frame):
+        problem = f"no transform from depth to colour: both images are in frame {color_frame!r}, "
+        problem += "but their camera matrices differ"
+        remedy = "give --log.color-from-depth tx ty tz qx qy qz qw, or --log.depth-aligned where "
+        remedy += "depth lies on the colour camera's pixels"
         raise TransformError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
     if color_frame == depth_frame:
         return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())

@@ -53,9 +53,10 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     ``NAME``, in the order of their numbers, with or without a ``metadata.yaml``, unless what is in
     them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
     its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
-    these formats one is taken, MCAP first. Where there is none of them, a folder of colour and
-    depth images (:mod:`jaxdet.io.image_folder`) is a log called by its name. So is a folder that
-    can't be listed, which fails when it is opened. Exports of jaxdet are left out, unless they are
+    these formats one is taken, MCAP first. A folder of colour and depth images
+    (:mod:`jaxdet.io.image_folder`) is a log called by its name, but where a recording lies in it
+    or beside it, whose images they are. So is a folder that can't be listed, which fails when it is
+    opened. Exports of jaxdet are left out, unless they are
     named themselves. Names are made printable. Equal names get as many parent folders put before
     them as it takes. A file named twice counts once; the order is by path and does not depend on
     the order of ``inputs``.
@@ -74,9 +75,9 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     chosen: list[Path] = []
     said: dict[Path, str] = {}
     for item in named:
-        found, note = _files(os.fspath(item))
+        found, notes = _files(os.fspath(item))
         chosen += found
-        said |= {found[0].resolve(): note} if note else {}
+        said |= {path.resolve(): note for path, note in notes.items()}
     paths = _once(chosen)
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
@@ -173,8 +174,8 @@ def _seen(text: str) -> list[Path]:
     return [file for match in matches for file in _within(match)]
 
 
-def _files(text: str) -> tuple[list[Path], str]:
-    """The files of an input that are read, at least one, and what is to be said of the choice."""
+def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
+    """The files of an input that are read, at least one, and what is to be said, by file."""
     path, named = Path(text), _seen(text)
     seen = [file for file in named if file.is_file()]
     shut = [folder for folder in named if folder.is_dir()]
@@ -188,11 +189,13 @@ def _files(text: str) -> tuple[list[Path], str]:
         if others:
             problem = f"{path.suffix} files are not read"
             raise InputError(problem, path=text, remedy=_advice(path))
-        return seen, ""
-    folders = image_folders(seen)
+        return seen, {}
+    places = {file.parent for file in found}
+    copies = [item for item in image_folders(seen) if places & {item, item.parent}]
+    folders = [item for item in image_folders(seen) if item not in copies]
+    stamps = {item: note for item in folders if (note := stamp_note(item))}
     if not found and (folders or shut):
-        notes = "; ".join(note for item in folders if (note := stamp_note(item)))
-        return [*folders, *shut], notes
+        return [*folders, *shut], stamps
     if not found and datasets:
         problem = "is a LeRobot dataset, which holds no camera's calibration"
         raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)
@@ -202,11 +205,16 @@ def _files(text: str) -> tuple[list[Path], str]:
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a link to nothing") for file in gone]
     left += [(file, "an export of jaxdet") for file in exports]
-    left += [(item, "images beside recordings") for item in folders]
+    left += [(item, "images beside a recording") for item in copies]
     left += [(item, "a LeRobot dataset") for item in datasets]
-    notes = [f"{printable(item.name)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
+    notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
-    return [*taken, *shut], "; ".join(notes + more)
+    return [*taken, *folders, *shut], {taken[0]: "; ".join([*notes, *more]), **stamps}
+
+
+def _within_input(file: Path, named: Path) -> str:
+    """A file's path from the folder that was named on; its name where a glob was."""
+    return printable(str(file.relative_to(named) if file.is_relative_to(named) else file.name))
 
 
 def _advice(file: Path) -> str:

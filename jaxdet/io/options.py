@@ -97,6 +97,11 @@ class LogOptions:
             value = getattr(self, name)
             flag = name.replace("_", "-")
             _require(value is None or min(value[:2]) > 0, flag, "fx fy cx cy with fx, fy above 0")
+        of_depth = self.color_from_depth or self.depth_intrinsics
+        if self.depth_aligned and of_depth:
+            flag = "color-from-depth" if self.color_from_depth else "depth-intrinsics"
+            problem = f"log.depth-aligned with log.{flag}, which aligned depth has no use for"
+            raise ConfigError(problem, remedy="give one of them")
         rotation = self.color_from_depth[3:] if self.color_from_depth else (0, 0, 0, 1)
         norm = sum(part * part for part in rotation)
         _require(0.98 < norm < 1.02, "color-from-depth", "tx ty tz qx qy qz qw, a unit quaternion")

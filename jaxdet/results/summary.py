@@ -163,7 +163,8 @@ class LogSummary(Counts):
             return None
         return (
             f"{none} of {none + good} frames have no depth in range: check the depth unit "
-            "(--log.depth-unit-m; 32FC1 counts as metres), then --ground.max-depth-m"
+            "(--log.depth-unit-m; 32FC1 counts as metres), how depth lies to colour "
+            "(--log.color-from-depth), then --ground.max-depth-m"
         )
 
     @property
