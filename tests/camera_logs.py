@@ -1,6 +1,6 @@
 """Logs of several cameras, from logs of one."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -10,10 +10,15 @@ NAMESPACE = "/camera/camera/"
 """Of the topics of a simulated log."""
 
 
-def join_cameras(logs: Mapping[str, Path], path: Path, late_ns: int = 0) -> Path:
+def join_cameras(
+    logs: Mapping[str, Path],
+    path: Path,
+    late_ns: int = 0,
+    without: Callable[[str], bool] = lambda topic: False,
+) -> Path:
     """Writes a log with the cameras of several, each under its name; transforms are the first's.
 
-    Its log times are by so much later than theirs.
+    Its log times are by so much later than theirs, and some topics are left out.
     """
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -27,6 +32,8 @@ def join_cameras(logs: Mapping[str, Path], path: Path, late_ns: int = 0) -> Path
                     if number and not own:
                         continue
                     topic = channel.topic.replace(NAMESPACE, f"/{name}/camera/")
+                    if without(topic):
+                        continue
                     if channel.id not in channels:
                         assert schema is not None
                         if schema.id not in schemas:

@@ -95,6 +95,22 @@ def test_a_part_in_units_of_several_workers(sim_log, whole, tmp_path):
         assert found.equals(rows_of(all_rows, "frame", range(2, 12, 2)))
 
 
+def test_a_camera_that_can_not_be_used_is_said(sim_log, tmp_path, capsys):
+    """Its frames have no rows."""
+    path = join_cameras(
+        dict.fromkeys(("front", "rear", "side"), sim_log),
+        tmp_path / "log.mcap",
+        without=lambda topic: topic.startswith("/side") and topic.endswith("camera_info"),
+    )
+    command = ["run", str(path), "--backend", "reference", "--pictures", "0", "--quiet"]
+    assert main([*command, "--output", str(tmp_path / "out")]) == 1
+    said = "jaxdet: error: log: left out: camera side, see the warning; --camera takes others alone"
+    assert capsys.readouterr().err == f"{said}\n"
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))
+    assert [log["cameras_left_out"] for log in summary["logs"]] == [["side"], ["side"]]
+    assert main([*command, "--output", str(tmp_path / "one"), "--camera", "front"]) == 0
+
+
 def test_cameras_are_run_one_after_the_other(both, two_cameras, whole, tmp_path):
     for camera in ("front", "rear"):
         run(two_cameras, tmp_path / camera, LogOptions(camera=camera))

@@ -91,7 +91,11 @@ def test_sizes_must_agree():
 def test_flags_go_before_the_message():
     result = found(matrix=(1.0, 2.0, 3.0, 4.0), model="none")
     assert result.intrinsics[2:6] == (1.0, 2.0, 3.0, 4.0)
-    with pytest.raises(CalibrationError, match=r"--log\.color-info.*--log\.color-intrinsics"):
+    several = tuple(f"/{letter}/camera_info" for letter in "abcdefg")
+    named = r"-info \(/a/camera_info, .*, /f/camera_info, \.\.\.\) or give --log\.color-intrinsics"
+    with pytest.raises(CalibrationError, match=named):
+        find_intrinsics(SOURCE._replace(info=None, known=several))
+    with pytest.raises(CalibrationError, match=r"colour camera; give --log\.color-intrinsics"):
         find_intrinsics(SOURCE._replace(info=None))
     bare = find_intrinsics(SOURCE._replace(info=None, matrix=(1.0, 2.0, 3.0, 4.0)))
     assert bare.intrinsics.distortion is Distortion.NONE

@@ -224,6 +224,9 @@ class _Run:
                 found = [one.take(folder / f"{i + 1}", each[i]) for i in range(len(each))]
             if any(about.error for about in found):
                 self._check_there(files)
+            if self.log_options.camera is None:
+                for about in (about for about in found if about.description):
+                    about.cameras_left_out = list(about.description.cameras_left_out)
             self.summary.logs += found
             fetched += one.fetched
             if not (self.options.share or any(about.error for about in found)):

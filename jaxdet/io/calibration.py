@@ -199,6 +199,7 @@ def _source(
         model=options.depth_distortion if depth else options.color_distortion,
         path=path,
         max_pixels=options.max_pixels,
+        known=tuple(sorted(index.calibrations)),
     )
 
 

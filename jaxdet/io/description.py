@@ -65,6 +65,8 @@ class LogDescription(NamedTuple):
     """The camera's name."""
     cameras: tuple[str, ...]
     """Of a log with several: each with its topics, or why it is not used."""
+    cameras_left_out: tuple[str, ...]
+    """Those that can't be used, by their names; why is among the warnings."""
     num_frames: int
     """Colour frames of the log."""
     part: str
@@ -106,6 +108,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         paths=tuple(str(path) for path in files.paths),
         camera=found.choice.camera,
         cameras=found.cameras.lines,
+        cameras_left_out=tuple(map(printable, found.cameras.incomplete)),
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,

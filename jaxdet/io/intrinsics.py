@@ -25,6 +25,7 @@ _COUNTS = {
     Distortion.EQUIDISTANT: 4,
     Distortion.INVERSE_BROWN_CONRADY: 5,
 }
+_MOST_NAMED = 6
 OFF_MIDDLE = 0.2
 """An optical centre is doubted that is farther from an image's middle than this share of it."""
 
@@ -47,6 +48,8 @@ class CameraSource(NamedTuple):
     """Distortion model given by a flag."""
     path: str
     max_pixels: int = LogOptions.max_pixels
+    known: tuple[str, ...] = ()
+    """Topics of the log with calibrations."""
 
     @property
     def camera(self) -> str:
@@ -79,7 +82,11 @@ def find_intrinsics(source: CameraSource) -> Found:
     info, flag = source.info, f"--log.{source.name}-intrinsics"
     if info is None and source.matrix is None:
         problem = f"no calibration of the {source.camera} camera"
-        remedy = f"name its topic with --log.{source.name}-info or give {flag} fx fy cx cy"
+        remedy = f"give {flag} fx fy cx cy"
+        if source.known:
+            names = ", ".join(map(printable, source.known[:_MOST_NAMED]))
+            names += ", ..." if len(source.known) > _MOST_NAMED else ""
+            remedy = f"name its topic with --log.{source.name}-info ({names}) or {remedy}"
         raise source.error(problem, remedy)
     warnings: list[str] = []
     size = _size(source, flag, warnings)

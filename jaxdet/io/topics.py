@@ -273,6 +273,7 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
         "with --log.color, --log.depth"
     )
+    remedy = remedy if names else "copy or record it again"
     return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
 
 

@@ -99,6 +99,8 @@ class LogSummary(Counts):
     calibration: Any = None
     description: Any = None
     """What the reader found: topics, calibration sources, pairing, integrity, warnings."""
+    cameras_left_out: list[str] = field(default_factory=list)
+    """Cameras of the log that were not chosen by anybody, and can't be used."""
     map: str | None = None
     pictures: list[str] = field(default_factory=list)
     observed: dict[str, Any] = field(default_factory=dict)
@@ -286,6 +288,12 @@ def problems(told: Mapping[str, Any]) -> list[str]:
     whole = [log for log in told["logs"] if not log["error"]]
     found = [log["error"] for log in told["logs"] if log["error"]]
     found += [_unusable(log) for log in whole if log["frames"] and not _good(log)]
+    left = {log["log"]: log["cameras_left_out"] for log in whole if log["cameras_left_out"]}
+    found += [
+        f"{log}: left out: camera {', camera '.join(names)}, see the warning; --camera takes others "
+        "alone"
+        for log, names in left.items()
+    ]
     return [*found, *(lost for log in whole for lost in log["lost"])]
 
 
