@@ -104,6 +104,8 @@ def _log_lines(log: "LogSummary") -> list[str]:
         f"obstacles  {log.obstacles}",
         f"ground     {ground_text(log.ground)}",
     ]
+    if log.frame_errors:
+        text.insert(1, f"bad frame  {log.frame_errors[0]}")
     if log.floor_sources["frame"] or log.floor_refused:
         text.append(f"floor      {_floor_text(log)}")
     if log.overflow_frames:

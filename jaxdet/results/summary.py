@@ -290,8 +290,8 @@ def problems(told: Mapping[str, Any]) -> list[str]:
     found += [_unusable(log) for log in whole if log["frames"] and not _good(log)]
     left = {log["log"]: log["cameras_left_out"] for log in whole if log["cameras_left_out"]}
     found += [
-        f"{log}: left out: camera {', camera '.join(names)}, see the warning; --camera takes others "
-        "alone"
+        f"{log}: left out: camera {', camera '.join(names)}, see the warning; "
+        "--camera takes others alone"
         for log, names in left.items()
     ]
     return [*found, *(lost for log in whole for lost in log["lost"])]
