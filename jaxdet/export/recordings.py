@@ -55,8 +55,9 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     unknown = [log for log in logs if log.name not in names]
     inputs = read_manifest(results.folder)["inputs"] if unknown else {}
     left = {contents_of(inputs[name]): name for name in inputs if name in names - found.keys()}
+    left.pop((), None)  # of files that could not be read nothing is known
     for log in unknown:
-        name = left.pop(contents_of([fingerprint(path) for path in log.paths]) or None, None)
+        name = left.pop(contents_of([fingerprint(path) for path in log.paths]), None)
         if name is None:
             problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"
             remedy = "logs are known by their names, else by what is in them"
