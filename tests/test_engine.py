@@ -92,7 +92,7 @@ class FakeLog:
     """Ten frames of a floorless scene, some of them bad, 100 ms apart."""
 
     name, base_frame, T_base_camera = "fake", "base_link", None
-    description = SimpleNamespace(warnings=("odd",))
+    description = SimpleNamespace(warnings=("odd",), cameras_left_out=())
     num_frames, frames, camera, label = 10, range(10), "cam", "fake"
     image_shapes, index_bytes = ((48, 64, 3), (48, 64)), 2000
     status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2

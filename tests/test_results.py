@@ -152,5 +152,6 @@ def test_a_folder_that_is_not_there_is_an_error_of_the_output(tmp_path: Path) ->
 def test_lost_frames_are_a_problem_of_the_run():
     lost = "a, frames 5 to 9: worker_crashed (out of memory)"
     log = {"log": "a", "error": None, "frames": 10, "frame_errors": [], "lost": [lost]}
+    log["cameras_left_out"] = []
     log["status"] = {"ok": 5, "worker_crashed": 5}
     assert problems({"logs": [log]}) == [lost]

@@ -4,7 +4,7 @@
 
     5d4140.../          a run, by what decides its results
       run.json          that, for people, and for runs that find another one's parts
-      00012/0/          a log and its camera, as in the working folder
+      00012/0/          a log by its number, and its camera
         floors          what is known of its floor before its frames are looked at
         00000003.part   what a unit leaves behind, with its pictures
 
@@ -99,7 +99,7 @@ class SharedLog:
     def __init__(
         self, run: PartStore, folder: Path, share: tuple[int, int, int], *, scan: bool
     ) -> None:
-        self.store = run.within(f"{folder.parent.name}/{folder.name}{'-scan' * scan}")
+        self.store = run.within(f"{share[0]:05d}/{folder.name}{'-scan' * scan}")
         self._share = share
 
     def floors(self) -> Planes | None:
