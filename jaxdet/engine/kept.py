@@ -173,7 +173,8 @@ class KeptLogs:
             logs[name], files[name] = log._replace(name=name), now[log.name]
             if log.name in matches.names and self._stays(name, log, files[name]):
                 stay.add(name)
-                if places_of(log) == self._known(name).places:  # however the command names them
+                same = places_of(log) == self._known(name).places  # however the command has them
+                if same or not contents_of(files[name]):
                     logs[name], files[name] = self._recorded(name), told[name]
         self.names = frozenset(stay)
         self.logs = [logs[name] for name in sorted(logs)]
@@ -204,7 +205,9 @@ class KeptLogs:
         if any(entry["error"] or entry["lost"] for entry in self._entries[name]):
             return False
         if not contents_of(files):
-            self.notes.append(f"{log.paths[0]} can't be read; its results stay as they are")
+            each = zip(places_of(log), files, strict=True)
+            place = next(place for place, file in each if not contents_of([file]))
+            self.notes.append(f"{place} can't be read; its results stay as they are")
             return True
         return contents_of(files, "mtime_ns") == contents_of(
             self._manifest["inputs"][name], "mtime_ns"
