@@ -217,5 +217,7 @@ def test_topics_that_several_cameras_have_are_not_guessed(tmp_path):
         open_log(str(tmp_path / "log.mcap"))
     with open_log(str(tmp_path / "log.mcap"), LogOptions(color="/b/color/image_raw")) as log:
         assert log.description.choices[1].startswith("depth: /b/depth/image_raw")
-    with pytest.raises(TopicError, match="/a/color/image_raw"):
-        open_log(str(tmp_path / "log.mcap"), LogOptions(color="/c"))
+    for kind, images in (("color", "color/image_raw"), ("depth", "depth/image_raw")):
+        known = rf"--log\.{kind} can be: /a/{images}, /b/{images}$"
+        with pytest.raises(TopicError, match=known):
+            open_log(str(tmp_path / "log.mcap"), LogOptions(**{kind: "/c"}))

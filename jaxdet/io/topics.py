@@ -190,8 +190,9 @@ def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidat
     if stream is None:
         known = index.topics.get(topic)
         reason = (known and known.trouble) or "there are no images on the topic"
-        names = _listed(sorted(index.streams)) or "no images at all"
-        remedy = f"{flag} can be: {names}"
+        streams = sorted(index.streams.items())
+        names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
+        remedy = f"{flag} can be: {_listed(names) or f'nothing, it has no {what} images'}"
         raise TopicError(printable(reason), path=path, topic=printable(topic), remedy=remedy)
     if stream.probes and not _is_kind(stream, depth):
         encoding = printable(encoding_of(stream, depth))
