@@ -14,6 +14,7 @@ import pytest
 
 from jaxdet import engine
 from jaxdet.cli.main import main
+from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device, kept, log_run, record
 from jaxdet.engine.known import KnownLog, Matches, match_logs
@@ -224,6 +225,21 @@ def test_cameras_and_scores_stay(two_cameras: Path, sim_log: Path, tmp_path: Pat
     assert not verify(tmp_path / "out", sample=0).findings
     for told in summary(tmp_path / "out")["logs"]:
         assert LogSummary.from_dict(told).to_dict() == told
+
+
+def test_another_truth_makes_other_results(tmp_path: Path) -> None:
+    """A copy does not, as each of the machines that share a run has."""
+    path = tmp_path / "log.mcap.truth.npz"
+
+    def told() -> dict[str, Any]:
+        return TruthScore(tmp_path / "log.mcap", CONFIG).file
+
+    path.write_bytes(b"one")
+    before = told()
+    os.utime(path, ns=(1, 1))
+    assert told() == before
+    path.write_bytes(b"two")
+    assert told() != before
 
 
 def test_tracks_go_with_the_results_that_they_are_of(logs: Logs, tmp_path: Path) -> None:
@@ -463,6 +479,68 @@ def test_a_recording_that_is_there_in_another_format(logs: Logs, tmp_path: Path)
     assert summary(output)["logs"][0]["paths"] == [str(logs.folder / "x/drive.mcap")]
     logs.go([LogFiles("drive", (logs.folder / "x/drive",))], output, update=True)  # of images
     assert len(rows(output)) == 20
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "lacks"),
+    [
+        (("rec_0", "rec_1"), ("rec_0",), "rec_1.db3"),
+        (("rec",), ("rec_0", "rec_1"), "rec.db3"),
+        (("rec_0", "rec_1"), ("rec_0", "rec_1"), ""),
+    ],
+)
+def test_files_of_a_recording_in_another_format(
+    logs: Logs, tmp_path: Path, old: tuple, new: tuple, lacks: str
+) -> None:
+    output = tmp_path / "out"
+    paths = [log.paths[0].rename(log.paths[0].with_suffix(".db3")) for log in map(logs.add, old)]
+    logs.go([LogFiles("rec", tuple(paths))], output)
+    converted = LogFiles("rec", tuple(logs.add(name, f"new {name}").paths[0] for name in new))
+    if lacks:
+        with pytest.raises(
+            ConfigError, match=rf"{lacks}: the recording of the log rec is given in"
+        ):
+            logs.go([converted], output, update=True)
+        return
+    logs.go([converted], output, update=True)
+    assert rows(output) == ["rec"] * 10
+    assert len(summary(output)["logs"][0]["paths"]) == 2
+
+
+@pytest.mark.parametrize("link", [False, True], ids=["relative", "link"])
+def test_other_ways_to_name_places(logs: Logs, tmp_path: Path, monkeypatch, link: bool) -> None:
+    output = tmp_path / "out"
+    logs.go([split(logs, 0, 1), logs.all[0]], output)
+    (logs.folder / "below").mkdir()
+    monkeypatch.chdir(logs.folder / "below")
+    (tmp_path / "link").symlink_to(logs.folder)
+    way = tmp_path / "link" if link else Path("..")
+    logs.add("a", "changed")
+    given = [LogFiles("rec_0", (way / "rec_0.mcap",)), LogFiles("a", (way / "a.mcap",))]
+    logs.opened.clear()
+    logs.go(given, output, update=True)
+    assert (logs.opened, rows(output)) == (["a"], ["a"] * 10 + ["rec"] * 10)
+
+
+def test_a_folder_that_could_not_be_listed(logs: Logs, tmp_path: Path) -> None:
+    output, inside = tmp_path / "out", logs.add("in/x")
+    logs.broken = {"in"}
+    logs.go([LogFiles("in", (logs.folder / "in",)), logs.all[0]], output)
+    logs.go([inside, logs.all[0]], output, update=True)
+    assert [(log["log"], log["error"]) for log in summary(output)["logs"]] == [
+        ("a", None),
+        ("in/x", None),
+    ]
+
+
+def test_what_is_done_of_logs_that_are_not_named_is_kept(logs: Logs, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    with pytest.raises(Interrupted):
+        logs.run("ab", output, progress=stop_at("b", interrupt))
+    for which, lacks in (("b", "a"), ("a", "b"), ("c", "a")):
+        with pytest.raises(ConfigError, match=f"unfinished run, but the log {lacks} was among its"):
+            logs.run(which, output, update=True)
+    assert logs.run("abc", output, update=True) == ["b", "c"]
 
 
 def test_a_log_that_vanishes_costs_no_other(logs: Logs, tmp_path: Path) -> None:

@@ -50,7 +50,8 @@ class TruthScore:
 
     def __init__(self, path: Path, config: Config) -> None:
         self.log = Path(str(path).removesuffix(_SUFFIX))
-        self.file = fingerprint(Path(f"{self.log}{_SUFFIX}"))
+        file = fingerprint(Path(f"{self.log}{_SUFFIX}"))
+        self.file = {name: file.get(name) for name in ("size", "fingerprint")}
         """Tells the results' record of another truth in its place."""
         ground = config.ground
         self.config = EvalConfig(

@@ -36,7 +36,7 @@ class KeptLogs:
     A log stays if it is not among the run's (:mod:`jaxdet.engine.known`), or is the same to the
     checksum and the time of its last change, or can't be read now, and neither failed nor lost
     frames. One that failed and whose files are gone is left out: it has no rows, and nothing could
-    mend it.
+    mend it. So is a folder that could not be listed, when logs in it are given.
 
     Args:
         folder: The results.
@@ -104,7 +104,7 @@ class KeptLogs:
         except MemoryError as error:
             how = {"path": log.name, "remedy": "end other programs"}
             raise OutputError("no memory for its rows", **how) from error
-        where = {"paths": places_of(log)}
+        where = {"paths": tuple(printable(str(path.absolute())) for path in log.paths)}
         return [LogSummary.from_dict(entry | where) for entry in self._entries[log.name]]
 
     def link_files(self, log: LogFiles, folder: Path) -> dict[str, Path]:
@@ -165,7 +165,8 @@ class KeptLogs:
         matches = match_logs(given, now, [self._known(name) for name in told])
         names = self._name(given, matches)
         left = {*told} - matches.replaced - {*names.values()}
-        stay = {name for name in left if not self._failed_and_gone(name)}
+        there = {place for log in given for place in places_of(log.paths)}
+        stay = {name for name in left if not self._failed_and_gone(name, there)}
         logs = {name: self._recorded(name) for name in stay}
         files: dict[str, Fingerprints] = {name: told[name] for name in stay}
         for log in (log for log in given if log.name in names):
@@ -173,7 +174,7 @@ class KeptLogs:
             logs[name], files[name] = log._replace(name=name), now[log.name]
             if log.name in matches.names and self._stays(name, log, files[name]):
                 stay.add(name)
-                same = places_of(log) == self._known(name).places  # however the command has them
+                same = places_of(log.paths) == self._known(name).places
                 if same or not contents_of(files[name]):
                     logs[name], files[name] = self._recorded(name), told[name]
         self.names = frozenset(stay)
@@ -205,7 +206,7 @@ class KeptLogs:
         if any(entry["error"] or entry["lost"] for entry in self._entries[name]):
             return False
         if not contents_of(files):
-            each = zip(places_of(log), files, strict=True)
+            each = zip(places_of(log.paths), files, strict=True)
             place = next(place for place, file in each if not contents_of([file]))
             self.notes.append(f"{place} can't be read; its results stay as they are")
             return True
@@ -213,9 +214,12 @@ class KeptLogs:
             self._manifest["inputs"][name], "mtime_ns"
         )
 
-    def _failed_and_gone(self, name: str) -> bool:
+    def _failed_and_gone(self, name: str, given: Collection[str]) -> bool:
+        """Whether a log has no rows, and its files are gone, or logs in the folder that it was."""
         failed = all(entry["error"] for entry in self._entries[name])
         places = self._entries[name][0]["paths"]
+        if failed and any(one.startswith(f"{place}/") for place in places for one in given):
+            return True
         escaped = any("\\" in place for place in places)  # where these are can't be told
         return failed and not escaped and not any(Path(place).exists() for place in places)
 
@@ -226,7 +230,8 @@ class KeptLogs:
     def _known(self, name: str) -> KnownLog:
         entries = self._entries[name]
         has_rows = not all(entry["error"] for entry in entries)
-        return KnownLog(name, tuple(entries[0]["paths"]), self._manifest["inputs"][name], has_rows)
+        places = places_of(map(Path, entries[0]["paths"]))
+        return KnownLog(name, places, self._manifest["inputs"][name], has_rows)
 
     def _files_of(self, entry: Mapping[str, Any]) -> list[str]:
         """The names of a log's pictures, its map and the report of what made it fail."""
@@ -259,7 +264,7 @@ class KeptLogs:
 
 def _free_name(log: LogFiles, taken: Collection[str]) -> str:
     """A name for a log that no other has."""
-    folders, name = log.paths[0].absolute().parent.parts[1:], log.name
+    folders, name = log.paths[0].parent.resolve().parts[1:], log.name
     own = name.rpartition("/")[2]
     for depth in range(1, len(folders) + 1):
         if name not in taken:

@@ -2,11 +2,11 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import PurePath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.errors import ConfigError, printable
-from jaxdet.io.files import SUFFIXES, LogFiles
+from jaxdet.io.files import SUFFIXES, LogFiles, place_of, recording_of
 
 Fingerprints = Sequence[Mapping[str, Any]]
 """Of a log's files, see :func:`jaxdet.results.manifest.fingerprint`."""
@@ -40,8 +40,8 @@ def match_logs(
     """Knows logs again: by the places of their files, else by what is in them.
 
     A known log whose files are in several of the run's logs, or in one that has those of other
-    known ones too, is replaced by them; so is one of a recording that the run has from the same
-    place in another format.
+    known ones too, is replaced by them; so is one whose every file the run has at its place in
+    another format.
 
     Args:
         given: A run's logs.
@@ -49,26 +49,27 @@ def match_logs(
         known: The logs of the results.
 
     Raises:
-        ConfigError: A log has some files of a known one, changed or with others: without the rest
-            rows would be lost.
+        ConfigError: A log has some files of a known one, changed, with others or in another
+            format: without the rest rows would be lost.
     """
     at = {place: log.name for log in known for place in log.places}
-    held = {log.name: {at[place]: None for place in places_of(log) if place in at} for log in given}
+    held = {
+        log.name: {at[place]: None for place in places_of(log.paths) if place in at}
+        for log in given
+    }
     matches = _by_place(given, files, {log.name: log for log in known}, held)
     new = [log for log in given if not held[log.name]]
     met = {name for names in held.values() for name in names}
-    here = {bare for log in new for bare in _bare(places_of(log))}
     others = [log for log in known if log.name not in met]
-    again = {log.name for log in others if not here.isdisjoint(_bare(log.places))}
-    matches.replaced.update(again)
-    others = [log for log in others if log.name not in again]
-    matches.names.update(_by_content(new, files, others))
+    matches.replaced.update(_in_other_formats(new, others))
+    others = [log for log in others if log.name not in matches.replaced]
+    matches.names.update(by_content(new, files, others))
     return matches
 
 
-def places_of(log: LogFiles) -> tuple[str, ...]:
-    """Where a log's files are, as results tell it."""
-    return tuple(printable(str(path.absolute())) for path in log.paths)
+def places_of(paths: Iterable[Path]) -> tuple[str, ...]:
+    """Where files are, however they are named; of those that results tell of as well."""
+    return tuple(printable(str(place_of(path))) for path in paths)
 
 
 def contents_of(files: Fingerprints, *more: str) -> tuple[tuple[Any, ...], ...]:
@@ -91,7 +92,7 @@ def _by_place(
 ) -> Matches:
     """The logs that share files with known ones; ``held`` has these by the logs' names."""
     matches = Matches({}, {}, set())
-    there = {place for log in given for place in places_of(log)}
+    there = {place for log in given for place in places_of(log.paths)}
     holders = Counter(name for names in held.values() for name in names)
     for log in given:
         ours = [known[name] for name in held[log.name]]
@@ -117,19 +118,48 @@ def _is_part(log: LogFiles, files: Fingerprints, known: KnownLog) -> bool:
         found = contents_of([now], "mtime_ns")
         return place in was and found in ((), contents_of([was[place]], "mtime_ns"))
 
-    return all(map(same, places_of(log), files))
+    return all(map(same, places_of(log.paths), files))
 
 
-def _bare(places: Iterable[str]) -> set[str]:
-    """Places of files without what tells formats of recordings apart."""
-    paths = map(PurePath, places)
-    return {str(path.with_suffix("")) for path in paths if path.suffix.lower() in SUFFIXES}
+def _in_other_formats(given: Sequence[LogFiles], known: Collection[KnownLog]) -> set[str]:
+    """Known logs whose recordings are given in another format."""
+    paths = _recorded(place for log in given for place in places_of(log.paths))
+    kinds: dict[Any, set[str]] = {}
+    for path in paths:
+        kinds.setdefault(recording_of(path), set()).add(path.suffix.lower())
+    bare = {path.with_suffix("") for path in paths}
+    found = set()
+    for log in known:
+        own = _recorded(log.places)
+        if not any(kinds.get(recording_of(path), set()) - {path.suffix.lower()} for path in own):
+            continue
+        left = [path for path in own if path.with_suffix("") not in bare]
+        if left and log.has_rows:
+            problem = f"the recording of the log {log.name} is given in another format, but this "
+            problem += "file of it is not"
+            raise ConfigError(problem, path=str(left[0]), remedy=f"convert it as well, {REMEDY}")
+        found.add(log.name)
+    return found
 
 
-def _by_content(
+def _recorded(places: Iterable[str]) -> list[Path]:
+    """Those that are files of recordings."""
+    return [path for path in map(Path, places) if path.suffix.lower() in SUFFIXES]
+
+
+def by_content(
     given: Sequence[LogFiles], files: Mapping[str, Fingerprints], known: Collection[KnownLog]
 ) -> dict[str, str]:
-    """Logs that were moved or copied are each a known one, of the same name where there is one."""
+    """Logs that were moved or copied are each a known one, of the same name where there is one.
+
+    Args:
+        given: The logs.
+        files: Theirs, by the logs' names.
+        known: Each is at most one of them.
+
+    Returns:
+        By the names of those that are known their names there.
+    """
     unmet: dict[Any, list[str]] = {}
     for one in known:
         unmet.setdefault(contents_of(one.files), []).append(one.name)

@@ -44,11 +44,14 @@ from jaxdet.results.manifest import (
     made_by,
     result_files,
 )
+from jaxdet.results.names import file_names
 
 if TYPE_CHECKING:
     from jaxdet.engine.kept import KeptLogs
 
 Say = Callable[[str], None]
+_KEY_LETTERS = 12
+_KEY = "[0-9a-f]" * _KEY_LETTERS
 
 
 class Workspace:
@@ -125,8 +128,9 @@ class Workspace:
             self._refuse_results()
         self._refuse_blocked()
         begun = self.read("plan")
-        differs = difference_but_logs if update else difference
-        reason = None if begun is None else differs(begun, self.record)
+        reason = None if begun is None else difference(begun, self.record)
+        if begun and reason and update:
+            reason = difference_but_logs(begun, self.record) or self._missing(begun)
         if reason:
             if not overwrite:
                 anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
@@ -144,6 +148,14 @@ class Workspace:
             self.result.mkdir()
             self.logs.mkdir(exist_ok=True)
         self.write("plan", self.record)
+
+    def _missing(self, begun: Mapping[str, Any]) -> str | None:
+        """What is done of a log that is not among this run's, for people; None: nothing is."""
+        inputs, now = begun["about"]["inputs"], self.record["about"]["inputs"]
+        for log, name in zip(inputs, file_names(inputs), strict=True):
+            if log not in now and any(self.logs.glob(f"{name}-{_KEY}/*/*.part")):
+                return f"the log {log} was among its logs"
+        return None
 
     @cached_property
     def logs(self) -> Path:
@@ -164,7 +176,7 @@ class Workspace:
             file_name: What the names of its files begin with.
         """
         which = digest({log: self.record["about"]["inputs"][log]})
-        return self.logs / f"{file_name}-{which[:12]}"
+        return self.logs / f"{file_name}-{which[:_KEY_LETTERS]}"
 
     def write(self, place: str | Path, value: Any) -> None:
         """Keeps a value in a file of the folder; it is on the disk when the system sees fit.

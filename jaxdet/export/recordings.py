@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.engine.known import contents_of
+from jaxdet.engine.known import KnownLog, by_content
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
@@ -54,15 +54,16 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     found = {log.name: log for log in logs if log.name in names}
     unknown = [log for log in logs if log.name not in names]
     inputs = read_manifest(results.folder)["inputs"] if unknown else {}
-    left = {contents_of(inputs[name]): name for name in inputs if name in names - found.keys()}
-    left.pop((), None)  # of files that could not be read nothing is known
+    left = names - found.keys()
+    known = [KnownLog(name, (), inputs[name], True) for name in inputs if name in left]
+    files = {log.name: [fingerprint(path) for path in log.paths] for log in unknown}
+    same = by_content(unknown, files, known)
     for log in unknown:
-        name = left.pop(contents_of([fingerprint(path) for path in log.paths]), None)
-        if name is None:
+        if log.name not in same:
             problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"
             remedy = "logs are known by their names, else by what is in them"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
-        found[name] = log
+        found[same[log.name]] = log
     return found
 
 

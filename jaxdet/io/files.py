@@ -111,14 +111,15 @@ def _once(found: Iterable[Path]) -> dict[Path, Path]:
 
     Links of files are not followed for names: caches of data sets link to files named by a hash.
     """
-    names = sorted(((_place(path), path) for path in found), reverse=True)
+    names = sorted(((place_of(path), path) for path in found), reverse=True)
     own: dict[Path, tuple[Path, Path]] = {}
     for place, path in sorted(names, key=lambda item: item[0] == item[0].resolve()):
         own[place.resolve()] = place, path
     return dict(own.values())
 
 
-def _place(path: Path) -> Path:
+def place_of(path: Path) -> Path:
+    """Where a file is, however it is named; its own name stays, also where that is a link's."""
     return path.resolve() if path.is_dir() else path.parent.resolve() / path.name
 
 
@@ -274,11 +275,11 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     """The files that are taken of those found, and the others, each with the reason."""
     formats: dict[tuple[Path, str], set[str]] = {}
     for file in found:
-        formats.setdefault(_recording(file), set()).add(_kind(file))
+        formats.setdefault(recording_of(file), set()).add(_kind(file))
     best = {key: min(kinds, key=SUFFIXES.index) for key, kinds in formats.items()}
     taken, left = [], []
     for file in found:
-        suffix = best[_recording(file)]
+        suffix = best[recording_of(file)]
         if _kind(file) == suffix:
             taken.append(file)
         else:
@@ -286,7 +287,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     return taken, left
 
 
-def _recording(path: Path) -> tuple[Path, str]:
+def recording_of(path: Path) -> tuple[Path, str]:
     """What the files of one recording share, whatever their format."""
     match = _SPLIT.fullmatch(path.name)
     return path.parent, match["stem"] if match else path.stem
