@@ -17,7 +17,7 @@ from jaxdet.cli.main import main
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device, kept, log_run, record
-from jaxdet.engine.known import KnownLog, Matches, match_logs
+from jaxdet.engine.known import LogIdentity, Matches, match_logs, places_of
 from jaxdet.errors import (
     ConfigError,
     InputError,
@@ -633,11 +633,12 @@ def test_reports_of_logs_that_stay(logs: Logs, tmp_path: Path, monkeypatch) -> N
 def test_many_logs_are_known_again_in_little_time(tmp_path: Path) -> None:
     names = [f"{i:05d}" for i in range(20_000)]
     files = {name: [{"size": 1, "fingerprint": name, "mtime_ns": 0}] for name in names}
-    old = [KnownLog(name, (f"/old/{name}.mcap",), files[name], True) for name in names]
+    old = [LogIdentity(name, (f"/old/{name}.mcap",), files[name]) for name in names]
     for folder in ("old", "new"):
         given = [LogFiles(name, (Path(f"/{folder}/{name}.mcap"),)) for name in names]
         start = time.process_time()
-        matches = match_logs(given, files, old)
+        there = [LogIdentity(log.name, places_of(log.paths), files[log.name]) for log in given]
+        matches = match_logs(there, old)
         assert time.process_time() - start < 5
         assert matches == Matches(dict(zip(names, names, strict=True)), {}, set())
 

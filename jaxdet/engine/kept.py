@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from jaxdet.engine.known import (
     REMEDY,
     Fingerprints,
-    KnownLog,
+    LogIdentity,
     Matches,
     contents_of,
     match_logs,
@@ -104,7 +104,7 @@ class KeptLogs:
         except MemoryError as error:
             how = {"path": log.name, "remedy": "end other programs"}
             raise OutputError("no memory for its rows", **how) from error
-        where = {"paths": tuple(printable(str(path.absolute())) for path in log.paths)}
+        where = {"paths": tuple(str(path.absolute()) for path in log.paths)}
         return [LogSummary.from_dict(entry | where) for entry in self._entries[log.name]]
 
     def link_files(self, log: LogFiles, folder: Path) -> dict[str, Path]:
@@ -140,7 +140,7 @@ class KeptLogs:
         for path in (folder / name for name in names):
             with writing(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                _link(self.folder / path.relative_to(folder), path)
+                _link_file(self.folder / path.relative_to(folder), path)
         return {name: folder / name for name in names}
 
     def _rows(self, name: str) -> Iterator[Tables]:
@@ -162,20 +162,23 @@ class KeptLogs:
     def _decide(self, given: Sequence[LogFiles], record: Mapping[str, Any]) -> None:
         """Which logs stay, and what all of them are then."""
         told, now = self._manifest["inputs"], record["about"]["inputs"]
-        matches = match_logs(given, now, [self._known(name) for name in told])
+        ours = {name: self._known(name) for name in told}
+        theirs = [LogIdentity(log.name, places_of(log.paths), now[log.name]) for log in given]
+        matches = match_logs(theirs, ours.values())
         names = self._name(given, matches)
         left = {*told} - matches.replaced - {*names.values()}
-        there = {place for log in given for place in places_of(log.paths)}
-        stay = {name for name in left if not self._failed_and_gone(name, there)}
+        there = {place for log in theirs for place in log.places}
+        stay = {name for name in left if not _failed_and_gone(ours[name], there)}
         logs = {name: self._recorded(name) for name in stay}
         files: dict[str, Fingerprints] = {name: told[name] for name in stay}
-        for log in (log for log in given if log.name in names):
+        for log, about in zip(given, theirs, strict=True):
+            if log.name in matches.parts:
+                continue
             name = names[log.name]
-            logs[name], files[name] = log._replace(name=name), now[log.name]
-            if log.name in matches.names and self._stays(name, log, files[name]):
+            logs[name], files[name] = log._replace(name=name), about.files
+            if log.name in matches.names and self._stays(ours[name], about):
                 stay.add(name)
-                same = places_of(log.paths) == self._known(name).places
-                if same or not contents_of(files[name]):
+                if about.places == ours[name].places or not contents_of(about.files):
                     logs[name], files[name] = self._recorded(name), told[name]
         self.names = frozenset(stay)
         self.logs = [logs[name] for name in sorted(logs)]
@@ -201,37 +204,25 @@ class KeptLogs:
                 taken.add(names[log.name])
         return names
 
-    def _stays(self, name: str, log: LogFiles, files: Fingerprints) -> bool:
+    def _stays(self, known: LogIdentity, log: LogIdentity) -> bool:
         """Whether a log that is known again need not be done again."""
-        if any(entry["error"] or entry["lost"] for entry in self._entries[name]):
+        if any(entry["error"] or entry["lost"] for entry in self._entries[known.name]):
             return False
-        if not contents_of(files):
-            each = zip(places_of(log.paths), files, strict=True)
-            place = next(place for place, file in each if not contents_of([file]))
-            self.notes.append(f"{place} can't be read; its results stay as they are")
-            return True
-        return contents_of(files, "mtime_ns") == contents_of(
-            self._manifest["inputs"][name], "mtime_ns"
-        )
-
-    def _failed_and_gone(self, name: str, given: Collection[str]) -> bool:
-        """Whether a log has no rows, and its files are gone, or logs in the folder that it was."""
-        failed = all(entry["error"] for entry in self._entries[name])
-        places = self._entries[name][0]["paths"]
-        if failed and any(one.startswith(f"{place}/") for place in places for one in given):
-            return True
-        escaped = any("\\" in place for place in places)  # where these are can't be told
-        return failed and not escaped and not any(Path(place).exists() for place in places)
+        if contents_of(log.files):
+            return contents_of(log.files, "mtime_ns") == contents_of(known.files, "mtime_ns")
+        each = zip(log.places, log.files, strict=True)
+        place = next(place for place, file in each if not contents_of([file]))
+        self.notes.append(f"{place} can't be read; its results stay as they are")
+        return True
 
     def _recorded(self, name: str) -> LogFiles:
         """A log as the results tell of it."""
         return LogFiles(name, tuple(map(Path, self._entries[name][0]["paths"])))
 
-    def _known(self, name: str) -> KnownLog:
-        entries = self._entries[name]
-        has_rows = not all(entry["error"] for entry in entries)
-        places = places_of(map(Path, entries[0]["paths"]))
-        return KnownLog(name, places, self._manifest["inputs"][name], has_rows)
+    def _known(self, name: str) -> LogIdentity:
+        has_rows = not all(entry["error"] for entry in self._entries[name])
+        places = places_of(self._recorded(name).paths)
+        return LogIdentity(name, places, self._manifest["inputs"][name], has_rows)
 
     def _files_of(self, entry: Mapping[str, Any]) -> list[str]:
         """The names of a log's pictures, its map and the report of what made it fail."""
@@ -262,6 +253,16 @@ class KeptLogs:
             raise InputError(error.problem, path=error.path, remedy=remedy) from error
 
 
+def _failed_and_gone(known: LogIdentity, given: Collection[str]) -> bool:
+    """Whether a log has no rows, and its files are gone, or logs in the folder that it was."""
+    if known.has_rows:
+        return False
+    if any(one.startswith(f"{place}/") for place in known.places for one in given):
+        return True
+    escaped = any("\\" in place for place in known.places)  # where these are can't be told
+    return not escaped and not any(Path(place).exists() for place in known.places)
+
+
 def _free_name(log: LogFiles, taken: Collection[str]) -> str:
     """A name for a log that no other has."""
     folders, name = log.paths[0].parent.resolve().parts[1:], log.name
@@ -276,7 +277,7 @@ def _free_name(log: LogFiles, taken: Collection[str]) -> str:
     return name
 
 
-def _link(path: Path, link: Path) -> None:
+def _link_file(path: Path, link: Path) -> None:
     try:
         link.hardlink_to(path)
     except OSError:

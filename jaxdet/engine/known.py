@@ -6,21 +6,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.errors import ConfigError, printable
-from jaxdet.io.files import SUFFIXES, LogFiles, place_of, recording_of
+from jaxdet.io.files import SUFFIXES, format_of, place_of, recording_of
 
 Fingerprints = Sequence[Mapping[str, Any]]
 """Of a log's files, see :func:`jaxdet.results.manifest.fingerprint`."""
 REMEDY = "give another --output, or --overwrite for results of these logs alone"
 
 
-class KnownLog(NamedTuple):
-    """A log of results."""
+class LogIdentity(NamedTuple):
+    """What a log is known by, one of a run or of results."""
 
     name: str
     places: tuple[str, ...]
     """Of its files, as :func:`places_of` has them."""
     files: Fingerprints
-    has_rows: bool
+    has_rows: bool = True
+    """Of one in results; else it failed."""
 
 
 class Matches(NamedTuple):
@@ -34,9 +35,7 @@ class Matches(NamedTuple):
     """Logs there whose files are of other logs now."""
 
 
-def match_logs(
-    given: Sequence[LogFiles], files: Mapping[str, Fingerprints], known: Collection[KnownLog]
-) -> Matches:
+def match_logs(given: Collection[LogIdentity], known: Collection[LogIdentity]) -> Matches:
     """Knows logs again: by the places of their files, else by what is in them.
 
     A known log whose files are in several of the run's logs, or in one that has those of other
@@ -45,7 +44,6 @@ def match_logs(
 
     Args:
         given: A run's logs.
-        files: Theirs, by the logs' names.
         known: The logs of the results.
 
     Raises:
@@ -53,17 +51,14 @@ def match_logs(
             format: without the rest rows would be lost.
     """
     at = {place: log.name for log in known for place in log.places}
-    held = {
-        log.name: {at[place]: None for place in places_of(log.paths) if place in at}
-        for log in given
-    }
-    matches = _by_place(given, files, {log.name: log for log in known}, held)
+    held = {log.name: {at[one]: None for one in log.places if one in at} for log in given}
+    matches = _by_place(given, {log.name: log for log in known}, held)
     new = [log for log in given if not held[log.name]]
     met = {name for names in held.values() for name in names}
     others = [log for log in known if log.name not in met]
     matches.replaced.update(_in_other_formats(new, others))
     others = [log for log in others if log.name not in matches.replaced]
-    matches.names.update(by_content(new, files, others))
+    matches.names.update(by_content(new, others))
     return matches
 
 
@@ -85,19 +80,18 @@ def contents_of(files: Fingerprints, *more: str) -> tuple[tuple[Any, ...], ...]:
 
 
 def _by_place(
-    given: Sequence[LogFiles],
-    files: Mapping[str, Fingerprints],
-    known: Mapping[str, KnownLog],
+    given: Collection[LogIdentity],
+    known: Mapping[str, LogIdentity],
     held: Mapping[str, Collection[str]],
 ) -> Matches:
     """The logs that share files with known ones; ``held`` has these by the logs' names."""
     matches = Matches({}, {}, set())
-    there = {place for log in given for place in places_of(log.paths)}
+    there = {place for log in given for place in log.places}
     holders = Counter(name for names in held.values() for name in names)
     for log in given:
         ours = [known[name] for name in held[log.name]]
         rest = [one for one in ours if one.has_rows and not there.issuperset(one.places)]
-        if rest and not _is_part(log, files[log.name], rest[0]):
+        if rest and not _is_part(log, rest[0]):
             place = next(place for place in rest[0].places if place not in there)
             problem = f"is not among the logs now, but others of the log {rest[0].name} are"
             raise ConfigError(problem, path=place, remedy=f"name it as well, {REMEDY}")
@@ -110,7 +104,7 @@ def _by_place(
     return matches
 
 
-def _is_part(log: LogFiles, files: Fingerprints, known: KnownLog) -> bool:
+def _is_part(log: LogIdentity, known: LogIdentity) -> bool:
     """Whether a log's files are some of those of a known one, as they were or can't be read."""
     was = dict(zip(known.places, known.files, strict=True))
 
@@ -118,20 +112,20 @@ def _is_part(log: LogFiles, files: Fingerprints, known: KnownLog) -> bool:
         found = contents_of([now], "mtime_ns")
         return place in was and found in ((), contents_of([was[place]], "mtime_ns"))
 
-    return all(map(same, places_of(log.paths), files))
+    return all(map(same, log.places, log.files))
 
 
-def _in_other_formats(given: Sequence[LogFiles], known: Collection[KnownLog]) -> set[str]:
+def _in_other_formats(given: Collection[LogIdentity], known: Collection[LogIdentity]) -> set[str]:
     """Known logs whose recordings are given in another format."""
-    paths = _recorded(place for log in given for place in places_of(log.paths))
-    kinds: dict[Any, set[str]] = {}
+    paths = [path for log in given for path in _recordings(log)]
+    formats: dict[Any, set[str]] = {}
     for path in paths:
-        kinds.setdefault(recording_of(path), set()).add(path.suffix.lower())
+        formats.setdefault(recording_of(path), set()).add(format_of(path))
     bare = {path.with_suffix("") for path in paths}
     found = set()
     for log in known:
-        own = _recorded(log.places)
-        if not any(kinds.get(recording_of(path), set()) - {path.suffix.lower()} for path in own):
+        own = _recordings(log)
+        if not any(formats.get(recording_of(path), set()) - {format_of(path)} for path in own):
             continue
         left = [path for path in own if path.with_suffix("") not in bare]
         if left and log.has_rows:
@@ -142,19 +136,16 @@ def _in_other_formats(given: Sequence[LogFiles], known: Collection[KnownLog]) ->
     return found
 
 
-def _recorded(places: Iterable[str]) -> list[Path]:
-    """Those that are files of recordings."""
-    return [path for path in map(Path, places) if path.suffix.lower() in SUFFIXES]
+def _recordings(log: LogIdentity) -> list[Path]:
+    """A log's files; none of one that is a folder of images."""
+    return [path for path in map(Path, log.places) if format_of(path) in SUFFIXES]
 
 
-def by_content(
-    given: Sequence[LogFiles], files: Mapping[str, Fingerprints], known: Collection[KnownLog]
-) -> dict[str, str]:
+def by_content(given: Collection[LogIdentity], known: Collection[LogIdentity]) -> dict[str, str]:
     """Logs that were moved or copied are each a known one, of the same name where there is one.
 
     Args:
         given: The logs.
-        files: Theirs, by the logs' names.
         known: Each is at most one of them.
 
     Returns:
@@ -164,7 +155,7 @@ def by_content(
     for one in known:
         unmet.setdefault(contents_of(one.files), []).append(one.name)
     unmet.pop((), None)  # of files that could not be read nothing is known
-    contents = {log.name: contents_of(files[log.name]) for log in given}
+    contents = {log.name: contents_of(log.files) for log in given}
     found = {name: name for name, what in contents.items() if name in unmet.get(what, ())}
     for name in found:
         unmet[contents[name]].remove(name)

@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from jaxdet.engine.kept import KeptLogs
 
 Say = Callable[[str], None]
-_KEY_LETTERS = 12
-_KEY = "[0-9a-f]" * _KEY_LETTERS
 
 
 class Workspace:
@@ -128,9 +126,12 @@ class Workspace:
             self._refuse_results()
         self._refuse_blocked()
         begun = self.read("plan")
-        reason = None if begun is None else difference(begun, self.record)
-        if begun and reason and update:
+        if begun is None:
+            reason = None
+        elif update:
             reason = difference_but_logs(begun, self.record) or self._missing(begun)
+        else:
+            reason = difference(begun, self.record)
         if reason:
             if not overwrite:
                 anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
@@ -153,7 +154,8 @@ class Workspace:
         """What is done of a log that is not among this run's, for people; None: nothing is."""
         inputs, now = begun["about"]["inputs"], self.record["about"]["inputs"]
         for log, name in zip(inputs, file_names(inputs), strict=True):
-            if log not in now and any(self.logs.glob(f"{name}-{_KEY}/*/*.part")):
+            folder = self.logs / _folder_name(begun, log, name)
+            if log not in now and any(folder.glob("*/*.part")):
                 return f"the log {log} was among its logs"
         return None
 
@@ -175,8 +177,7 @@ class Workspace:
             log: Its name.
             file_name: What the names of its files begin with.
         """
-        which = digest({log: self.record["about"]["inputs"][log]})
-        return self.logs / f"{file_name}-{which[:_KEY_LETTERS]}"
+        return self.logs / _folder_name(self.record, log, file_name)
 
     def write(self, place: str | Path, value: Any) -> None:
         """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
@@ -271,3 +272,7 @@ class Workspace:
 
     def _refuse(self, path: Path, problem: str) -> NoReturn:
         raise ConfigError(problem, path=str(path), remedy="move it or give another --output")
+
+
+def _folder_name(record: Mapping[str, Any], log: str, file_name: str) -> str:
+    return f"{file_name}-{digest({log: record['about']['inputs'][log]})[:12]}"

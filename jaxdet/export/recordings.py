@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.engine.known import KnownLog, by_content
+from jaxdet.engine.known import LogIdentity, by_content
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.pipeline import detect
@@ -55,9 +55,10 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
     unknown = [log for log in logs if log.name not in names]
     inputs = read_manifest(results.folder)["inputs"] if unknown else {}
     left = names - found.keys()
-    known = [KnownLog(name, (), inputs[name], True) for name in inputs if name in left]
-    files = {log.name: [fingerprint(path) for path in log.paths] for log in unknown}
-    same = by_content(unknown, files, known)
+    same = by_content(
+        [LogIdentity(log.name, (), [*map(fingerprint, log.paths)]) for log in unknown],
+        [LogIdentity(name, (), inputs[name]) for name in inputs if name in left],
+    )
     for log in unknown:
         if log.name not in same:
             problem = f"no log {log.name!r}; it holds {', '.join(sorted(names)) or 'none'}"

@@ -180,20 +180,21 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     path, named = Path(text), _seen(text)
     seen = [file for file in named if file.is_file()]
     shut = [folder for folder in named if folder.is_dir()]
-    links = [file for file in named if file.is_symlink() and _kind(file) in SUFFIXES]
+    links = [file for file in named if file.is_symlink() and format_of(file) in SUFFIXES]
     gone = [file for file in links if not file.exists()]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
-    found = [file for file in seen if _kind(file) in SUFFIXES and not _is_export(file)]
+    found = [file for file in seen if format_of(file) in SUFFIXES and not _is_export(file)]
     if path.is_file():
         if others:
             problem = f"{path.suffix} files are not read"
             raise InputError(problem, path=text, remedy=_advice(path))
         return seen, {}
     places = {file.parent for file in found}
-    copies = [item for item in image_folders(seen) if places & {item, item.parent}]
-    folders = [item for item in image_folders(seen) if item not in copies]
+    images = image_folders(seen)
+    copies = [item for item in images if places & {item, item.parent}]
+    folders = [item for item in images if item not in copies]
     stamps = {item: note for item in folders if (note := stamp_note(item))}
     if not found and (folders or shut):
         return [*folders, *shut], stamps
@@ -275,12 +276,12 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     """The files that are taken of those found, and the others, each with the reason."""
     formats: dict[tuple[Path, str], set[str]] = {}
     for file in found:
-        formats.setdefault(recording_of(file), set()).add(_kind(file))
+        formats.setdefault(recording_of(file), set()).add(format_of(file))
     best = {key: min(kinds, key=SUFFIXES.index) for key, kinds in formats.items()}
     taken, left = [], []
     for file in found:
         suffix = best[recording_of(file)]
-        if _kind(file) == suffix:
+        if format_of(file) == suffix:
             taken.append(file)
         else:
             left.append((file, f"its recording is there as {suffix}"))
@@ -293,7 +294,8 @@ def recording_of(path: Path) -> tuple[Path, str]:
     return path.parent, match["stem"] if match else path.stem
 
 
-def _kind(path: Path) -> str:
+def format_of(path: Path) -> str:
+    """The suffix of a file, by which formats are told: of recordings one of :data:`SUFFIXES`."""
     return path.suffix.lower()
 
 
