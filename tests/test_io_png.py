@@ -115,6 +115,15 @@ def test_each_kind_and_filter_equals_opencv(kind, dtype, shape, filters):
         np.testing.assert_array_equal(depth(data), opencv(data, cv2.IMREAD_UNCHANGED))
 
 
+@pytest.mark.parametrize("shape", [(1, 40), (16, 16), (15, 33), (17, 31), (33, 15), (50, 70)])
+def test_depth_of_any_size_and_filters(shape):
+    """Sixteen lines are undone together, each a pixel behind the one above it."""
+    for _ in range(20):
+        pixels = random_pixels(shape, "grey", np.uint16)
+        data = encode(pixels, RANDOM.integers(0, 5, shape[0]).tolist(), "grey")
+        np.testing.assert_array_equal(depth(data), pixels[..., 0])
+
+
 @pytest.mark.parametrize("level", [0, 1, 9])
 def test_what_opencv_writes(level):
     rows = np.linspace(400, 9000, 480)[:, None] + RANDOM.normal(0, 8, (480, 640))

@@ -12,11 +12,11 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS
 
 
 @native_kernel(
-    "png_lines.h",
-    body="PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, 2}.depth(depth_out.data);",
+    "png_depth.h",
+    body="PngDepth{lines.data, lines.shape[0], lines.shape[1] / 2, depth_out.data}.run();",
 )
 def png_depth(
-    lines: wp.array2d[wp.uint8],  # (H, 1 + 2 W) each begins with its filter; un-filtered in place
+    lines: wp.array2d[wp.uint8],  # (H, 1 + 2 W) each begins with its filter
     depth_out: wp.array2d[wp.uint16],  # (H, W)
 ):
     """The lines of a 16-bit grey PNG to depth; filters are 0 to 4."""
@@ -29,7 +29,7 @@ def png_depth(
 """,
 )
 def png_color(
-    lines: wp.array2d[wp.uint8],  # (H, 1 + step W) likewise
+    lines: wp.array2d[wp.uint8],  # (H, 1 + step W) likewise; un-filtered in place
     step: int,  # bytes of a pixel, 1, 2, 3, 4, 6 or 8
     spread: int,  # bytes from a sample to the next; 0: grey, which is repeated
     rgb_out: wp.array3d[wp.uint8],  # (H, W, 3)

@@ -12,16 +12,6 @@ struct PngLines {
     int height, bytes;
     int step;  // bytes of a pixel: 1, 2, 3, 4, 6 or 8
 
-    // 16-bit grey as it is.
-    void depth(unsigned short* depth_out) {
-        const int width = bytes / 2;
-        for (int v = 0; v < height; ++v, depth_out += width) {
-            const unsigned char* line = undone(v);
-            for (int u = 0; u < width; ++u)
-                depth_out[u] = (unsigned short)(line[2 * u] << 8 | line[2 * u + 1]);
-        }
-    }
-
     // The highest byte of three samples `spread` bytes apart; 0 for grey.
     void color(int spread, unsigned char* rgb_out) {
         const int width = bytes / step;
