@@ -229,17 +229,21 @@ def test_cameras_and_scores_stay(two_cameras: Path, sim_log: Path, tmp_path: Pat
 
 def test_another_truth_makes_other_results(tmp_path: Path) -> None:
     """A copy does not, as each of the machines that share a run has."""
+
+    def told(log: str) -> dict[str, Any]:
+        given = [], CONFIG, LogOptions(), engine.RunOptions(tmp_path)
+        truth = {"score": TruthScore(tmp_path / log, CONFIG)}
+        return record.make_record(*given, truth, None)["about"]["observed"]
+
     path = tmp_path / "log.mcap.truth.npz"
-
-    def told() -> dict[str, Any]:
-        return TruthScore(tmp_path / "log.mcap", CONFIG).file
-
     path.write_bytes(b"one")
-    before = told()
-    os.utime(path, ns=(1, 1))
-    assert told() == before
+    before = told("log.mcap")
+    assert before["score"]
+    (tmp_path / "copy").mkdir()
+    shutil.copy(path, tmp_path / "copy")
+    assert told("copy/log.mcap") == before
     path.write_bytes(b"two")
-    assert told() != before
+    assert told("log.mcap") != before
 
 
 def test_tracks_go_with_the_results_that_they_are_of(logs: Logs, tmp_path: Path) -> None:

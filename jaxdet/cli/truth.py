@@ -49,8 +49,8 @@ class TruthScore:
     """
 
     def __init__(self, path: Path, config: Config) -> None:
-        self.log = Path(str(path).removesuffix(_SUFFIX))
-        file = fingerprint(Path(f"{self.log}{_SUFFIX}"))
+        self._log = Path(str(path).removesuffix(_SUFFIX))
+        file = fingerprint(Path(f"{self._log}{_SUFFIX}"))
         self.file = {name: file.get(name) for name in ("size", "fingerprint")}
         """Tells the results' record of another truth in its place."""
         ground = config.ground
@@ -67,11 +67,12 @@ class TruthScore:
         numbers = [self._number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
         which = np.where(known, numbers, 0)
-        images = [load(self.log, which) for load in (load_obstacle_ids, load_depths, load_drivable)]
+        loads = load_obstacle_ids, load_depths, load_drivable
+        images = [load(self._log, which) for load in loads]
         size = tuple(frames.color.shape[1:3])
         if images[0].shape[1:] != size or images[0].max(initial=0) > len(truth.is_wall):
             problem, remedy = "the truth is of other images", "give the log's own truth"
-            raise InputError(problem, path=str(self.log), remedy=remedy)
+            raise InputError(problem, path=str(self._log), remedy=remedy)
         calibration = frames.calibration
         unit, valid = calibration.depth_unit, frames.valid & known
         z_m = align(np.asarray(frames.depth), calibration).z * unit
@@ -95,7 +96,7 @@ class TruthScore:
         if off > _MAX_OFF:
             problem = "the truth has other obstacles than the log's depth shows"
             remedy = "give the log's own truth, and its own depth unit and calibration"
-            raise InputError(problem, path=str(self.log), remedy=remedy)
+            raise InputError(problem, path=str(self._log), remedy=remedy)
 
     def _claimed(
         self,
@@ -121,7 +122,7 @@ class TruthScore:
 
     @cached_property
     def _truth(self) -> Truth:
-        return load_truth(self.log)
+        return load_truth(self._log)
 
     @cached_property
     def _number(self) -> dict[int, int]:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 class Observer(Protocol):
     """Sees each batch with what was found in it, for instance to compare it with the truth.
 
-    It is pickled into the processes that work on a log.
+    It is pickled into the processes that work on a log. What it says depends on the log and on its
+    public attributes alone, which are part of the run's record.
     """
 
     def __call__(self, batch: "Batch", found: Detections, /) -> Any:

@@ -40,10 +40,15 @@ def make_record(
     which = {"jaxdet": jaxdet.__version__, "source": source_digest(), "versions": versions()}
     chosen = {"preset": preset, "backend": options.backend, **plain(config)}
     chosen["log"] = plain(log_options)
-    observed = {name: {type(one).__name__: plain(vars(one))} for name, one in observers.items()}
+    observed = {name: {type(one).__name__: plain(_public(one))} for name, one in observers.items()}
     about = {**which, "inputs": inputs, "pictures": options.pictures, "observed": observed}
     record = {"about": about, "config": chosen}
     return json.loads(json.dumps(record, default=lambda value: type(value).__name__))
+
+
+def _public(observer: Observer) -> dict[str, Any]:
+    """The attributes of an observer that decide what it says."""
+    return {name: value for name, value in vars(observer).items() if not name.startswith("_")}
 
 
 def inputs_of(
