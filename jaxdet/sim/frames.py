@@ -1,11 +1,14 @@
-"""The simulation itself: one frame after the other, each from the seed and its number alone."""
+"""The simulation itself: each frame from the seed and its number alone, so several at a time."""
 
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from jaxdet.cores import cores
 from jaxdet.floor.plane import flat_plane
 from jaxdet.sim.config import SimConfig, calibration_of
 from jaxdet.sim.exposure import LIGHTS, expose, reflectance_of
@@ -16,6 +19,9 @@ from jaxdet.sim.scene import Scene
 from jaxdet.sim.scenes import scene_of
 from jaxdet.sim.sensor import Surface, measure_depth
 from jaxdet.types import GroundPlane, Intrinsics
+
+_MOST_THREADS = 8
+"""Frames that are simulated at a time; each takes 40 MB."""
 
 
 class SimFrame(NamedTuple):
@@ -56,7 +62,7 @@ class SimFrame(NamedTuple):
 
 
 def simulate(config: SimConfig) -> Iterator[SimFrame]:
-    """Simulate a log.
+    """Simulate a log, a frame on each core.
 
     Args:
         config: The scene and the recording.
@@ -68,9 +74,18 @@ def simulate(config: SimConfig) -> Iterator[SimFrame]:
         ConfigError: The scene is not known.
         InputError: The scene's file can't be read.
     """
-    scene = scene_of(config)
-    for index in range(config.frames):
-        yield simulate_frame(config, scene, index)
+    scene, threads = scene_of(config), min(cores(), _MOST_THREADS)
+    waiting: deque[Future[SimFrame]] = deque()
+    pool = ThreadPoolExecutor(threads, "jaxdet-sim")
+    try:
+        for index in range(config.frames):
+            waiting.append(pool.submit(simulate_frame, config, scene, index))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        for frame in waiting:
+            yield frame.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def simulate_frame(config: SimConfig, scene: Scene, index: int) -> SimFrame:

@@ -52,6 +52,7 @@ class Caster:
 
     def __init__(self, worlds: Sequence[World], seed: int = 0, device: str = "cpu") -> None:
         self.device = device
+        wp.load_module(kernels, device=device)  # threads that look at the same time find it there
         self.first = np.r_[0, np.cumsum([len(w.object_of) for w in worlds])].astype(np.int32)
         self._meshes = [self._mesh(world) for world in worlds]
         looks = list(dict.fromkeys(look for world in worlds for look in world.mesh.looks))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxdet.io.writer import Ros2LogWriter, Transform
 from jaxdet.quiet import quiet_warp
 from jaxdet.sim.config import SimConfig, calibration_of
-from jaxdet.sim.frames import SimFrame, simulate_frame
+from jaxdet.sim.frames import SimFrame, simulate
 from jaxdet.sim.robot import OPTICAL, WHEEL_RADIUS_M, drifted, mount, pose_at, velocity_at
 from jaxdet.sim.scene import Scene
 from jaxdet.sim.scenes import scene_of
@@ -49,14 +49,13 @@ def write_log(
     ):
         _write_static(writer, config, calibration)
         odometry = _odometry_times(config)
-        for index in range(config.frames):
-            frame = simulate_frame(config, scene, index)
-            while odometry and odometry[0] <= index / config.rate_hz:
+        for frame in simulate(config):
+            while odometry and odometry[0] <= frame.time_s:
                 _write_odometry(writer, config, scene, odometry.popleft())
             _write_frame(writer, config, calibration, frame)
             truth.add(frame)
             if progress:
-                progress(index + 1)
+                progress(frame.number + 1)
         for time_s in odometry:
             _write_odometry(writer, config, scene, time_s)
         return truth.finish()

@@ -2,6 +2,7 @@
 
 from enum import IntEnum
 from functools import lru_cache
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -137,7 +138,15 @@ def _mirrors(scene: Scene) -> bool:
     return scene.floor.gloss > 0 and level and bool(scene.objects)
 
 
-@lru_cache(maxsize=4)
+_building = Lock()
+
+
 def caster_of(scene: Scene, time_s: float, seed: int, device: str, part: Part = "all") -> Caster:
     """The scene, or a part of it, at a time on a device, ready to be looked at."""
+    with _building:
+        return _caster(scene, time_s, seed, device, part)
+
+
+@lru_cache(maxsize=16)  # of each thread that simulates a frame, this moment's
+def _caster(scene: Scene, time_s: float, seed: int, device: str, part: Part) -> Caster:
     return Caster([world_at(scene, time_s, part)], seed, device)
