@@ -287,8 +287,8 @@
     const every = Math.max(1, Math.round((size - 1) / 8));
     for (let b = 0; b < size; b += every) add(svg, "text", { x: left + b * wide, y: bottom + 16, "text-anchor": "middle" }, `${+(b * data.width).toFixed(2)}`);
     add(svg, "text", { x: (left + right) / 2, y: H - 4, "text-anchor": "middle" }, counted === "per_frame" ? "distance to the nearest obstacle of a frame [m]" : "distance of each obstacle [m]");
-    const under = (limit) => bins.reduce((t, n, b) => t + ((b + 1) * data.width <= limit + 1e-9 ? n : 0), 0);
-    if (total) add(node, "p", { class: "faint" }, `${many(total, what)}; ${share(under(1), total)} nearer than 1 m, ${share(under(0.5), total)} nearer than 0.5 m.`);
+    const near = data.near.map((limit, i) => `${share(sum((l) => (l[counted] ? l[`near_${what}s`][i] : 0)), total)} nearer than ${limit} m`);
+    if (total) add(node, "p", { class: "faint" }, `${many(total, what)}; ${near.join(", ")}.`);
   }
 
   function chips(node, items, get, set) {
