@@ -66,6 +66,8 @@ class TruthScore:
         truth, frames = self._truth, batch.frames
         numbers = [self._number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
+        if not known.any():
+            return Tally()
         which = np.where(known, numbers, 0)
         images = [load(self.log, which) for load in (load_obstacle_ids, load_depths, load_drivable)]
         size = tuple(frames.color.shape[1:3])
