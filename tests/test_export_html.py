@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import FrameStatus, printable
+from jaxdet.errors import FrameStatus, InputError, printable
 from jaxdet.export import export
 from jaxdet.export.html.collect import HISTOGRAM_BINS, MOST_BINS, Columns, LogFigures, Timeline
 from jaxdet.export.html.page import REASONS
@@ -166,6 +166,18 @@ def test_page_stays_small(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "out", {f"log {i}": 20_000 for i in range(5)})
     page_of(folder, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 500_000
+
+
+@pytest.mark.parametrize("content", [b"", b"no picture"])
+def test_a_damaged_picture_is_named(
+    drive: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes
+) -> None:
+    folder = shutil.copytree(drive, tmp_path / "drive") / "out"
+    picture = next((folder / "pictures").iterdir())
+    picture.write_bytes(content)
+    with pytest.raises(InputError, match=f"{picture.name}: the picture is damaged; remove it"):
+        page_of(folder, tmp_path / "page.html")
+    assert not capfd.readouterr().err  # nothing of OpenCV's
 
 
 def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
