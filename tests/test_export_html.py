@@ -199,6 +199,16 @@ def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
     assert given["frames"] == drawn["frames"]
 
 
+def test_a_map_that_is_left_out_is_named(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (log,) = page_of(drive / "out", tmp_path / "page.html")["logs"]
+    assert log["map"] and log["map_file"] == "map_drive"
+    monkeypatch.setattr("jaxdet.export.html.MOST_MAPS", 0)
+    (log,) = page_of(drive / "out", tmp_path / "without.html")["logs"]
+    assert log["map"] is None and log["map_file"] == "map_drive"
+
+
 def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
     log, folder = aims
     data = page_of(folder, tmp_path / "page.html", (str(log),))

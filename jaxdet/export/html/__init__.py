@@ -180,13 +180,14 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         "warnings": summary["warnings"],
         "errors": summary["frame_errors"],
         "map": None,
+        "map_file": summary["map"],
         "tracks": track_rows(results, log, start or 0),
     }
 
 
 def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
     """A log that is not in the tables."""
-    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "tracks"))
+    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "map_file", "tracks"))
     nothing |= dict.fromkeys(("per_frame", "per_obstacle", "near_frames", "near_obstacles"))
     counts = dict.fromkeys(("frames", "obstacles", "overflow", "floorless"), 0)
     counts |= {"stride": 1, "status": {}}

@@ -312,7 +312,11 @@
     const node = clear($("map"));
     const some = picked().filter((l) => l.map);
     $("map-section").hidden = !data.logs.some((l) => l.map);
-    if (!some.length) { add(node, "p", {}, "No map: no poses."); return; }
+    if (!some.length) {
+      const left = picked().filter((l) => l.map_file).map((l) => `${l.map_file}.png`);
+      add(node, "p", {}, left.length ? `Not one of the maps in this page; the results have it as ${left[0]}.` : "No map, see the warnings.");
+      return;
+    }
     for (const log of some.slice(0, only < 0 ? 4 : 1)) {
       const m = log.map, xs = m.path.filter((_, i) => i % 2 === 0), ys = m.path.filter((_, i) => i % 2);
       const low = [Math.min(m.x, ...xs), Math.min(m.y, ...ys)], high = [Math.max(m.x + m.width, ...xs), Math.max(m.y + m.height, ...ys)];
