@@ -159,12 +159,18 @@ def test_a_frame_lost_in_the_run_has_images_and_no_points(drive: Path, tmp_path:
     assert sorted(found[f"{CAMERA}/points"]["positions"]) == [0, 1, 3, 4]
 
 
-def test_a_frame_without_a_pose_is_not_where_the_one_before_was(
-    drive: Path, tmp_path: Path
+POSE = "camera_position_world", "camera_orientation_world"
+FLOOR_OF_FRAME = "camera_height_m", "camera_pitch_rad", "camera_roll_rad"
+
+
+@pytest.mark.parametrize("columns", [POSE, FLOOR_OF_FRAME])
+def test_a_frame_without_a_place_is_not_in_space(
+    drive: Path, tmp_path: Path, columns: tuple[str, ...]
 ) -> None:
-    """It is nowhere in space; its boxes in the image stay."""
+    """Without a pose it is not where the one before was, without a floor not on one; its boxes in
+    the image stay."""
     folder = shutil.copytree(drive, tmp_path / "drive") / "out"
-    pose = dict.fromkeys(("camera_position_world", "camera_orientation_world"))
+    pose = dict.fromkeys(columns)
 
     def lost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         for row in rows:

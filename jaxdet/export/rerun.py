@@ -180,8 +180,8 @@ class _Recording:
             log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
 
     def _has_place(self, row: Mapping[str, Any]) -> bool:
-        """Whether it is known where a frame is, or that of none is."""
-        return not self.in_world or T_world_upright(row) is not None
+        """Whether it is known where a frame's floor is, or that of none is."""
+        return not self.in_world or _is_placed(row)
 
     def _tracks(self) -> None:
         """The ways of things that move, each an entity from its first frame to its last."""
@@ -232,8 +232,13 @@ def _origin(results: Results, log: ResultLog) -> np.ndarray:
 
 def _in_world(results: Results, log: ResultLog) -> bool:
     """Whether some frame of a log has a place in the world."""
-    rows = (frame.row for frame in results.frames(log, ("camera_position_world", *TILT), ()))
-    return any(T_world_upright(row) is not None for row in rows)
+    columns = ("camera_position_world", "camera_height_m", *TILT)
+    return any(_is_placed(frame.row) for frame in results.frames(log, columns, ()))
+
+
+def _is_placed(row: Mapping[str, Any]) -> bool:
+    """Whether a frame's floor has a place in the world, as its rows of the tables do."""
+    return row["camera_height_m"] is not None and T_world_upright(row) is not None
 
 
 def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:

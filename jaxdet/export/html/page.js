@@ -394,7 +394,7 @@
       .sort(sorts[order]);
     const node = clear($("cards"));
     const bare = data.undrawn.length && showing.some((i) => data.frames[i].status === "ok" && !data.frames[i].picture);
-    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + undrawn() : ""}` : "No frame of this kind.";
+    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + undrawn() : ""}` : kind === "all" ? "None: the run drew no frame, and none has an obstacle or is lost." : "No frame of this kind.";
     for (const i of showing) card(node, i);
   }
 
