@@ -395,6 +395,11 @@ def test_a_comparison_says_how_many_frames_it_is_of(
     args = ["--output", str(tmp_path / "none"), "--backend", "reference", "--pictures", "0"]
     assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "other.mcap")]) == 0
     assert "truth      compared in none of 2 frames\n" in capfd.readouterr().out
+    size = {"width": 80, "height": 60}  # of other images too, but of none of these stamps
+    write_log(tmp_path / "small.mcap", SimConfig(frames=1, start_ns=10**18, **size))
+    args[1] = str(tmp_path / "small")
+    assert main(["run", str(sim_log), *args, "--truth", str(tmp_path / "small.mcap")]) == 0
+    assert "truth      compared in none of 2 frames\n" in capfd.readouterr().out
 
 
 def test_the_truth_of_another_log_is_refused(

@@ -17,6 +17,7 @@ from jaxdet.export.grid import FREE, OCCUPIED, last_grid
 from jaxdet.io import LogOptions
 from jaxdet.results.reading import Frame, Results
 from tests.export_results import run
+from tests.test_io_image_folder import GIVEN, STAMPS, write_tum
 
 SCENE, BOXES, MAP, TF = (f"/jaxdet/{name}" for name in ("obstacles", "boxes", "map", "tf"))
 Topics = dict[str, list[tuple[int, Any]]]
@@ -178,6 +179,18 @@ def test_without_the_log_s_tf_the_sidecar_has_the_poses(driven_log: Path, tmp_pa
             assert apart.min(axis=0).max() < 0.002 and apart.min(axis=1).max() < 0.002
             count += 1
     assert count >= 6
+
+
+def test_a_folder_of_images_has_no_tf_of_its_own(tmp_path: Path) -> None:
+    """Its poses, in groundtruth.txt, are in the sidecar."""
+    found = run(write_tum(tmp_path / "room"), tmp_path / "results", options=GIVEN)
+    topics, frames = exported(found, tmp_path / "out")
+    assert len(frames) == len(STAMPS)
+    for (_, tree), (row, _) in zip(topics[TF], frames, strict=True):
+        edges = {(t.parent_frame_id, t.child_frame_id): t for t in tree.transforms}
+        edge = edges[row["world_frame"], f"{row['camera_frame']}_jaxdet"]
+        place = edge.translation.x, edge.translation.y, edge.translation.z
+        np.testing.assert_allclose(place, row["camera_position_world"], atol=1e-6)
 
 
 def test_the_floor_frame_is_where_the_table_says(driven_results: Path, tmp_path: Path) -> None:

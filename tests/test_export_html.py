@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import FrameStatus, printable
+from jaxdet.errors import FrameStatus, InputError, printable
 from jaxdet.export import export
-from jaxdet.export.html.collect import MOST_BINS, Columns, Timeline
+from jaxdet.export.html.collect import HISTOGRAM_BINS, MOST_BINS, Columns, LogFigures, Timeline
 from jaxdet.export.html.page import REASONS
 from jaxdet.export.recordings import find
 from jaxdet.results.reading import Results
@@ -59,10 +59,43 @@ def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
         assert bins["most"] == rows.num_obstacles.groupby(number).max().tolist()
         assert sum(log["per_frame"]) == len(near)
         assert sum(log["per_obstacle"]) == rows.num_obstacles.sum()
+        every = obstacles[obstacles.log == log["log"]].distance_m
+        for at, limit in enumerate(data["near"]):
+            assert log["near_frames"][at] == (near < limit).sum()
+            assert log["near_obstacles"][at] == (every < limit).sum()
         if len(near):
             assert log["nearest"] == [pytest.approx(near.min(), abs=1e-3), near.idxmin()]
     assert data["logs"][3]["error"] and not data["logs"][3]["bins"]
+    assert data["near"] == [1.0, 0.5]
     assert data["settings"] == [["ground.max_depth_m", "5.0", "4.0"]]
+
+
+@pytest.mark.parametrize("max_depth_m", [2.0, 3.0, 6.0, 8.0])
+def test_what_is_near_is_counted_whatever_the_bins(max_depth_m: float) -> None:
+    """With 3 or 6 m 1 m is in the middle of a bin, with 8 m 0.5 m is."""
+    distance = np.array([0.2, 0.49, 0.5, 0.95, 0.999, 1.0, 1.7], np.float32)
+    n = len(distance)
+    names, flags = np.full(n, "ok", object), np.zeros(n, bool)
+    rows = Columns(np.arange(n), np.arange(n), names, flags, np.ones(n, np.int64), distance)
+    figures = LogFigures("a", max_depth_m / (HISTOGRAM_BINS - 1), Timeline(n))
+    figures.add(rows)
+    assert figures.near_frames.tolist() == figures.near_obstacles.tolist() == [5, 2]
+
+
+def test_rows_of_a_full_frame_are_its_nearest(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("jaxdet.export.html.MOST_ROWS", 2)
+    data = page_of(made, tmp_path / "page.html")
+    obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
+    full = [frame for frame in data["frames"] if frame["count"] > 2]
+    assert full
+    for frame in full:
+        log = data["logs"][frame["log"]]["log"]
+        rows = obstacles[(obstacles.log == log) & (obstacles.frame == frame["frame"])]
+        nearest = rows.nsmallest(2, "distance_m").sort_values("obstacle")
+        assert [one[0] for one in frame["rows"]] == nearest.obstacle.tolist()
+        assert min(one[1] for one in frame["rows"]) == frame["nearest"]
 
 
 def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
@@ -135,6 +168,18 @@ def test_page_stays_small(tmp_path: Path) -> None:
     assert (tmp_path / "page.html").stat().st_size < 500_000
 
 
+@pytest.mark.parametrize("content", [b"", b"no picture"])
+def test_a_damaged_picture_is_named(
+    drive: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes
+) -> None:
+    folder = shutil.copytree(drive, tmp_path / "drive") / "out"
+    picture = next((folder / "pictures").iterdir())
+    picture.write_bytes(content)
+    with pytest.raises(InputError, match=f"{picture.name}: the picture is damaged; remove it"):
+        page_of(folder, tmp_path / "page.html")
+    assert not capfd.readouterr().err  # nothing of OpenCV's
+
+
 def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
     drawn = page_of(drive / "out", tmp_path / "page.html")  # where the run found it
     assert len(drawn["frames"]) == 5 and not drawn["undrawn"]
@@ -152,6 +197,16 @@ def test_pictures_are_drawn_from_the_log(drive: Path, tmp_path: Path) -> None:
     assert without["logs"][0]["map"]["picture"].startswith("data:image/webp;base64,")
     given = page_of(moved, tmp_path / "given.html", (str(drive / "drive.mcap"),))
     assert given["frames"] == drawn["frames"]
+
+
+def test_a_map_that_is_left_out_is_named(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (log,) = page_of(drive / "out", tmp_path / "page.html")["logs"]
+    assert log["map"] and log["map_file"] == "map_drive"
+    monkeypatch.setattr("jaxdet.export.html.MOST_MAPS", 0)
+    (log,) = page_of(drive / "out", tmp_path / "without.html")["logs"]
+    assert log["map"] is None and log["map_file"] == "map_drive"
 
 
 def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -130,26 +131,64 @@ def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:
     assert len(found[f"{CAMERA}/color"]["blob"]) == 18 and "/world/map" not in found
 
 
+def rewrite(path: Path, change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> int:
+    """Replaces the rows of a table; returns how many there are then."""
+    about = pq.read_metadata(path).metadata
+    own = {key: value for key, value in about.items() if key.startswith(b"jaxdet.")}
+    table = pq.read_table(path)
+    rows = change(table.to_pylist())
+    pq.write_table(pa.Table.from_pylist(rows, table.schema.with_metadata(own)), path)
+    return len(rows)
+
+
 def test_a_frame_lost_in_the_run_has_images_and_no_points(drive: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(drive, tmp_path / "drive") / "out"
+
+    def lost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        assert rows[2]["num_obstacles"] > 0
+        rows[2] |= {"num_obstacles": 0, "status": "worker_crashed"}
+        return rows
+
+    rewrite(folder / "frames.parquet", lost)
+    left = rewrite(folder / "obstacles.parquet", lambda rows: [r for r in rows if r["frame"] != 2])
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    for name, column in (("frames", "num_obstacles"), ("obstacles", "frame")):
-        path = folder / f"{name}.parquet"
-        about = pq.read_metadata(path).metadata
-        own = {key: value for key, value in about.items() if key.startswith(b"jaxdet.")}
-        table = pq.read_table(path)
-        rows = table.to_pylist()
-        if name == "obstacles":
-            rows = [row for row in rows if row[column] != 2]
-            summary["obstacles"] = summary["logs"][0]["obstacles"] = len(rows)
-        else:
-            assert rows[2][column] > 0
-            rows[2] |= {column: 0, "status": "worker_crashed"}
-        pq.write_table(pa.Table.from_pylist(rows, table.schema.with_metadata(own)), path)
+    summary["obstacles"] = summary["logs"][0]["obstacles"] = left
     (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     found = recording_of(folder, tmp_path / "out", str(drive / "drive.mcap"))
     assert 2 in found[f"{CAMERA}/color"]["blob"] and 2 in found[f"{CAMERA}/depth"]["blob"]
     assert sorted(found[f"{CAMERA}/points"]["positions"]) == [0, 1, 3, 4]
+
+
+POSE = "camera_position_world", "camera_orientation_world"
+FLOOR_OF_FRAME = "camera_height_m", "camera_pitch_rad", "camera_roll_rad"
+
+
+@pytest.mark.parametrize("columns", [POSE, FLOOR_OF_FRAME])
+def test_a_frame_without_a_place_is_not_in_space(
+    drive: Path, tmp_path: Path, columns: tuple[str, ...]
+) -> None:
+    """Without a pose it is not where the one before was, without a floor not on one; its boxes in
+    the image stay."""
+    folder = shutil.copytree(drive, tmp_path / "drive") / "out"
+    pose = dict.fromkeys(columns)
+
+    def lost(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        for row in rows:
+            if row["frame"] == 2:
+                row |= {"corners_world": None} if "obstacle" in row else pose
+        return rows
+
+    for name in ("frames", "obstacles"):
+        rewrite(folder / f"{name}.parquet", lost)
+    found = recording_of(folder, tmp_path / "out", str(drive / "drive.mcap"))
+    for name, what in (("boxes", "centers"), ("contours", "strips"), ("free", "vertex_positions")):
+        entity = found[f"{FLOOR}/{name}"]
+        assert sorted(entity[what]) == [0, 1, 3, 4] and sorted(entity["is_recursive"]) == [2]
+    assert sorted(found[f"{CAMERA}/points"]["positions"]) == [0, 1, 3, 4]
+    assert sorted(found[f"{CAMERA}/color/boxes"]["labels"]) == [0, 1, 2, 3, 4]
+    rewrite(folder / "frames.parquet", lambda rows: [row | pose for row in rows])
+    found = recording_of(folder, tmp_path / "none", str(drive / "drive.mcap"))
+    assert sorted(found[f"{FLOOR}/boxes"]["centers"]) == [0, 1, 2, 3, 4]
 
 
 def test_each_log_and_lost_frames(tmp_path: Path) -> None:

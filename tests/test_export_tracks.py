@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.errors import InputError
+from jaxdet.export import foxglove
 from jaxdet.export.shapes import T_camera_floor
 from jaxdet.results.reading import Results
 from jaxdet.tracks import TrackConfig, track_results
@@ -89,6 +90,15 @@ def test_foxglove_names_things_by_their_tracks(walkers: Path, tmp_path: Path) ->
                     assert np.cos(ahead) > 0.8
                     headed += 1
     assert headed
+
+
+def test_a_way_in_the_world_needs_the_cameras_pose(walkers: Path) -> None:
+    """Without one its points would be taken for those of the camera's floor."""
+    with Results(walkers / "out") as results:
+        frame = next(f for f in results.frames(results.logs[0]) if any(t.moving for t in f.tracks))
+    assert any(entity.id.startswith("way") for entity in foxglove.scene(frame).entities)
+    frame.row.update(camera_position_world=None, camera_orientation_world=None)
+    assert not any(entity.id.startswith("way") for entity in foxglove.scene(frame).entities)
 
 
 def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import re
 import resource
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -108,6 +109,27 @@ def test_the_command_says_how_to_see_it(
         for name in re.findall(rf"{output}/[\w.]+", see):
             pattern = Path(name).name.replace("LOG", "both@front")
             assert (output / pattern).is_file()
+
+
+def test_a_page_is_a_file(parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A folder is not replaced by it, not even an empty one; a name without suffix is said."""
+    command = ["export", str(parts / "results"), "--to", "html", "--output"]
+    (tmp_path / "folder").mkdir()
+    assert main([*command, str(tmp_path / "folder")]) == 2
+    said = capsys.readouterr().err
+    assert f"is a folder; name a file, such as {tmp_path / 'folder' / 'report.html'}" in said
+    assert (tmp_path / "folder").is_dir() and not any((tmp_path / "folder").iterdir())
+    assert main([*command, str(tmp_path / "folder" / "report")]) == 0
+    assert "a name that ends in .html" in capsys.readouterr().err
+    assert (tmp_path / "folder" / "report").is_file()
+    assert main([*command, str(tmp_path / "folder" / "report" / "page.html")]) == 1
+    assert "report: is a file, not a folder" in capsys.readouterr().err
+
+
+def test_commands_that_show_it_take_any_name(tmp_path: Path) -> None:
+    for to in ("ros2", "nav2", "rerun"):
+        last = shlex.split(FORMATS[to].seen(tmp_path / "a b's"))[-1]
+        assert str(Path(last.removeprefix("yaml_filename:=")).parent) == str(tmp_path / "a b's")
 
 
 def test_the_page_tells_cameras_and_frames_apart(parts: Path, tmp_path: Path) -> None:

@@ -155,3 +155,12 @@ def test_lost_frames_are_a_problem_of_the_run():
     log["cameras_left_out"] = []
     log["status"] = {"ok": 5, "worker_crashed": 5}
     assert problems({"logs": [log]}) == [lost]
+
+
+def test_a_problem_names_its_log():
+    """Also where the error is about another file, as of a truth that is not the log's."""
+    log = {"log": "day", "paths": ["/logs/day_0.mcap"], "error": "logs/day_0.mcap: is torn"}
+    folder = {"log": "room", "paths": ["/logs/room"], "error": "room/rgb/1.png: is torn"}
+    truth = {"log": "b", "paths": ["/logs/b.mcap"], "error": "a.mcap: the truth is of others"}
+    found = problems({"logs": [log, folder, truth]})
+    assert found == [log["error"], folder["error"], f"b: {truth['error']}"]

@@ -740,3 +740,9 @@ def test_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main([*run[:1], str(tmp_path / "logs" / "d.mcap"), *run[2:], "--update"]) == 1
     said = capsys.readouterr().err
     assert "jaxdet: tracks were of the old tables and are gone: jaxdet track makes" in said
+    (tmp_path / "logs" / "c.mcap").unlink()
+    capsys.readouterr()
+    assert main(["run", str(tmp_path / "logs"), *run[2:], "--update"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("3 logs as before: 7 frames")
+    assert re.fullmatch(r"nothing new in \d+\.\d s", lines[1])

@@ -183,6 +183,11 @@ def test_files_that_are_missing_or_too_many_are_named(results: Path) -> None:
         "mine.txt is no file of the results",
         "pictures/mine.txt is no file of the results",
     ]
+    (results / "scenes").mkdir()  # an export
+    for number in range(100):
+        (results / "scenes" / f"{number}.jpg").touch()
+    *_, last = verify(results, sample=0).notes
+    assert last == "scenes/ has 100 files that are none of the results"
     (results / "manifest.json").unlink()
     (results / ".jaxdet" / "commit").touch()
     assert found(verify(results, sample=0)) == [

@@ -57,6 +57,5 @@ def main(args: list[str]) -> int:
             recordings = find(results, command.log)
             export(results, command.to, command.output, recordings)
     tell(f"written: {command.output}")
-    see = FORMATS[command.to].shown_by.replace("{}", str(command.output))
-    tell(f"to see it: {see}")
+    tell(f"to see it: {FORMATS[command.to].seen(command.output)}")
     return 0

@@ -40,8 +40,10 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
         text.append(f"{many(len(summary.kept), 'log')} as before: {_counts(stay)}")
     done = [log for log in done if not log.error]
     frames, found = sum(log.frames for log in done), _counts(done)
-    rate = f"{frames / summary.seconds:.1f} frames/s with start-up" if summary.seconds else ""
-    text.append(f"{found} in {summary.seconds:.1f} s")
+    timed = frames and summary.seconds
+    rate = f"{frames / summary.seconds:.1f} frames/s with start-up" if timed else ""
+    nothing_new = summary.kept and not done and not failed
+    text.append(f"{'nothing new' if nothing_new else found} in {summary.seconds:.1f} s")
     text[-1] += f" ({rate})" if rate else ""
     text[-1] += f"; {some}" if failed else ""
     nothing = failed == len(summary.logs)

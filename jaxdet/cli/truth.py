@@ -66,6 +66,8 @@ class TruthScore:
         truth, frames = self._truth, batch.frames
         numbers = [self._number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
+        if not known.any():
+            return Tally()
         which = np.where(known, numbers, 0)
         loads = load_obstacle_ids, load_depths, load_drivable
         images = [load(self._log, which) for load in loads]

@@ -5,6 +5,7 @@ A module ``NAME`` has ``export(results, output, recordings)``, which writes the 
 ``recordings`` are the logs given with ``--log``, by their names in the results.
 """
 
+import shlex
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
@@ -26,11 +27,23 @@ class Format(NamedTuple):
     writes: str
     """What the output is."""
     shown_by: str
-    """How another program opens it; ``{}`` is the output."""
+    """How another program opens it; ``{}`` is the output, as a shell takes it where it is a command
+    of one."""
     of_logs: str = ""
     """What ``--log`` adds; empty: the logs aren't looked at."""
     extra: str = ""
     """The extra of jaxdet that its packages come with; empty: they are always there."""
+    suffix: str = ""
+    """Of a format that is a file; empty: it is a folder."""
+
+    def seen(self, output: Path) -> str:
+        """How another program opens an output."""
+        name = str(output)
+        if self.suffix and output.suffix.lower() != self.suffix:
+            return f"{self.shown_by}, which may ask for a name that ends in {self.suffix}"
+        if self.shown_by.startswith(("ros2 ", "rerun ")):
+            name = shlex.quote(name)
+        return self.shown_by.replace("{}", name)
 
 
 FORMATS = {
@@ -51,6 +64,7 @@ FORMATS = {
         "a file: a page with figures, timelines, maps, pictures",
         "open it in a browser",
         "the logs, if they were moved: it draws frames of them",
+        suffix=".html",
     ),
     "rerun": Format(
         "a folder: a recording (.rrd) of each log for the Rerun viewer",
@@ -85,6 +99,9 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
     if recordings and not FORMATS[to].of_logs:
         problem = f"--to {to} shows nothing of the logs themselves"
         raise ConfigError(problem, remedy="leave --log out")
+    if FORMATS[to].suffix and output.is_dir():
+        remedy = f"name a file, such as {output / f'report{FORMATS[to].suffix}'}"
+        raise ConfigError("is a folder", path=str(output), remedy=remedy)
     if output.is_file() or (output.is_dir() and any(output.iterdir())):
         remedy = "give another --output, or remove it"
         raise ConfigError("is there already", path=str(output), remedy=remedy)
@@ -99,6 +116,8 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".jaxdet-export-", dir=output.parent))
+    except FileExistsError as error:
+        raise InputError("is a file, not a folder", path=str(output.parent)) from error
     except OSError as error:
         reason = f"can't be written to ({error.strerror})"
         raise InputError(reason, path=str(output.parent)) from error

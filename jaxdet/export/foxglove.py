@@ -134,7 +134,9 @@ def scene(frame: Frame) -> SceneUpdate:
     T = T_camera_floor(frame.row)
     pose = _pose(T)
     entities = [_entity(frame.row, obstacle, T, pose) for obstacle in frame.obstacles]
-    entities += [_way(frame.row, track) for track in frame.tracks if track.moving]
+    placed = T_world_camera(frame.row) is not None
+    ways = (track for track in frame.tracks if track.moving and (placed or not track.in_world))
+    entities += [_way(frame.row, track) for track in ways]
     return SceneUpdate(deletions=[gone], entities=_named_apart(entities))
 
 

@@ -42,7 +42,7 @@ from jaxdet.export.shapes import (
 from jaxdet.io import LogFiles
 from jaxdet.io.motion import quaternions
 from jaxdet.render.canvas import FREE, PALETTE
-from jaxdet.results.metric import world_angle
+from jaxdet.results.metric import TILT, world_angle
 from jaxdet.results.occupancy import MapImage
 from jaxdet.results.reading import Chunk, Frame, ResultLog, Results
 from jaxdet.types import Detections
@@ -110,6 +110,9 @@ class _Recording:
     def __init__(self, stream: rr.RecordingStream, results: Results, log: ResultLog) -> None:
         self.stream, self.results, self.log = stream, results, log
         self.origin = _origin(results, log)
+        self.in_world = _in_world(results, log)
+        """Whether some frame has a place in the world; those that have none are then not in space,
+        where they would be at the place of the one before."""
         self.floor_z = 0.0
         """Of the last frame with a pose, from the origin on [m]."""
 
@@ -164,13 +167,21 @@ class _Recording:
             log(FLOOR, _floor_in_world(row, pose))
             self.floor_z = pose[2, 3] - (row["camera_height_m"] or 0.0)
         log(CAMERA, _camera_on_floor(row))
-        log(f"{FLOOR}/boxes", _boxes(row, frame.obstacles))
-        log(f"{FLOOR}/contours", _contours(frame.obstacles))
-        log(f"{FLOOR}/free", _free(row, self.results.method.surface.cell_rad))
+        if self._has_place(row):
+            log(f"{FLOOR}/boxes", _boxes(row, frame.obstacles))
+            log(f"{FLOOR}/contours", _contours(frame.obstacles))
+            log(f"{FLOOR}/free", _free(row, self.results.method.surface.cell_rad))
+        else:
+            for name in ("boxes", "contours", "free"):
+                log(f"{FLOOR}/{name}", rr.Clear(recursive=False))
         log(f"{COLOR}/boxes", _flat_boxes(frame.obstacles))
         if row["status"] != FrameStatus.OK:
             text = f"frame {row['frame']}: {row['status']}"
             log("frames", rr.TextLog(text, level=rr.TextLogLevel.WARN))
+
+    def _has_place(self, row: Mapping[str, Any]) -> bool:
+        """Whether it is known where a frame's floor is, or that of none is."""
+        return not self.in_world or _is_placed(row)
 
     def _tracks(self) -> None:
         """The ways of things that move, each an entity from its first frame to its last."""
@@ -203,9 +214,9 @@ class _Recording:
         reach = (0.0, self.results.method.ground.max_depth_m / unit)
         how = {"media_type": "image/png", "meter": 1 / unit, "depth_range": reach}
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
-        if row["status"] == FrameStatus.OK:
+        if row["status"] == FrameStatus.OK and self._has_place(row):
             log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
-        else:  # lost in the run, for instance
+        else:  # lost in the run, for instance, or without a place
             log(f"{CAMERA}/points", rr.Clear(recursive=False))
 
 
@@ -217,6 +228,17 @@ def _origin(results: Results, log: ResultLog) -> np.ndarray:
     name = "camera_position_world"
     places = (frame.row[name] for frame in results.frames(log, (name,), ()))
     return np.round(next(filter(None, places), np.zeros(3)), -3)
+
+
+def _in_world(results: Results, log: ResultLog) -> bool:
+    """Whether some frame of a log has a place in the world."""
+    columns = ("camera_position_world", "camera_height_m", *TILT)
+    return any(_is_placed(frame.row) for frame in results.frames(log, columns, ()))
+
+
+def _is_placed(row: Mapping[str, Any]) -> bool:
+    """Whether a frame's floor has a place in the world, as its rows of the tables do."""
+    return row["camera_height_m"] is not None and T_world_upright(row) is not None
 
 
 def _encoded(kind: str, image: np.ndarray, *how: int) -> bytes:

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from jaxdet.config import Config
 from jaxdet.errors import InputError
+from jaxdet.io.files import SUFFIXES
 from jaxdet.io.options import LogOptions
 from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
@@ -31,6 +32,8 @@ CHUNK_FRAMES = 1024
 TRACKS, LINKS = "tracks", "track_links"
 """Tables that ``jaxdet track`` adds."""
 
+_FOLDER_COLOR = "/camera/color/image"
+"""What the reader calls the colour images of a folder of images."""
 _AGAIN = "run jaxdet run again, or name another folder"
 
 
@@ -67,8 +70,17 @@ class ResultLog(NamedTuple):
 
     @property
     def poses_from_tf(self) -> bool:
-        """Whether the log's own transforms join the camera to the world."""
-        return (self.summary["description"] or {}).get("pose_source", "").startswith("poses: TF")
+        """Whether the log's own transforms join the camera to the world.
+
+        Those of a folder of images are made of ``groundtruth.txt``: no other program sees any.
+        """
+        source = (self.summary["description"] or {}).get("pose_source", "")
+        return source.startswith("poses: TF") and not self._is_image_folder
+
+    @property
+    def _is_image_folder(self) -> bool:
+        known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
+        return not known and self.topic("color") == _FOLDER_COLOR
 
     def topic(self, role: str) -> str:
         """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""

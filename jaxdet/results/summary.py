@@ -286,7 +286,7 @@ def problems(told: Mapping[str, Any]) -> list[str]:
         told: The content of ``summary.json``.
     """
     whole = [log for log in told["logs"] if not log["error"]]
-    found = [log["error"] for log in told["logs"] if log["error"]]
+    found = [failure(log) for log in told["logs"] if log["error"]]
     found += [_unusable(log) for log in whole if log["frames"] and not _good(log)]
     left = {log["log"]: log["cameras_left_out"] for log in whole if log["cameras_left_out"]}
     found += [
@@ -295,6 +295,17 @@ def problems(told: Mapping[str, Any]) -> list[str]:
         for log, names in left.items()
     ]
     return [*found, *(lost for log in whole for lost in log["lost"])]
+
+
+def failure(log: Mapping[str, Any]) -> str:
+    """Why a log failed, with its name where the error is about another file: the truth's.
+
+    Args:
+        log: Its entry in ``summary.json``.
+    """
+    error, own = log["error"], {log["log"], *(Path(path).name for path in log["paths"])}
+    about = Path(error.partition(": ")[0])
+    return error if own & {*about.parts, about.stem} else f"{log['log']}: {error}"
 
 
 def _good(log: Mapping[str, Any]) -> int:

@@ -1,5 +1,7 @@
 """The files of a results folder against its manifest."""
 
+from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,9 @@ from jaxdet.results.commit import JOURNAL
 from jaxdet.results.durable import sha256
 from jaxdet.results.manifest import MANIFEST, WORKING, is_like_result, read_manifest
 from jaxdet.verify.report import Report
+
+MOST_NAMED = 3
+"""Files of a folder in the results that are named each; of more their number is said."""
 
 
 def check_files(folder: Path, report: Report) -> dict[str, Any]:
@@ -32,12 +37,24 @@ def check_files(folder: Path, report: Report) -> dict[str, Any]:
         return {}
     for name, about in manifest["files"].items():
         _check_file(folder, name, about, report)
+    others = []
     for name in sorted(_files(folder) - manifest["files"].keys() - {MANIFEST}):
         if name.endswith(".parquet") or is_like_result(name):
             report.add("files", printable(name), "is not in the manifest")
         else:
-            report.notes.append(f"{printable(name)} is no file of the results")
+            others.append(printable(name))
+    report.notes += _notes(others)
     return manifest
+
+
+def _notes(others: list[str]) -> Iterator[str]:
+    """A line for each file that is none of the results, or for a folder of many (an export)."""
+    for top, names in groupby(others, lambda name: name.partition("/")[0]):
+        inside = list(names)
+        if len(inside) > MOST_NAMED:
+            yield f"{top}/ has {len(inside)} files that are none of the results"
+        else:
+            yield from (f"{name} is no file of the results" for name in inside)
 
 
 def _check_file(folder: Path, name: str, about: dict[str, Any], report: Report) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdet.errors import FrameStatus, JaxdetError
 from jaxdet.export.html.choice import Key, choose
-from jaxdet.export.html.collect import LogFigures, collect
+from jaxdet.export.html.collect import NEAR_M, LogFigures, collect
 from jaxdet.export.html.images import frame_picture, read_picture
 from jaxdet.export.html.maps import map_figure
 from jaxdet.export.html.page import (
@@ -24,13 +24,14 @@ from jaxdet.export.html.page import (
 from jaxdet.export.html.ways import track_rows
 from jaxdet.io.options import LogOptions
 from jaxdet.render.canvas import PALETTE
+from jaxdet.results.summary import failure
 
 if TYPE_CHECKING:
     from jaxdet.io import LogFiles
     from jaxdet.results.reading import ResultLog, Results
 
 MOST_ROWS = 24
-"""Obstacles listed of a frame."""
+"""Obstacles listed of a frame, the nearest."""
 MOST_MAPS = 24
 """Maps shown, of the logs with most frames."""
 FRAME_COLUMNS = (
@@ -86,6 +87,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         "frames": list(shown.values()),
         "range": results.method.ground.max_depth_m,
         "width": figures[0].width_m if figures else 1.0,
+        "near": NEAR_M,
         "reasons": REASONS,
         "sources": SOURCES,
         "palette": ["#" + bytes(color).hex() for color in PALETTE],
@@ -168,6 +170,8 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         },
         "per_frame": figures.per_frame.tolist(),
         "per_obstacle": figures.per_obstacle.tolist(),
+        "near_frames": figures.near_frames.tolist(),
+        "near_obstacles": figures.near_obstacles.tolist(),
         "floor": ", ".join(
             f"{SOURCES.get(name, name)} ({n:,})"
             for name, n in summary["floor_sources"].items()
@@ -176,18 +180,19 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         "warnings": summary["warnings"],
         "errors": summary["frame_errors"],
         "map": None,
+        "map_file": summary["map"],
         "tracks": track_rows(results, log, start or 0),
     }
 
 
 def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
     """A log that is not in the tables."""
-    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "tracks"))
-    nothing |= dict.fromkeys(("per_frame", "per_obstacle"))
+    nothing = dict.fromkeys(("nearest", "begin", "duration", "bins", "map", "map_file", "tracks"))
+    nothing |= dict.fromkeys(("per_frame", "per_obstacle", "near_frames", "near_obstacles"))
     counts = dict.fromkeys(("frames", "obstacles", "overflow", "floorless"), 0)
     counts |= {"stride": 1, "status": {}}
     lines = {"floor": "", "warnings": entry["warnings"], "errors": []}
-    return {"log": entry["log"], "error": entry["error"], **nothing, **counts, **lines}
+    return {"log": entry["log"], "error": failure(entry), **nothing, **counts, **lines}
 
 
 def _shown(
@@ -207,21 +212,20 @@ def _shown(
             for row in np.flatnonzero(np.isin(numbers, wanted)).tolist():
                 values = chunk.frames.slice(row, 1).to_pylist()[0]
                 first, last = chunk.first[row : row + 2].tolist()
-                parts = chunk.obstacles.slice(first, min(last - first, MOST_ROWS)).to_pylist()
+                own = chunk.obstacles.slice(first, last - first)
+                distances = own["distance_m"].to_numpy()
+                listed = np.sort(np.argsort(distances, kind="stable")[:MOST_ROWS])
+                parts = own.take(listed).to_pylist()
                 key = log.label, values["frame"]
                 found[key] = _frame(values, parts, begin) | {
                     "log": place[log.label],
                     "place": passed + row,
                     "kinds": chosen[key],
                     "reason": reasons.get(values["frame"], ""),
-                    "nearest": _nearest(chunk.obstacles["distance_m"].slice(first, last - first)),
+                    "nearest": round(float(distances.min()), DIGITS) if len(distances) else None,
                 }
             passed += len(numbers)
     return found
-
-
-def _nearest(distances: Any) -> float | None:
-    return round(float(np.min(distances.to_numpy())), DIGITS) if len(distances) else None
 
 
 def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> dict[str, Any]:

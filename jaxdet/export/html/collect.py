@@ -17,6 +17,8 @@ LOST_KEPT = 12
 """First frames without a result, and with an overflow, that are kept of each log."""
 HISTOGRAM_BINS = 41
 """The last one is open."""
+NEAR_M = (1.0, 0.5)
+"""What is nearer is counted by itself: these need be no edges of the histograms' bins [m]."""
 APART = 32
 """Frames worth a look are this part of their log apart."""
 CHUNK_FRAMES = 1 << 16
@@ -140,6 +142,10 @@ class LogFigures:
     """Histogram of the distance to the nearest obstacle of each frame; its last bin is open."""
     per_obstacle: np.ndarray = field(default_factory=lambda: np.zeros(HISTOGRAM_BINS, np.int64))
     """And of all distances."""
+    near_frames: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
+    """Frames whose nearest obstacle is nearer than each of :data:`NEAR_M`."""
+    near_obstacles: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
+    """And of all obstacles."""
     lost: list[int] = field(default_factory=list)
     """The first frames without a result."""
     overflow: list[int] = field(default_factory=list)
@@ -154,6 +160,8 @@ class LogFigures:
         nearest = rows.nearest_m
         self.per_frame += self._histogram(nearest[np.isfinite(nearest)])
         self.per_obstacle += self._histogram(rows.distance_m)
+        self.near_frames += [np.count_nonzero(nearest < limit) for limit in NEAR_M]
+        self.near_obstacles += [np.count_nonzero(rows.distance_m < limit) for limit in NEAR_M]
         for kept, which in (
             (self.lost, rows.status != FrameStatus.OK),
             (self.overflow, rows.overflow),

@@ -33,9 +33,15 @@ def read_picture(path: Path) -> np.ndarray:
     """A picture of a results folder, ``(h, w, 3)`` uint8 BGR.
 
     Raises:
-        InputError: It is missing or no picture.
+        InputError: It can't be read, or is no picture.
     """
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    remedy = "remove it, then it is drawn from the log, or run jaxdet run again"
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)  # of a path OpenCV prints warnings
+    except OSError as error:
+        problem = f"the picture can't be read ({error.strerror})"
+        raise InputError(problem, path=str(path), remedy=remedy) from error
+    picture = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
     if picture is None:
-        raise InputError("the picture is missing or can't be read", path=str(path))
+        raise InputError("the picture is damaged", path=str(path), remedy=remedy)
     return picture

@@ -287,8 +287,8 @@
     const every = Math.max(1, Math.round((size - 1) / 8));
     for (let b = 0; b < size; b += every) add(svg, "text", { x: left + b * wide, y: bottom + 16, "text-anchor": "middle" }, `${+(b * data.width).toFixed(2)}`);
     add(svg, "text", { x: (left + right) / 2, y: H - 4, "text-anchor": "middle" }, counted === "per_frame" ? "distance to the nearest obstacle of a frame [m]" : "distance of each obstacle [m]");
-    const under = (limit) => bins.reduce((t, n, b) => t + ((b + 1) * data.width <= limit + 1e-9 ? n : 0), 0);
-    if (total) add(node, "p", { class: "faint" }, `${many(total, what)}; ${share(under(1), total)} nearer than 1 m, ${share(under(0.5), total)} nearer than 0.5 m.`);
+    const near = data.near.map((limit, i) => `${share(sum((l) => (l[counted] ? l[`near_${what}s`][i] : 0)), total)} nearer than ${limit} m`);
+    if (total) add(node, "p", { class: "faint" }, `${many(total, what)}; ${near.join(", ")}.`);
   }
 
   function chips(node, items, get, set) {
@@ -312,7 +312,11 @@
     const node = clear($("map"));
     const some = picked().filter((l) => l.map);
     $("map-section").hidden = !data.logs.some((l) => l.map);
-    if (!some.length) { add(node, "p", {}, "No map: no poses."); return; }
+    if (!some.length) {
+      const left = picked().filter((l) => l.map_file).map((l) => `${l.map_file}.png`);
+      add(node, "p", {}, left.length ? `Not one of the maps in this page; the results have it as ${left[0]}.` : "No map, see the warnings.");
+      return;
+    }
     for (const log of some.slice(0, only < 0 ? 4 : 1)) {
       const m = log.map, xs = m.path.filter((_, i) => i % 2 === 0), ys = m.path.filter((_, i) => i % 2);
       const low = [Math.min(m.x, ...xs), Math.min(m.y, ...ys)], high = [Math.max(m.x + m.width, ...xs), Math.max(m.y + m.height, ...ys)];
@@ -390,7 +394,7 @@
       .sort(sorts[order]);
     const node = clear($("cards"));
     const bare = data.undrawn.length && showing.some((i) => data.frames[i].status === "ok" && !data.frames[i].picture);
-    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + undrawn() : ""}` : "No frame of this kind.";
+    $("shown").textContent = showing.length ? `${many(showing.length, "frame")} of ${sum((l) => l.frames).toLocaleString("en")}${bare ? "; " + undrawn() : ""}` : kind === "all" ? "None: the run drew no frame, and none has an obstacle or is lost." : "No frame of this kind.";
     for (const i of showing) card(node, i);
   }
 
