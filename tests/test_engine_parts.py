@@ -15,6 +15,7 @@ from jaxdet.cli import info, progress
 from jaxdet.cli.main import main
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
+from jaxdet.export.shapes import topic
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.reading import Results
 from jaxdet.sim import SimConfig, write_log
@@ -146,6 +147,16 @@ def test_results_of_several_cameras_are_read_back(both, two_cameras):
         with open_log(find_logs([str(two_cameras)])[0], results.options_of(log)) as opened:
             assert opened.camera == "rear"
             assert opened.stamps_ns.tolist() == [row["stamp_ns"] for row in rows]
+
+
+def test_results_of_one_of_several_cameras_tell_it_apart(two_cameras, tmp_path):
+    """So the exports of another one can lie beside these."""
+    run(two_cameras, tmp_path, LogOptions(camera="rear"))
+    with Results(tmp_path) as results:
+        (log,) = results.logs
+        assert (log.label, log.file_name) == ("two, rear", "two@rear")
+        assert results.log("two") == results.log("two, rear") == log
+        assert topic(log, "obstacles") == "/jaxdet/rear/obstacles"
 
 
 def test_info_and_lines_name_the_cameras(two_cameras, sim_log, tmp_path, capsys):

@@ -31,5 +31,10 @@ def camera_file_name(log: str, camera: str) -> str:
     return f"{log}@{name}"  # no log's name has an @
 
 
+def is_of_one_camera(file_name: str) -> bool:
+    """Whether files called so are of one of several cameras of a log."""
+    return "@" in file_name
+
+
 def _plain(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).encode()[:MOST_BYTES].decode(errors="ignore")

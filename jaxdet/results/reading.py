@@ -4,7 +4,6 @@ import dataclasses
 import json
 import os
 import typing
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -23,6 +22,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY, VERSION_KEY
+from jaxdet.results.names import is_of_one_camera
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.tracked import Mover, TracksInFrames
 
@@ -228,16 +228,16 @@ class Results:
         return dataclasses.replace(self.log_options, camera=log.camera)
 
     def log(self, name: str) -> ResultLog:
-        """The log of this name, or label where it has several cameras.
+        """The log of this label, or of this name where one camera of it is in the tables.
 
         Raises:
             InputError: There is none.
         """
-        found = next((log for log in self.logs if log.label == name), None)
-        if found is None:
+        found = [log for log in self.logs if name in (log.label, log.name)]
+        if len(found) != 1:
             names = ", ".join(log.label for log in self.logs) or "no log"
             raise InputError(f"no log {name!r}; it holds {names}", path=str(self.folder))
-        return found
+        return found[0]
 
     def chunks(
         self,
@@ -350,12 +350,11 @@ class Results:
 
     def _logs(self) -> Iterator[ResultLog]:
         frame = obstacle = 0
-        entries = self.summary["logs"]
-        cameras = Counter(entry["log"] for entry in entries)
-        for entry in entries:
+        for entry in self.summary["logs"]:
             if not entry["error"]:
                 name, camera = entry["log"], entry["camera"]
-                label = f"{name}, {camera}" if cameras[name] > 1 else name
+                several = is_of_one_camera(entry["file_name"])
+                label = f"{name}, {camera}" if several else name
                 yield ResultLog(name, camera, label, entry["file_name"], entry, frame, obstacle)
                 frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
 
