@@ -554,7 +554,8 @@ def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
 
 def test_other_settings_replace_them(folder: Path, tmp_path: Path):
     copy = shutil.copytree(folder, tmp_path / "copy")
-    track_results(copy, TrackConfig(min_frames=1000))
+    (found,) = track_results(copy, TrackConfig(min_frames=1000))
+    assert found.tracks == found.linked == 0 < found.obstacles and not found.blind
     assert pq.read_table(copy / "tracks.parquet").num_rows == 0
     links = pq.read_table(copy / "track_links.parquet")
     assert links["track"].null_count == links.num_rows > 0
@@ -670,6 +671,29 @@ def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch)
     for name in ("corners_ground", "corners_world", "top_m", "u_max"):
         got = np.concatenate([columns[name] for *_, columns, _ in seen])
         np.testing.assert_array_equal(got, np.stack(rows[name].to_list()))
+
+
+def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
+    """What linked them; which files are theirs."""
+    copy, config = shutil.copytree(folder, tmp_path / "copy"), TrackConfig(min_frames=7, gate_m=0.2)
+    track_results(copy, config)
+    assert tracks_folder.tracking(copy) == config
+    names = ("obstacles", "tracks", "track_links")
+    about = [pq.read_metadata(copy / f"{name}.parquet").metadata for name in names]
+    obstacles, *own = ({k: v for k, v in one.items() if k != b"ARROW:schema"} for one in about)
+    assert all(one.items() > obstacles.items() for one in own)
+    table, key = pq.read_table(copy / "tracks.parquet"), tracks_folder.TRACKING_KEY
+    for told in (None, "{", "[1]", '{"speed": 1}', '{"gate_m": -1}', '{"gate_m": "1"}'):
+        own = None if told is None else {key: told}
+        pq.write_table(table.replace_schema_metadata(own), copy / "tracks.parquet")
+        with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
+            tracks_folder.tracking(copy)
+    (copy / "tracks.parquet").unlink()
+    with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
+        tracks_folder.tracking(copy)
+    theirs = ["tracks.parquet", "track_links.parquet", "tracks_a.png"]
+    others = ["tracks.png", "tracks_a.npz", "track_a.png", "map_a.png", "frames.parquet"]
+    assert list(filter(tracks_folder.is_track_file, theirs + others)) == theirs
 
 
 def test_damaged_folders(folder: Path, tmp_path: Path):

@@ -82,8 +82,8 @@ def test_a_thing_of_several_obstacles_by_hand():
     seen = in_frames(
         [[*boxes, corners_of(0, 3, (0.1, 0.1))], boxes[:1]],
         bottom_m=[0.2, 0.0, 0.4, np.nan, 0.1],
-        top_m=[1.5, 0.5, 1.6, np.nan, 1.4],
-        distance_m=[1.5, 1, 3, 2, 2],
+        top_m=[1.6, 0.5, 1.5, np.nan, 1.4],
+        distance_m=[1.5, 1, 3, 6, 2],
         u_min=[0, 100, 290, 300, 7],
         u_max=[300, 200, 310, 330, 9],
         x_min=[-0.2, 5, 0.0, 0.0, 7],
@@ -104,7 +104,7 @@ def test_a_thing_of_several_obstacles_by_hand():
     np.testing.assert_allclose(things.columns * 640, [[0, 330], [100, 200], [7, 9]])
     np.testing.assert_allclose(things.across_m, [[-0.2, 0.2], [5, 6], [7, 8]])
     assert things.hidden.tolist() == [[True, False], [False, False], [False, False]]
-    assert things.weight[0] == 0.5
+    assert things.weight[0] == 1 / 17
 
 
 @pytest.mark.parametrize(
