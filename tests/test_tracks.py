@@ -130,6 +130,12 @@ def test_the_sides_of_an_outline_that_change_places():
     long, wide = corners_of(2, 0, (1.0, 0.4)), corners_of(2, 0, (0.4, 1.0), np.pi / 2)
     (cart,), _ = follow([[long] if f % 2 else [wide] for f in range(10)])
     np.testing.assert_allclose((cart.length_m, cart.width_m), (1.0, 0.4), rtol=1e-6)
+    frames = []
+    for f in range(30):
+        size, yaw = ((2.0, 0.4), 0.0) if f % 2 else ((0.4, 2.0), np.pi / 2)
+        frames.append([corners_of(f / RATE_HZ, 2, size, yaw)])
+    (lorry,), _ = follow(frames)
+    assert lorry.moving and lorry.length_m == pytest.approx(2.0)
 
 
 def test_two_people_cross():
@@ -379,6 +385,8 @@ def test_frames_that_are_seconds_apart(rate_hz):
 def test_a_glimpse_is_no_track():
     frames = [[corners_of(2, 0)] * (f < 3) for f in range(30)]
     assert follow(frames) == ([], [[-1]] * 3 + [[]] * 27)
+    legs = [corners_of(2, 0), corners_of(2, 0.1)]
+    assert follow([legs] * 3) == ([], [[-1, -1]] * 3)
 
 
 def test_without_poses():
@@ -659,8 +667,11 @@ def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch)
     monkeypatch.setattr(tracks_folder, "WINDOW_FRAMES", 5)
     monkeypatch.setattr(tracks_folder, "Tracker", Spy)
     monkeypatch.setattr(tracks_folder, "obstacles_seen", obstacles_seen)
-    track_results(copy)
+    track_results(copy, TrackConfig(min_frames=7))  # the first window waits for the second
     assert [len(part) for part, *_ in sizes] == [5, 5, 2]
+    links = pq.read_table(copy / "track_links.parquet").to_pandas()
+    assert links["frame"].tolist() == rows["frame"].tolist() and links["track"].notna().any()
+    assert links["obstacle"].tolist() == rows["obstacle"].tolist()
     numbers, stamps, size = ([*chain(*parts)] for parts in zip(*sizes, strict=True))
     assert numbers == frames["frame"].tolist() and stamps == frames["stamp_ns"].tolist()
     assert size == rows["num_points"].tolist()
@@ -683,8 +694,8 @@ def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
     obstacles, *own = ({k: v for k, v in one.items() if k != b"ARROW:schema"} for one in about)
     assert all(one.items() > obstacles.items() for one in own)
     table, key = pq.read_table(copy / "tracks.parquet"), tracks_folder.TRACKING_KEY
-    for told in (None, "{", "[1]", '{"speed": 1}', '{"gate_m": -1}', '{"gate_m": "1"}'):
-        own = None if told is None else {key: told}
+    wrong = "{", "[1]", '{"speed": 1}', '{"gate_m": -1}', '{"gate_m": "1"}'
+    for own in (None, {"jaxdet.format": "2"}, *({key: told} for told in wrong)):
         pq.write_table(table.replace_schema_metadata(own), copy / "tracks.parquet")
         with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
             tracks_folder.tracking(copy)

@@ -195,6 +195,7 @@ def test_links_of_near_frames():
     box, near = corners_of(0, 2), corners_of(0.2, 2)
     assert linked([[box], [], [], [box], [], [], [], [box]]) == [-1, 0, -1]
     assert linked([[box], [box], [box, near]]) == [-1, 0, 1, -1]  # none goes on twice
+    assert linked([[box], [box], [box]], first=2) == [-1, -1, 1]
     assert linked([[box], [box]], stamps=[0, 2.5e9]) == [-1, 0]
     assert linked([[box], [box]], stamps=[0, 2.6e9]) == [-1, -1]
     assert linked([[box], [box]], stamps=[7, 7]) == [-1, -1]
