@@ -1,18 +1,20 @@
-"""Tracks by hand: crossings, occlusions, pieces, what moves; and the tables in a results folder."""
+"""Tracks by hand: crossings, occlusions, pieces, what moves; and the tables in a results folder.
+
+The steps alone are in ``tests/test_tracks_steps.py``.
+"""
 
 import dataclasses
 import shutil
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from scipy.optimize import linear_sum_assignment
 
 from jaxdet import engine
 from jaxdet.cli import main
@@ -22,9 +24,11 @@ from jaxdet.errors import ConfigError, InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import Track, TrackConfig, Tracker, track_results
-from jaxdet.tracks.outlines import Outlines, displacement, gap, overlap
-from jaxdet.tracks.pairs import chain_starts, choose, components, pairs_in_frames
+from jaxdet.tracks import folder as tracks_folder
+from jaxdet.tracks import rows as tracks_rows
+from jaxdet.tracks.outlines import Outlines
 from jaxdet.tracks.seen import obstacles_seen
+from jaxdet.tracks.things import Things
 from jaxdet.tracks.tracker import PIECE_FRAMES
 
 RATE_HZ = 15.0
@@ -50,33 +54,50 @@ def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+def sightings(frame: np.ndarray, stamps: np.ndarray, boxes: np.ndarray, **other: object) -> Things:
+    """Outlines ``(N, 8)`` in frames ``(N,)`` as an upright camera at the origin sees them, but for
+    other columns and rolls."""
+    count = len(boxes)
+    columns = {
+        "corners_ground": boxes,
+        "corners_world": boxes,
+        "bottom_m": np.zeros(count, np.float32),
+        "top_m": np.full(count, 1.7, np.float32),
+        "distance_m": np.hypot(boxes[:, ::2], boxes[:, 1::2]).min(axis=1, initial=99),
+        **in_picture(boxes),
+        "roll_rad": np.zeros(count),
+    } | {name: np.asarray(values) for name, values in other.items()}
+    return obstacles_seen(frame, stamps, columns.pop("roll_rad"), columns, 640)
+
+
 def follow(
     frames: list[list[list[float]]],
     *,
-    poses: bool = True,
+    poses: bool | np.ndarray = True,
+    roll_rad: float = 0.0,
+    rate_hz: float = RATE_HZ,
     window: int = 10_000,
     bottom: dict[tuple[int, int], float] | None = None,
     config: TrackConfig | None = None,
 ) -> tuple[list[Track], list[list[int]]]:
     """Tracks of outlines by frame, and the track of each of them."""
     tracker, tracks, of = Tracker(config or TrackConfig()), [], [np.zeros(0, np.int32)]
-    stamps = (np.arange(len(frames)) / RATE_HZ * 1e9).astype(np.int64) + 10**9
+    stamps = (np.arange(len(frames)) / rate_hz * 1e9).astype(np.int64) + 10**9
     for start in range(0, max(len(frames), 1), window):
         part = frames[start : start + window]
         rows = [(start + f, i, box) for f, boxes in enumerate(part) for i, box in enumerate(boxes)]
         frame = np.array([f for f, _, _ in rows], np.int64)
         boxes = np.array([box for _, _, box in rows], np.float32).reshape(-1, 8)
         low = [(bottom or {}).get((f, i), 0.0) for f, i, _ in rows]
-        count = len(rows)
-        columns = {
-            "corners_ground": boxes,
-            "corners_world": boxes if poses else np.full_like(boxes, np.nan),
+        known = np.broadcast_to(poses, len(frames))[frame]
+        columns: dict[str, np.ndarray] = {
+            "corners_world": np.where(known[:, None], boxes, np.nan),
             "bottom_m": np.array(low, np.float32),
-            "top_m": np.full(count, 1.7, np.float32),
-            "distance_m": np.hypot(boxes[:, ::2], boxes[:, 1::2]).min(axis=1, initial=99),
-            **in_picture(boxes),
+            "roll_rad": np.full(len(rows), roll_rad),
         }
-        seen = obstacles_seen(frame, stamps[frame], columns, 640)
+        if abs(roll_rad) > np.pi / 2:
+            columns |= in_picture(boxes * np.tile((-1, 1), 4))
+        seen = sightings(frame, stamps[frame], boxes, **columns)
         size = Outlines.of_corners(boxes).area
         stop = min(start + window, len(frames))
         tracker.add(np.arange(start, stop), stamps[start:stop], seen, size)
@@ -109,6 +130,12 @@ def test_the_sides_of_an_outline_that_change_places():
     long, wide = corners_of(2, 0, (1.0, 0.4)), corners_of(2, 0, (0.4, 1.0), np.pi / 2)
     (cart,), _ = follow([[long] if f % 2 else [wide] for f in range(10)])
     np.testing.assert_allclose((cart.length_m, cart.width_m), (1.0, 0.4), rtol=1e-6)
+    frames = []
+    for f in range(30):
+        size, yaw = ((2.0, 0.4), 0.0) if f % 2 else ((0.4, 2.0), np.pi / 2)
+        frames.append([corners_of(f / RATE_HZ, 2, size, yaw)])
+    (lorry,), _ = follow(frames)
+    assert lorry.moving and lorry.length_m == pytest.approx(2.0)
 
 
 def test_two_people_cross():
@@ -152,12 +179,13 @@ def part_of(x: float, low: float = -np.inf, high: float = np.inf) -> list:
     return [corners_of((left + right) / 2, 2, (right - left, 0.4))] if right - left > 0.05 else []
 
 
-def test_who_enters_the_picture_is_as_wide_as_later():
+@pytest.mark.parametrize("roll_rad", [0.7, np.nan, np.pi, -2.4])
+def test_who_enters_the_picture_is_as_wide_as_later(roll_rad):
     """The left border hides a part at first, the right one at last; the way is that of the whole
-    body all the time."""
+    body all the time, however the camera is mounted."""
     edge = 319 / 400 * 1.8  # where the nearer side of the outline meets the border
     x = -1.8 + np.arange(54) / RATE_HZ
-    (walks,), _ = follow([part_of(at, -edge, edge) for at in x])
+    (walks,), _ = follow([part_of(at, -edge, edge) for at in x], roll_rad=roll_rad)
     first = walks.first_frame
     assert first > 0 and walks.last_frame < 53 and walks.moving
     off = walks.path[:, 0] - x[first : first + len(walks.path)]
@@ -265,23 +293,64 @@ def test_a_track_longer_than_its_pieces():
     np.testing.assert_allclose(tracks[2].path, [[6, 0]], atol=1e-6)
 
 
+def test_pieces_are_fitted_as_the_whole():
+    """Also where what is before a piece is a gap, and where others are not in pieces yet."""
+    frames = []
+    for f in range(4000):
+        seldom = [corners_of(4, float(np.sin(f / 400)))] * (f % 42 < 8 and f > 600)
+        frames.append([*seldom, corners_of(2, float(np.sin(f / 40)))])
+    (whole, of), (parts, of_parts) = (follow(frames, window=window) for window in (10_000, 256))
+    assert of == of_parts
+    for one, other in zip(whole, parts, strict=True):
+        assert one.moving and one[:6] == other[:6]
+        np.testing.assert_allclose(one.path, other.path, atol=1e-9)
+        np.testing.assert_allclose(one.speed, other.speed, atol=1e-6)
+
+
+def test_what_is_gone_for_longer_than_a_piece():
+    """It goes on where the settings say so."""
+    box, other = corners_of(2, 0), corners_of(4, 0)
+    count = 4 * PIECE_FRAMES
+    frames = [[other, box] if f < 9 or f > count - 9 else [other] for f in range(count)]
+    tracks, of = follow(frames, window=256, config=TrackConfig(max_gap_s=1000.0))
+    assert len(tracks) == 2 and of[0] == of[-1] == [0, 1]
+    assert tracks[1].frames == 17 and tracks[1].last_frame == count - 1
+
+
+def test_visitors_of_many_windows():
+    """Each is another; one who comes seldom keeps those after it waiting for their numbers."""
+    frames, expected = [], []
+    for f in range(200):
+        visit = 5 <= f % 20 < 13
+        frames.append([corners_of(0, 2), *[corners_of(2 + f // 20, 2)] * visit])
+        expected.append([0, *[1 + f // 20] * visit])
+    tracks, of = follow(frames, window=20)
+    assert of == expected and len(tracks) == 11
+    frames = [[corners_of(0, 2)] * (f % 30 < 2) + [corners_of(2, 2)] * (f < 12) for f in range(180)]
+    config = TrackConfig(min_frames=10)
+    tracks, of = follow(frames, window=20, config=config)
+    assert [track.frames for track in tracks] == [12, 12]
+    assert of == [[0] * (f % 30 < 2) + [1] * (f < 12) for f in range(180)]
+
+
 def test_a_standing_camera_keeps_little_in_memory():
     """What is kept of things that stand in sight, and of those that come and go, has a bound."""
     config, tracker = TrackConfig(), Tracker(TrackConfig())
-    window, boxes = 512, np.array([corners_of(k, 0) for k in range(6)], np.float32)
+    window, boxes = 512, np.array([corners_of(2 * k, 0) for k in range(6)], np.float32)
     kept, rows = [], 0
     for start in range(0, 40 * window, window):
         frame = start + np.arange(window)
         stamps = (frame / RATE_HZ * 1e9).astype(np.int64)
-        # One of six is there every second time for a second.
+        # One of six is there every second time for four seconds, another one most of the time.
         there = np.ones((window, 6), bool)
         there[:, 5] = frame // 60 % 2 > 0
+        there[:, 4] = frame % (6 * window) > 60
         at, which = np.nonzero(there)
         found = np.full(len(at), 1, np.float32)
         columns = dict.fromkeys(("bottom_m", "top_m", "distance_m"), found)
         columns |= in_picture(boxes[which])
         columns |= dict.fromkeys(("corners_ground", "corners_world"), boxes[which])
-        seen = obstacles_seen(frame[at], stamps[at], columns, None)
+        seen = obstacles_seen(frame[at], stamps[at], np.zeros(len(at)), columns, None)
         tracker.add(frame, stamps, seen, np.ones(len(at), np.int64))
         assert tracker.things is not None
         tracks, decided = tracker.take()
@@ -289,7 +358,10 @@ def test_a_standing_camera_keeps_little_in_memory():
         pieces = [piece for part in tracker.pieces.values() for piece in part]
         numbers = tracker.numbers
         state = (tracker.things.frame, tracker.stamps, numbers.of, numbers._seen, numbers._rows)
+        state += tracker.begin, tracker.pieces
         kept.append([*map(len, state), sum(len(piece.path) for piece in pieces)])
+        # Of more than 2,048 frames the last 1,024 wait.
+        assert {piece.num_frames for piece in tracker.pieces.get(0, ())} <= {3 * window}
         assert all(track.path.shape == (1, 2) for track in tracks)
     limit = 6 * (2 * PIECE_FRAMES + window + RATE_HZ * (config.smooth_s + config.max_gap_s))
     assert np.max(kept, axis=0)[0] <= limit
@@ -300,9 +372,21 @@ def test_a_standing_camera_keeps_little_in_memory():
     assert len(tracks) == 6 and rows + sum(map(len, decided)) > 40 * window * 5
 
 
+@pytest.mark.parametrize("rate_hz", [0.45, 1.0, 1.42])
+def test_frames_that_are_seconds_apart(rate_hz):
+    """Farther than ``smooth_s``: speeds are those to the frames next to each."""
+    frames = [[corners_of(4, f / rate_hz - 3), corners_of(6, 0)] for f in range(12)]
+    (walks, stands), _ = follow(frames, rate_hz=rate_hz)
+    np.testing.assert_allclose(walks.speed, 1, atol=0.01)
+    np.testing.assert_allclose(walks.path[:, 1], np.arange(12) / rate_hz - 3, atol=0.01)
+    assert walks.moving and not stands.moving
+
+
 def test_a_glimpse_is_no_track():
     frames = [[corners_of(2, 0)] * (f < 3) for f in range(30)]
     assert follow(frames) == ([], [[-1]] * 3 + [[]] * 27)
+    legs = [corners_of(2, 0), corners_of(2, 0.1)]
+    assert follow([legs] * 3) == ([], [[-1, -1]] * 3)
 
 
 def test_without_poses():
@@ -340,49 +424,6 @@ def test_the_same_again_and_in_windows(seed):
     assert len(parts) == len(whole) and of_parts == of
 
 
-@given(st.integers(0, 10**6))
-@settings(max_examples=30, deadline=None)
-def test_choosing_takes_the_cheapest_first(seed):
-    """As a loop does; and with one pair for each row it is the best assignment."""
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(1, 12))
-    a, b = rng.integers(0, 6, (2, count))
-    b = b + 6
-    cost = rng.integers(0, 5, count).astype(float)
-    taken, used = [], set()
-    for k in np.lexsort((b, a, cost)).tolist():
-        if a[k] not in used and b[k] not in used:
-            taken.append(k)
-            used |= {int(a[k]), int(b[k])}
-    assert choose(a, b, cost, 12).tolist() == sorted(taken)
-    apart = 10.0 * np.abs(np.subtract.outer(np.arange(4), rng.permutation(4)))
-    rows, columns = np.divmod(np.arange(16), 4)
-    best = choose(rows, columns + 4, apart.ravel(), 8)
-    assert (columns[best] == linear_sum_assignment(apart)[1]).all()
-
-
-def test_pairs_chains_and_components():
-    a, b = pairs_in_frames(np.array([0, 0, 0, 2, 3, 3]))
-    assert list(zip(a.tolist(), b.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 2), (4, 5)]
-    assert chain_starts(np.array([-1, 0, -1, 1, 2, 3])).tolist() == [0, 0, 2, 0, 2, 0]
-    assert components(6, np.array([4, 1]), np.array([5, 4])).tolist() == [0, 1, 2, 3, 1, 1]
-    assert components(5, np.array([3, 2, 1]), np.array([4, 3, 2])).tolist() == [0, 1, 1, 1, 1]
-
-
-def test_rectangles():
-    a = Outlines.of_corners(np.array([corners_of(0, 0, (2, 1)), corners_of(0, 0, (2, 1))]))
-    b = Outlines.of_corners(np.array([corners_of(1, 0, (2, 1)), corners_of(3, 0, (2, 1))]))
-    np.testing.assert_allclose(overlap(a, b), [0.5, -0.5])
-    np.testing.assert_allclose(gap(a, b), [-1 + 0, 1], atol=1e-12)
-    np.testing.assert_allclose(displacement(a, b), [1, 3])
-    grown = Outlines.of_corners(
-        np.array([corners_of(0.5, 0, (3, 1)), corners_of(0, 0, (3, 3), 0.3)])
-    )
-    np.testing.assert_allclose(displacement(a, grown), [0, 0], atol=1e-12)
-    point = Outlines.of_corners(np.array([[1.0, 2.0] * 4]))
-    assert (point.center == [[1, 2]]).all() and (point.half == 0).all() and point.area == 0
-
-
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(TrackConfig)])
 def test_settings_out_of_range(field):
     name, whole = field.replace("_", "-"), isinstance(getattr(TrackConfig(), field), int)
@@ -396,6 +437,19 @@ def test_settings_out_of_range(field):
     if field.endswith("_m"):
         with pytest.raises(ConfigError, match=f"{name} is out of its range"):
             TrackConfig(**{field: 100.0})
+
+
+def test_settings_at_the_edges_of_their_ranges():
+    TrackConfig(overlap=1.0, floats_m=0.0, touch_m=0.0, max_gap_frames=1, min_frames=1)
+    zero = {"gate_m", "overlap", "max_speed_mps", "max_gap_s", "long_m", "moving_m", "noise_m"}
+    for name in sorted(zero | {"smooth_s"}):
+        with pytest.raises(ConfigError, match="is out of its range"):
+            TrackConfig(**{name: 0.0})
+    for name in ("max_gap_frames", "min_frames"):
+        with pytest.raises(ConfigError, match="is out of its range"):
+            TrackConfig(**{name: 0})
+    with pytest.raises(ConfigError, match="overlap is out of its range"):
+        TrackConfig(overlap=1.01)
 
 
 def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: object) -> Path:
@@ -508,7 +562,8 @@ def test_the_same_bytes_however_the_log_was_split(folder: Path, tmp_path: Path):
 
 def test_other_settings_replace_them(folder: Path, tmp_path: Path):
     copy = shutil.copytree(folder, tmp_path / "copy")
-    track_results(copy, TrackConfig(min_frames=1000))
+    (found,) = track_results(copy, TrackConfig(min_frames=1000))
+    assert found.tracks == found.linked == 0 < found.obstacles and not found.blind
     assert pq.read_table(copy / "tracks.parquet").num_rows == 0
     links = pq.read_table(copy / "track_links.parquet")
     assert links["track"].null_count == links.num_rows > 0
@@ -522,6 +577,134 @@ def test_logs_without_obstacles_or_poses(tmp_path: Path):
     blind = results(tmp_path, "blind", dataclasses.replace(SIM, frames=6, odometry_hz=0))
     (found,) = track_results(blind)
     assert found.tracks and not found.in_world and not (blind / "tracks_blind.png").exists()
+
+
+def edited(path: Path, column: str, values: list) -> None:
+    """Gives a column of a table other values."""
+    table = pq.read_table(path)
+    at = table.schema.get_field_index(column)
+    new = pa.array(values, table.schema.field(at).type)
+    table = table.set_column(at, table.schema.field(at), new)
+    pq.write_table(table.replace_schema_metadata(pq.read_metadata(path).metadata), path)
+
+
+def check_track(track: dict[str, Any], own: list[dict[str, Any]]) -> None:
+    """A row of ``tracks.parquet`` agrees with those of its obstacles."""
+    assert track["num_obstacles"] == len(own) and track["camera"] == own[0]["camera"]
+    assert track["num_frames"] == len({row["frame"] for row in own})
+    for name, row in (("first", own[0]), ("last", own[-1])):
+        assert track[f"{name}_frame"] == row["frame"]
+        assert track[f"{name}_stamp_ns"] == row["stamp_ns"]
+    assert track["length_m"] >= track["width_m"] and track["top_m"] > 0
+    assert track["mean_speed_mps"] == pytest.approx(np.mean(track["speed_mps"]), rel=1e-6)
+    assert track["max_speed_mps"] == max(track["speed_mps"])
+
+
+def test_what_is_told_of_each_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Of two logs, one without poses; of the other they are lost at first and at last."""
+    for name, hz in (("a", 50.0), ("b", 0.0)):
+        sim = dataclasses.replace(SIM, frames=12, odometry_hz=hz)
+        write_log(tmp_path / f"{name}.mcap", sim)
+    out = tmp_path / "out"
+    options = RunOptions(out, backend="reference", pictures=0)
+    engine.run(find_logs([str(tmp_path)]), Config(), LogOptions(), options)
+    frames = pq.read_table(out / "frames.parquet").to_pylist()
+    places = [r["camera_position_world"] if r["frame"] > 1 else None for r in frames]
+    edited(out / "frames.parquet", "camera_position_world", places)
+    rows = pq.read_table(out / "obstacles.parquet").to_pylist()
+    corners = [row["corners_world"] if 4 < row["frame"] < 11 else None for row in rows]
+    edited(out / "obstacles.parquet", "corners_world", corners)
+    drawn = []
+    plain = tracks_folder.draw_map
+
+    def draw_map(image: np.ndarray, label: str, paths: list) -> np.ndarray:
+        drawn.append((label, [(path.ravel().tolist(), moves) for path, moves in paths]))
+        return plain(image, label, paths)
+
+    monkeypatch.setattr(tracks_folder, "draw_map", draw_map)
+    monkeypatch.setattr(tracks_rows, "PART_ROWS", 2)
+    found = track_results(out, TrackConfig(min_frames=2, moving_m=0.02))
+    all_tracks = pq.read_table(out / "tracks.parquet").to_pylist()
+    links = pq.read_table(out / "track_links.parquet")["track"].to_pylist()
+    assert [log.log for log in found] == ["a", "b"]
+    for log in found:
+        tracks = [track for track in all_tracks if track["log"] == log.log]
+        of = [(r, t) for r, t in zip(rows, links, strict=True) if r["log"] == log.log]
+        assert [track["track"] for track in tracks] == [*range(log.tracks)]
+        assert log.moving == sum(track["moving"] for track in tracks)
+        assert log.in_world == sum(track["in_world"] for track in tracks)
+        assert log.obstacles == len(of) and log.linked == sum(t is not None for _, t in of)
+        for track in tracks:
+            own = [row for row, t in of if t == track["track"]]
+            check_track(track, own)
+            assert track["in_world"] == (log.log == "a" and own[0]["frame"] > 4)
+    a, b = found
+    assert a.linked < a.obstacles
+    assert 0 < a.moving < a.tracks and 2 < a.in_world < a.tracks and not b.in_world
+    assert (a.blind, b.blind) == (("the world's z is not up", "no poses"), ("no poses",))
+    ways = [(t["path"], t["moving"]) for t in all_tracks if t["in_world"]]
+    assert drawn == [("a", ways)] and not list(out.glob("*.arrow"))
+
+
+def test_what_is_linked_is_the_tables(folder: Path, tmp_path: Path, monkeypatch):
+    """Windows go on where the last one ended."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    frames = pq.read_table(copy / "frames.parquet").to_pandas()
+    rows = pq.read_table(copy / "obstacles.parquet").to_pandas()
+    rolls = [3.1 if f % 3 else None for f in range(len(frames))]
+    edited(copy / "frames.parquet", "camera_roll_rad", rolls)
+    seen, sizes, plain = [], [], tracks_folder.obstacles_seen
+
+    class Spy(Tracker):
+        def add(self, frames: np.ndarray, stamps: np.ndarray, seen: Things, size: np.ndarray):
+            sizes.append((frames.tolist(), stamps.tolist(), size.tolist()))
+            super().add(frames, stamps, seen, size)
+
+    def obstacles_seen(*given: Any) -> Things:
+        seen.append(given)
+        return plain(*given)
+
+    monkeypatch.setattr(tracks_folder, "WINDOW_FRAMES", 5)
+    monkeypatch.setattr(tracks_folder, "Tracker", Spy)
+    monkeypatch.setattr(tracks_folder, "obstacles_seen", obstacles_seen)
+    track_results(copy, TrackConfig(min_frames=7))  # the first window waits for the second
+    assert [len(part) for part, *_ in sizes] == [5, 5, 2]
+    links = pq.read_table(copy / "track_links.parquet").to_pandas()
+    assert links["frame"].tolist() == rows["frame"].tolist() and links["track"].notna().any()
+    assert links["obstacle"].tolist() == rows["obstacle"].tolist()
+    numbers, stamps, size = ([*chain(*parts)] for parts in zip(*sizes, strict=True))
+    assert numbers == frames["frame"].tolist() and stamps == frames["stamp_ns"].tolist()
+    assert size == rows["num_points"].tolist()
+    frame, stamp, roll = (np.concatenate(parts) for parts in list(zip(*seen, strict=True))[:3])
+    assert frame.tolist() == rows["frame"].tolist() and stamp.tolist() == rows["stamp_ns"].tolist()
+    np.testing.assert_array_equal(roll, np.array(rolls, np.float32)[frame])
+    assert {width for *_, width in seen} == {SIM.width}
+    for name in ("corners_ground", "corners_world", "top_m", "u_max"):
+        got = np.concatenate([columns[name] for *_, columns, _ in seen])
+        np.testing.assert_array_equal(got, np.stack(rows[name].to_list()))
+
+
+def test_what_tracks_say_of_themselves(folder: Path, tmp_path: Path):
+    """What linked them; which files are theirs."""
+    copy, config = shutil.copytree(folder, tmp_path / "copy"), TrackConfig(min_frames=7, gate_m=0.2)
+    track_results(copy, config)
+    assert tracks_folder.tracking(copy) == config
+    names = ("obstacles", "tracks", "track_links")
+    about = [pq.read_metadata(copy / f"{name}.parquet").metadata for name in names]
+    obstacles, *own = ({k: v for k, v in one.items() if k != b"ARROW:schema"} for one in about)
+    assert all(one.items() > obstacles.items() for one in own)
+    table, key = pq.read_table(copy / "tracks.parquet"), tracks_folder.TRACKING_KEY
+    wrong = "{", "[1]", '{"speed": 1}', '{"gate_m": -1}', '{"gate_m": "1"}'
+    for own in (None, {"jaxdet.format": "2"}, *({key: told} for told in wrong)):
+        pq.write_table(table.replace_schema_metadata(own), copy / "tracks.parquet")
+        with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
+            tracks_folder.tracking(copy)
+    (copy / "tracks.parquet").unlink()
+    with pytest.raises(InputError, match="doesn't say what linked the obstacles"):
+        tracks_folder.tracking(copy)
+    theirs = ["tracks.parquet", "track_links.parquet", "tracks_a.png"]
+    others = ["tracks.png", "tracks_a.npz", "track_a.png", "map_a.png", "frames.parquet"]
+    assert list(filter(tracks_folder.is_track_file, theirs + others)) == theirs
 
 
 def test_damaged_folders(folder: Path, tmp_path: Path):

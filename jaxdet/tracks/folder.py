@@ -145,14 +145,17 @@ def _track_log(
         return sum(int((of >= 0).sum()) for of in tracks_of)
 
     blind = Counter[str]()
-    for chunk in results.chunks(log, ("stamp_ns", *_PLACE), _READ, WINDOW_FRAMES):
-        stamps, first = chunk.frames["stamp_ns"].to_numpy(), chunk.first
+    names = "stamp_ns", "camera_roll_rad", *_PLACE
+    for chunk in results.chunks(log, names, _READ, WINDOW_FRAMES):
+        stamps, roll = (chunk.frames[name].to_numpy() for name in names[:2])
+        first = chunk.first
         frame = np.repeat(np.arange(len(stamps)), np.diff(first))
         columns = {name: chunk.obstacles[name].to_numpy() for name in _COLUMNS}
         columns |= {name: _corners(chunk, name) for name in ("corners_ground", "corners_world")}
         nowhere = np.isnan(columns["corners_world"]).any(axis=1)
         blind.update(_blind(chunk.take(np.unique(frame[nowhere]))))
-        seen = obstacles_seen(start + frame, stamps[frame], columns, color.get("width"))
+        width = color.get("width")
+        seen = obstacles_seen(start + frame, stamps[frame], roll[frame], columns, width)
         waiting.append(chunk.obstacles.select(keys).cast(pa.schema(list(LINKS_SCHEMA)[:-1])))
         size = chunk.obstacles["num_points"].to_numpy()
         tracker.add(chunk.frames["frame"].to_numpy(), stamps, seen, size)

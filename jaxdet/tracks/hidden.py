@@ -46,8 +46,8 @@ def unseen(things: Things, track: np.ndarray, count: int) -> np.ndarray:
     order = np.lexsort((shown, sides > 0, track))  # whole ones first
     first = np.searchsorted(track[order], np.arange(count))
     whole = np.bincount(track[sides == 0], minlength=count)
-    narrow = shown[order][np.minimum(first + (whole * NARROWER).astype(np.int64), len(order) - 1)]
+    narrow = shown[order][first + (whole * NARROWER).astype(np.int64)]
     usual = np.where(whole > 2, narrow, 0.0)[track]
-    missing = np.where(sides == 1, np.clip(usual - shown, 0.0, shown) / 2, 0.0)
+    missing = np.clip(usual - shown, 0.0, shown) / 2
     way = things.hidden[:, 1].astype(np.float64) - things.hidden[:, 0]
     return (missing * way)[:, None] * things.rightwards

@@ -90,7 +90,6 @@ def end_pieces(things: Things, before: np.ndarray, first: int, config: TrackConf
     old, new = pairs_of_frames(things.frame, starts, 0)
     lost = end[root[old]] - things.frame[new]
     taken = (lost < config.max_gap_frames) & (end[new] > end[root[old]]) & (before[old] >= 0)
-    taken &= things.in_world[old] == things.in_world[new]
     short = 2 * things.outline.half.max(axis=1) <= config.long_m
     taken &= short[old] & short[new]
     old, new = old[taken], new[taken]

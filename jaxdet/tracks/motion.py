@@ -129,7 +129,7 @@ def _filled(
     known = np.zeros(len(stamp), bool)
     known[point] = True
     before = np.cumsum(known) - 1
-    after = np.minimum(before + ~known, len(point) - 1)
+    after = before + ~known
     whole = np.maximum(stamp[point[after]] - stamp[point[before]], 1)
     share = (stamp - stamp[point[before]]) / whole
     filled = edges[before] + share[:, None] * (edges[after] - edges[before])
@@ -142,12 +142,13 @@ def _fitted(
     """Lines through the values within ``reach_s`` of each point: value and slope, ``(P, V)``.
 
     At both ends of a track they go through more, so that it is never less than three quarters of
-    the time.
+    the time. Where no other point is so near, they go through those next to it.
     """
     ends = np.flatnonzero(np.diff(track, append=-1))
     first, last = time[np.append(0, ends[:-1] + 1)][track], time[ends][track]
     inner = np.minimum(reach_s / 2, (last - first) / 2)
     middle = np.clip(time, first + inner, last - inner)
+    reach = _reached(track, time, middle, reach_s)
     n = weight.copy()
     st, stt = np.zeros(len(track)), np.zeros(len(track))
     sv, stv = np.zeros_like(values), np.zeros_like(values)
@@ -156,7 +157,8 @@ def _fitted(
             here = np.s_[step:] if sign < 0 else np.s_[:-step]
             there = np.s_[:-step] if sign < 0 else np.s_[step:]
             t = time[there] - time[here]
-            near = (track[there] == track[here]) & (np.abs(time[there] - middle[here]) <= reach_s)
+            near = np.abs(time[there] - middle[here]) <= reach[here]
+            near &= track[there] == track[here]
             if not near.any():
                 break
             w = np.where(near, weight[there], 0.0)
@@ -170,3 +172,15 @@ def _fitted(
     spread = stt / n - mean_t**2
     slope = (stv / n[:, None] - mean_t[:, None] * mean_v) / (spread + STEADY_S**2)[:, None]
     return values + mean_v - slope * mean_t[:, None], slope
+
+
+def _reached(track: np.ndarray, time: np.ndarray, middle: np.ndarray, reach_s: float) -> np.ndarray:
+    """How far each line reaches, ``(P,)`` [s].
+
+    That is ``reach_s``; where no other point is so near, as far as both that are next to it.
+    """
+    apart = np.full((2, len(track)), np.nan)
+    same = track[1:] == track[:-1]
+    apart[0, 1:][same] = np.abs(time[:-1] - middle[1:])[same]
+    apart[1, :-1][same] = np.abs(time[1:] - middle[:-1])[same]
+    return np.where(np.fmin(*apart) > reach_s, np.fmax(*apart), reach_s)

@@ -62,7 +62,7 @@ class Numbers:
             rows = self._rows.popleft()
             chains, which = np.unique(rows, return_inverse=True)
             numbers = np.array([self.of[chain] for chain in chains.tolist()], np.int32)
-            found.append(numbers[which] if len(rows) else np.zeros(0, np.int32))
+            found.append(numbers[which])
             self._taken += 1
         while self._ended and self._ended[0][0] <= self._taken:
             chain = self._ended.popleft()[1]

@@ -16,6 +16,7 @@ NOISE_M = 3.0
 def obstacles_seen(
     frame: np.ndarray,
     stamp_ns: np.ndarray,
+    roll_rad: np.ndarray,
     columns: Mapping[str, np.ndarray],
     width: int | None,
 ) -> Things:
@@ -24,6 +25,7 @@ def obstacles_seen(
     Args:
         frame: ``(N,)``.
         stamp_ns: ``(N,)``.
+        roll_rad: ``(N,)``, the camera's, NaN where that is not known.
         columns: Of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN without a
             pose), ``bottom_m``, ``top_m``, ``distance_m``, ``u_min``, ``u_max``,
             ``x_min``, ``x_max``.
@@ -39,7 +41,7 @@ def obstacles_seen(
         hidden[:, 0] = columns["u_min"] <= BORDER_PX
         hidden[:, 1] = columns["u_max"] >= width - 1 - BORDER_PX
     across = np.stack([columns["x_min"], columns["x_max"]], axis=1).astype(np.float64)
-    rightwards = _rightwards(columns["corners_ground"], world, known)
+    rightwards = _rightwards(columns["corners_ground"], world, known) * _across(roll_rad)[:, None]
     distance = columns["distance_m"].astype(np.float64)
     weight = 1 / (1 + (distance / NOISE_M) ** 4)
     bottom, top = (columns[name].astype(np.float64) for name in ("bottom_m", "top_m"))
@@ -51,10 +53,20 @@ def obstacles_seen(
 
 
 def _rightwards(ground: np.ndarray, world: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """``(N, 2)``, the camera's right in the frame of the outlines, from their diagonals."""
+    """``(N, 2)``, the ground frame's right in that of the outlines, from their diagonals."""
     one, other = (c.astype(np.float64)[:, 4:6] - c[:, :2] for c in (ground, world))
     length = np.maximum((one * one).sum(axis=1), 1e-12)
     # The ground frame is right-handed with x right, y forward: the turn takes one to the other.
     cos = (one * other).sum(axis=1) / length
     sin = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / length
     return np.where(known[:, None], np.stack([cos, sin], axis=1), (1.0, 0.0))
+
+
+def _across(roll_rad: np.ndarray) -> np.ndarray:
+    """``(N,)``, which way the image's columns go: 1 to the right, -1 to the left, 0 neither.
+
+    To the left they go in a camera that is upside down (rolled by 135 degrees or more), neither in
+    one on its side (45 degrees or more).
+    """
+    upright = np.cos(np.where(np.isnan(roll_rad), 0.0, roll_rad))
+    return np.where(np.abs(upright) > np.cos(np.pi / 4), np.sign(upright), 0.0)

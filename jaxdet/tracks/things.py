@@ -31,12 +31,14 @@ class Things(NamedTuple):
     distance_m: np.ndarray
     """``(N,)`` float64, of its nearest point from the camera's foot [m]."""
     rightwards: np.ndarray
-    """``(N, 2)`` float64, the camera's right on the floor, unit vector in the outline's frame."""
+    """``(N, 2)`` float64, where the image's columns go on the floor, a unit vector in the outline's
+    frame; 0 where they go up or down."""
     hidden: np.ndarray
     """``(N, 2)`` bool, whether its left and its right side are out of sight: beyond the image's
     border, or behind something nearer."""
     in_world: np.ndarray
-    """``(N,)`` bool, whether the outline is in the world, else in the camera's ground frame."""
+    """``(N,)`` bool, whether the outline is in the world, else in the camera's ground frame; the
+    same for all of a frame."""
     obstacles: np.ndarray
     """``(N,)`` int64, obstacles joined to it."""
 
@@ -74,8 +76,8 @@ def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[T
     a, b = pairs_in_frames(seen.frame)
     larger = np.where(size[b] > size[a], b, a)
     short = 2 * seen.outline.half.max(axis=1) <= config.long_m
-    same = short[a] & short[b] & (seen.in_world[a] == seen.in_world[b])
-    a, b, larger = a[same], b[same], larger[same]
+    both = short[a] & short[b]
+    a, b, larger = a[both], b[both], larger[both]
     shared = overlap(seen.outline.take(a), seen.outline.take(b))
     floats = np.where(larger == a, seen.bottom_m[b], seen.bottom_m[a]) > config.floats_m
     near = gap(seen.outline.take(a), seen.outline.take(b)) <= config.touch_m
