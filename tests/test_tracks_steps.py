@@ -76,6 +76,24 @@ def test_which_obstacles_are_one_thing(other, bottoms, one):
         assert (len(things.frame), thing[0] == thing[1]) == ((1, True) if one else (2, False))
 
 
+@pytest.mark.parametrize(
+    ("columns", "distance", "one"),
+    [((100, 165), 1, False), ((100, 164), 1, True), ((165, 400), 1, False), ((150, 180), 3, True)],
+)
+def test_what_stands_behind_something_nearer_floats_beside_nothing(columns, distance, one):
+    """A post whose foot a bucket hides, beside a crate; the bucket is before half of it or not."""
+    post, crate, bucket = corners_of(0, 2), corners_of(0.35, 2), corners_of(5, 5)
+    seen = in_frames(
+        [[post, crate, bucket]],
+        bottom_m=[0.3, 0.1, 0.0],
+        distance_m=[2, 2.5, distance],
+        u_min=[150, 190, columns[0]],
+        u_max=[180, 300, columns[1]],
+    )
+    things, thing = whole_things(seen, np.array([4, 9, 6]), TrackConfig())
+    assert (thing[0] == thing[1]) == one and len(things.frame) == (2 if one else 3)
+
+
 def test_a_thing_of_several_obstacles_by_hand():
     """The rectangle around them lies as the one with the most cells, the rest is of all."""
     boxes = [corners_of(0, 3, (0.4, 0.2)), SIDE, corners_of(0.1, 3.1, (0.2, 0.2), np.pi / 6)]

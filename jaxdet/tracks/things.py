@@ -63,7 +63,7 @@ def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[T
     """Joins obstacles of a frame that can't be two things, as their outlines overlap.
 
     Of a person who walks a frame may show two legs, which stand within each other's outlines, or an
-    arm, which floats beside the body.
+    arm, which floats beside the body. What seems to float behind something nearer may well stand.
 
     Args:
         seen: ``N`` obstacles.
@@ -74,12 +74,16 @@ def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[T
         The things, and ``(N,)`` int64, the thing of each obstacle.
     """
     a, b = pairs_in_frames(seen.frame)
-    larger = np.where(size[b] > size[a], b, a)
+    larger = size[b] > size[a]
+    small, large = np.where(larger, a, b), np.where(larger, b, a)
+    before = np.bincount(small, _is_before(seen, large, small), len(seen.frame))
+    before += np.bincount(large, _is_before(seen, small, large), len(seen.frame))
     short = 2 * seen.outline.half.max(axis=1) <= config.long_m
     both = short[a] & short[b]
-    a, b, larger = a[both], b[both], larger[both]
+    a, b, small, large = a[both], b[both], small[both], large[both]
     shared = overlap(seen.outline.take(a), seen.outline.take(b))
-    floats = np.where(larger == a, seen.bottom_m[b], seen.bottom_m[a]) > config.floats_m
+    others = before[small] > _is_before(seen, large, small)
+    floats = (seen.bottom_m[small] > config.floats_m) & ~others
     near = gap(seen.outline.take(a), seen.outline.take(b)) <= config.touch_m
     held = (shared >= config.overlap) | (floats & near)
     a, b = a[held], b[held]
@@ -91,6 +95,15 @@ def whole_things(seen: Things, size: np.ndarray, config: TrackConfig) -> tuple[T
     order = np.lexsort((np.arange(len(root)), -size, thing))
     lead = order[np.searchsorted(thing[order], np.arange(len(leaders)))]
     return _joined(seen, thing, lead), thing
+
+
+def _is_before(seen: Things, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Whether ``one`` is nearer than ``other``, before at least half of its columns."""
+    columns = seen.columns
+    width = np.minimum(columns[one, 1], columns[other, 1])
+    width -= np.maximum(columns[one, 0], columns[other, 0])
+    nearer = seen.distance_m[one] < seen.distance_m[other]
+    return nearer & (2 * width >= columns[other, 1] - columns[other, 0])
 
 
 def _joined(seen: Things, thing: np.ndarray, lead: np.ndarray) -> Things:
