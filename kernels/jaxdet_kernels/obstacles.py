@@ -11,7 +11,7 @@ MAX_LABELS = 1024  # most parts of obstacles, once those that bend are split
 
 
 def scratch_words(rows: int, columns: int) -> int:
-    """How much scratch memory a team needs, as ``lay`` in ``native/obstacles.h`` uses it.
+    """How much scratch memory a team needs, as ``allocate`` in ``native/obstacles.h`` uses it.
 
     Args:
         rows: ``R``.
@@ -49,7 +49,7 @@ def _words(cells: int) -> int:
                         {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
                          settings.data[Obstacles::OFFSET]}, label_out.data + at,
                         count_out.data + b};
-        frame.lay(scratch);
+        frame.allocate(scratch);
         frame.run(team);
 """,
 )

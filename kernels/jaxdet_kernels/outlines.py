@@ -50,7 +50,7 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
                           directions.data, contour_out.data + 2 * capacity * slot,
                           contour_points_out.data + slot, direction_out.data + 2 * slot,
                           span_out.data + 4 * slot};
-        cells.lay(outlines.lay(scratch), slots);
+        cells.allocate(outlines.allocate(scratch), slots);
         outlines.run();
 """,
 )

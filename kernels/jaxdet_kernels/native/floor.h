@@ -119,11 +119,11 @@ struct Floor {
             const int row = i / c, column = i % c;
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
-            const int k = team.count(counts + ALL);
+            const int k = team.atomic_count(counts + ALL);
             cells[k] = x[p];
             cells[most + k] = y[p];
             cells[2 * most + k] = depth;
-            if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
+            if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(depth));
         }
         team.sync();
         if (team.rank == 0) {
@@ -139,12 +139,12 @@ struct Floor {
             const int row = i / across * 2, column = i % across * 2;
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
-            const int k = team.count(counts + NEXT + ring_of(depth));
+            const int k = team.atomic_count(counts + NEXT + ring_of(depth));
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
             if (column < margin || column >= c - margin) continue;
-            const int n = team.count(counts + INNER);
+            const int n = team.atomic_count(counts + INNER);
             inner[n] = x[p];
             inner[most_few + n] = y[p];
             inner[2 * most_few + n] = depth;
@@ -266,7 +266,7 @@ struct Floor {
             for (int i = team.rank; i < all.count; i += team.size) {
                 const int x = all.x[i], y = all.y[i], z = all.z[i];
                 const bool is_beyond = forward.along(x, y, z) >= ahead.start;
-                const int n = team.count(counts + (is_beyond ? BEYOND : BEFORE));
+                const int n = team.atomic_count(counts + (is_beyond ? BEYOND : BEFORE));
                 const int k = is_beyond ? most - 1 - n : n;
                 parts[k] = x;
                 parts[most + k] = y;

@@ -71,17 +71,17 @@ struct FloorProfile {
             high[i] = up > 0 ? up : 0;
         }
         for (int i = team.rank; i < cells.count; i += team.size)
-            if (run[i] >= 0) team.add(begin() + run[i], 1);
+            if (run[i] >= 0) team.atomic_add(begin() + run[i], 1);
         team.sync();
         const Warp warp(team);
         if (warp.index == 0) {
-            warp.run_up(begin(), n);
-            for (int k = warp.rank; k <= n; k += warp.size) cursor()[k] = begin()[k];
+            warp.exclusive_sum(begin(), n);
+            for (int k = warp.lane; k <= n; k += warp.size) cursor()[k] = begin()[k];
         }
         team.sync();
         for (int i = team.rank; i < cells.count; i += team.size)
             if (run[i] >= 0) {
-                const int place = team.add(cursor() + run[i], 1);
+                const int place = team.atomic_add(cursor() + run[i], 1);
                 sorted[place] = high[i];
                 at[place] = run[i];
             }
@@ -128,7 +128,7 @@ struct FloorProfile {
 #endif
     }
 
-    // Running counts of the cells of each distance over their heights, where these are in no order.
+    // Cumulative counts of the cells of each distance over height, where heights are in no order.
     void count(const Team& team) const {
 #if !defined(__CUDA_ARCH__)
         const int n = runs(), width = 2 * half() + 1;

@@ -75,15 +75,15 @@ struct FloorRamps : FloorProfile {
             }
 #endif
             worth()[i] = on - each * below;
-            team.most(most() + k, worth()[i]);
+            team.atomic_max(most() + k, worth()[i]);
         }
         team.sync();
         // The first become sums of those before, the second of those from there on.
         const Warp warp(team);
-        if (warp.index == 0) warp.run_up(flat(), runs());
+        if (warp.index == 0) warp.exclusive_sum(flat(), runs());
         if (warp.index == 1 % warp.count) {
-            const int all = warp.run_up(most(), runs());
-            for (int k = warp.rank; k <= runs(); k += warp.size) most()[k] = all - most()[k];
+            const int all = warp.exclusive_sum(most(), runs());
+            for (int k = warp.lane; k <= runs(); k += warp.size) most()[k] = all - most()[k];
         }
         team.sync();
     }
@@ -127,7 +127,7 @@ struct FloorRamps : FloorProfile {
                 }
                 for (int w = 0; w < ABREAST; w++) votes[w] += run > nearest[w] ? most[w] : level;
             }
-            for (int w = 0; w < ABREAST; w++) team.most(found, votes[w]);
+            for (int w = 0; w < ABREAST; w++) team.atomic_max(found, votes[w]);
         }
     }
 
@@ -171,7 +171,7 @@ struct FloorRamps : FloorProfile {
             }
             if (votes < known || k < n) continue;
             known = votes;
-            team.least(key, key_of(votes, m));
+            team.atomic_min(key, key_of(votes, m));
         }
         team.sync();
     }

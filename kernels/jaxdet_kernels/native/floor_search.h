@@ -5,10 +5,11 @@
 #include "vectors.h"
 #include "warp.h"
 
-// Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring: the ends of
-// cells' ranges of heights are counted and summed up. On the CPU the directions of a vector go
-// through all cells together. On CUDA each lane of a warp has a direction, the warps share the
-// cells, and as many directions are counted at once as there is shared memory for.
+// Votes for planes on a lattice of pitch, roll and height (a Hough transform), by the cells up to
+// each ring. For a direction a cell votes for a range of heights: the ends of the ranges are counted,
+// and the votes are their prefix sums. On the CPU the directions of a vector go through all cells
+// together. On CUDA each lane of a warp has a direction, the warps share the cells, and as many
+// directions are counted at once as there is shared memory for.
 struct FloorVotes {
     // Directions that a thread sums up together.
 #if defined(__CUDA_ARCH__)
@@ -97,7 +98,7 @@ struct FloorVotes {
         const int step = table.span, low = lowest, shift = bits, last = bins;
         const bool is_packed = table.is_packed, is_shared = table.is_shared;
         for (int start = from; start < to; start += Warp::size) {
-            const int i = start + warp.rank < to ? start + warp.rank : to - 1;
+            const int i = start + warp.lane < to ? start + warp.lane : to - 1;
             const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
             const int n = to - start < Warp::size ? to - start : Warp::size;
 #pragma unroll 4
@@ -127,7 +128,7 @@ struct FloorVotes {
         for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
             // Each warp takes another part of the cells for each group, so none waits long.
             const int group = unit / warp.count, part = (warp.index + group) % warp.count;
-            const int k = group * Warp::size + warp.rank;
+            const int k = group * Warp::size + warp.lane;
             count(warp, direction(first + k), from + share * part / warp.count,
                   from + share * (part + 1) / warp.count, table, k);
         }
@@ -217,11 +218,11 @@ struct FloorVotes {
                     all = any < all ? any : all;
                     if (is_last) of_direction[d] = own;
                 }
-                nearer = warp.least(nearer);
-                if (warp.rank == 0) team.least(best + n, nearer);
+                nearer = warp.min(nearer);
+                if (warp.lane == 0) team.atomic_min(best + n, nearer);
                 if (!is_last) continue;
-                all = warp.least(all);
-                if (warp.rank == 0) team.least(whole, all);
+                all = warp.min(all);
+                if (warp.lane == 0) team.atomic_min(whole, all);
             }
             team.sync();
             done = end;
@@ -263,7 +264,7 @@ struct FloorVotes {
             const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
             const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
             int most = -0x7fffffff - 1, bin = bins;
-            for (int b = warp.rank; b < bins; b += warp.size) {
+            for (int b = warp.lane; b < bins; b += warp.size) {
                 if (b >= from && b < to) row[b * step] = -0x7fffffff - 1;
                 const int here = row[b * step];
                 if (b < edge_bins || b >= bins - edge_bins || (here <= most && bin < bins)) continue;
@@ -271,15 +272,15 @@ struct FloorVotes {
                 bin = b;
             }
             const unsigned long long found =
-                warp.least(bin < bins ? key(most, other, bin) : ~0ull);
-            if (is_near(other) && warp.rank == 0) of_direction[other] = found;
+                warp.min(bin < bins ? key(most, other, bin) : ~0ull);
+            if (is_near(other) && warp.lane == 0) of_direction[other] = found;
         }
         team.sync();
         unsigned long long left = ~0ull;
         for (int k = team.rank; k < directions(); k += team.size)
             left = of_direction[k] < left ? of_direction[k] : left;
-        left = warp.least(left);
-        if (warp.rank == 0) team.least(best + rings - 1, left);
+        left = warp.min(left);
+        if (warp.lane == 0) team.atomic_min(best + rings - 1, left);
         team.sync();
     }
 };
@@ -379,10 +380,10 @@ struct FloorSearch {
             const FloorScore each{};
             const int height = plane.height, to = cells.count * (part + 1) / parts;
             int sum = 0;
-            for (int i = cells.count * part / parts + warp.rank; i < to; i += Warp::size)
+            for (int i = cells.count * part / parts + warp.lane; i < to; i += Warp::size)
                 sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
             sum = warp.sum(sum);
-            if (warp.rank == 0) team.add(votes + n, sum);
+            if (warp.lane == 0) team.atomic_add(votes + n, sum);
         }
         team.sync();
     }

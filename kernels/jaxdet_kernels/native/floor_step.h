@@ -29,7 +29,7 @@ struct FloorSteps : FloorProfile {
             own()[k] = on(k, 0, fine()[k], low);
         }
         team.sync();
-        if (warp.index == 0) warp.run_up(own(), n);
+        if (warp.index == 0) warp.exclusive_sum(own(), n);
         team.sync();
         for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
             const int deep = drop(i), size = deep < 0 ? -deep : deep;
@@ -37,18 +37,18 @@ struct FloorSteps : FloorProfile {
             // Of the other floor, beyond the distances that the lanes are at.
             int beyond = 0, other = 0;
             for (int done = 0; done < n; done += warp.size) {
-                const int k = n - 1 - done - warp.rank;
+                const int k = n - 1 - done - warp.lane;
                 int here = 0, low = 0;
                 if (k >= 0) here = on(k, -deep, coarse()[k], low);
-                const int votes_up_to = warp.sum_up_to(here - each * low);
-                const int cells_up_to = warp.sum_up_to(here);
+                const int votes_up_to = warp.inclusive_sum(here - each * low);
+                const int cells_up_to = warp.inclusive_sum(here);
                 if (k >= 0 && size > 2 * coarse()[k]) {
                     const int all = flat()[k] + beyond + votes_up_to, mine = own()[k];
                     if (OWN * mine >= mine + other + cells_up_to)
-                        team.least(key, key_of(all, i * n + k));
+                        team.atomic_min(key, key_of(all, i * n + k));
                 }
-                beyond += warp.from(votes_up_to, warp.size - 1);
-                other += warp.from(cells_up_to, warp.size - 1);
+                beyond += warp.broadcast(votes_up_to, warp.size - 1);
+                other += warp.broadcast(cells_up_to, warp.size - 1);
             }
         }
         team.sync();

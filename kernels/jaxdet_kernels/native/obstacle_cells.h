@@ -1,4 +1,4 @@
-// The cells of a frame sorted by obstacle.
+// The cells of a frame sorted by obstacle (a counting sort).
 //
 // An obstacle's cells lie in four parts one after the other, so that those in the colour image are
 // the first two and those inside of the image's margins the middle two. Within a part they lie in
@@ -31,7 +31,7 @@ struct ObstacleCells {
     int *cell, *right_of, *forward_of;
 
     // Puts the arrays into scratch memory with room for `slots` obstacles.
-    void lay(int* scratch, int slots) {
+    void allocate(int* scratch, int slots) {
         starts = scratch;
         filled = starts + PARTS * slots + 1;
         cell = filled + PARTS * slots;
@@ -61,15 +61,15 @@ struct ObstacleCells {
     // By the first warp, after all cells are counted; then all threads wait.
     void order(const Warp& warp) const {
         const int all = PARTS * count;
-        for (int i = warp.rank; i < all; i += warp.size) starts[i] = filled[i];
-        warp.run_up(starts, all);
-        for (int i = warp.rank; i < all; i += warp.size) filled[i] = starts[i];
+        for (int i = warp.lane; i < all; i += warp.size) starts[i] = filled[i];
+        warp.exclusive_sum(starts, all);
+        for (int i = warp.lane; i < all; i += warp.size) filled[i] = starts[i];
     }
 
     // Puts the cells in order, once their labels are their places; then all threads wait.
     void sort() const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
-            const int at = team.count(filled + listed.label[i]);
+            const int at = team.atomic_count(filled + listed.label[i]);
             cell[at] = listed.cell[i];
             right_of[at] = listed.right[i];
             forward_of[at] = listed.forward[i];

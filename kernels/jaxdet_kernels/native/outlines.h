@@ -37,7 +37,7 @@ struct Outlines {
     int* projected;
 
     // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
-    int* lay(int* scratch) {
+    int* allocate(int* scratch) {
         nearest = (unsigned long long*)scratch;
         area = (long long*)(nearest + (long long)slots * cells.columns);
         cost = (int*)(area + slots * DIRECTIONS);
@@ -97,8 +97,8 @@ struct Outlines {
             const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
             const int place = cells.place(number, cells.in_view[k], column);
             listed.label[i] = place;
-            team.count(cells.filled + place);
-            team.least(nearest + number * cells.columns + column,
+            team.atomic_count(cells.filled + place);
+            team.atomic_min(nearest + number * cells.columns + column,
                        key(k, listed.right[i], listed.forward[i]));
         }
     }
@@ -114,9 +114,9 @@ struct Outlines {
         int* out = contour_out + 2 * number * capacity;
         int points = 0, sides[2] = {0, 0}, found;
         for (int first = 0; first < cells.columns; first += warp.size, points += found) {
-            const int c = first + warp.rank;
+            const int c = first + warp.lane;
             const unsigned long long key = c < cells.columns ? own[c] : ~0ull;
-            const int at = points + warp.before(key != ~0ull, &found);
+            const int at = points + warp.ballot_rank(key != ~0ull, &found);
             if (key == ~0ull || at >= capacity) continue;
             const int k = (int)(key & ((1 << CELL_BITS) - 1));
             out[2 * at] = cells.right[k];
@@ -124,7 +124,7 @@ struct Outlines {
             if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
         }
         for (int side = 0; side < 2; ++side) sides[side] = warp.sum(sides[side]);
-        if (warp.rank) return;
+        if (warp.lane) return;
         points_out[number] = points < capacity ? points : capacity;
         for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
     }
@@ -192,14 +192,14 @@ struct Outlines {
         int* side = span + 2 * turned;
         extremes(relied, ax, ay, side);
         if ((turned ? along : across) > longest) trim(relied, ax, ay, side);
-        if (warp.rank) return;
+        if (warp.lane) return;
         for (int j = 0; j < 2; ++j) direction_out[2 * number + j] = direction[j];
         for (int j = 0; j < 4; ++j) span_out[4 * number + j] = span[j];
     }
 
     int best_direction(int number) const {
         const int first = number * DIRECTIONS;
-        int best = first + warp.rank;
+        int best = first + warp.lane;
         for (int i = best + warp.size; i < first + DIRECTIONS; i += warp.size)
             if (fits_better(i, best)) best = i;
 #if defined(__CUDA_ARCH__)
@@ -219,7 +219,7 @@ struct Outlines {
 
     void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {
         Extremes all;
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size)
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size)
             all.add(ax * cells.right_of[i] + ay * cells.forward_of[i]);
         measures.put(all, found, found + 1);
     }
@@ -228,7 +228,7 @@ struct Outlines {
     void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
         const Ranks ranks(warp);
         const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;
-        for (int i = first + warp.rank; i < end; i += warp.size)
+        for (int i = first + warp.lane; i < end; i += warp.size)
             projected[i] = ax * cells.right_of[i] + ay * cells.forward_of[i];
         const int low = side[0], high = side[1];
         side[0] = ranks.at(projected, 0, first, end, passed, low, high);
