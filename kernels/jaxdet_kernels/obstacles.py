@@ -6,19 +6,18 @@ from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-MAX_SURFACES = 512  # most surfaces of a frame
-MAX_LABELS = 1024  # most parts of obstacles, once those that bend are split
 
-
-def scratch_words(rows: int, columns: int) -> int:
+def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
     """How much scratch memory a team needs, as ``allocate`` in ``native/obstacles.h`` uses it.
 
     Args:
         rows: ``R``.
         columns: ``C``.
+        surfaces: Most of a frame, ``MAX_SURFACES`` there.
+        labels: Most parts of obstacles, once those that bend are split; ``MAX_LABELS`` there.
     """
     cells = rows * columns
-    slots, labels = min(cells, MAX_SURFACES), min(cells, MAX_LABELS)
+    slots, labels = min(cells, surfaces), min(cells, labels)
     pairs, keys = slots * slots, slots * columns
     longs = [max(2 * pairs, keys), keys, slots, 6]
     words = [2 * one for one in longs] + [pairs, pairs // 2, (pairs // 2 + 3) // 4]
@@ -70,4 +69,4 @@ def obstacles(
     label_out: wp.array3d[wp.int32],  # (B, R, C) obstacles by distance, -1 = none
     count_out: wp.array[wp.int32],  # (B,) how many there are
 ):
-    """At most 512 rows and columns and ``MAX_SURFACES``; ``scratch_words`` of scratch memory."""
+    """At most 512 rows, columns and surfaces; ``scratch_words`` of scratch memory."""

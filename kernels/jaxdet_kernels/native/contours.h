@@ -1,5 +1,5 @@
 // The visible edge of each label on the floor: in each column of cells, its nearest cell.
-// Twin of `contours` in jaxdet/reference/_outlines.py for grids of at most MAX_CONTOUR columns.
+// Twin of `contours` in jaxdet/reference/_outlines.py.
 #pragma once
 #include "warp.h"
 #include "cell_list.h"

@@ -1,7 +1,7 @@
 // The strongest corners that keep a minimum distance, strongest first: greedy non-maximum
 // suppression. Twin of `_without_near` in jaxdet/reference/_corners.py: in order of falling
-// strength, of equals the last in raster order first, a corner is taken unless one that was taken is
-// nearer than the distance.
+// strength, of equals the last in raster order first, a corner is taken unless one that was taken
+// is nearer than the distance.
 #pragma once
 #include "pixel_bits.h"
 #include "square_root.h"

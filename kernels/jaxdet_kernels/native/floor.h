@@ -3,6 +3,7 @@
 #pragma once
 #include "floor_ahead.h"
 #include "floor_search.h"
+#include "margins.h"
 
 struct Floor {
     enum {
@@ -13,7 +14,6 @@ struct Floor {
         UNDER_PART = 2,
         UNDER_ALONE = 3,
         UNDER_PART_ALONE = 8,
-        MARGIN = 8,
         // Looked at together: near a guess there are fewer.
         PLANES = FloorSearch::ANY_PLANES,
         RESULTS = 8,
@@ -104,7 +104,8 @@ struct Floor {
     // The cells used, and every second of them in rows and columns, by rings.
     void take(const int* x, const int* y, const int* z, int rows, int columns) const {
         const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
-        const int r = part(rows, stride), c = part(columns, stride), margin = c / MARGIN;
+        const int r = part(rows, stride), c = part(columns, stride);
+        const Margins margins(c);
         const int deepest = settings[FloorSetting::MAX_DEPTH];
         const int* rings = settings + FloorSetting::RINGS;
         for (int k = team.rank; k < COUNTS; k += team.size) counts[k] = 0;
@@ -143,7 +144,7 @@ struct Floor {
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
-            if (column < margin || column >= c - margin) continue;
+            if (margins.has(column)) continue;
             const int n = team.atomic_count(counts + INNER);
             inner[n] = x[p];
             inner[most_few + n] = y[p];

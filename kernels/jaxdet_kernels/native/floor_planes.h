@@ -110,6 +110,18 @@ struct FloorScore {
     }
 };
 
+// One of many and its votes as a key: smaller where there are more votes, or as many for one that
+// comes first.
+struct FloorKey {
+    typedef unsigned long long Word;
+
+    static Word of(int votes, int number) {
+        return (Word)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)number;
+    }
+    static int votes(Word key) { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
+    static int number(Word key) { return (int)(unsigned)key; }
+};
+
 struct FloorRefine {
     enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
     FloorAngles angles;

@@ -21,7 +21,7 @@ struct FloorProfile {
     const int* settings;
     // The inner cells.
     FloorCells cells;
-    // Scratch: a key; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words.
+    // Scratch: a `FloorKey`; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words.
     unsigned long long* key;
     int *rows, *places, *table;
 
@@ -177,11 +177,5 @@ struct FloorProfile {
         int count;
         lower(k, &end, &count, 1);
         return count;
-    }
-
-    // How many votes a key has, and a key that is smaller where there are more votes.
-    int votes_of(unsigned long long key) const { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
-    unsigned long long key_of(int votes, int number) const {
-        return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)number;
     }
 };

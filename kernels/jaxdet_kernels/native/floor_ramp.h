@@ -152,7 +152,7 @@ struct FloorRamps : FloorProfile {
             const int i = m / turns, start = start_of(i, start0, start_step);
             int k = first_beyond(start), votes = level[k];
 #if defined(__CUDA_ARCH__)
-            const int others = votes_of(*(volatile unsigned long long*)key);
+            const int others = FloorKey::votes(*(volatile unsigned long long*)key);
             if (others > known) known = others;
 #endif
             if (votes + rest[k] < known) continue;
@@ -171,7 +171,7 @@ struct FloorRamps : FloorProfile {
             }
             if (votes < known || k < n) continue;
             known = votes;
-            team.atomic_min(key, key_of(votes, m));
+            team.atomic_min(key, FloorKey::of(votes, m));
         }
         team.sync();
     }
@@ -216,8 +216,8 @@ struct FloorRamps : FloorProfile {
             best(team, start0, start_step, starts, size, turn_step, turns, sign, slack,
                  fine_one ? least : -0x7fffffff);
             if (*key == ~0ull) return false;
-            const int m = (int)(*key & 0xffffffffu);
-            votes = votes_of(*key);
+            const int m = FloorKey::number(*key);
+            votes = FloorKey::votes(*key);
             found.start = start_of(m / turns, start0, start_step);
             found.turn = turn_of(m % turns, size, turn_step, turns, sign);
             start0 = found.start;

@@ -6,9 +6,9 @@
 #include "warp.h"
 
 // Votes for planes on a lattice of pitch, roll and height (a Hough transform), by the cells up to
-// each ring. For a direction a cell votes for a range of heights: the ends of the ranges are counted,
-// and the votes are their prefix sums. On the CPU the directions of a vector go through all cells
-// together. On CUDA each lane of a warp has a direction, the warps share the cells, and as many
+// each ring. For a direction a cell votes for a range of heights: the ends of the ranges are
+// counted, and the votes are their prefix sums. On the CPU the directions of a vector go through all
+// cells together. On CUDA each lane of a warp has a direction, the warps share the cells, and as many
 // directions are counted at once as there is shared memory for.
 struct FloorVotes {
     // Directions that a thread sums up together.
@@ -47,14 +47,14 @@ struct FloorVotes {
     }
 
     FloorPlane plane(unsigned long long key) const {
-        const int index = (int)(key & 0xffffffffu), d = index / bins;
+        const int index = FloorKey::number(key), d = index / bins;
         const int pitch = angles.clipped(pitch0 + d / rolls * step, FloorAngles::STEEPEST);
         return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
     }
 
-    // Smaller where there are more votes, or as many for a plane that comes first.
+    // A `FloorKey` of a direction and a bin.
     unsigned long long key(int votes, int d, int bin) const {
-        return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)(d * bins + bin);
+        return FloorKey::of(votes, d * bins + bin);
     }
 
     // The same of votes with their bin, larger where there are more votes or the bin comes first.
@@ -252,7 +252,7 @@ struct FloorVotes {
     // The best plane of all cells in the nearer part that is apart from the one found last.
     void next(const Team& team) const {
         const unsigned long long last = best[rings - 1];
-        const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
+        const int index = FloorKey::number(last), d = index / bins, h = index - d * bins;
         const int p = d / rolls, r = d % rolls;
         const Warp warp(team);
         team.sync();

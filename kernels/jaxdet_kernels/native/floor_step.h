@@ -45,7 +45,7 @@ struct FloorSteps : FloorProfile {
                 if (k >= 0 && size > 2 * coarse()[k]) {
                     const int all = flat()[k] + beyond + votes_up_to, mine = own()[k];
                     if (OWN * mine >= mine + other + cells_up_to)
-                        team.atomic_min(key, key_of(all, i * n + k));
+                        team.atomic_min(key, FloorKey::of(all, i * n + k));
                 }
                 beyond += warp.broadcast(votes_up_to, warp.size - 1);
                 other += warp.broadcast(cells_up_to, warp.size - 1);
@@ -54,9 +54,9 @@ struct FloorSteps : FloorProfile {
         team.sync();
         const unsigned long long best = *key;
         team.sync();
-        votes = votes_of(best);
+        votes = FloorKey::votes(best);
         if (best == ~0ull || votes < least) return false;
-        const int m = (int)(best & 0xffffffffu);
+        const int m = FloorKey::number(best);
         found = {(m % n) << settings[FloorSetting::RUN_BITS], 0, drop(m / n)};
         return is_seen(team, m % n, found.drop);
     }

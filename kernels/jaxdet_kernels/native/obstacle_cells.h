@@ -6,11 +6,10 @@
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
+#include "margins.h"
 
 struct ObstacleCells {
     enum { SHOWN_AT_MARGIN, SHOWN_INSIDE, HIDDEN_INSIDE, HIDDEN_AT_MARGIN, PARTS };
-    // This part of the columns at each side is the image's margin.
-    enum { MARGIN = 8 };
 
     // Cells from the first to before the last in the order below.
     struct Range {
@@ -20,7 +19,7 @@ struct ObstacleCells {
 
     const Team& team;
     int cells, columns, count;  // of the grid; and how many obstacles
-    int margin;  // columns of it at a side
+    Margins margins;
     const int *label, *right, *forward;
     const bool* in_view;
     CellList listed;  // those of obstacles; their label becomes their place
@@ -41,12 +40,8 @@ struct ObstacleCells {
         listed = {more, more + 1, more + 1 + cells, more + 1 + 2 * cells, more + 1 + 3 * cells};
     }
 
-    bool at_margin(int column) const {
-        return column < margin || column >= columns - margin;
-    }
-
     int place(int number, bool shown, int column) const {
-        const bool outside = at_margin(column);
+        const bool outside = margins.has(column);
         const int part = shown ? (outside ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
                                : (outside ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
         return PARTS * number + part;

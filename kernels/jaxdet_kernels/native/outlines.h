@@ -1,5 +1,5 @@
 // The outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
-// jaxdet/reference/_outlines.py; contours are at most MAX_CONTOUR points long.
+// jaxdet/reference/_outlines.py.
 #pragma once
 #include "measures.h"
 #include "obstacle_cells.h"
@@ -22,9 +22,9 @@ struct Outlines {
     const ObstacleCells& cells;
     const Warp& warp;
     const Measures& measures;
-    int slots, capacity, longest;
+    int slots, longest;
     const int* directions;  // (DIRECTIONS, 2)
-    // By slot.
+    // By slot; a contour has room for a point in each column.
     int *contour_out, *points_out, *direction_out, *span_out;
     // By obstacle and column: the nearest cell's squared distance, then its number.
     unsigned long long* nearest;
@@ -79,7 +79,7 @@ struct Outlines {
 
     void clear() const {
         const Team& team = cells.team;
-        const int used = cells.count * cells.columns, points = slots * capacity;
+        const int used = cells.count * cells.columns, points = slots * cells.columns;
         const unsigned long long none = ~0ull;
         unsigned long long* const pairs = (unsigned long long*)contour_out;
         for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
@@ -111,21 +111,21 @@ struct Outlines {
     // The nearest cells of an obstacle from left to right, and how many lie in either margin.
     void put_contour(int number) const {
         const unsigned long long* own = nearest + number * cells.columns;
-        int* out = contour_out + 2 * number * capacity;
+        int* out = contour_out + 2 * number * cells.columns;
         int points = 0, sides[2] = {0, 0}, found;
         for (int first = 0; first < cells.columns; first += warp.size, points += found) {
             const int c = first + warp.lane;
             const unsigned long long key = c < cells.columns ? own[c] : ~0ull;
             const int at = points + warp.ballot_rank(key != ~0ull, &found);
-            if (key == ~0ull || at >= capacity) continue;
+            if (key == ~0ull) continue;
             const int k = (int)(key & ((1 << CELL_BITS) - 1));
             out[2 * at] = cells.right[k];
             out[2 * at + 1] = cells.forward[k];
-            if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
+            if (cells.margins.has(c)) ++sides[2 * c >= cells.columns];
         }
         for (int side = 0; side < 2; ++side) sides[side] = warp.sum(sides[side]);
         if (warp.lane) return;
-        points_out[number] = points < capacity ? points : capacity;
+        points_out[number] = points;
         for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
     }
 
@@ -137,7 +137,7 @@ struct Outlines {
             const int number = i / DIRECTIONS, points = points_out[number];
             const int left = margins[2 * number], right = margins[2 * number + 1];
             const bool every = 2 * (left + right) > points;
-            const int* line = contour_out + 2 * (number * capacity + (every ? 0 : left));
+            const int* line = contour_out + 2 * (number * cells.columns + (every ? 0 : left));
             compare(i, line, every ? points : points - left - right, directions + 2 * (i % DIRECTIONS));
         }
     }

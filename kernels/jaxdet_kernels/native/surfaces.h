@@ -5,6 +5,7 @@
 #include "creases.h"
 #include "floor_frame.h"
 #include "grid.h"
+#include "margins.h"
 #include "warp.h"
 #include "runs.h"
 #include "team.h"
@@ -12,7 +13,6 @@
 struct Surfaces {
     enum {
         MOST = 512,  // labels from here on become -1
-        MARGIN = 8,  // this part of the columns at each side is the image's margin
         UNSEEN = 0x7fffffff,
         AHEAD = 4,  // on CUDA loads of so many cells wait together
         FEW = 2,    // where there are more of each cell
@@ -390,7 +390,7 @@ struct Surfaces {
     void look_at_words(
         const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
     ) const {
-        const int margin = columns / MARGIN;
+        const Margins margins(columns);
         int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
         bool lowest[FEW];
         for (int k = 0; k < FEW; ++k) {
@@ -404,7 +404,7 @@ struct Surfaces {
         }
         for (int k = 0; k < FEW; ++k) {
             const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
-            const bool outer = (c < margin) | (c >= columns - margin);
+            const bool outer = margins.has(c);
             const int rises = h[k] - h_below[k];
             const bool steep = is_steep(rises, f[k] - f_below[k], outer);
             const int level = lowest[k] ? steep ? -1 : 2 : 0;
@@ -445,7 +445,7 @@ struct Surfaces {
             }
         }
 #else
-        const int margin = columns / MARGIN;
+        const Margins margins(columns);
         for (int i = 0; i < has.count(); ++i) {
             const int r = has.row(i), k = r * columns;
             const int* label = label_out + k + has.column(i);
@@ -462,12 +462,11 @@ struct Surfaces {
                     for (int c = begin; c < end; ++c) {
                         const int rises = height[k + c] - height[k + c + columns];
                         const int goes = forward[k + c] - forward[k + c + columns];
-                        const bool outer = (c < margin) | (c >= columns - margin);
                         const int lowest = low[k + c + columns];
                         pairs += lowest;
-                        steep += lowest & (int)is_steep(rises, goes, outer);
+                        steep += lowest & (int)is_steep(rises, goes, margins.has(c));
                     }
-                const bool inner = begin < columns - margin && end > margin;
+                const bool inner = begin < columns - margins.width && end > margins.width;
                 look_at(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
                         pairs || r + 1 == rows || inner);
             }
