@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.arguments import numbers
+from jaxdet.arguments import named_type, numbers
 from jaxdet.checks import MAX_FRAMES, check_calibration, check_numbers, is_rotation
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, focal_and_center
@@ -333,5 +333,5 @@ def one_of(name: str, value: Any, literal: Any) -> None:
     """
     known = get_args(literal)
     if not isinstance(value, str) or value not in known:
-        said = repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
-        raise ConfigError(said, topic=name, remedy=f"use one of {', '.join(known)}")
+        remedy = f"use one of {', '.join(known)}"
+        raise ConfigError(named_type(value), topic=name, remedy=remedy)
