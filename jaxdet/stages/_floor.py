@@ -82,7 +82,7 @@ def scratch_words(rows: int, columns: int, config: FloorConfig, unit: float) -> 
     rows, columns = (len(range(sizes["stride"] // 2, n, sizes["stride"])) for n in (rows, columns))
     heights = 2 * sizes["span"], sizes["highest"] - sizes["lowest"]
     near, wide = ((height >> sizes["bin_bits"]) + 1 for height in heights)
-    return kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"], 2 * sizes["half"])
+    return kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"])
 
 
 def find_floor(

@@ -37,7 +37,7 @@ struct Floor {
     // Scratch.
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
-    int *rows, *places, *table, *lattice, *ends;
+    int *rows, *places, *lattice, *ends;
     int most, most_few, room;
 
     // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum. On
@@ -64,7 +64,7 @@ struct Floor {
         sums = (unsigned long long*)always(ThreadGroup::words(team));
         keys = (unsigned long long*)always(FloorSearch::KEY_WORDS);
         counts = always(COUNTS);
-        planes = always(3 * 3 * PLANES);
+        planes = always(2 * 3 * PLANES);
         votes = always(PLANES);
         most_ramp = always(PLANES);
         rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
@@ -88,8 +88,7 @@ struct Floor {
         weights = now(groups > most ? groups : most);
         ends = room ? quick : at;
         at += room ? 0 : FloorVotes::LANES * FloorSearch::most_bins(settings);
-        // Votes of a search and the profile of a plane follow each other.
-        lattice = table = at;
+        lattice = at;
     }
 
     // Cells of a side that are used: from the middle of the first step on.
@@ -175,7 +174,7 @@ struct Floor {
     }
 
     FloorProfile profile() const {
-        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places, table};
+        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places};
     }
 
     FloorRamps ramps() const { return {profile()}; }

@@ -47,38 +47,22 @@ struct FloorRamps : FloorProfile {
         const int *heights = sorted(), *at = places + 3 * cells.count;
         for (int k = team.rank; k <= runs(); k += team.size) most()[k] = flat()[k] = 0;
         team.sync();
-#if defined(__CUDA_ARCH__)
         for (int k = team.rank; k < runs(); k += team.size) {
             int low;
             const int here = on(k, 0, slack[k], low);
             flat()[k] = here - each * low;
         }
-#endif
         for (int i = team.rank; i < begin()[runs()]; i += team.size) {
             const int k = at[i], s = slack[k], from = begin()[k], h = heights[i];
             const int width = 2 * s >> bits, deep = (FloorScore::BELOW + 1) * s >> bits;
-            int on, below;
-#if defined(__CUDA_ARCH__)
             const int ends[2] = {h - width, h - deep};
             int under[2];
             lower(k, ends, under, 2);
-            on = i + 1 - from - under[0];
-            below = under[1];
-#else
-            const int flatly = (h < index(s)) - (h < index(-s));
-            flat()[k] += flatly - each * (h < index(-FloorScore::BELOW * s));
-            on = below = 0;
-            for (int j = from; j < begin()[k + 1]; j++) {
-                const unsigned deeper = h - heights[j];
-                on += deeper <= (unsigned)width;
-                below += h - heights[j] > deep;
-            }
-#endif
-            worth()[i] = on - each * below;
+            worth()[i] = i + 1 - from - under[0] - each * under[1];
             team.atomic_max(most() + k, worth()[i]);
         }
         team.sync();
-        // The first become sums of those before, the second of those from there on.
+        // Prefix sums of the first, suffix sums of the second.
         const Warp warp(team);
         if (warp.index == 0) warp.exclusive_sum(flat(), runs());
         if (warp.index == 1 % warp.count) {
@@ -201,7 +185,6 @@ struct FloorRamps : FloorProfile {
     // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
     // than `least` or the ramp is not seen.
     bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
-        count(team);
         // The rough lattice and then the finer one around its best ramp.
         int start0 = 0, turn0 = 0;
         for (int fine_one = 0; fine_one < 2; fine_one++) {

@@ -22,7 +22,6 @@ struct FloorSteps : FloorProfile {
     bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
-        count(team);
         if (team.rank == 0) *key = ~0ull;
         for (int k = team.rank; k < n; k += team.size) {
             int low;
