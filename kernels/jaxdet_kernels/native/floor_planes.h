@@ -162,8 +162,8 @@ struct FloorRefine {
     }
 
     // A step of weighted least squares; false where too few cells are near.
-    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells,
-                                         int base, int per_z) const {
+    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells, int base,
+               int per_z) const {
         const FloorDirection down = angles.down(plane);
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
         const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);
