@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
@@ -23,13 +23,8 @@ def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
     words = [2 * one for one in longs] + [pairs, pairs // 2, (pairs // 2 + 3) // 4]
     words += 2 * [cells + slots] + 7 * [cells] + 3 * [19 * labels] + 4 * [labels]
     words += [labels + 1, 2 * labels + 1, 2 * labels + 1, 6]
-    words += [2 * (rows * _words(columns) + columns * _words(rows))]
+    words += [2 * (bit_words(rows, columns) + bit_words(columns, rows))]
     return sum(-(-one // 16) * 16 for one in words)
-
-
-def _words(cells: int) -> int:
-    """Words of a row of bits, a power of two."""
-    return 1 << (-(-cells // 32) - 1).bit_length()
 
 
 @team_kernel(

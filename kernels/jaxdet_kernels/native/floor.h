@@ -40,8 +40,8 @@ struct Floor {
     int *rows, *places, *lattice, *ends;
     int most, most_few, room;
 
-    // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum. On
-    // CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
+    // Words of scratch memory, in the order of the layout; jaxdet_kernels/floor.py has the same sum.
+    // On CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
     // search needs after the other.
     Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
           int columns_in, int* scratch, int* fast)
