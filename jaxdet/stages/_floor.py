@@ -21,7 +21,7 @@ _SINES = units.SINES.astype(np.int32)
 
 
 def floor_settings(cells: int, config: FloorConfig, unit: float) -> np.ndarray:
-    """What the kernel is told, ``(N,)`` int32, see :func:`_settings`."""
+    """The kernel's settings, ``(N,)`` int32, see :func:`_settings`."""
     return np.hstack(list(_settings(cells, config, unit).values())).astype(np.int32)
 
 

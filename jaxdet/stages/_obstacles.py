@@ -19,7 +19,7 @@ _obstacles = TeamKernel(kernel.obstacles)
 
 
 def tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) -> Tables:
-    """What :func:`obstacles` is told, made on the host.
+    """The tables and settings of :func:`obstacles`, made on the host.
 
     Args:
         farthest: End of the range [depth units].

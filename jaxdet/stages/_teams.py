@@ -24,7 +24,7 @@ teams work where theirs is larger."""
 LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
 
 Tables = dict[str, Array]
-"""What a kernel is told of the configuration, by the names of its arguments."""
+"""The tables and settings of a kernel, by the names of its arguments."""
 
 
 def kernel_table(values: ArrayLike) -> np.ndarray:

@@ -146,7 +146,7 @@ struct CoverMask {
     }
 };
 
-// What is told of the features of a frame, each by slot.
+// The features of a frame, by slot.
 struct FeatureSlots {
     int *u, *v, *x, *y, *z, *label;
     bool *valid, *kept;

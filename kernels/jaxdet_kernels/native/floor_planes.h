@@ -3,7 +3,7 @@
 #pragma once
 #include "thread_group.h"
 
-// What the kernel is told, in whole depth units, in the order of jaxdet/stages/_floor.py.
+// Where each setting is, in the order of jaxdet/stages/_floor.py; lengths are whole depth units.
 struct FloorSetting {
     enum {
         STRIDE, MAX_DEPTH, NOISE,

@@ -13,8 +13,8 @@ struct FloorAhead {
 
 struct FloorProfile {
     enum {
-        // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
-        // told (2), where the next cell goes.
+        // Of each distance: where its cells begin, flat votes, upper bounds, tolerances (2), counts
+        // of a ramp's or a step's cells (2), where the next cell goes.
         ROW_ARRAYS = 8
     };
     FloorAngles angles;

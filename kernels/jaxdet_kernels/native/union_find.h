@@ -1,5 +1,5 @@
 // Disjoint sets: union-find with path halving, without locks. A root is the smallest member of its
-// set; roots are joined by compare-and-swap, which only ever hangs a root below a smaller one.
+// set; they are joined by compare-and-swap, by which a root only ever gets a smaller one as parent.
 #pragma once
 #include "team.h"
 
