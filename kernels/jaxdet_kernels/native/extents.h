@@ -58,16 +58,16 @@ struct Extents {
             const int row = k / wide, column = k % wide;
             // One label after the other; lane n adds what is known by the name n.
             for (unsigned rest = warp.ballot(first + warp.lane < all); rest;) {
-                const int l = __shfl_sync(0xffffffff, label, __ffs(rest) - 1);
+                const int l = warp.broadcast(label, BitRows::lowest(rest));
                 const bool own = label == l && first + warp.lane < all;
                 const unsigned those = warp.ballot(own);
                 rest &= ~those;
                 const auto least = [&](int value) { return warp.min(own ? value : (int)NONE); };
                 const auto most = [&](int value) { return warp.max(own ? value : -(int)NONE); };
                 const int found[KNOWN] = {
-                    __popc(those), __popc(warp.ballot(own && seen)), least(k), least(row),
-                    least(column), least(r), least(f), least(h), least(z_here), least(x_here),
-                    most(row), most(column), most(r), most(f), most(h),
+                    BitRows::popcount(those), BitRows::popcount(warp.ballot(own && seen)),
+                    least(k), least(row), least(column), least(r), least(f), least(h),
+                    least(z_here), least(x_here), most(row), most(column), most(r), most(f), most(h),
                 };
                 int mine = 0;
                 for (int n = 0; n < KNOWN; ++n) mine = warp.lane == n ? found[n] : mine;

@@ -103,10 +103,9 @@ struct FloorVotes {
             const int n = to - start < Warp::size ? to - start : Warp::size;
 #pragma unroll 4
             for (int k = 0; k < n; k++) {
-                const int s = __shfl_sync(0xffffffff, width, k);
-                const int height = down.along(__shfl_sync(0xffffffff, x, k),
-                                              __shfl_sync(0xffffffff, y, k),
-                                              __shfl_sync(0xffffffff, z, k)) - low;
+                const int s = warp.broadcast(width, k);
+                const int height = down.along(warp.broadcast(x, k), warp.broadcast(y, k),
+                                              warp.broadcast(z, k)) - low;
                 const int begin = -((s - height) >> shift), end = ((height + s) >> shift) + 1;
                 const int bin[2] = {min(max(begin, 0), last), min(max(end, 0), last)};
                 const int worth[2] = {1 + FloorScore::BELOW_COST, -1};

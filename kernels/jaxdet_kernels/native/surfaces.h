@@ -412,7 +412,7 @@ struct Surfaces {
             // One label after the other.
             for (unsigned rest = warp.ballot(l[k] >= 0); rest;) {
                 const int leader = BitRows::lowest(rest);
-                const int label = __shfl_sync(0xffffffff, l[k], leader);
+                const int label = warp.broadcast(l[k], leader);
                 const bool own = l[k] == label;
                 const unsigned those = warp.ballot(own);
                 const int top = warp.max(own && h[k] > -1 ? h[k] : -1);
