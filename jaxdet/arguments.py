@@ -48,6 +48,11 @@ def whole_number(name: str, value: Any) -> int:
     return int(of_type(name, value, Integral))
 
 
+def named_type(value: Any) -> str:
+    """What a wrong value is, for an error: a text itself, of others the type."""
+    return repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
+
+
 def numeric(name: str, values: Any) -> "np.ndarray":
     """Values as an array of numbers or truth values; of arrays no copy.
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import CalibrationError
-from jaxdet.types import Calibration, Distortion, Intrinsics
+from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics
 
 RAY_BITS = 20
 """Fraction bits of a fixed-point ray: x in depth units is ``(ray * z) >> RAY_BITS``, rounded."""
@@ -136,13 +136,29 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         CalibrationError: A ray is steeper than ``MAX_RAY``.
     """
     x, y = pixel_rays(camera)
-    if max(np.abs(x).max(), np.abs(y).max()) > MAX_RAY:
-        raise CalibrationError(
-            "the field of view is too wide for the pinhole geometry",
-            remedy="check the focal length, or give --log.color-intrinsics",
-        )
+    for ray in (x, y):
+        _check_steepness(ray, "--log.color-intrinsics")
     one = 1 << RAY_BITS
     return _frozen(np.rint(x * one).astype(np.int32)), _frozen(np.rint(y * one).astype(np.int32))
+
+
+def _check_steepness(rays: np.ndarray, flag: str) -> None:
+    """Refuses rays that are steeper than ``MAX_RAY``."""
+    if np.abs(rays).max(initial=0.0) > MAX_RAY:
+        raise CalibrationError(
+            "the field of view is too wide for the pinhole geometry",
+            remedy=f"check the focal length, or give {flag}",
+        )
+
+
+def _extrinsics(calibration: Calibration) -> Extrinsics:
+    """From the depth camera to the colour camera."""
+    if calibration.color_from_depth is None:
+        raise CalibrationError(
+            "no extrinsics to align with",
+            remedy="give --log.color-from-depth, or --log.depth-aligned if depth is aligned",
+        )
+    return calibration.color_from_depth
 
 
 def cell_side(camera: Intrinsics, cell_rad: float) -> int:
@@ -167,22 +183,13 @@ def cell_rays(calibration: Calibration, side: int) -> tuple[np.ndarray, np.ndarr
     Raises:
         CalibrationError: A ray is steeper than ``MAX_RAY``, or there are no extrinsics.
     """
-    camera, motion = calibration.depth or calibration.color, calibration.color_from_depth
-    if motion is None and not calibration.is_aligned:
-        raise CalibrationError(
-            "no extrinsics to align with",
-            remedy="give --log.color-from-depth, or --log.depth-aligned if depth is aligned",
-        )
+    camera = calibration.depth or calibration.color
+    T = np.eye(4) if calibration.is_aligned else _extrinsics(calibration).T
     rows, columns = camera.height // side, camera.width // side
     v, u = (np.mgrid[0:rows, 0:columns] * side + (side - 1) / 2).astype(np.float64)
     x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
     rays = np.stack([x, y, np.ones_like(x)])
-    if np.abs(rays).max(initial=0.0) > MAX_RAY:
-        raise CalibrationError(
-            "the field of view is too wide for the pinhole geometry",
-            remedy="check the focal length, or give --log.depth-intrinsics",
-        )
-    T = np.eye(4) if motion is None else motion.T
+    _check_steepness(rays, "--log.depth-intrinsics")
     turned = np.tensordot(T[:3, :3], rays, axes=1)
     fixed = np.rint(turned * (1 << RAY_BITS)).astype(np.int64)
     return _frozen(fixed), _frozen(np.rint(T[:3, 3] / calibration.depth_unit).astype(np.int64))
@@ -246,14 +253,10 @@ def splat_parameters(calibration: Calibration) -> SplatParameters:
     """The constants of the alignment (Eq. 1-4), rounded as librealsense holds them.
 
     Raises:
-        CalibrationError: The calibration has no depth camera or no extrinsics.
+        CalibrationError: The calibration has no extrinsics.
     """
-    if calibration.depth is None or calibration.color_from_depth is None:
-        raise CalibrationError(
-            "no depth camera or extrinsics to align with",
-            remedy="give --log.color-from-depth, or --log.depth-aligned if depth is aligned",
-        )
-    color, f32 = calibration.color, np.float32
+    motion, color, f32 = _extrinsics(calibration), calibration.color, np.float32
+    assert calibration.depth is not None
     model = color.distortion
     if model is Distortion.INVERSE_BROWN_CONRADY:
         model = Distortion.NONE
@@ -262,8 +265,8 @@ def splat_parameters(calibration: Calibration) -> SplatParameters:
         x, y = pixel_rays(color)
         max_r2 = 1.05 * float((x * x + y * y).max())
     return SplatParameters(
-        rotation=np.array(calibration.color_from_depth.rotation, f32),
-        translation=np.array(calibration.color_from_depth.translation, f32),
+        rotation=np.array(motion.rotation, f32),
+        translation=np.array(motion.translation, f32),
         pinhole=np.array([color.fx, color.fy, color.cx, color.cy], f32),
         lens=coefficients(color).astype(f32),
         max_r2=f32(min(max_r2, float(np.finfo(f32).max))),

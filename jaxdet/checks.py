@@ -237,8 +237,9 @@ def check_frames(frames: Frames) -> None:
     _check_images("colour", frames.color, "uint8", 4)
     _check_images("depth", frames.depth, "uint16", 3)
     check_calibration(frames.calibration)
-    check_size("colour", frames.color.shape, frames.calibration.color)
-    check_depth(frames.depth.shape, frames.calibration)
+    color, depth = frames.calibration.color, frames.calibration.depth or frames.calibration.color
+    check_size("colour", frames.color.shape, color)
+    check_size("depth", frames.depth.shape, depth)
     rows = {"colour images": len(frames.color), "depth images": len(frames.depth)}
     if frames.plane is not None:
         rows["planes"] = _check_planes(frames.plane)
@@ -301,15 +302,6 @@ def _check_images(what: str, images: Any, kind: str, axes: int) -> None:
             f"{what} images are no arrays but traced",
             remedy="give a whole batch; detect can't be called under jax.jit, jax.vmap or jax.grad",
         )
-
-
-def check_depth(shape: tuple[int, ...], calibration: Calibration) -> None:
-    """Refuses depth images ``(B, Hd, Wd)`` that are not of the camera they lie on.
-
-    Raises:
-        CalibrationError: They have another size.
-    """
-    check_size("depth", shape, calibration.depth or calibration.color)
 
 
 def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:

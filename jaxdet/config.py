@@ -149,7 +149,7 @@ class FeaturesConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _require(1 <= self.max_corners <= 8192, "features.max-corners", "from 1 to 8192")
+        _require_within(self, 1, MAX_POINTS, "max_corners")
         for name in ("canny_low", "canny_high"):
             field = f"features.{name.replace('_', '-')}"
             _require(not math.isnan(getattr(self, name)), field, "a number")

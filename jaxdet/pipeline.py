@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, cast
 
 import numpy as np
 
-from jaxdet.arguments import of_type
+from jaxdet.arguments import named_type, of_type
 from jaxdet.checks import check_cells, check_frames
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
@@ -41,8 +41,8 @@ def load_backend(name: BackendName) -> Backend:
     """
     modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
     if not isinstance(name, str) or name not in modules:
-        said = repr(name[:40]) if isinstance(name, str) else f"of type {type(name).__name__}"
-        raise ConfigError(f"no backend {said}", remedy=f"use one of {', '.join(modules)}")
+        remedy = f"use one of {', '.join(modules)}"
+        raise ConfigError(f"no backend {named_type(name)}", remedy=remedy)
     if name == "jax":
         quiet_warp()  # standard output is the caller's
     return cast(Backend, import_module(modules[name]))
@@ -120,10 +120,8 @@ def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax")
 def _given(config: Config | None) -> Config:
     """The configuration, or the default."""
     if config is not None and not isinstance(config, Config):
-        said = repr(config[:40]) if isinstance(config, str) else f"of type {type(config).__name__}"
-        raise ConfigError(
-            f"config is {said}", remedy="give a Config, for instance jaxdet.preset('wheeled')"
-        )
+        remedy = "give a Config, for instance jaxdet.preset('wheeled')"
+        raise ConfigError(f"config is {named_type(config)}", remedy=remedy)
     return config or Config()
 
 

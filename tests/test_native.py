@@ -14,12 +14,18 @@ import pytest
 from jaxdet.camera import RAY_BITS
 from jaxdet.config import FeaturesConfig
 from jaxdet.floor.frame import FLOOR_VALUES, FRAME_BITS
-from jaxdet.floor.plane import NOISE_BITS, SLOPE_BITS, STEEPEST_NOISE
+from jaxdet.floor.plane import (
+    DIRECTION_BITS,
+    DIRECTIONS,
+    NOISE_BITS,
+    SLOPE_BITS,
+    STEEPEST_NOISE,
+)
 from jaxdet.reference import features
 from jaxdet.reference._cells import MARGIN
 from jaxdet.stages._corners import corner_settings
 from jaxdet.types import MAX_LABELS, MAX_SURFACES, Calibration, Keep
-from jaxdet_kernels import align, cover, obstacles
+from jaxdet_kernels import align, cover, outlines
 from jaxdet_kernels import features as corners
 from jaxdet_kernels.native_source import FOLDER, native
 from tests.scenes import D435_COLOR, resized
@@ -162,8 +168,11 @@ def constant(header: str, name: str) -> int:
 
 def test_constants_agree() -> None:
     """Scratch memory is as large as the kernels take it for."""
-    assert obstacles.MAX_SURFACES == MAX_SURFACES
-    assert obstacles.MAX_LABELS == MAX_LABELS
+    assert constant("surfaces.h", "MOST") == MAX_SURFACES
+    assert constant("obstacles.h", "MAX_SURFACES") == MAX_SURFACES
+    assert constant("obstacles.h", "MAX_LABELS") == MAX_LABELS
+    assert constant("outlines.h", "DIRECTIONS") == outlines.DIRECTIONS == DIRECTIONS
+    assert constant("outlines.h", "DIRECTION_BITS") == DIRECTION_BITS
     tile = align.TILE_BLOCK, align.TILE_ROWS, align.TILE_COLUMNS
     assert tile == tuple(
         constant("alignment.h", name) for name in ("THREADS", "TILE_ROWS", "TILE_COLUMNS")
@@ -185,5 +194,4 @@ def test_constants_agree() -> None:
     for name in ("MAXIMA_ROWS", "MAXIMA_COLUMNS", "MAXIMA_THREADS"):
         assert constant("corner_maxima.h", name.removeprefix("MAXIMA_")) == getattr(corners, name)
     assert constant("corner_selection.h", "THREADS") == corners.SELECT_THREADS
-    for header in ("floor.h", "surfaces.h", "obstacle_cells.h"):
-        assert constant(header, "MARGIN") == MARGIN
+    assert constant("margins.h", "MARGIN") == MARGIN

@@ -25,7 +25,6 @@ from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages import _obstacles
 from jaxdet.types import Frames, GroundPlane
-from jaxdet_kernels import obstacles as kernel
 from tests.scenes import frames
 
 UNIT = 0.001
@@ -98,11 +97,6 @@ def scattered(seed: int, rows: int, columns: int, surfaces: int) -> Given:
 
 
 # by hand
-
-
-def test_constants_of_the_kernel() -> None:
-    assert kernel.MAX_SURFACES == types.MAX_SURFACES
-    assert kernel.MAX_LABELS == types.MAX_LABELS
 
 
 @pytest.mark.parametrize("columns", [1, 40])

@@ -86,7 +86,7 @@ def test_contour_without_room() -> None:
     label = np.array([[0, 1, 2]])
     points, count = contours(label, label, label + 5, 2)
     assert count.tolist() == [1, 1] and points[:, 0].tolist() == [[0, 5], [1, 6]]
-    wide = np.zeros((2, MAX_CONTOUR + 44), np.int64)
+    wide = np.zeros((2, MAX_CONTOUR), np.int64)
     x = np.broadcast_to(np.arange(wide.shape[1]), wide.shape)
     points, count = contours(wide, x, wide + 100, 1)
     assert count.tolist() == [MAX_CONTOUR]

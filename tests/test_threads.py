@@ -1,5 +1,6 @@
 """CPU kernels on several cores: equal results for any number of threads, and errors that arrive."""
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -106,6 +107,23 @@ def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
     assert _threads.threads() == cores()
     monkeypatch.setenv("PJRT_NPROC", "3")
     assert _threads.threads() == 3
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="threads have no affinity")
+def test_the_caller_keeps_an_affinity_that_it_chose_later(monkeypatch):
+    allowed = os.sched_getaffinity(0)
+    monkeypatch.setenv("PJRT_NPROC", str(len(allowed)))
+    _threads._pool.cache_clear()
+    depth = noise_depth(4, small().depth)
+    jax.block_until_ready(stages.align(depth, small()))
+    chosen = {min(allowed)}
+    try:
+        os.sched_setaffinity(0, chosen)
+        _threads.on_all_cores([lambda: None] * 2)
+        assert os.sched_getaffinity(0) == chosen
+    finally:
+        os.sched_setaffinity(0, allowed)
+        _threads._pool.cache_clear()
 
 
 def test_a_ctrl_c_in_a_kernel_is_not_taken_for_its_results(monkeypatch):

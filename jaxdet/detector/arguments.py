@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.arguments import numbers
+from jaxdet.arguments import named_type, numbers
 from jaxdet.checks import MAX_FRAMES, check_calibration, check_numbers, is_rotation
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
 from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, focal_and_center
@@ -97,16 +97,15 @@ class Cameras:
         Raises:
             CalibrationError: It is of images of another size.
         """
-        own = self._depth or self._color
-        for name, camera, shape in (("color", self._color, color), ("depth", own, depth)):
-            known = self._known and (self._known.depth or self._known.color)
-            known = self._known.color if self._known and name == "color" else known
-            if known is None and isinstance(camera, Intrinsics):
-                known = camera
-            if known is not None and (known.height, known.width) != shape[1:3]:
+        colors, depths = self._color, self._depth
+        if self._known is not None:
+            colors, depths = self._known.color, self._known.depth
+        for name, camera, shape in (("color", colors, color), ("depth", depths or colors, depth)):
+            sized = isinstance(camera, Intrinsics)
+            if sized and (camera.height, camera.width) != shape[1:3]:
                 raise CalibrationError(
                     f"images of {shape[2]}x{shape[1]} pixels, but the calibration is of "
-                    f"{known.width}x{known.height}",
+                    f"{camera.width}x{camera.height}",
                     topic=name,
                     remedy="make a Detector for each size of images",
                 )
@@ -123,7 +122,7 @@ class Cameras:
 
     def _complete(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:
         for name, camera, shape in (("K", self._color, color), ("depth_K", self._depth, depth)):
-            if isinstance(camera, tuple) and not isinstance(camera, Intrinsics):
+            if camera is not None and not isinstance(camera, Intrinsics):
                 height, width = shape[1:3]
                 _, _, cx, cy = camera
                 if not (0 <= cx < width and 0 <= cy < height):
@@ -333,5 +332,5 @@ def one_of(name: str, value: Any, literal: Any) -> None:
     """
     known = get_args(literal)
     if not isinstance(value, str) or value not in known:
-        said = repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
-        raise ConfigError(said, topic=name, remedy=f"use one of {', '.join(known)}")
+        remedy = f"use one of {', '.join(known)}"
+        raise ConfigError(named_type(value), topic=name, remedy=remedy)

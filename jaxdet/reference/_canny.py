@@ -77,7 +77,7 @@ def _is_ridge(dx: np.ndarray, dy: np.ndarray, magnitude: np.ndarray) -> np.ndarr
 
 
 def _connected_to(seeds: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """Hysteresis: the ``allowed`` pixels 8-connected to a seed, ring by ring."""
+    """Hysteresis: the ``allowed`` pixels 8-connected to a seed, by breadth-first search."""
     width = allowed.shape[1] + 2
     free = np.pad(allowed & ~seeds, 1).reshape(-1)
     reached = np.pad(seeds, 1).reshape(-1)

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def components(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The connected components of a graph.
+    """The connected components of a graph, by propagation of the smallest label.
 
     Args:
         count: Nodes.

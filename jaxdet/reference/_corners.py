@@ -98,7 +98,7 @@ def strongest_corners(
     position = np.flatnonzero(is_corner)
     position = position[np.lexsort((-position, -kept.reshape(-1)[position]))]
     corners = np.stack([position % strength.shape[1], position // strength.shape[1]], axis=1)
-    return _spread(corners.astype(np.int32), max_corners, min_distance)
+    return _without_near(corners.astype(np.int32), max_corners, min_distance)
 
 
 def _window_maximum(values: np.ndarray) -> np.ndarray:
@@ -107,8 +107,8 @@ def _window_maximum(values: np.ndarray) -> np.ndarray:
     return np.maximum(np.maximum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
 
 
-def _spread(corners: np.ndarray, max_corners: int, min_distance: float) -> np.ndarray:
-    """Greedily drops corners nearer than ``min_distance`` to a stronger one that was taken."""
+def _without_near(corners: np.ndarray, max_corners: int, min_distance: float) -> np.ndarray:
+    """Greedy non-maximum suppression: drops corners near a stronger one that was taken."""
     limit = max_corners or len(corners)
     if min_distance < 1:
         return corners[:limit]

@@ -21,7 +21,6 @@ from jaxdet.reference._points import clusters
 from jaxdet.reference._surfaces import surfaces, without_bent_floor
 from jaxdet.reference._view import View
 from jaxdet.types import (
-    MAX_CONTOUR,
     MAX_LATERAL,
     MAX_OBSTACLES,
     MAX_SURFACES,
@@ -228,7 +227,7 @@ def _outlines(
             measured.uv_min[b, number] = grid.uv_min[b][inside].min(axis=0)
             measured.uv_max[b, number] = grid.uv_max[b][inside].max(axis=0)
             line = lines[b][0][number, : lines[b][1][number]]
-            direction = fitted_direction(line[inner(edge[own.any(axis=0)][:MAX_CONTOUR])])
+            direction = fitted_direction(line[inner(edge[own.any(axis=0)])])
             place = np.stack([one.view.right[own], one.view.forward[own]], axis=-1)
             measured.direction[b, number] = direction
             measured.span[b, number] = fitted_span(

@@ -28,7 +28,7 @@ def rises(starts: np.ndarray, turns: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 
 class Profile(NamedTuple):
-    """Running counts of cells over their height, by distance forward of the camera."""
+    """Cumulative counts of cells over their height, by distance forward of the camera."""
 
     counts: np.ndarray  # (T, rises + 1) int64
     run: np.ndarray  # (T,) int64, the middles of the distances [depth units]

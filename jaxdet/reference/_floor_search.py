@@ -50,7 +50,8 @@ def vote(
     """:func:`score` of all planes of some directions and heights, by the cells up to each ring.
 
     But what lies lower than the tolerance counts as clearly below: it has room for the lattice's
-    steps. A cell's votes are the ends of ranges of heights, so their running sum is the score.
+    steps. This is a Hough transform: for a direction a cell votes for a range of heights, so the
+    ends of the ranges are counted, and their prefix sums are the score.
 
     Args:
         cells: ``K`` of them.
@@ -81,7 +82,7 @@ def vote(
 
 
 def peaks(votes: np.ndarray, count: int, reach: int) -> np.ndarray:
-    """The best planes of a lattice of pitch, roll and height, each apart from the others.
+    """The best planes of a lattice of pitch, roll and height, by non-maximum suppression.
 
     Args:
         votes: ``(P, R, bins)``.

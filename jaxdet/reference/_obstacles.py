@@ -143,7 +143,7 @@ def _straightened(label: np.ndarray, view: View, unit: float, config: ObstacleCo
     out, free = label.copy(), count
     for number in range(count):
         own = label == number
-        column = np.flatnonzero(own.any(axis=0))[: used[number]]
+        column = np.flatnonzero(own.any(axis=0))
         line = lines[number, : used[number]]
         for start in straight_parts(line, bend, shortest, shortest)[1:]:
             if free == MAX_LABELS:

@@ -5,7 +5,6 @@ from math import isqrt
 import numpy as np
 
 from jaxdet.floor.plane import DIRECTION_BITS, direction_table
-from jaxdet.types import MAX_CONTOUR
 
 LONG_TRIM = 20  # one of so many cells of a long thing is passed over at each of its long sides
 FAR_BEHIND = 4  # where a contour jumps, a corner lies so many times the bend behind the chord
@@ -27,8 +26,8 @@ def contours(
         slots: ``M``, how many obstacles there is room for.
 
     Returns:
-        ``(M, C, 2)`` int32 right and forward from left to right, C from 1 to MAX_CONTOUR, and
-        ``(M,)`` int32, how many points of each are used.
+        ``(M, C, 2)`` int32 right and forward from left to right, and ``(M,)`` int32, how many
+        points of each are used.
 
     Example:
         >>> label = np.array([[0, 0], [0, -1]])
@@ -37,12 +36,12 @@ def contours(
         >>> points[0, : count[0]].tolist()
         [[-4, 70], [5, 80]]
     """
-    points = np.zeros((slots, min(max(label.shape[1], 1), MAX_CONTOUR), 2), np.int32)
+    points = np.zeros((slots, label.shape[1], 2), np.int32)
     count = np.zeros(slots, np.int32)
     distance = right * right + forward * forward
     for number in range(min(slots, int(label.max(initial=-1)) + 1)):
         own = np.where(label == number, distance, 1 << 60)
-        column = np.flatnonzero((label == number).any(axis=0))[:MAX_CONTOUR]
+        column = np.flatnonzero((label == number).any(axis=0))
         row = np.argmin(own[:, column], axis=0)
         count[number] = len(column)
         points[number, : len(column)] = np.stack([right[row, column], forward[row, column]], -1)

@@ -45,7 +45,7 @@ def surfaces(
     size = np.bincount(label.ravel(), minlength=label.size)
     label = np.where(linked & (size[label] >= config.min_cells), label, -1)
     rounds = config.crease_cells + config.crease_margin + 1
-    return renumbered(_given_back(label, z, step, keep, rounds))
+    return renumbered(_grown(label, z, step, keep, rounds))
 
 
 def creases(
@@ -203,10 +203,10 @@ def _components(z: np.ndarray, step: np.ndarray, linked: np.ndarray) -> np.ndarr
     return components(z.size, *both[:, np.abs(one - other) <= most]).reshape(z.shape)
 
 
-def _given_back(
+def _grown(
     label: np.ndarray, z: np.ndarray, step: np.ndarray, keep: np.ndarray, rounds: int
 ) -> np.ndarray:
-    """Kept cells without a label take that of the neighbour nearest in depth, ring by ring."""
+    """Region growing: kept cells without a label take that of the neighbour nearest in depth."""
     for _ in range(rounds):
         free = keep & (label < 0)
         best, taken = np.full(z.shape, 1 << 40), label.copy()

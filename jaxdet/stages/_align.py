@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdet.camera import corner_rays, splat_parameters
-from jaxdet.checks import check_depth
+from jaxdet.checks import check_size
 from jaxdet.stages._chain import FrameKernel, by_device
 from jaxdet.stages._launch import BatchKernel
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
@@ -30,7 +30,7 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
     Raises:
         CalibrationError: The images are not of the depth camera's size.
     """
-    check_depth(np.shape(depth), calibration)
+    check_size("depth", np.shape(depth), calibration.depth or calibration.color)
     if calibration.is_aligned:
         depth = jnp.asarray(depth)
         return AlignedDepth(depth, depth)

@@ -40,7 +40,7 @@ def gap_settings(config: ClusterConfig, depth_unit: float) -> np.ndarray:
     The gaps in depth and sideways [depth units], and how many points are too few.
     """
     gaps = depth_gap_units(config, depth_unit), round(config.lateral_gap_m / depth_unit)
-    return kernel_table(np.array([*gaps, config.min_points]))
+    return kernel_table([*gaps, config.min_points])
 
 
 def most_obstacles(points: int, config: ClusterConfig) -> int:

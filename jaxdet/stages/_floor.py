@@ -21,7 +21,7 @@ _SINES = units.SINES.astype(np.int32)
 
 
 def floor_settings(cells: int, config: FloorConfig, unit: float) -> np.ndarray:
-    """What the kernel is told, ``(N,)`` int32, see :func:`_settings`."""
+    """The kernel's settings, ``(N,)`` int32, see :func:`_settings`."""
     return np.hstack(list(_settings(cells, config, unit).values())).astype(np.int32)
 
 
@@ -82,7 +82,7 @@ def scratch_words(rows: int, columns: int, config: FloorConfig, unit: float) -> 
     rows, columns = (len(range(sizes["stride"] // 2, n, sizes["stride"])) for n in (rows, columns))
     heights = 2 * sizes["span"], sizes["highest"] - sizes["lowest"]
     near, wide = ((height >> sizes["bin_bits"]) + 1 for height in heights)
-    return kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"], 2 * sizes["half"])
+    return kernels.floor_scratch_words(rows, columns, near, wide, sizes["runs"])
 
 
 def find_floor(

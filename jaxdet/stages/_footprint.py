@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxdet.checks import check_points
 from jaxdet.config import TRIM_SHARE, Config, FootprintConfig
@@ -45,7 +44,7 @@ class Tables(NamedTuple):
 def tables(config: FootprintConfig, depth_unit: float) -> Tables:
     """The tables on the device."""
     threshold = round(config.vertex_threshold_m / depth_unit)
-    settings = kernel_table(np.array([threshold, config.trim]))
+    settings = kernel_table([threshold, config.trim])
     return Tables(jnp.asarray(band_table(config, depth_unit)), jnp.asarray(settings))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxdet.affinity import BEYOND, NO_STEP, Affinity
 from jaxdet.config import ObstacleConfig
 from jaxdet.stages._teams import Tables, TeamKernel, kernel_tables
-from jaxdet.types import MAX_CONTOUR
+from jaxdet.types import MAX_CONTOUR, MAX_LABELS, MAX_SURFACES
 from jaxdet_kernels import obstacles as kernel
 
 FARTHEST = 1 << 28
@@ -19,7 +19,7 @@ _obstacles = TeamKernel(kernel.obstacles)
 
 
 def tables(farthest: int, unit: float, config: ObstacleConfig, table: Affinity) -> Tables:
-    """What :func:`obstacles` is told, made on the host.
+    """The tables and settings of :func:`obstacles`, made on the host.
 
     Args:
         farthest: End of the range [depth units].
@@ -63,7 +63,8 @@ def obstacles(
     batch, rows, columns = label.shape
     if max(rows, columns) > MAX_CONTOUR:
         raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
-    inputs, words = (label, free, *view), kernel.scratch_words(rows, columns)
+    inputs = label, free, *view
+    words = kernel.scratch_words(rows, columns, MAX_SURFACES, MAX_LABELS)
     shapes = {"label_out": label.shape, "count_out": (batch,)}
     found, count = _obstacles(*inputs, **shared, batch=batch, shapes=shapes, scratch=words)
     return found, count

@@ -63,7 +63,7 @@ def outlines(
     inputs = label, count, *places
     shapes = {
         f"{name}_out": (batch, MAX_OBSTACLES, *shape)
-        for name, shape in {**SHAPES, "contour": (max(columns, 1), 2)}.items()
+        for name, shape in {**SHAPES, "contour": (columns, 2)}.items()
     }
     words = kernels.scratch_words(rows, columns, MAX_OBSTACLES)
     named = _outlines(*inputs, **shared, batch=batch, shapes=shapes, scratch=words)

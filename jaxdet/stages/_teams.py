@@ -15,7 +15,7 @@ from jaxdet.stages._launch import BatchKernel
 from jaxdet.types import Array
 
 MULTIPROCESSORS = 132
-"""Of the largest CUDA device there is; a launch has as many blocks as fit on so many at once."""
+"""Of an H100 or H200; a launch has as many blocks as fit on so many at once."""
 
 SCRATCH_SHARE = 8
 """Of a CUDA device's memory, the scratch memory of all teams is at most one of so many parts; fewer
@@ -23,9 +23,8 @@ teams work where theirs is larger."""
 
 LIMIT = 1 << 30  # of a setting or of an entry of a table: no length is longer
 
-
 Tables = dict[str, Array]
-"""What a kernel is told of the configuration, by the names of its arguments."""
+"""The tables and settings of a kernel, by the names of its arguments."""
 
 
 def kernel_table(values: ArrayLike) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Threads that work on the frames of a batch together, on all cores of this process."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import lru_cache
 from threading import get_native_id
 
@@ -40,37 +41,45 @@ class _Thread:
     there for good, a thread would have to wait where another program has that core.
     """
 
-    def __init__(self, core: int | None, allowed: set[int]) -> None:
+    def __init__(self, core: int | None) -> None:
         self._pool = ThreadPoolExecutor(1, "jaxdet-kernel")
         self._id = self._pool.submit(get_native_id).result()
-        self._core, self._allowed = core, allowed
+        self._core = core
 
     def start(self, work: Callable[[], None]) -> Future[None]:
         """Starts it; the thread may be moved once it has been woken."""
-        if self._core is None:
+        with _on_core(self._id, self._core):
             return self._pool.submit(work)
-        os.sched_setaffinity(self._id, {self._core})
-        try:
-            return self._pool.submit(work)
-        finally:
-            os.sched_setaffinity(self._id, self._allowed)
+
+
+@contextmanager
+def _on_core(thread: int, core: int | None) -> Iterator[None]:
+    """Keeps a thread on a core, if it may use that; it may use the same cores afterwards."""
+    allowed = set() if core is None else os.sched_getaffinity(thread)
+    if core is None or core not in allowed:
+        yield
+        return
+    os.sched_setaffinity(thread, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(thread, allowed)
 
 
 class _Pool:
     """The threads beside the caller's, :func:`threads` with it."""
 
     def __init__(self) -> None:
-        self._allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+        allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
         count = threads()
-        places = sorted(self._allowed) if len(self._allowed) == count else [None] * count
+        places = sorted(allowed) if len(allowed) == count else [None] * count
         self._core = places[0]
-        self.threads = [_Thread(place, self._allowed) for place in places[1:]]
+        self.threads = [_Thread(place) for place in places[1:]]
 
     def place_caller(self) -> None:
         """Moves the calling thread to the core that the others leave; it may be moved again."""
-        if self._core is not None:
-            os.sched_setaffinity(0, {self._core})
-            os.sched_setaffinity(0, self._allowed)
+        with _on_core(0, self._core):
+            pass
 
 
 @lru_cache(maxsize=1)

@@ -15,21 +15,18 @@ _BLOCKS = 4  # on a multiprocessor at once: a thread has up to 64 registers
 _LANES = 16  # directions that a vector has on the CPU
 
 
-def floor_scratch_words(
-    rows: int, columns: int, near_bins: int, wide_bins: int, runs: int, rises: int
-) -> int:
+def floor_scratch_words(rows: int, columns: int, near_bins: int, wide_bins: int, runs: int) -> int:
     """32-bit words of scratch memory of a team, even, see ``native/floor.h``.
 
     ``rows`` times ``columns`` cells are used. So many heights are tried near a guess and without a
-    prior. A profile of the floor has so many distances and heights.
+    prior. A profile of the floor has so many distances.
     """
     cells, few = rows * columns, -(-rows // 2) * -(-columns // 2)
     weights = max(-(-WIDTH // _WARP) * few, cells)
     near, wide = (-(-n // _WARP) * _WARP for n in (_NEAR_DIRECTIONS, _DIRECTIONS))
     lattice = max(near * (near_bins + 1), wide * (wide_bins + 1))
-    table = max(lattice, runs * (rises + 1))
     ends = _LANES * (max(near_bins, wide_bins) + 1)
-    words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + ends + table
+    words = _FIXED_WORDS + 6 * cells + 11 * few + weights + 8 * (runs + 1) + ends + lattice
     return words + words % 2
 
 

@@ -40,6 +40,11 @@ def _read(name: str, texts: dict[str, str]) -> None:
     texts[name] = re.sub(r"#(include|pragma once).*\n", "", text)
 
 
+def bit_words(rows: int, columns: int) -> int:
+    """32-bit words of the rows of bits of ``native/bits.h``: of each row a power of two."""
+    return rows << (-(-columns // 32) - 1).bit_length()
+
+
 def native_kernel(
     *headers: str, body: str, launch_bounds: tuple[int, int] = (256, 4)
 ) -> Callable[[Callable[..., None]], Any]:

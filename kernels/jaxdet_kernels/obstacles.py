@@ -2,35 +2,29 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
-MAX_SURFACES = 512  # most surfaces of a frame
-MAX_LABELS = 1024  # most parts of obstacles, once those that bend are split
 
-
-def scratch_words(rows: int, columns: int) -> int:
-    """How much scratch memory a team needs, as ``lay`` in ``native/obstacles.h`` uses it.
+def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
+    """How much scratch memory a team needs, as ``allocate`` in ``native/obstacles.h`` uses it.
 
     Args:
         rows: ``R``.
         columns: ``C``.
+        surfaces: Most of a frame, ``MAX_SURFACES`` there.
+        labels: Most parts of obstacles, once those that bend are split; ``MAX_LABELS`` there.
     """
     cells = rows * columns
-    slots, labels = min(cells, MAX_SURFACES), min(cells, MAX_LABELS)
+    slots, labels = min(cells, surfaces), min(cells, labels)
     pairs, keys = slots * slots, slots * columns
     longs = [max(2 * pairs, keys), keys, slots, 6]
     words = [2 * one for one in longs] + [pairs, pairs // 2, (pairs // 2 + 3) // 4]
     words += 2 * [cells + slots] + 7 * [cells] + 3 * [19 * labels] + 4 * [labels]
     words += [labels + 1, 2 * labels + 1, 2 * labels + 1, 6]
-    words += [2 * (rows * _words(columns) + columns * _words(rows))]
+    words += [2 * (bit_words(rows, columns) + bit_words(columns, rows))]
     return sum(-(-one // 16) * 16 for one in words)
-
-
-def _words(cells: int) -> int:
-    """Words of a row of bits, a power of two."""
-    return 1 << (-(-cells // 32) - 1).bit_length()
 
 
 @team_kernel(
@@ -49,7 +43,7 @@ def _words(cells: int) -> int:
                         {feature.data, threshold.data, value.data, value.shape[0], value.shape[1],
                          settings.data[Obstacles::OFFSET]}, label_out.data + at,
                         count_out.data + b};
-        frame.lay(scratch);
+        frame.allocate(scratch);
         frame.run(team);
 """,
 )
@@ -70,4 +64,4 @@ def obstacles(
     label_out: wp.array3d[wp.int32],  # (B, R, C) obstacles by distance, -1 = none
     count_out: wp.array[wp.int32],  # (B,) how many there are
 ):
-    """At most 512 rows and columns and ``MAX_SURFACES``; ``scratch_words`` of scratch memory."""
+    """At most 512 rows, columns and surfaces; ``scratch_words`` of scratch memory."""

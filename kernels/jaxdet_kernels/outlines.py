@@ -31,12 +31,12 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
     body="""
         const Warp warp(team);
         const int columns = label.shape[2], grid = label.shape[1] * columns;
-        const int slots = num_points_out.shape[1], capacity = contour_out.shape[2];
+        const int slots = num_points_out.shape[1];
         const size_t at = (size_t)b * grid, slot = (size_t)b * slots;
         const int found = count.data[b] < slots ? count.data[b] : slots;
 
-        ObstacleCells cells{team, grid, columns, found, columns / ObstacleCells::MARGIN,
-                            label.data + at, right.data + at, forward.data + at, in_view.data + at};
+        ObstacleCells cells{team, grid, columns, found, Margins(columns), label.data + at,
+                            right.data + at, forward.data + at, in_view.data + at};
         const Measures measures{cells, warp, settings.data[Outlines::TRIM],
                                 settings.data[Outlines::VERTEX], bands.data,
                                 {x.data + at, y.data + at, z.data + at}, height.data + at,
@@ -46,11 +46,11 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
                                 xyz_max_out.data + 3 * slot, xyz_sum_out.data + 6 * slot,
                                 a_out.data + 2 * slot, b_out.data + 2 * slot, c_out.data + 2 * slot,
                                 bottom_top_out.data + 2 * slot, has_vertex_out.data + slot};
-        Outlines outlines{cells, warp, measures, slots, capacity, settings.data[Outlines::LONG],
-                          directions.data, contour_out.data + 2 * capacity * slot,
+        Outlines outlines{cells, warp, measures, slots, settings.data[Outlines::LONG],
+                          directions.data, contour_out.data + 2 * columns * slot,
                           contour_points_out.data + slot, direction_out.data + 2 * slot,
                           span_out.data + 4 * slot};
-        cells.lay(outlines.lay(scratch), slots);
+        cells.allocate(outlines.allocate(scratch), slots);
         outlines.run();
 """,
 )

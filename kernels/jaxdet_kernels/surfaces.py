@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, team_kernel
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
 
@@ -10,8 +10,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS
 def surfaces_words(rows: int, columns: int) -> int:
     """Words of scratch memory that a team needs for frames of so many cells."""
     cells, grid = rows * columns, (rows + 2) * (columns + 16) + 16
-    words = 1 << (-(-columns // 32) - 1).bit_length()
-    return 3 * grid + 6 * cells + 5 * rows * words + 1
+    return 3 * grid + 6 * cells + 5 * bit_words(rows, columns) + 1
 
 
 @team_kernel(

@@ -31,15 +31,15 @@ struct BitRows {
     unsigned above(int i) const { return row(i) ? bits[i - (1 << shift)] : 0; }
     unsigned below(int i) const { return row(i) + 1 < rows ? bits[i + (1 << shift)] : 0; }
 
-    // How many bits are set, and which is the first of some.
-    static int ones(unsigned word) {
+    // How many bits are set, and which is the lowest of some.
+    static int popcount(unsigned word) {
 #if defined(__CUDA_ARCH__)
         return __popc(word);
 #else
         return __builtin_popcount(word);
 #endif
     }
-    static int first(unsigned word) {
+    static int lowest(unsigned word) {
 #if defined(__CUDA_ARCH__)
         return __ffs(word) - 1;
 #else
@@ -57,8 +57,8 @@ struct BitRows {
         return word;
     }
 
-    // Columns as rows: bit r of word w of row c of `out` is that of column c in row 32 w + r.
-    void turn(const Team& team, const BitRows& out) const {
+    // The transpose: bit r of word w of row c of `out` is that of column c in row 32 w + r.
+    void transpose(const Team& team, const BitRows& out) const {
         for (int block = team.rank; block < words * out.words; block += team.size) {
             const int w = block % words, top = block / words * WIDTH;
             unsigned a[WIDTH];
@@ -77,7 +77,7 @@ struct BitRows {
     }
 
     // Words that no cell belongs to become 0.
-    void clear_rest(const Team& team) const {
+    void clear_padding(const Team& team) const {
         for (int i = team.rank; i < count(); i += team.size)
             if (column(i) >= words * WIDTH) bits[i] = 0;
     }

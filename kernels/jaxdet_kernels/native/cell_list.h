@@ -1,4 +1,4 @@
-// The cells of a frame that have a label, one after the other: mostly a small part of all.
+// The cells of a frame that have a label, compacted to a list: mostly a small part of all.
 #pragma once
 #include "bits.h"
 #include "warp.h"
@@ -19,8 +19,8 @@ struct CellList {
         int* most
     ) const {
         int largest = -1;
-        has.clear_rest(team);
-        open.clear_rest(team);
+        has.clear_padding(team);
+        open.clear_padding(team);
 #if defined(__CUDA_ARCH__)
         const Warp warp(team);
         const int words = has.words, all = has.rows * words;
@@ -28,17 +28,17 @@ struct CellList {
             int own[AHEAD], from[AHEAD];
             bool seen[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k, c = i % words * BitRows::WIDTH + warp.rank;
+                const int i = first + k, c = i % words * BitRows::WIDTH + warp.lane;
                 from[k] = i < all && c < columns ? i / words * columns + c : -1;
                 own[k] = from[k] < 0 ? -1 : labels[from[k]];
                 seen[k] = from[k] >= 0 && free[from[k]];
             }
             for (int k = 0; k < AHEAD; ++k) {
-                const unsigned those = warp.those(own[k] >= 0), frees = warp.those(seen[k]);
+                const unsigned those = warp.ballot(own[k] >= 0), frees = warp.ballot(seen[k]);
                 if (from[k] >= 0) out[from[k]] = own[k];
                 largest = own[k] > largest ? own[k] : largest;
                 const int i = has.at((first + k) / words, (first + k) % words);
-                if (warp.rank || first + k >= all) continue;
+                if (warp.lane || first + k >= all) continue;
                 has[i] = those;
                 open[i] = frees;
             }
@@ -56,14 +56,14 @@ struct CellList {
             has[i] = BitRows::packed(some, 0, wide);
             open[i] = BitRows::packed(free + from, 0, wide);
             for (unsigned those = has[i]; those; those &= those - 1) {
-                const int at = from + BitRows::first(those), own = labels[at];
+                const int at = from + BitRows::lowest(those), own = labels[at];
                 put(n++, at, own, at_right, at_forward);
                 largest = own > largest ? own : largest;
             }
         }
         *count = n;
 #endif
-        if (largest >= 0) team.most(most, largest + 1);
+        if (largest >= 0) team.atomic_max(most, largest + 1);
         team.sync();
     }
 
@@ -78,7 +78,7 @@ struct CellList {
         for (int first = warp.index * GROUP; first < cells; first += warp.count * GROUP) {
             int own[AHEAD], from[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                from[k] = first + k * Warp::size + warp.rank;
+                from[k] = first + k * Warp::size + warp.lane;
                 own[k] = from[k] < cells ? labels[from[k]] : -1;
             }
             for (int k = 0; k < AHEAD; ++k) own[k] = own[k] < limit ? own[k] : -1;
@@ -101,12 +101,12 @@ struct CellList {
     ) const {
         int before[AHEAD], found, sum = 0, start = 0;
         for (int k = 0; k < AHEAD; ++k) {
-            before[k] = sum + warp.before(own[k] >= 0, &found);
+            before[k] = sum + warp.ballot_rank(own[k] >= 0, &found);
             sum += found;
         }
         if (sum == 0) return;
-        if (warp.rank == 0) start = team.add(count, sum);
-        start = warp.from(start, 0);
+        if (warp.lane == 0) start = team.atomic_add(count, sum);
+        start = warp.broadcast(start, 0);
         for (int k = 0; k < AHEAD; ++k)
             if (own[k] >= 0) put(start + before[k], from[k], own[k], at_right, at_forward);
     }

@@ -148,7 +148,7 @@ struct CellGrid {
         const bool bends = projection.model != Projection::PINHOLE;
         const Warp warp(team);
         for (int row = warp.index; row < rows; row += warp.count)
-            for (int column = warp.rank; column < columns; column += Warp::size) {
+            for (int column = warp.lane; column < columns; column += Warp::size) {
                 const int k = row * columns + column;
                 // All that is known before the depth is asked for first: it arrives at once.
                 const Ray towards = ray(k);

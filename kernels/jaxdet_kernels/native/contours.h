@@ -1,5 +1,5 @@
 // The visible edge of each label on the floor: in each column of cells, its nearest cell.
-// Twin of `contours` in jaxdet/reference/_outlines.py for grids of at most MAX_CONTOUR columns.
+// Twin of `contours` in jaxdet/reference/_outlines.py.
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
@@ -22,7 +22,7 @@ struct Contours {
         const Warp warp(team);
         for (int l = warp.index; l < count; l += warp.count) {
             const int last = column_high[l];
-            for (int c = column_low[l] + warp.rank; c <= last; c += warp.size) at(l, c) = ~0ull;
+            for (int c = column_low[l] + warp.lane; c <= last; c += warp.size) at(l, c) = ~0ull;
         }
         team.sync();
     }
@@ -37,7 +37,7 @@ struct Contours {
         const int all = *listed.count;
         for (int i = team.rank; i < all; i += team.size) {
             const int row = listed.cell[i] / columns, c = listed.cell[i] - row * columns;
-            team.least(&at(listed.label[i], c), key(row, listed.right[i], listed.forward[i]));
+            team.atomic_min(&at(listed.label[i], c), key(row, listed.right[i], listed.forward[i]));
         }
         team.sync();
     }
@@ -48,8 +48,8 @@ struct Contours {
         const Warp warp(team);
         for (int l = warp.index; l < parts.count; l += warp.count) {
             const int last = parts.column_high[l];
-            for (int c = parts.column_low[l] + warp.rank; c <= last; c += warp.size) {
-                team.least(&at(whole[l], c), parts.at(l, c));
+            for (int c = parts.column_low[l] + warp.lane; c <= last; c += warp.size) {
+                team.atomic_min(&at(whole[l], c), parts.at(l, c));
             }
         }
         team.sync();
@@ -61,22 +61,22 @@ struct Contours {
         for (int l = warp.index; l < count; l += warp.count) {
             const int last = column_high[l];
             int points = 0;
-            for (int c = column_low[l] + warp.rank; c <= last; c += warp.size) {
+            for (int c = column_low[l] + warp.lane; c <= last; c += warp.size) {
                 points += at(l, c) != ~0ull;
             }
             points = warp.sum(points);
-            if (warp.rank == 0) start[l] = points;
+            if (warp.lane == 0) start[l] = points;
         }
         team.sync();
-        if (warp.index == 0) warp.run_up(start, count);
+        if (warp.index == 0) warp.exclusive_sum(start, count);
         team.sync();
         for (int l = warp.index; l < count; l += warp.count) {
             const int last = column_high[l];
             int point = start[l], found;
             for (int first = column_low[l]; first <= last; first += warp.size, point += found) {
-                const int c = first + warp.rank;
+                const int c = first + warp.lane;
                 const Key own = c <= last ? at(l, c) : ~0ull;
-                const int place = point + warp.before(own != ~0ull, &found);
+                const int place = point + warp.ballot_rank(own != ~0ull, &found);
                 if (own == ~0ull) continue;
                 const int i = (int)(own & ((1 << ROW_BITS) - 1)) * columns + c;
                 x[place] = right[i];

@@ -59,7 +59,7 @@ struct Contraction {
         for (int node = team.rank; node < count; node += team.size) {
             group[node] = node;
             best[node] = best_of(node);
-            team.least(turns, best[node]);
+            team.atomic_min(turns, best[node]);
         }
         team.sync();
         int grown = -1;
@@ -89,10 +89,10 @@ struct Contraction {
                     }
                 }
                 if (node > kept) {
-                    team.least(turns + next, key(sum, kept, node));
-                    team.least(turns + TURNS + next, key(sum, kept, node));
+                    team.atomic_min(turns + next, key(sum, kept, node));
+                    team.atomic_min(turns + TURNS + next, key(sum, kept, node));
                 }
-                team.least(turns + next, best[node]);
+                team.atomic_min(turns + next, best[node]);
             }
             grown = kept;
             turn = next;

@@ -1,6 +1,7 @@
-// The strongest corners that keep a minimum distance, strongest first. Twin of `_spread` in
-// jaxdet/reference/_corners.py: in order of falling strength, of equals the last in raster order
-// first, a corner is taken unless one that was taken is nearer than the distance.
+// The strongest corners that keep a minimum distance, strongest first: greedy non-maximum
+// suppression. Twin of `_without_near` in jaxdet/reference/_corners.py: in order of falling
+// strength, of equals the last in raster order first, a corner is taken unless one that was taken
+// is nearer than the distance.
 #pragma once
 #include "pixel_bits.h"
 #include "square_root.h"
@@ -67,7 +68,8 @@ struct CornerSelection {
         return taken;
     }
 
-    // By rising strength, and by place where equal, as the list is by place.
+    // By rising strength, and by place where equal, as the list is by place: radix sort, from the
+    // lowest digit on.
     void sort() {
         unsigned least = 0xffffffffu, greatest = 0;
         for (int i = 0; i < count; ++i) {
@@ -322,7 +324,7 @@ struct CornerSelection {
     void keep_strongest(Shared& shared, bool few, int found) const {
         Key least = 0;
         if (found > slots) {
-            // A search for the weakest of them, digit by digit.
+            // Radix selection of the weakest of them, from the highest digit on.
             int wanted = slots;
             for (int shift = 64 - DIGIT; shift >= 0; shift -= DIGIT) {
                 if (thread < 1 << DIGIT) shared.bins[thread] = 0;

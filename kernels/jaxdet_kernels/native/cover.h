@@ -64,13 +64,13 @@ struct CoverMask {
         for (int start = 0; start < groups; start += team.size) {
             const int group = start + team.rank, first = group * GROUP - before;
             unsigned those = group < groups ? group_of(first, &some) : 0;
-            const int up_to = warp.sum_up_to(BitRows::ones(those));
+            const int up_to = warp.inclusive_sum(BitRows::popcount(those));
             int place = 0;
-            if (warp.rank == Warp::size - 1 && up_to) place = team.add(&listed, up_to);
-            place = warp.from(place, Warp::size - 1) + up_to - BitRows::ones(those);
+            if (warp.lane == Warp::size - 1 && up_to) place = team.atomic_add(&listed, up_to);
+            place = warp.broadcast(place, Warp::size - 1) + up_to - BitRows::popcount(those);
             if (those) paint(first, those);
             for (; those; those &= those - 1)
-                cover.taken[place++] = first + BitRows::first(those);
+                cover.taken[place++] = first + BitRows::lowest(those);
         }
         team.sync();
         if (team.rank == 0) *cover.count = listed;
@@ -141,12 +141,12 @@ struct CoverMask {
         for (int w = at.left / 32; w <= at.right / 32; ++w) {
             const unsigned part = PixelBits::part(w, at.left, at.right);
             for (int v = at.top; v <= at.bottom; ++v)
-                cover.team.set((int*)&bits[v * words + w], (int)part);
+                cover.team.atomic_or((int*)&bits[v * words + w], (int)part);
         }
     }
 };
 
-// What is told of the features of a frame, each by slot.
+// The features of a frame, by slot.
 struct FeatureSlots {
     int *u, *v, *x, *y, *z, *label;
     bool *valid, *kept;
@@ -183,7 +183,7 @@ struct SampledCells {
 #if defined(__clang__)
 #pragma clang loop vectorize(assume_safety)
 #endif
-            for (int i = warp.rank; i < across; i += Warp::size) {
+            for (int i = warp.lane; i < across; i += Warp::size) {
                 const int k = from + 2 * i;
                 const bool seen = Team::input(cover.in_view + k);
                 const int right = Team::input(x + k), down = Team::input(y + k);
@@ -229,7 +229,7 @@ struct CoveredCorners {
         for (int i = team.rank; i < slots; i += team.size) nearest[i] = nothing;
         team.sync();
         for (int i = team.rank; i < count; i += team.size)
-            next[i] = team.swap(&first[v[i] / TILE * across + u[i] / TILE], i);
+            next[i] = team.atomic_exchange(&first[v[i] / TILE * across + u[i] / TILE], i);
         team.sync();
         const int all = *cover.count;
         for (int start = team.rank; start < all; start += AHEAD * team.size) {
@@ -253,7 +253,7 @@ struct CoveredCorners {
                         for (int i = first[row * across + column]; i >= 0; i = next[i]) {
                             const bool is_under = (at.left <= u[i]) & (u[i] <= at.right) &
                                 (at.top <= v[i]) & (v[i] <= at.bottom);
-                            if (is_under) team.least(&nearest[i], key);
+                            if (is_under) team.atomic_min(&nearest[i], key);
                         }
             }
         }

@@ -83,9 +83,9 @@ struct Creases {
         const int to = (right + reach) / BitRows::WIDTH;
         const int last = bottom + reach < grid.rows ? bottom + reach : grid.rows;
         unsigned some = 0;
-        for (int r = (top < reach ? 0 : top - reach) + warp.rank; r < last; r += Warp::size)
+        for (int r = (top < reach ? 0 : top - reach) + warp.lane; r < last; r += Warp::size)
             for (int w = from; w <= to && w < kept.words; ++w) some |= kept[kept.at(r, w)];
-        return warp.those(some != 0);
+        return warp.ballot(some != 0);
     }
 
     // Both smoothings at once, down strips of columns, where they are used.
@@ -95,9 +95,9 @@ struct Creases {
         const int strips = (grid.columns + INNER - 1) / INNER;
         const int pieces = strips * ((grid.rows + SEGMENT - 1) / SEGMENT);
         for (int piece = warp.index; piece < pieces; piece += warp.count) {
-            const int c = piece % strips * INNER + warp.rank - HALO;
+            const int c = piece % strips * INNER + warp.lane - HALO;
             const bool inside = c >= 0 && c < grid.columns;
-            const bool own = inside && warp.rank >= HALO && warp.rank < Warp::size - HALO;
+            const bool own = inside && warp.lane >= HALO && warp.lane < Warp::size - HALO;
             const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
             const int end = stop < grid.rows ? stop : grid.rows, left = piece % strips * INNER;
             if (!is_used(warp, begin, end, left, left + INNER - 1)) continue;
@@ -132,14 +132,14 @@ struct Creases {
     void find(const Team& team) const {
         const Warp warp(team);
         const int words = found.words, count = grid.rows * words;
-        found.clear_rest(team);
+        found.clear_padding(team);
         for (int first = warp.index; first < count; first += AHEAD * warp.count) {
             int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
             bool on[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
                 const int i = first + k * warp.count < count ? first + k * warp.count : first;
-                const int r = i / words, c = i % words * BitRows::WIDTH + warp.rank;
-                on[k] = kept[kept.at(r, i % words)] >> warp.rank & 1;
+                const int r = i / words, c = i % words * BitRows::WIDTH + warp.lane;
+                on[k] = kept[kept.at(r, i % words)] >> warp.lane & 1;
                 const int row = on[k] ? r : 0, column = on[k] ? c : 0;
                 const int at = grid.row(row) + column, none = grid.row(-1);
                 const bool inside = row >= reach && row + reach < grid.rows;
@@ -161,8 +161,8 @@ struct Creases {
                 const int deep = limit[k] << (BITS + 1);
                 const bool bent = bends(here[k], before[k], after[k], most, deep) |
                                   bends(here[k], up[k], down[k], most, deep);
-                const unsigned crease = warp.those(on[k] & bent);
-                if (i < count && warp.rank == 0) found[found.at(i / words, i % words)] = crease;
+                const unsigned crease = warp.ballot(on[k] & bent);
+                if (i < count && warp.lane == 0) found[found.at(i / words, i % words)] = crease;
             }
         }
         team.sync();
@@ -247,15 +247,15 @@ struct Creases {
             unsigned left = here & ~above & over & ~before;
             unsigned right = here & ~above & found.after(j) & ~found.after(i);
             for (; straight; straight &= straight - 1) {
-                const int k = BitRows::first(straight);
+                const int k = BitRows::lowest(straight);
                 runs.link(team, i, k, j, k);
             }
             for (; left; left &= left - 1) {
-                const int k = BitRows::first(left);
+                const int k = BitRows::lowest(left);
                 runs.link(team, i, k, k ? j : j - 1, (k + BitRows::WIDTH - 1) % BitRows::WIDTH);
             }
             for (; right; right &= right - 1) {
-                const int k = BitRows::first(right), last = BitRows::WIDTH - 1;
+                const int k = BitRows::lowest(right), last = BitRows::WIDTH - 1;
                 runs.link(team, i, k, k < last ? j : j + 1, (k + 1) % BitRows::WIDTH);
             }
         }
@@ -265,7 +265,7 @@ struct Creases {
             unsigned large = 0;
             for (unsigned rest = found[i]; rest;) {
                 const unsigned cells = runs.next(i, &rest);
-                const int root = runs.sets.find(runs.at(i, BitRows::first(cells)));
+                const int root = runs.sets.find(runs.at(i, BitRows::lowest(cells)));
                 if (runs.sizes[root] >= least) large |= cells;
             }
             found[i] = large;

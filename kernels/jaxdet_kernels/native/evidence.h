@@ -59,7 +59,7 @@ struct Evidence {
                 between[a * count + b] = between[b * count + a] = 0;
                 near[pair] = most(aside, 0) <= lateral_gap && ahead <= forward_gap;
                 if (!near[pair]) continue;
-                list[team.add(listed, 1)] = a << 16 | b;
+                list[team.atomic_add(listed, 1)] = a << 16 | b;
                 Sum* own = sums + (size_t)pair * Facing::SUMS;
                 own[Facing::ROWS] = own[Facing::STEPS] = own[Facing::COLUMNS] = 0;
                 own[Facing::DISTANCE] = ~0ull;
@@ -91,7 +91,8 @@ struct Evidence {
             team.sync();
             const bool weighs = weights[own] != NOT_NEAR;
             team.sync();
-            if (weighs) team.add(weights + own, trees.weigh(seen + own, BATCH, share, shares));
+            if (weighs)
+                team.atomic_add(weights + own, trees.weigh(seen + own, BATCH, share, shares));
             team.sync();
             if (share == 0 && some) {
                 between[a * count + b] = between[b * count + a] = weighs ? weights[own] : 0;
@@ -138,7 +139,7 @@ struct Evidence {
                 best = apart < best ? apart : best;
             }
         }
-        team.least(own + Facing::DISTANCE, (Sum)best);
+        team.atomic_min(own + Facing::DISTANCE, (Sum)best);
     }
 
     int part(Sum sum, int k) const {

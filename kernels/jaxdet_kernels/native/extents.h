@@ -16,7 +16,7 @@ struct Extents {
     int *shown, *left, *right, *near, *far;
 
     // `place`: room for FIELDS arrays.
-    void lay(int* place, int labels) {
+    void allocate(int* place, int labels) {
         slots = labels;
         words = place;
         // Sums, then the least, then the most of all cells, then what is trimmed.
@@ -51,27 +51,27 @@ struct Extents {
 #if defined(__CUDA_ARCH__)
         const Warp warp(team);
         for (int first = warp.index * Warp::size; first < all; first += warp.count * Warp::size) {
-            const int i = first + warp.rank < all ? first + warp.rank : all - 1;
+            const int i = first + warp.lane < all ? first + warp.lane : all - 1;
             const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
             const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
             const bool seen = in_view[k];
             const int row = k / wide, column = k % wide;
             // One label after the other; lane n adds what is known by the name n.
-            for (unsigned rest = warp.those(first + warp.rank < all); rest;) {
-                const int l = __shfl_sync(0xffffffff, label, __ffs(rest) - 1);
-                const bool own = label == l && first + warp.rank < all;
-                const unsigned those = warp.those(own);
+            for (unsigned rest = warp.ballot(first + warp.lane < all); rest;) {
+                const int l = warp.broadcast(label, BitRows::lowest(rest));
+                const bool own = label == l && first + warp.lane < all;
+                const unsigned those = warp.ballot(own);
                 rest &= ~those;
-                const auto least = [&](int value) { return warp.least(own ? value : (int)NONE); };
-                const auto most = [&](int value) { return warp.most(own ? value : -(int)NONE); };
+                const auto least = [&](int value) { return warp.min(own ? value : (int)NONE); };
+                const auto most = [&](int value) { return warp.max(own ? value : -(int)NONE); };
                 const int found[KNOWN] = {
-                    __popc(those), __popc(warp.those(own && seen)), least(k), least(row),
-                    least(column), least(r), least(f), least(h), least(z_here), least(x_here),
-                    most(row), most(column), most(r), most(f), most(h),
+                    BitRows::popcount(those), BitRows::popcount(warp.ballot(own && seen)),
+                    least(k), least(row), least(column), least(r), least(f), least(h),
+                    least(z_here), least(x_here), most(row), most(column), most(r), most(f), most(h),
                 };
                 int mine = 0;
-                for (int n = 0; n < KNOWN; ++n) mine = warp.rank == n ? found[n] : mine;
-                add(team, l, warp.rank, mine);
+                for (int n = 0; n < KNOWN; ++n) mine = warp.lane == n ? found[n] : mine;
+                add(team, l, warp.lane, mine);
             }
         }
 #else
@@ -102,9 +102,9 @@ struct Extents {
     // The k-th of what is known of a label, from a part of its cells.
     void add(const Team& team, int l, int k, int value) const {
         int* place = words + k * slots + l;
-        if (k < SUMS) team.add(place, value);
-        else if (k < LEAST) team.least(place, value);
-        else if (k < KNOWN) team.most(place, value);
+        if (k < SUMS) team.atomic_add(place, value);
+        else if (k < LEAST) team.atomic_min(place, value);
+        else if (k < KNOWN) team.atomic_max(place, value);
     }
 
     // The same, from those of parts: part `l` belongs to `whole[l]`. Ends in a sync.
@@ -118,7 +118,8 @@ struct Extents {
     }
 };
 
-// The k-th smallest and the k-th largest value of each label.
+// The k-th smallest and the k-th largest value of each label: a counting sort by label, then order
+// statistics.
 struct Trimmed {
     int count, all;
     const int *label, *value;  // of each of all listed cells
@@ -135,12 +136,12 @@ struct Trimmed {
         for (int l = team.rank; l < count; l += team.size) start[l] = over[l] ? cells[l] : 0;
         team.sync();
         if (warp.index == 0) {
-            warp.run_up(start, count);
-            for (int l = warp.rank; l < count; l += warp.size) next[l] = start[l];
+            warp.exclusive_sum(start, count);
+            for (int l = warp.lane; l < count; l += warp.size) next[l] = start[l];
         }
         team.sync();
         for (int i = team.rank; i < all; i += team.size)
-            if (over[label[i]]) sorted[team.count(next + label[i])] = value[i];
+            if (over[label[i]]) sorted[team.atomic_count(next + label[i])] = value[i];
         team.sync();
         const Ranks ranks(warp);
         for (int i = warp.index; i < 2 * count; i += warp.count) {
@@ -148,7 +149,7 @@ struct Trimmed {
             const int first = flip ? ~high[l] : low[l], last = flip ? ~low[l] : high[l];
             const int found = over[l]
                 ? ranks.at(sorted, flip, start[l], start[l + 1], over[l], first, last) : first;
-            if (warp.rank == 0) (flip ? most : least)[l] = found ^ flip;
+            if (warp.lane == 0) (flip ? most : least)[l] = found ^ flip;
         }
         team.sync();
     }

@@ -63,13 +63,13 @@ struct Facing {
     }
 
     void walk(const Team& team, int line, const int* cell, const int* place) const {
-        Past ring[RING];
+        Past ring[RING];  // the last runs of the line, a ring buffer
         Run run = {-1, 0, -2, 0, 0, 0, 0, 0, 0};
         int runs = 0, frees = 0;
         for (int i = has.at(line, 0); i < has.at(line + 1, 0); ++i) {
             const unsigned all = has[i], open = free[i];
             const auto frees_before = [&](unsigned bit) {
-                return frees + BitRows::ones(open & (bit - 1));
+                return frees + BitRows::popcount(open & (bit - 1));
             };
             for (int start = 0; all >> start; start += AHEAD) {
                 const unsigned some = all >> start & ((1 << AHEAD) - 1);
@@ -93,7 +93,7 @@ struct Facing {
                 }
                 if (start + AHEAD == BitRows::WIDTH) break;
             }
-            frees += BitRows::ones(open);
+            frees += BitRows::popcount(open);
         }
         if (run.label >= 0) meet(team, ring, runs, run, place);
     }
@@ -129,14 +129,14 @@ struct Facing {
         const Sum seen = 1 | (Sum)through << COUNT_BITS;
         Sum* own = sums + (size_t)pair * SUMS;
         if (!in_rows) {
-            team.add(own + COLUMNS, seen | (Sum)(hidden || hole) << 2 * COUNT_BITS);
+            team.atomic_add(own + COLUMNS, seen | (Sum)(hidden || hole) << 2 * COUNT_BITS);
             return;
         }
-        team.add(own + ROWS, seen | (Sum)hidden << 2 * COUNT_BITS);
+        team.atomic_add(own + ROWS, seen | (Sum)hidden << 2 * COUNT_BITS);
         if (through) return;
         const int apart = place[right.first * step] - place[left.last * step];
         const int slope = (apart < 0 ? -apart : apart) / SLOPE;
         const bool agree = (hidden || hole) && high - low <= gap + slope;
-        team.add(own + STEPS, (Sum)agree | (Sum)(high - low) << STEP_SHIFT);
+        team.atomic_add(own + STEPS, (Sum)agree | (Sum)(high - low) << STEP_SHIFT);
     }
 };

@@ -3,6 +3,7 @@
 #pragma once
 #include "floor_ahead.h"
 #include "floor_search.h"
+#include "margins.h"
 
 struct Floor {
     enum {
@@ -13,7 +14,6 @@ struct Floor {
         UNDER_PART = 2,
         UNDER_ALONE = 3,
         UNDER_PART_ALONE = 8,
-        MARGIN = 8,
         // Looked at together: near a guess there are fewer.
         PLANES = FloorSearch::ANY_PLANES,
         RESULTS = 8,
@@ -37,11 +37,11 @@ struct Floor {
     // Scratch.
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
-    int *rows, *places, *table, *lattice, *ends;
+    int *rows, *places, *lattice, *ends;
     int most, most_few, room;
 
-    // Words of scratch memory, in the order of the layout; kernels/floor.py has the same sum. On
-    // CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
+    // Words of scratch memory, in the order of the layout; jaxdet_kernels/floor.py has the same sum.
+    // On CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
     // search needs after the other.
     Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
           int columns_in, int* scratch, int* fast)
@@ -64,7 +64,7 @@ struct Floor {
         sums = (unsigned long long*)always(ThreadGroup::words(team));
         keys = (unsigned long long*)always(FloorSearch::KEY_WORDS);
         counts = always(COUNTS);
-        planes = always(3 * 3 * PLANES);
+        planes = always(2 * 3 * PLANES);
         votes = always(PLANES);
         most_ramp = always(PLANES);
         rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
@@ -88,8 +88,7 @@ struct Floor {
         weights = now(groups > most ? groups : most);
         ends = room ? quick : at;
         at += room ? 0 : FloorVotes::LANES * FloorSearch::most_bins(settings);
-        // Votes of a search and the profile of a plane follow each other.
-        lattice = table = at;
+        lattice = at;
     }
 
     // Cells of a side that are used: from the middle of the first step on.
@@ -104,7 +103,8 @@ struct Floor {
     // The cells used, and every second of them in rows and columns, by rings.
     void take(const int* x, const int* y, const int* z, int rows, int columns) const {
         const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
-        const int r = part(rows, stride), c = part(columns, stride), margin = c / MARGIN;
+        const int r = part(rows, stride), c = part(columns, stride);
+        const Margins margins(c);
         const int deepest = settings[FloorSetting::MAX_DEPTH];
         const int* rings = settings + FloorSetting::RINGS;
         for (int k = team.rank; k < COUNTS; k += team.size) counts[k] = 0;
@@ -119,11 +119,11 @@ struct Floor {
             const int row = i / c, column = i % c;
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
-            const int k = team.count(counts + ALL);
+            const int k = team.atomic_count(counts + ALL);
             cells[k] = x[p];
             cells[most + k] = y[p];
             cells[2 * most + k] = depth;
-            if (((row | column) & 1) == 0) team.count(counts + ENDS + ring_of(depth));
+            if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(depth));
         }
         team.sync();
         if (team.rank == 0) {
@@ -139,12 +139,12 @@ struct Floor {
             const int row = i / across * 2, column = i % across * 2;
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
-            const int k = team.count(counts + NEXT + ring_of(depth));
+            const int k = team.atomic_count(counts + NEXT + ring_of(depth));
             few[k] = x[p];
             few[most_few + k] = y[p];
             few[2 * most_few + k] = depth;
-            if (column < margin || column >= c - margin) continue;
-            const int n = team.count(counts + INNER);
+            if (margins.has(column)) continue;
+            const int n = team.atomic_count(counts + INNER);
             inner[n] = x[p];
             inner[most_few + n] = y[p];
             inner[2 * most_few + n] = depth;
@@ -174,7 +174,7 @@ struct Floor {
     }
 
     FloorProfile profile() const {
-        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places, table};
+        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places};
     }
 
     FloorRamps ramps() const { return {profile()}; }
@@ -266,7 +266,7 @@ struct Floor {
             for (int i = team.rank; i < all.count; i += team.size) {
                 const int x = all.x[i], y = all.y[i], z = all.z[i];
                 const bool is_beyond = forward.along(x, y, z) >= ahead.start;
-                const int n = team.count(counts + (is_beyond ? BEYOND : BEFORE));
+                const int n = team.atomic_count(counts + (is_beyond ? BEYOND : BEFORE));
                 const int k = is_beyond ? most - 1 - n : n;
                 parts[k] = x;
                 parts[most + k] = y;

@@ -3,7 +3,7 @@
 #pragma once
 #include "thread_group.h"
 
-// What the kernel is told, in whole depth units, in the order of jaxdet/stages/_floor.py.
+// Where each setting is, in the order of jaxdet/stages/_floor.py; lengths are whole depth units.
 struct FloorSetting {
     enum {
         STRIDE, MAX_DEPTH, NOISE,
@@ -110,6 +110,18 @@ struct FloorScore {
     }
 };
 
+// One of many and its votes as a key: smaller where there are more votes, or as many for one that
+// comes first.
+struct FloorKey {
+    typedef unsigned long long Word;
+
+    static Word of(int votes, int number) {
+        return (Word)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)number;
+    }
+    static int votes(Word key) { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
+    static int number(Word key) { return (int)(unsigned)key; }
+};
+
 struct FloorRefine {
     enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
     FloorAngles angles;
@@ -150,8 +162,8 @@ struct FloorRefine {
     }
 
     // A step of weighted least squares; false where too few cells are near.
-    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells,
-                                         int base, int per_z) const {
+    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells, int base,
+               int per_z) const {
         const FloorDirection down = angles.down(plane);
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
         const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);

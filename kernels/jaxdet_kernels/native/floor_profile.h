@@ -13,17 +13,17 @@ struct FloorAhead {
 
 struct FloorProfile {
     enum {
-        // Of each distance: where its cells begin, flat votes, bounds, tolerances (2), what is
-        // told (2), where the next cell goes.
+        // Of each distance: where its cells begin, flat votes, upper bounds, tolerances (2), counts
+        // of a ramp's or a step's cells (2), where the next cell goes.
         ROW_ARRAYS = 8
     };
     FloorAngles angles;
     const int* settings;
     // The inner cells.
     FloorCells cells;
-    // Scratch: a key; ROW_ARRAYS (runs + 1) words; 4 words a cell; runs (2 half + 1) words.
+    // Scratch: a `FloorKey`; ROW_ARRAYS (runs + 1) words; 4 words a cell.
     unsigned long long* key;
-    int *rows, *places, *table;
+    int *rows, *places;
 
     int runs() const { return settings[FloorSetting::RUNS]; }
     int half() const { return settings[FloorSetting::HALF]; }
@@ -71,23 +71,22 @@ struct FloorProfile {
             high[i] = up > 0 ? up : 0;
         }
         for (int i = team.rank; i < cells.count; i += team.size)
-            if (run[i] >= 0) team.add(begin() + run[i], 1);
+            if (run[i] >= 0) team.atomic_add(begin() + run[i], 1);
         team.sync();
         const Warp warp(team);
         if (warp.index == 0) {
-            warp.run_up(begin(), n);
-            for (int k = warp.rank; k <= n; k += warp.size) cursor()[k] = begin()[k];
+            warp.exclusive_sum(begin(), n);
+            for (int k = warp.lane; k <= n; k += warp.size) cursor()[k] = begin()[k];
         }
         team.sync();
         for (int i = team.rank; i < cells.count; i += team.size)
             if (run[i] >= 0) {
-                const int place = team.add(cursor() + run[i], 1);
+                const int place = team.atomic_add(cursor() + run[i], 1);
                 sorted[place] = high[i];
                 at[place] = run[i];
             }
         team.sync();
-#if defined(__CUDA_ARCH__)
-        // Heights of a distance in order, so that those below any are found by halves.
+        // Heights of a distance in order.
         for (int i = team.rank; i < begin()[n]; i += team.size) {
             const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
             int place = from;
@@ -95,23 +94,16 @@ struct FloorProfile {
             high[place] = h;
         }
         team.sync();
-#endif
     }
 
-    // Heights of the cells by distance, on CUDA in order.
-    const int* sorted() const {
-#if defined(__CUDA_ARCH__)
-        return places + cells.count;
-#else
-        return places + 2 * cells.count;
-#endif
-    }
+    // Heights of the cells by distance, those of a distance in order.
+    const int* sorted() const { return places + cells.count; }
 
     // Of heights of the profile, how many cells at a distance are lower than each.
     void lower(int k, const int* heights, int* counts, int number) const {
-#if defined(__CUDA_ARCH__)
         const int* in_order = sorted();
         const int from = begin()[k], to = begin()[k + 1];
+#if defined(__CUDA_ARCH__)
         for (int m = 0; m < number; m++) counts[m] = from;
         if (from == to) return;
         // Few are clearly below: the last height asked for is often lower than all.
@@ -123,26 +115,13 @@ struct FloorProfile {
             }
         for (int m = 0; m < number; m++) counts[m] -= from;
 #else
-        const int* row = table + k * (2 * half() + 1);
-        for (int m = 0; m < number; m++) counts[m] = row[heights[m]];
-#endif
-    }
-
-    // Running counts of the cells of each distance over their heights, where these are in no order.
-    void count(const Team& team) const {
-#if !defined(__CUDA_ARCH__)
-        const int n = runs(), width = 2 * half() + 1;
-        const int* heights = sorted();
-        for (int k = team.rank; k < n; k += team.size) {
-            const int from = begin()[k], to = begin()[k + 1];
-            if (from == to) continue;
-            int* counts = table + k * width;
-            for (int h = 0; h < width; h++) counts[h] = 0;
-            for (int i = from; i < to; i++) counts[heights[i] + 1]++;
-            int sum = 0;
-            for (int h = 0; h < width; h++) counts[h] = sum += counts[h];
+        // In vectors, which for so few is faster than a search by halves.
+        for (int m = 0; m < number; m++) {
+            const int height = heights[m];
+            int count = 0;
+            for (int i = from; i < to; i++) count += in_order[i] < height;
+            counts[m] = count;
         }
-        team.sync();
 #endif
     }
 
@@ -177,11 +156,5 @@ struct FloorProfile {
         int count;
         lower(k, &end, &count, 1);
         return count;
-    }
-
-    // How many votes a key has, and a key that is smaller where there are more votes.
-    int votes_of(unsigned long long key) const { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
-    unsigned long long key_of(int votes, int number) const {
-        return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)number;
     }
 };

@@ -20,6 +20,11 @@ struct FloorRamps : FloorProfile {
         ABREAST = Warp::size > 1 ? 1 : STARTS
     };
 
+    // Ramps that are tried: so many starts and turns, all that there are (sign 0) or around a ramp.
+    struct Lattice {
+        int starts, turns, start, turn, sign;
+    };
+
     // At most how many votes each distance and those beyond give any ramp, once there are limits.
     int* most() const { return row(2); }
     int* anew() const { return row(5); }
@@ -47,43 +52,27 @@ struct FloorRamps : FloorProfile {
         const int *heights = sorted(), *at = places + 3 * cells.count;
         for (int k = team.rank; k <= runs(); k += team.size) most()[k] = flat()[k] = 0;
         team.sync();
-#if defined(__CUDA_ARCH__)
         for (int k = team.rank; k < runs(); k += team.size) {
             int low;
             const int here = on(k, 0, slack[k], low);
             flat()[k] = here - each * low;
         }
-#endif
         for (int i = team.rank; i < begin()[runs()]; i += team.size) {
             const int k = at[i], s = slack[k], from = begin()[k], h = heights[i];
             const int width = 2 * s >> bits, deep = (FloorScore::BELOW + 1) * s >> bits;
-            int on, below;
-#if defined(__CUDA_ARCH__)
             const int ends[2] = {h - width, h - deep};
             int under[2];
             lower(k, ends, under, 2);
-            on = i + 1 - from - under[0];
-            below = under[1];
-#else
-            const int flatly = (h < index(s)) - (h < index(-s));
-            flat()[k] += flatly - each * (h < index(-FloorScore::BELOW * s));
-            on = below = 0;
-            for (int j = from; j < begin()[k + 1]; j++) {
-                const unsigned deeper = h - heights[j];
-                on += deeper <= (unsigned)width;
-                below += h - heights[j] > deep;
-            }
-#endif
-            worth()[i] = on - each * below;
-            team.most(most() + k, worth()[i]);
+            worth()[i] = i + 1 - from - under[0] - each * under[1];
+            team.atomic_max(most() + k, worth()[i]);
         }
         team.sync();
-        // The first become sums of those before, the second of those from there on.
+        // Prefix sums of the first, suffix sums of the second.
         const Warp warp(team);
-        if (warp.index == 0) warp.run_up(flat(), runs());
+        if (warp.index == 0) warp.exclusive_sum(flat(), runs());
         if (warp.index == 1 % warp.count) {
-            const int all = warp.run_up(most(), runs());
-            for (int k = warp.rank; k <= runs(); k += warp.size) most()[k] = all - most()[k];
+            const int all = warp.exclusive_sum(most(), runs());
+            for (int k = warp.lane; k <= runs(); k += warp.size) most()[k] = all - most()[k];
         }
         team.sync();
     }
@@ -127,7 +116,7 @@ struct FloorRamps : FloorProfile {
                 }
                 for (int w = 0; w < ABREAST; w++) votes[w] += run > nearest[w] ? most[w] : level;
             }
-            for (int w = 0; w < ABREAST; w++) team.most(found, votes[w]);
+            for (int w = 0; w < ABREAST; w++) team.atomic_max(found, votes[w]);
         }
     }
 
@@ -141,22 +130,21 @@ struct FloorRamps : FloorProfile {
     // The first ramp with most votes of a lattice and at least so many, as a key; `flat` and `most`
     // are of this tolerance. A thread takes its ramps from the last on, so one that can have as
     // many votes as the best so far counts, and others are passed over.
-    void best(const Team& team, int start0, int start_step, int starts,
-                                        int turn0, int turn_step, int turns, int sign,
-                                        const int* slack, int least) const {
-        const int n = runs(), last = 2 * half(), center = half(), number = starts * turns;
+    void best(const Team& team, const Lattice& tried, const int* slack, int least) const {
+        const int turns = tried.turns, number = tried.starts * turns;
+        const int n = runs(), last = 2 * half(), center = half();
         const int bits = settings[FloorSetting::RISE_BITS];
         const int *first = begin(), *level = flat(), *rest = most();
         int known = least;
         for (int m = number - 1 - team.rank; m >= 0; m -= team.size) {
-            const int i = m / turns, start = start_of(i, start0, start_step);
+            const int i = m / turns, start = start_of(tried, i);
             int k = first_beyond(start), votes = level[k];
 #if defined(__CUDA_ARCH__)
-            const int others = votes_of(*(volatile unsigned long long*)key);
+            const int others = FloorKey::votes(*(volatile unsigned long long*)key);
             if (others > known) known = others;
 #endif
             if (votes + rest[k] < known) continue;
-            const int slope = angles.slope(turn_of(m - i * turns, turn0, turn_step, turns, sign));
+            const int slope = angles.slope(turn_of(tried, m - i * turns));
             for (; k < n && votes + rest[k] >= known; k++) {
                 if (first[k] == first[k + 1]) continue;
                 const int up = rise(start, slope, middle(k)), s = slack[k];
@@ -171,7 +159,7 @@ struct FloorRamps : FloorProfile {
             }
             if (votes < known || k < n) continue;
             known = votes;
-            team.least(key, key_of(votes, m));
+            team.atomic_min(key, FloorKey::of(votes, m));
         }
         team.sync();
     }
@@ -184,44 +172,37 @@ struct FloorRamps : FloorProfile {
         return found;
     }
 
-    // Starts and turns of the lattices: step 0 is the first one's.
-    int start_of(int i, int start0, int step) const {
-        return step ? start0 + (i - AROUND) * step : settings[FloorSetting::STARTS + i];
+    int start_of(const Lattice& tried, int i) const {
+        if (!tried.sign) return settings[FloorSetting::STARTS + i];
+        return tried.start + (i - AROUND) * settings[FloorSetting::START_STEP];
     }
-    int turn_of(int j, int turn0, int step, int turns, int sign) const {
-        if (!sign) {
-            const int k = j < turns / 2 ? turns / 2 - 1 - j : j - turns / 2;
+    int turn_of(const Lattice& tried, int j) const {
+        if (!tried.sign) {
+            const int k = j < TURNS ? TURNS - 1 - j : j - TURNS;
             const int turn = LEAST_TURN + k * TURN_STEP;
-            return j < turns / 2 ? -turn : turn;
+            return j < TURNS ? -turn : turn;
         }
-        const int turn = turn0 + (j - AROUND) * step;
-        return sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
+        const int turn = tried.turn + (j - AROUND) * FINE_TURN;
+        return tried.sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
     }
 
     // The best ramp of a plane whose cells are sorted, and its votes; false where these are fewer
     // than `least` or the ramp is not seen.
     bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
-        count(team);
-        // The rough lattice and then the finer one around its best ramp.
-        int start0 = 0, turn0 = 0;
-        for (int fine_one = 0; fine_one < 2; fine_one++) {
-            const int* slack = fine_one ? fine() : coarse();
-            const int starts = fine_one ? FINE : STARTS, turns = fine_one ? FINE : 2 * TURNS;
-            const int start_step = fine_one ? settings[FloorSetting::START_STEP] : 0;
-            const int turn_step = fine_one ? FINE_TURN : 0;
-            const int sign = !fine_one ? 0 : turn0 < 0 ? -1 : 1, size = turn0 < 0 ? -turn0 : turn0;
+        Lattice tried = {STARTS, 2 * TURNS, 0, 0, 0};
+        for (int pass = 0; pass < 2; pass++) {
+            const int* slack = pass ? fine() : coarse();
             limits(team, slack);
             if (team.rank == 0) *key = ~0ull;
             team.sync();
-            best(team, start0, start_step, starts, size, turn_step, turns, sign, slack,
-                 fine_one ? least : -0x7fffffff);
+            best(team, tried, slack, pass ? least : -0x7fffffff);
             if (*key == ~0ull) return false;
-            const int m = (int)(*key & 0xffffffffu);
-            votes = votes_of(*key);
-            found.start = start_of(m / turns, start0, start_step);
-            found.turn = turn_of(m % turns, size, turn_step, turns, sign);
-            start0 = found.start;
-            turn0 = found.turn;
+            const int m = FloorKey::number(*key);
+            votes = FloorKey::votes(*key);
+            found.start = start_of(tried, m / tried.turns);
+            found.turn = turn_of(tried, m % tried.turns);
+            const int sign = found.turn < 0 ? -1 : 1;
+            tried = {FINE, FINE, found.start, sign * found.turn, sign};
         }
         return is_seen(team, found, fine());
     }

@@ -5,10 +5,11 @@
 #include "vectors.h"
 #include "warp.h"
 
-// Votes for planes on a lattice of pitch, roll and height, by the cells up to each ring: the ends of
-// cells' ranges of heights are counted and summed up. On the CPU the directions of a vector go
-// through all cells together. On CUDA each lane of a warp has a direction, the warps share the
-// cells, and as many directions are counted at once as there is shared memory for.
+// Votes for planes on a lattice of pitch, roll and height (a Hough transform), by the cells up to
+// each ring. For a direction a cell votes for a range of heights: the ends of the ranges are
+// counted, and the votes are their prefix sums. On the CPU the directions of a vector go through all
+// cells together. On CUDA each lane of a warp has a direction, the warps share the cells, and as many
+// directions are counted at once as there is shared memory for.
 struct FloorVotes {
     // Directions that a thread sums up together.
 #if defined(__CUDA_ARCH__)
@@ -46,14 +47,14 @@ struct FloorVotes {
     }
 
     FloorPlane plane(unsigned long long key) const {
-        const int index = (int)(key & 0xffffffffu), d = index / bins;
+        const int index = FloorKey::number(key), d = index / bins;
         const int pitch = angles.clipped(pitch0 + d / rolls * step, FloorAngles::STEEPEST);
         return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
     }
 
-    // Smaller where there are more votes, or as many for a plane that comes first.
+    // A `FloorKey` of a direction and a bin.
     unsigned long long key(int votes, int d, int bin) const {
-        return (unsigned long long)(0x7fffffffu - (unsigned)votes) << 32 | (unsigned)(d * bins + bin);
+        return FloorKey::of(votes, d * bins + bin);
     }
 
     // The same of votes with their bin, larger where there are more votes or the bin comes first.
@@ -97,15 +98,14 @@ struct FloorVotes {
         const int step = table.span, low = lowest, shift = bits, last = bins;
         const bool is_packed = table.is_packed, is_shared = table.is_shared;
         for (int start = from; start < to; start += Warp::size) {
-            const int i = start + warp.rank < to ? start + warp.rank : to - 1;
+            const int i = start + warp.lane < to ? start + warp.lane : to - 1;
             const int x = cells.x[i], y = cells.y[i], z = cells.z[i], width = slack[i];
             const int n = to - start < Warp::size ? to - start : Warp::size;
 #pragma unroll 4
             for (int k = 0; k < n; k++) {
-                const int s = __shfl_sync(0xffffffff, width, k);
-                const int height = down.along(__shfl_sync(0xffffffff, x, k),
-                                              __shfl_sync(0xffffffff, y, k),
-                                              __shfl_sync(0xffffffff, z, k)) - low;
+                const int s = warp.broadcast(width, k);
+                const int height = down.along(warp.broadcast(x, k), warp.broadcast(y, k),
+                                              warp.broadcast(z, k)) - low;
                 const int begin = -((s - height) >> shift), end = ((height + s) >> shift) + 1;
                 const int bin[2] = {min(max(begin, 0), last), min(max(end, 0), last)};
                 const int worth[2] = {1 + FloorScore::BELOW_COST, -1};
@@ -127,7 +127,7 @@ struct FloorVotes {
         for (int unit = warp.index; unit < groups * warp.count; unit += warp.count) {
             // Each warp takes another part of the cells for each group, so none waits long.
             const int group = unit / warp.count, part = (warp.index + group) % warp.count;
-            const int k = group * Warp::size + warp.rank;
+            const int k = group * Warp::size + warp.lane;
             count(warp, direction(first + k), from + share * part / warp.count,
                   from + share * (part + 1) / warp.count, table, k);
         }
@@ -217,11 +217,11 @@ struct FloorVotes {
                     all = any < all ? any : all;
                     if (is_last) of_direction[d] = own;
                 }
-                nearer = warp.least(nearer);
-                if (warp.rank == 0) team.least(best + n, nearer);
+                nearer = warp.min(nearer);
+                if (warp.lane == 0) team.atomic_min(best + n, nearer);
                 if (!is_last) continue;
-                all = warp.least(all);
-                if (warp.rank == 0) team.least(whole, all);
+                all = warp.min(all);
+                if (warp.lane == 0) team.atomic_min(whole, all);
             }
             team.sync();
             done = end;
@@ -251,7 +251,7 @@ struct FloorVotes {
     // The best plane of all cells in the nearer part that is apart from the one found last.
     void next(const Team& team) const {
         const unsigned long long last = best[rings - 1];
-        const int index = (int)(last & 0xffffffffu), d = index / bins, h = index - d * bins;
+        const int index = FloorKey::number(last), d = index / bins, h = index - d * bins;
         const int p = d / rolls, r = d % rolls;
         const Warp warp(team);
         team.sync();
@@ -263,7 +263,7 @@ struct FloorVotes {
             const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
             const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
             int most = -0x7fffffff - 1, bin = bins;
-            for (int b = warp.rank; b < bins; b += warp.size) {
+            for (int b = warp.lane; b < bins; b += warp.size) {
                 if (b >= from && b < to) row[b * step] = -0x7fffffff - 1;
                 const int here = row[b * step];
                 if (b < edge_bins || b >= bins - edge_bins || (here <= most && bin < bins)) continue;
@@ -271,15 +271,15 @@ struct FloorVotes {
                 bin = b;
             }
             const unsigned long long found =
-                warp.least(bin < bins ? key(most, other, bin) : ~0ull);
-            if (is_near(other) && warp.rank == 0) of_direction[other] = found;
+                warp.min(bin < bins ? key(most, other, bin) : ~0ull);
+            if (is_near(other) && warp.lane == 0) of_direction[other] = found;
         }
         team.sync();
         unsigned long long left = ~0ull;
         for (int k = team.rank; k < directions(); k += team.size)
             left = of_direction[k] < left ? of_direction[k] : left;
-        left = warp.least(left);
-        if (warp.rank == 0) team.least(best + rings - 1, left);
+        left = warp.min(left);
+        if (warp.lane == 0) team.atomic_min(best + rings - 1, left);
         team.sync();
     }
 };
@@ -379,10 +379,10 @@ struct FloorSearch {
             const FloorScore each{};
             const int height = plane.height, to = cells.count * (part + 1) / parts;
             int sum = 0;
-            for (int i = cells.count * part / parts + warp.rank; i < to; i += Warp::size)
+            for (int i = cells.count * part / parts + warp.lane; i < to; i += Warp::size)
                 sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
             sum = warp.sum(sum);
-            if (warp.rank == 0) team.add(votes + n, sum);
+            if (warp.lane == 0) team.atomic_add(votes + n, sum);
         }
         team.sync();
     }

@@ -22,14 +22,13 @@ struct FloorSteps : FloorProfile {
     bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
-        count(team);
         if (team.rank == 0) *key = ~0ull;
         for (int k = team.rank; k < n; k += team.size) {
             int low;
             own()[k] = on(k, 0, fine()[k], low);
         }
         team.sync();
-        if (warp.index == 0) warp.run_up(own(), n);
+        if (warp.index == 0) warp.exclusive_sum(own(), n);
         team.sync();
         for (int i = warp.index; i < DROPS + RISES; i += warp.count) {
             const int deep = drop(i), size = deep < 0 ? -deep : deep;
@@ -37,26 +36,26 @@ struct FloorSteps : FloorProfile {
             // Of the other floor, beyond the distances that the lanes are at.
             int beyond = 0, other = 0;
             for (int done = 0; done < n; done += warp.size) {
-                const int k = n - 1 - done - warp.rank;
+                const int k = n - 1 - done - warp.lane;
                 int here = 0, low = 0;
                 if (k >= 0) here = on(k, -deep, coarse()[k], low);
-                const int votes_up_to = warp.sum_up_to(here - each * low);
-                const int cells_up_to = warp.sum_up_to(here);
+                const int votes_up_to = warp.inclusive_sum(here - each * low);
+                const int cells_up_to = warp.inclusive_sum(here);
                 if (k >= 0 && size > 2 * coarse()[k]) {
                     const int all = flat()[k] + beyond + votes_up_to, mine = own()[k];
                     if (OWN * mine >= mine + other + cells_up_to)
-                        team.least(key, key_of(all, i * n + k));
+                        team.atomic_min(key, FloorKey::of(all, i * n + k));
                 }
-                beyond += warp.from(votes_up_to, warp.size - 1);
-                other += warp.from(cells_up_to, warp.size - 1);
+                beyond += warp.broadcast(votes_up_to, warp.size - 1);
+                other += warp.broadcast(cells_up_to, warp.size - 1);
             }
         }
         team.sync();
         const unsigned long long best = *key;
         team.sync();
-        votes = votes_of(best);
+        votes = FloorKey::votes(best);
         if (best == ~0ull || votes < least) return false;
-        const int m = (int)(best & 0xffffffffu);
+        const int m = FloorKey::number(best);
         found = {(m % n) << settings[FloorSetting::RUN_BITS], 0, drop(m / n)};
         return is_seen(team, m % n, found.drop);
     }

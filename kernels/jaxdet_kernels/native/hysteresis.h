@@ -35,10 +35,10 @@ struct Hysteresis {
     void run() const {
         const int n = stride(width), words = PixelBits::words(width) / 2;
         for (int i = 0; i < height * n; ++i) open[i] &= ~reached[i];
-        // A stack of rows that are looked at, at first from top to bottom; what a row reaches is
-        // told to its neighbours first.
+        // A worklist of rows, at first from top to bottom. It is a stack: where a row has grown,
+        // its neighbours come next.
         int stack[MAX_HEIGHT], count = height;
-        bool waits[MAX_HEIGHT];
+        bool waits[MAX_HEIGHT];  // Whether a row is in it.
         for (int y = 0; y < height; ++y) {
             stack[height - 1 - y] = y;
             waits[y] = true;

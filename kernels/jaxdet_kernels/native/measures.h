@@ -67,7 +67,7 @@ struct Measures {
     void put_place(int number, ObstacleCells::Range range) const {
         Extremes found[3];
         long long sum[3] = {0, 0, 0};
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size) {
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
             const int k = cells.cell[i];
             for (int j = 0; j < 3; ++j) {
                 found[j].add(xyz[j][k]);
@@ -93,7 +93,7 @@ struct Measures {
     // Where they are in the colour image.
     void put_box(int number, ObstacleCells::Range range) const {
         Extremes columns, rows;
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size) {
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
             const PixelPair first(uv_min[cells.cell[i]]), last(uv_max[cells.cell[i]]);
             columns.add(first.column(), last.column());
             rows.add(first.row(), last.row());
@@ -105,7 +105,7 @@ struct Measures {
     void put_height(int number, ObstacleCells::Range range) const {
         if (range.size() == 0) return;
         Extremes found;
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size)
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size)
             found.add(height[cells.cell[i]]);
         put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
     }
@@ -113,7 +113,7 @@ struct Measures {
     // Of numbers by place in the order.
     Extremes extremes(const int* values, ObstacleCells::Range range) const {
         Extremes found;
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size) found.add(values[i]);
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) found.add(values[i]);
         found.join(warp);
         return found;
     }
@@ -129,12 +129,12 @@ struct Measures {
         const int row = nearest < 0 ? 0 : nearest < DEPTHS ? nearest : DEPTHS - 1;
         const int best = outermost(values, kind == RIGHT ? -1 : 0, own, bands[2 * row + near], range);
         int least = MOST_LATERAL;
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size) {
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
             const int other = clipped(others[i]);
             least = clipped(values[i]) == best && other < least ? other : least;
         }
-        least = warp.least(least);
-        if (warp.rank) return;
+        least = warp.min(least);
+        if (warp.lane) return;
         int* out = (kind == LEFT ? a_out : kind == RIGHT ? b_out : c_out) + 2 * number;
         out[near] = best;
         out[!near] = least;

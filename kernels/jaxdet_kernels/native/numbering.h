@@ -15,14 +15,15 @@ struct Numbering {
         for (int l = team.rank; l < count; l += team.size) lowest[l] = NONE;
         if (team.rank == 0) *total = 0;
         team.sync();
-        for (int l = team.rank; l < count; l += team.size) team.least(lowest + group[l], first[l]);
+        for (int l = team.rank; l < count; l += team.size)
+            team.atomic_min(lowest + group[l], first[l]);
         team.sync();
         for (int l = team.rank; l < count; l += team.size) {
             if (lowest[l] == NONE) continue;
             int before = 0;
             for (int other = 0; other < count; ++other) before += lowest[other] < lowest[l];
             rank[l] = before;
-            team.add(total, 1);
+            team.atomic_add(total, 1);
         }
         team.sync();
         for (int l = team.rank; l < count; l += team.size) number[l] = rank[group[l]];

@@ -1,4 +1,4 @@
-// The cells of a frame sorted by obstacle.
+// The cells of a frame sorted by obstacle (a counting sort).
 //
 // An obstacle's cells lie in four parts one after the other, so that those in the colour image are
 // the first two and those inside of the image's margins the middle two. Within a part they lie in
@@ -6,11 +6,10 @@
 #pragma once
 #include "warp.h"
 #include "cell_list.h"
+#include "margins.h"
 
 struct ObstacleCells {
     enum { SHOWN_AT_MARGIN, SHOWN_INSIDE, HIDDEN_INSIDE, HIDDEN_AT_MARGIN, PARTS };
-    // This part of the columns at each side is the image's margin.
-    enum { MARGIN = 8 };
 
     // Cells from the first to before the last in the order below.
     struct Range {
@@ -20,7 +19,7 @@ struct ObstacleCells {
 
     const Team& team;
     int cells, columns, count;  // of the grid; and how many obstacles
-    int margin;  // columns of it at a side
+    Margins margins;
     const int *label, *right, *forward;
     const bool* in_view;
     CellList listed;  // those of obstacles; their label becomes their place
@@ -31,7 +30,7 @@ struct ObstacleCells {
     int *cell, *right_of, *forward_of;
 
     // Puts the arrays into scratch memory with room for `slots` obstacles.
-    void lay(int* scratch, int slots) {
+    void allocate(int* scratch, int slots) {
         starts = scratch;
         filled = starts + PARTS * slots + 1;
         cell = filled + PARTS * slots;
@@ -41,12 +40,8 @@ struct ObstacleCells {
         listed = {more, more + 1, more + 1 + cells, more + 1 + 2 * cells, more + 1 + 3 * cells};
     }
 
-    bool at_margin(int column) const {
-        return column < margin || column >= columns - margin;
-    }
-
     int place(int number, bool shown, int column) const {
-        const bool outside = at_margin(column);
+        const bool outside = margins.has(column);
         const int part = shown ? (outside ? SHOWN_AT_MARGIN : SHOWN_INSIDE)
                                : (outside ? HIDDEN_AT_MARGIN : HIDDEN_INSIDE);
         return PARTS * number + part;
@@ -61,15 +56,15 @@ struct ObstacleCells {
     // By the first warp, after all cells are counted; then all threads wait.
     void order(const Warp& warp) const {
         const int all = PARTS * count;
-        for (int i = warp.rank; i < all; i += warp.size) starts[i] = filled[i];
-        warp.run_up(starts, all);
-        for (int i = warp.rank; i < all; i += warp.size) filled[i] = starts[i];
+        for (int i = warp.lane; i < all; i += warp.size) starts[i] = filled[i];
+        warp.exclusive_sum(starts, all);
+        for (int i = warp.lane; i < all; i += warp.size) filled[i] = starts[i];
     }
 
     // Puts the cells in order, once their labels are their places; then all threads wait.
     void sort() const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
-            const int at = team.count(filled + listed.label[i]);
+            const int at = team.atomic_count(filled + listed.label[i]);
             cell[at] = listed.cell[i];
             right_of[at] = listed.right[i];
             forward_of[at] = listed.forward[i];

@@ -8,8 +8,8 @@
 #include "small_surfaces.h"
 #include "straight_parts.h"
 
-// Where scratch memory is handed out, in the order asked for.
-struct Store {
+// Hands out scratch memory in the order asked for.
+struct Arena {
     int* next;
 
     int* words(size_t count) {
@@ -60,35 +60,35 @@ struct Obstacles {
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
 
     // As many words as `scratch_words` in jaxdet_kernels/obstacles.py says.
-    void lay(int* scratch) {
+    void allocate(int* scratch) {
         const size_t cells = (size_t)rows * columns;
         slots = cells < MAX_SURFACES ? (int)cells : MAX_SURFACES;
         const size_t all = (size_t)slots * slots;
         const size_t labels = cells < MAX_LABELS ? cells : (size_t)MAX_LABELS;
-        Store store = {scratch};
+        Arena arena = {scratch};
         const size_t sums = Facing::SUMS * all / 2, keys = (size_t)slots * columns;
-        pairs = store.longs(sums > keys ? sums : keys);
-        of_surfaces = store.longs(keys);
-        best = store.longs(slots);
-        turns = store.longs(2 * Contraction::TURNS);
-        between = store.words(all);
-        list = store.words(all / 2);
-        near_pairs = (unsigned char*)store.words((all / 2 + 3) / 4);
-        packed = store.words(cells + slots);
-        stack = store.words(cells + slots);
-        start = store.words(labels + 1);
+        pairs = arena.longs(sums > keys ? sums : keys);
+        of_surfaces = arena.longs(keys);
+        best = arena.longs(slots);
+        turns = arena.longs(2 * Contraction::TURNS);
+        between = arena.words(all);
+        list = arena.words(all / 2);
+        near_pairs = (unsigned char*)arena.words((all / 2 + 3) / 4);
+        packed = arena.words(cells + slots);
+        stack = arena.words(cells + slots);
+        start = arena.words(labels + 1);
         Extents* const known[] = {&first, &whole, &last};
-        for (Extents* of : known) of->lay(store.words(Extents::FIELDS * labels), (int)labels);
+        for (Extents* of : known) of->allocate(arena.words(Extents::FIELDS * labels), (int)labels);
         int** const by_label[] = {&group, &number, &small, &over};
-        for (int** array : by_label) *array = store.words(labels);
-        spare = store.words(2 * labels + 1);
-        parts = store.words(2 * labels + 1);
-        counts = store.words(COUNTS);
+        for (int** array : by_label) *array = arena.words(labels);
+        spare = arena.words(2 * labels + 1);
+        parts = arena.words(2 * labels + 1);
+        counts = arena.words(COUNTS);
         listed.count = counts + LISTED;
         int** const by_cell[] = {&line_x, &line_y, &line_column, &listed.cell, &listed.label,
                                  &listed.right, &listed.forward};
-        for (int** array : by_cell) *array = store.words(cells);
-        bits = store.words(2 * (rows_bits().count() + columns_bits().count()));
+        for (int** array : by_cell) *array = arena.words(cells);
+        bits = arena.words(2 * (rows_bits().count() + columns_bits().count()));
         part_of = (int*)of_surfaces;
     }
 
@@ -193,7 +193,7 @@ struct Obstacles {
     BitRows bits_of(int k) const {
         return BitRows(rows, columns, bits + k * rows_bits().count());
     }
-    BitRows turned(int k) const {
+    BitRows transposed(int k) const {
         const int* after = bits + 2 * rows_bits().count();
         return BitRows(columns, rows, (int*)after + k * columns_bits().count());
     }
@@ -206,8 +206,8 @@ struct Obstacles {
             packed[k] = Packed(own, z[k]).word;
         }
         for (int k = 0; k < 2; ++k) {
-            turned(k).clear_rest(team);
-            bits_of(k).turn(team, turned(k));
+            transposed(k).clear_padding(team);
+            bits_of(k).transpose(team, transposed(k));
         }
         team.sync();
     }
@@ -229,7 +229,8 @@ struct Obstacles {
                                    fast};
         evidence.find_near(team);
         const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
-        const Facing in_columns = {turned(0), turned(1), packed, y, 1, columns, false, gap, near, pairs};
+        const Facing in_columns = {transposed(0), transposed(1), packed, y, 1, columns, false, gap,
+                                   near, pairs};
         Facing::run(team, in_rows, in_columns);
         team.sync();
         evidence.run(team);
@@ -247,11 +248,11 @@ struct Obstacles {
             contours.list(team);
             for (int g = warp.index; g < groups; g += warp.count) {
                 const int found = straight_parts(warp, g).run() - 1;
-                if (warp.rank == 0) before[g] = found;
+                if (warp.lane == 0) before[g] = found;
             }
         }
         team.sync();
-        if (warp.index == 0) warp.run_up(before, groups);
+        if (warp.index == 0) warp.exclusive_sum(before, groups);
         team.sync();
         const auto name_at = [&](int g) {
             return groups + before[g] < MAX_LABELS ? groups + before[g] : (int)MAX_LABELS;
@@ -259,11 +260,11 @@ struct Obstacles {
         if (team.rank == 0) counts[PARTS] = name_at(groups);
         for (int g = warp.index; g < groups; g += warp.count) {
             const int next = name_at(g), found = name_at(g + 1) - next;
-            if (warp.rank == 0) parts[g] = found;
+            if (warp.lane == 0) parts[g] = found;
             if (!found) continue;
             const int *begin = straight_parts(warp, g).parts, end = last.column_high[g];
             int part = 0;
-            for (int c = last.column_low[g] + warp.rank; c <= end; c += warp.size) {
+            for (int c = last.column_low[g] + warp.lane; c <= end; c += warp.size) {
                 while (part < found && line_column[start[g] + begin[part + 1]] <= c) ++part;
                 part_of[g * columns + c] = part ? next + part - 1 : g;
             }
@@ -310,7 +311,7 @@ struct Obstacles {
                 before += !small[other] && is_before(other, l);
             }
             spare[l] = small[l] ? -1 : before;
-            if (!small[l]) team.add(total, 1);
+            if (!small[l]) team.atomic_add(total, 1);
         }
         team.sync();
         for (int l = team.rank; l < wholes; l += team.size) group[l] = spare[number[l]];

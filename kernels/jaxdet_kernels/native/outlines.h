@@ -1,5 +1,5 @@
 // The outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
-// jaxdet/reference/_outlines.py; contours are at most MAX_CONTOUR points long.
+// jaxdet/reference/_outlines.py.
 #pragma once
 #include "measures.h"
 #include "obstacle_cells.h"
@@ -22,9 +22,9 @@ struct Outlines {
     const ObstacleCells& cells;
     const Warp& warp;
     const Measures& measures;
-    int slots, capacity, longest;
+    int slots, longest;
     const int* directions;  // (DIRECTIONS, 2)
-    // By slot.
+    // By slot; a contour has room for a point in each column.
     int *contour_out, *points_out, *direction_out, *span_out;
     // By obstacle and column: the nearest cell's squared distance, then its number.
     unsigned long long* nearest;
@@ -37,7 +37,7 @@ struct Outlines {
     int* projected;
 
     // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
-    int* lay(int* scratch) {
+    int* allocate(int* scratch) {
         nearest = (unsigned long long*)scratch;
         area = (long long*)(nearest + (long long)slots * cells.columns);
         cost = (int*)(area + slots * DIRECTIONS);
@@ -79,7 +79,7 @@ struct Outlines {
 
     void clear() const {
         const Team& team = cells.team;
-        const int used = cells.count * cells.columns, points = slots * capacity;
+        const int used = cells.count * cells.columns, points = slots * cells.columns;
         const unsigned long long none = ~0ull;
         unsigned long long* const pairs = (unsigned long long*)contour_out;
         for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
@@ -97,8 +97,8 @@ struct Outlines {
             const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
             const int place = cells.place(number, cells.in_view[k], column);
             listed.label[i] = place;
-            team.count(cells.filled + place);
-            team.least(nearest + number * cells.columns + column,
+            team.atomic_count(cells.filled + place);
+            team.atomic_min(nearest + number * cells.columns + column,
                        key(k, listed.right[i], listed.forward[i]));
         }
     }
@@ -111,21 +111,21 @@ struct Outlines {
     // The nearest cells of an obstacle from left to right, and how many lie in either margin.
     void put_contour(int number) const {
         const unsigned long long* own = nearest + number * cells.columns;
-        int* out = contour_out + 2 * number * capacity;
+        int* out = contour_out + 2 * number * cells.columns;
         int points = 0, sides[2] = {0, 0}, found;
         for (int first = 0; first < cells.columns; first += warp.size, points += found) {
-            const int c = first + warp.rank;
+            const int c = first + warp.lane;
             const unsigned long long key = c < cells.columns ? own[c] : ~0ull;
-            const int at = points + warp.before(key != ~0ull, &found);
-            if (key == ~0ull || at >= capacity) continue;
+            const int at = points + warp.ballot_rank(key != ~0ull, &found);
+            if (key == ~0ull) continue;
             const int k = (int)(key & ((1 << CELL_BITS) - 1));
             out[2 * at] = cells.right[k];
             out[2 * at + 1] = cells.forward[k];
-            if (cells.at_margin(c)) ++sides[2 * c >= cells.columns];
+            if (cells.margins.has(c)) ++sides[2 * c >= cells.columns];
         }
         for (int side = 0; side < 2; ++side) sides[side] = warp.sum(sides[side]);
-        if (warp.rank) return;
-        points_out[number] = points < capacity ? points : capacity;
+        if (warp.lane) return;
+        points_out[number] = points;
         for (int side = 0; side < 2; ++side) margins[2 * number + side] = sides[side];
     }
 
@@ -137,7 +137,7 @@ struct Outlines {
             const int number = i / DIRECTIONS, points = points_out[number];
             const int left = margins[2 * number], right = margins[2 * number + 1];
             const bool every = 2 * (left + right) > points;
-            const int* line = contour_out + 2 * (number * capacity + (every ? 0 : left));
+            const int* line = contour_out + 2 * (number * cells.columns + (every ? 0 : left));
             compare(i, line, every ? points : points - left - right, directions + 2 * (i % DIRECTIONS));
         }
     }
@@ -192,14 +192,14 @@ struct Outlines {
         int* side = span + 2 * turned;
         extremes(relied, ax, ay, side);
         if ((turned ? along : across) > longest) trim(relied, ax, ay, side);
-        if (warp.rank) return;
+        if (warp.lane) return;
         for (int j = 0; j < 2; ++j) direction_out[2 * number + j] = direction[j];
         for (int j = 0; j < 4; ++j) span_out[4 * number + j] = span[j];
     }
 
     int best_direction(int number) const {
         const int first = number * DIRECTIONS;
-        int best = first + warp.rank;
+        int best = first + warp.lane;
         for (int i = best + warp.size; i < first + DIRECTIONS; i += warp.size)
             if (fits_better(i, best)) best = i;
 #if defined(__CUDA_ARCH__)
@@ -219,7 +219,7 @@ struct Outlines {
 
     void extremes(ObstacleCells::Range range, int ax, int ay, int* found) const {
         Extremes all;
-        for (int i = range.first + warp.rank; i < range.end; i += warp.size)
+        for (int i = range.first + warp.lane; i < range.end; i += warp.size)
             all.add(ax * cells.right_of[i] + ay * cells.forward_of[i]);
         measures.put(all, found, found + 1);
     }
@@ -228,7 +228,7 @@ struct Outlines {
     void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
         const Ranks ranks(warp);
         const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;
-        for (int i = first + warp.rank; i < end; i += warp.size)
+        for (int i = first + warp.lane; i < end; i += warp.size)
             projected[i] = ax * cells.right_of[i] + ay * cells.forward_of[i];
         const int low = side[0], high = side[1];
         side[0] = ranks.at(projected, 0, first, end, passed, low, high);

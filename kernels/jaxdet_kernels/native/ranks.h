@@ -1,4 +1,5 @@
-// Values at a place in the rising order of many, found by counting.
+// Order statistics: the k-th smallest of many values, by a search over values that counts how many
+// are at most so large.
 //
 // Values are taken as they are (`flip` 0) or in falling order (`flip` -1): then v stands for ~v,
 // and so do the bounds and the result; `^ flip` turns both ways.
@@ -13,7 +14,7 @@ struct Ranks {
     // How many of the values first .. end - 1 are at most `limit`. All lanes ask together.
     int up_to(const int* values, int flip, int first, int end, int limit) const {
         int count = 0;
-        for (int i = first + warp.rank; i < end; i += warp.size)
+        for (int i = first + warp.lane; i < end; i += warp.size)
             count += (values[i] ^ flip) <= limit;
         return warp.sum(count);
     }
@@ -28,7 +29,7 @@ struct Ranks {
             const int part = (high - low) >> 2;
             const int a = low + part, b = a + part, c = b + part + (((high - low) & 3) == 3);
             int to_a = 0, to_b = 0, to_c = 0;
-            for (int i = first + warp.rank; i < end; i += warp.size) {
+            for (int i = first + warp.lane; i < end; i += warp.size) {
                 const int value = values[i] ^ flip;
                 to_a += value <= a;
                 to_b += value <= b;

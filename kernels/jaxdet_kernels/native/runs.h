@@ -1,4 +1,5 @@
-// Connected components of the cells of a frame, made of runs: cells of a row that hang together.
+// Connected components of the cells of a frame, by runs: cells of a row that are linked one to the
+// next. Runs are numbered by a prefix sum and joined by union-find.
 #pragma once
 #include "bits.h"
 #include "union_find.h"
@@ -14,10 +15,10 @@ struct Runs {
     // Finds `before`; how many runs there are. All threads must call it, after a sync; ends in one.
     int count(const Team& team) const {
         const int words = starts.count();
-        for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::ones(starts[i]);
+        for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::popcount(starts[i]);
         team.sync();
         const Warp warp(team);
-        if (warp.index == 0) warp.run_up(before, words);
+        if (warp.index == 0) warp.exclusive_sum(before, words);
         team.sync();
         return before[words];
     }
@@ -37,7 +38,7 @@ struct Runs {
 
     // The run of bit k of word i.
     int at(int i, int k) const {
-        return before[i] + BitRows::ones(starts[i] & ((2u << k) - 1)) - 1;
+        return before[i] + BitRows::popcount(starts[i] & ((2u << k) - 1)) - 1;
     }
 
     // The cells of one run in word i, and these taken off `rest`, which is `on[i]` at first.
@@ -59,8 +60,8 @@ struct Runs {
         for (int i = team.rank; i < on.count(); i += team.size)
             for (unsigned rest = on[i]; rest;) {
                 const unsigned cells = next(i, &rest);
-                const int root = sets.find(at(i, BitRows::first(cells)));
-                team.add(sizes + root, BitRows::ones(cells));
+                const int root = sets.find(at(i, BitRows::lowest(cells)));
+                team.atomic_add(sizes + root, BitRows::popcount(cells));
             }
         team.sync();
     }

@@ -19,23 +19,23 @@ struct SmallSurfaces {
     void run(const Team& team) const {
         const Warp warp(team);
         for (int a = warp.index; a < count; a += warp.count)
-            for (int b = warp.rank; small[a] && b < count; b += warp.size)
+            for (int b = warp.lane; small[a] && b < count; b += warp.size)
                 touching[a * count + b] = 0;
         team.sync();
         touch(team);
         team.sync();
         for (int a = warp.index; a < count; a += warp.count) {
             int most = 0;
-            for (int b = warp.rank; small[a] && b < count; b += warp.size) {
+            for (int b = warp.lane; small[a] && b < count; b += warp.size) {
                 most = touching[a * count + b] > most ? touching[a * count + b] : most;
             }
-            most = warp.most(most);
+            most = warp.max(most);
             int partner = most ? count : a;
-            for (int b = warp.rank; most && b < partner; b += warp.size) {
+            for (int b = warp.lane; most && b < partner; b += warp.size) {
                 if (touching[a * count + b] == most) partner = b;
             }
-            partner = warp.least(partner);
-            if (warp.rank == 0) sets.link(team, a, partner);
+            partner = warp.min(partner);
+            if (warp.lane == 0) sets.link(team, a, partner);
         }
         team.sync();
         for (int a = team.rank; a < count; a += team.size) sets.parent[a] = sets.find(a);
@@ -54,7 +54,7 @@ struct SmallSurfaces {
                 const int b = inside ? label[there] : -1;
                 if (b < 0 || b == a) return;
                 const int apart = z[there] - z[k];
-                if (apart <= step && apart >= -step) team.add(touching + a * count + b, 1);
+                if (apart <= step && apart >= -step) team.atomic_add(touching + a * count + b, 1);
             };
             for (int away = 1; away <= REACH; ++away) {
                 meet(c >= away, k - away);

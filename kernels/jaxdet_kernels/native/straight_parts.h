@@ -33,13 +33,13 @@ struct StraightParts {
         const bool faces = right * y[first] - forward * x[first] >= 0;
         // The larger an area, the smaller its key; of equal ones, that of the first point.
         unsigned long long best = ~0ull;
-        for (int k = first + 1 + warp.rank; k <= last; k += warp.size) {
+        for (int k = first + 1 + warp.lane; k <= last; k += warp.size) {
             const long long area = right * (y[k] - y[first]) - forward * (x[k] - x[first]);
             const long long away = faces ? area : -area;
             const unsigned long long key = (unsigned long long)(MOST_AREA - away) << POINT_BITS | k;
             if (away > 0 && key < best) best = key;
         }
-        best = warp.least(best);
+        best = warp.min(best);
         *tip = best == ~0ull ? first : (int)(best & ((1 << POINT_BITS) - 1));
         return best == ~0ull ? 0 : MOST_AREA - (long long)(best >> POINT_BITS);
     }

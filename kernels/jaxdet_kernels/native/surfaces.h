@@ -5,6 +5,7 @@
 #include "creases.h"
 #include "floor_frame.h"
 #include "grid.h"
+#include "margins.h"
 #include "warp.h"
 #include "runs.h"
 #include "team.h"
@@ -12,7 +13,6 @@
 struct Surfaces {
     enum {
         MOST = 512,  // labels from here on become -1
-        MARGIN = 8,  // this part of the columns at each side is the image's margin
         UNSEEN = 0x7fffffff,
         AHEAD = 4,  // on CUDA loads of so many cells wait together
         FEW = 2,    // where there are more of each cell
@@ -110,11 +110,11 @@ struct Surfaces {
 #if defined(__CUDA_ARCH__)
         const Warp warp(team);
         const int words = in.kept.words, all = rows * words;
-        in.kept.clear_rest(team);
+        in.kept.clear_padding(team);
         for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
             int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k, c = i % words * BitRows::WIDTH + warp.rank;
+                const int i = first + k, c = i % words * BitRows::WIDTH + warp.lane;
                 at[k] = i < all && c < columns ? i / words * columns + c : -1;
                 const int there = at[k] < 0 ? 0 : at[k];
                 a[k] = x[there], b[k] = y[there], d[k] = z[there];
@@ -122,9 +122,9 @@ struct Surfaces {
             for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
             for (int k = 0; k < AHEAD; ++k) {
                 const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
-                const unsigned those = warp.those(on);
+                const unsigned those = warp.ballot(on);
                 const int i = first + k;
-                if (warp.rank == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
+                if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
             }
         }
         team.sync();
@@ -161,13 +161,13 @@ struct Surfaces {
         const Warp warp(team);
         for (int first = warp.index * Warp::size; first < on.count();
              first += warp.count * Warp::size) {
-            const int own = first + warp.rank;
+            const int own = first + warp.lane;
             unsigned goes_on = 0, linked = 0;
-            for (unsigned rest = warp.those(own < on.count() && on[own]); rest;) {
+            for (unsigned rest = warp.ballot(own < on.count() && on[own]); rest;) {
                 int word[FEW], here[FEW], before[FEW], above[FEW];
                 for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
-                    word[k] = rest ? first + BitRows::first(rest) : -1;
-                    const int c = on.column(word[k]) + warp.rank;
+                    word[k] = rest ? first + BitRows::lowest(rest) : -1;
+                    const int c = on.column(word[k]) + warp.lane;
                     const bool there = word[k] >= 0 && c < columns;
                     const int at = there ? on.row(word[k]) * columns + c : 0;
                     here[k] = z[at];
@@ -183,7 +183,7 @@ struct Surfaces {
                 for (int k = 0; k < FEW; ++k) {
                     const bool beside = is_near(here[k], before[k], step[k], step_before[k]);
                     const bool below = is_near(here[k], above[k], step[k], step_above[k]);
-                    const unsigned those_beside = warp.those(beside), those = warp.those(below);
+                    const unsigned those_beside = warp.ballot(beside), those = warp.ballot(below);
                     if (word[k] == own) goes_on = those_beside, linked = those;
                 }
             }
@@ -230,7 +230,7 @@ struct Surfaces {
             // Where two runs meet first.
             unsigned meet = up[i] & ~(up.before(i) & ~starts[i] & ~starts[j]);
             for (; meet; meet &= meet - 1) {
-                const int k = BitRows::first(meet);
+                const int k = BitRows::lowest(meet);
                 runs.link(team, i, k, j, k);
             }
         }
@@ -251,16 +251,16 @@ struct Surfaces {
             int own[AHEAD];
             for (int k = 0; k < AHEAD; ++k) {
                 const int i = first + k * warp.count, j = on.at(i / used, i % used);
-                const bool there = i < cells && on[j] >> warp.rank & 1;
-                own[k] = there ? in.label[runs.at(j, warp.rank)] : -1;
+                const bool there = i < cells && on[j] >> warp.lane & 1;
+                own[k] = there ? in.label[runs.at(j, warp.lane)] : -1;
             }
             for (int k = 0; k < AHEAD; ++k) {
                 const int i = first + k * warp.count;
                 if (i >= cells) break;
-                const int c = i % used * BitRows::WIDTH + warp.rank;
+                const int c = i % used * BitRows::WIDTH + warp.lane;
                 if (c < columns) label_out[i / used * columns + c] = own[k];
-                const unsigned those = warp.those(own[k] >= 0);
-                if (warp.rank == 0) has[on.at(i / used, i % used)] = those;
+                const unsigned those = warp.ballot(own[k] >= 0);
+                if (warp.lane == 0) has[on.at(i / used, i % used)] = those;
             }
         }
 #else
@@ -272,10 +272,10 @@ struct Surfaces {
             unsigned those = 0;
             for (unsigned rest = on[i]; rest;) {
                 const unsigned part = runs.next(i, &rest);
-                const int begin = BitRows::first(part), own = in.label[runs.at(i, begin)];
+                const int begin = BitRows::lowest(part), own = in.label[runs.at(i, begin)];
                 if (own < 0) continue;
                 those |= part;
-                const int end = begin + BitRows::ones(part);
+                const int end = begin + BitRows::popcount(part);
                 for (int c = begin; c < end; ++c) out[c] = own;
             }
             has[i] = those;
@@ -285,10 +285,10 @@ struct Surfaces {
         return all;
     }
 
-    // Kept cells without a label take that of the neighbour nearest in depth, ring by ring. Labels
-    // of a round are looked at in the next: `has` says which are there. Returns which cells have one
-    // in the end; ends in a sync.
-    BitRows give_back(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
+    // Region growing, breadth first: kept cells without a label take that of the neighbour nearest
+    // in depth. Labels of a round are looked at in the next: `has` says which are there. Returns
+    // which cells have one in the end; ends in a sync.
+    BitRows grow(const Team& team, const BitRows& kept, BitRows has, BitRows next) const {
         const Warp warp(team);
         const int rounds = settings[CREASE_CELLS] + settings[CREASE_MARGIN] + 1;
         for (int round = 0; round < rounds; ++round) {
@@ -296,14 +296,14 @@ struct Surfaces {
             // A lane looks whether a word has such cells; then all lanes take them, word after word.
             for (int first = warp.index * Warp::size; first < has.count();
                  first += warp.count * Warp::size) {
-                const int own = first + warp.rank;
+                const int own = first + warp.lane;
                 const bool open = own < has.count() && (kept[own] & ~has[own]) &&
                                   Beside(has, own).free(kept, has, own);
                 unsigned taken = 0;
-                for (unsigned rest = warp.those(open); rest; rest &= rest - 1) {
-                    const int lane = BitRows::first(rest);
+                for (unsigned rest = warp.ballot(open); rest; rest &= rest - 1) {
+                    const int lane = BitRows::lowest(rest);
                     const unsigned those = take_all(warp, kept, has, first + lane);
-                    if (warp.rank == lane) taken = those;
+                    if (warp.lane == lane) taken = those;
                 }
                 if (own < has.count()) next[own] = has[own] | taken;
                 some |= taken != 0;
@@ -340,10 +340,10 @@ struct Surfaces {
                         beside.lower >> k & 1);
         };
 #if defined(__CUDA_ARCH__)
-        taken = warp.those(free >> warp.rank & 1 && takes(warp.rank));
+        taken = warp.ballot(free >> warp.lane & 1 && takes(warp.lane));
 #else
         for (; free; free &= free - 1)
-            taken |= (unsigned)takes(BitRows::first(free)) << BitRows::first(free);
+            taken |= (unsigned)takes(BitRows::lowest(free)) << BitRows::lowest(free);
 #endif
         return taken;
     }
@@ -373,9 +373,9 @@ struct Surfaces {
     void look_at(
         const Team& team, const Parts& in, int label, int first, int top, int level, bool sure
     ) const {
-        team.least(in.first + label, first);
-        team.most(in.top + label, top);
-        if (level) team.add(in.level + label, level);
+        team.atomic_min(in.first + label, first);
+        team.atomic_max(in.top + label, top);
+        if (level) team.atomic_add(in.level + label, level);
         if (sure) in.sizes[label] = 1;
     }
 
@@ -390,11 +390,11 @@ struct Surfaces {
     void look_at_words(
         const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
     ) const {
-        const int margin = columns / MARGIN;
+        const Margins margins(columns);
         int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
         bool lowest[FEW];
         for (int k = 0; k < FEW; ++k) {
-            const int r = has.row(words[k]), c = has.column(words[k]) + warp.rank;
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
             const bool there = words[k] >= 0 && c < columns, over = there && r + 1 < rows;
             const int here = there ? r * columns + c : 0, below = over ? here + columns : 0;
             l[k] = there ? label_out[here] : -1;
@@ -403,22 +403,22 @@ struct Surfaces {
             lowest[k] = over && low[below];
         }
         for (int k = 0; k < FEW; ++k) {
-            const int r = has.row(words[k]), c = has.column(words[k]) + warp.rank;
-            const bool outer = (c < margin) | (c >= columns - margin);
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
+            const bool outer = margins.has(c);
             const int rises = h[k] - h_below[k];
             const bool steep = is_steep(rises, f[k] - f_below[k], outer);
             const int level = lowest[k] ? steep ? -1 : 2 : 0;
             const bool sure = lowest[k] || r + 1 == rows || !outer;
             // One label after the other.
-            for (unsigned rest = warp.those(l[k] >= 0); rest;) {
-                const int leader = BitRows::first(rest);
-                const int label = __shfl_sync(0xffffffff, l[k], leader);
+            for (unsigned rest = warp.ballot(l[k] >= 0); rest;) {
+                const int leader = BitRows::lowest(rest);
+                const int label = warp.broadcast(l[k], leader);
                 const bool own = l[k] == label;
-                const unsigned those = warp.those(own);
-                const int top = warp.most(own && h[k] > -1 ? h[k] : -1);
+                const unsigned those = warp.ballot(own);
+                const int top = warp.max(own && h[k] > -1 ? h[k] : -1);
                 const int sum = warp.sum(own ? level : 0);
-                const bool certain_here = warp.those(own && sure);
-                if (warp.rank == leader)
+                const bool certain_here = warp.ballot(own && sure);
+                if (warp.lane == leader)
                     look_at(team, in, label, r * columns + c, top, sum, certain_here);
                 rest &= ~those;
             }
@@ -436,22 +436,22 @@ struct Surfaces {
         const Warp warp(team);
         for (int first = warp.index * Warp::size; first < has.count();
              first += warp.count * Warp::size) {
-            const int own = first + warp.rank;
-            for (unsigned rest = warp.those(own < has.count() && has[own]); rest;) {
+            const int own = first + warp.lane;
+            for (unsigned rest = warp.ballot(own < has.count() && has[own]); rest;) {
                 int words[FEW];
                 for (int k = 0; k < FEW; ++k, rest &= rest - 1)
-                    words[k] = rest ? first + BitRows::first(rest) : -1;
+                    words[k] = rest ? first + BitRows::lowest(rest) : -1;
                 look_at_words(team, warp, in, has, words);
             }
         }
 #else
-        const int margin = columns / MARGIN;
+        const Margins margins(columns);
         for (int i = 0; i < has.count(); ++i) {
             const int r = has.row(i), k = r * columns;
             const int* label = label_out + k + has.column(i);
             for (unsigned rest = has[i]; rest;) {
                 // Cells of one label that follow each other.
-                const int first = BitRows::first(rest), own = label[first];
+                const int first = BitRows::lowest(rest), own = label[first];
                 int next = first;
                 for (; next < BitRows::WIDTH && rest >> next & 1 && label[next] == own; ++next)
                     rest &= ~(1u << next);
@@ -462,12 +462,11 @@ struct Surfaces {
                     for (int c = begin; c < end; ++c) {
                         const int rises = height[k + c] - height[k + c + columns];
                         const int goes = forward[k + c] - forward[k + c + columns];
-                        const bool outer = (c < margin) | (c >= columns - margin);
                         const int lowest = low[k + c + columns];
                         pairs += lowest;
-                        steep += lowest & (int)is_steep(rises, goes, outer);
+                        steep += lowest & (int)is_steep(rises, goes, margins.has(c));
                     }
-                const bool inner = begin < columns - margin && end > margin;
+                const bool inner = begin < columns - margins.width && end > margins.width;
                 look_at(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
                         pairs || r + 1 == rows || inner);
             }
@@ -496,7 +495,8 @@ struct Surfaces {
         team.sync();
         for (int run = team.rank; run < all; run += team.size)
             if (is_surface(run) && !is_bent(in, run))
-                team.set((int*)firsts.bits + word_of(in.first[run]), (int)bit_of(in.first[run]));
+                team.atomic_or((int*)firsts.bits + word_of(in.first[run]),
+                               (int)bit_of(in.first[run]));
         team.sync();
         const int count = runs.count(team);
         if (team.rank == 0) *count_out = count;
@@ -506,14 +506,14 @@ struct Surfaces {
             const int i = word_of(in.first[run]);
             const unsigned bit = bit_of(in.first[run]);
             const bool bent = is_bent(in, run);
-            numbers[run] = bent ? -1 : runs.before[i] + BitRows::ones(firsts[i] & (bit - 1));
+            numbers[run] = bent ? -1 : runs.before[i] + BitRows::popcount(firsts[i] & (bit - 1));
         }
         team.sync();
         const Warp warp(team);
         for (int i = warp.index; i < has.count(); i += warp.count) {
             if (!has[i]) continue;
             const int first = has.row(i) * columns + has.column(i);
-            for (int k = warp.rank; k < BitRows::WIDTH; k += Warp::size) {
+            for (int k = warp.lane; k < BitRows::WIDTH; k += Warp::size) {
                 if (!(has[i] >> k & 1)) continue;
                 const int number = numbers[label_out[first + k]];
                 label_out[first + k] = number < MOST ? number : -1;
@@ -538,12 +538,12 @@ struct Surfaces {
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
-        starts.clear_rest(team);
-        up.clear_rest(team);
+        starts.clear_padding(team);
+        up.clear_padding(team);
         find_links(team, on, starts, up, in);
         Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
         const int all = label(team, in, runs, up, up);
-        const BitRows has = give_back(team, kept, up, on);
+        const BitRows has = grow(team, kept, up, on);
         look(team, in, all, has);
         number(team, in, runs, all, has);
     }

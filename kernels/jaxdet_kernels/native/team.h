@@ -16,12 +16,12 @@
 #include <stddef.h>
 
 struct Team {
-    // sync      all threads wait for each other, and see what the others wrote
-    // any       whether any thread says so; all threads must ask
-    // input     what the kernel writes nowhere, so that the load may be moved before stores
-    // add ...   change a place and return what was there before
-    // count     adds one; threads of a warp that count at one place add together
-    // exchange  writes `value` where `expected` is
+    // sync          all threads wait for each other, and see what the others wrote
+    // any           whether any thread says so; all threads must ask
+    // input         what the kernel writes nowhere, so that the load may be moved before stores
+    // atomic_...    change a place and return what was there before
+    // atomic_cas    compare and swap: writes `value` where `expected` is
+    // atomic_count  adds one; threads of a warp that count at one place add together
 #if defined(__CUDA_ARCH__)
     int rank, size, index;
 
@@ -35,23 +35,27 @@ struct Team {
     static bool input(const bool* place) { return __ldg((const unsigned char*)place); }
     static unsigned long long input(const unsigned long long* place) { return __ldg(place); }
 
-    int add(int* place, int value) const { return atomicAdd(place, value); }
-    int least(int* place, int value) const { return atomicMin(place, value); }
-    int most(int* place, int value) const { return atomicMax(place, value); }
-    int set(int* place, int bits) const { return atomicOr(place, bits); }
-    int swap(int* place, int value) const { return atomicExch(place, value); }
-    int exchange(int* place, int expected, int value) const {
+    int atomic_add(int* place, int value) const { return atomicAdd(place, value); }
+    int atomic_min(int* place, int value) const { return atomicMin(place, value); }
+    int atomic_max(int* place, int value) const { return atomicMax(place, value); }
+    int atomic_or(int* place, int bits) const { return atomicOr(place, bits); }
+    int atomic_exchange(int* place, int value) const { return atomicExch(place, value); }
+    int atomic_cas(int* place, int expected, int value) const {
         return atomicCAS(place, expected, value);
     }
-    int count(int* place) const {
+    int atomic_count(int* place) const {
         const unsigned same = __match_any_sync(__activemask(), (unsigned long long)place);
         const int lane = threadIdx.x % 32, first = __ffs(same) - 1;
         int before = 0;
         if (lane == first) before = atomicAdd(place, __popc(same));
         return __shfl_sync(same, before, first) + __popc(same & ((1u << lane) - 1));
     }
-    void add(unsigned long long* place, unsigned long long value) const { atomicAdd(place, value); }
-    void least(unsigned long long* place, unsigned long long value) const { atomicMin(place, value); }
+    void atomic_add(unsigned long long* place, unsigned long long value) const {
+        atomicAdd(place, value);
+    }
+    void atomic_min(unsigned long long* place, unsigned long long value) const {
+        atomicMin(place, value);
+    }
 #else
     enum { rank = 0, size = 1 };
     int index;
@@ -75,19 +79,21 @@ struct Team {
         *place = value;
         return before;
     }
-    int add(int* place, int value) const { return replace(place, *place + value); }
-    int least(int* place, int value) const {
+    int atomic_add(int* place, int value) const { return replace(place, *place + value); }
+    int atomic_min(int* place, int value) const {
         return value < *place ? replace(place, value) : *place;
     }
-    int most(int* place, int value) const { return value > *place ? replace(place, value) : *place; }
-    int set(int* place, int bits) const { return replace(place, *place | bits); }
-    int swap(int* place, int value) const { return replace(place, value); }
-    int exchange(int* place, int expected, int value) const {
+    int atomic_max(int* place, int value) const {
+        return value > *place ? replace(place, value) : *place;
+    }
+    int atomic_or(int* place, int bits) const { return replace(place, *place | bits); }
+    int atomic_exchange(int* place, int value) const { return replace(place, value); }
+    int atomic_cas(int* place, int expected, int value) const {
         return *place == expected ? replace(place, value) : *place;
     }
-    int count(int* place) const { return (*place)++; }
-    void add(unsigned long long* place, unsigned long long value) const { *place += value; }
-    void least(unsigned long long* place, unsigned long long value) const {
+    int atomic_count(int* place) const { return (*place)++; }
+    void atomic_add(unsigned long long* place, unsigned long long value) const { *place += value; }
+    void atomic_min(unsigned long long* place, unsigned long long value) const {
         *place = value < *place ? value : *place;
     }
 #endif

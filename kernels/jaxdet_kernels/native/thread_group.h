@@ -42,9 +42,8 @@ struct ThreadGroup {
     // Who fills a row passed the sync of the sum before, which all readers of that row reached
     // after they had read it.
     void sum(long long* values, int n) {
-        for (int k = 0; k < n; k++)
-            for (int half = WARP / 2; half; half /= 2)
-                values[k] += __shfl_xor_sync(0xffffffffu, values[k], half);
+        const Warp warp(*team);
+        for (int k = 0; k < n; k++) values[k] = warp.sum(values[k]);
         if (!rows) return;
         const int warps = team->size / WARP, lane = team->rank % WARP;
         unsigned long long* row = rows + turn * warps * MOST_SUMS;

@@ -1,5 +1,5 @@
-// Disjoint sets. A root is the smallest member of its set; roots are joined by compare-and-swap, which
-// only ever hangs a root below a smaller one.
+// Disjoint sets: union-find with path halving, without locks. A root is the smallest member of its
+// set; they are joined by compare-and-swap, by which a root only ever gets a smaller one as parent.
 #pragma once
 #include "team.h"
 
@@ -24,7 +24,7 @@ struct UnionFind {
             two = find(two);
             if (one == two) return;
             const int high = one > two ? one : two, low = one > two ? two : one;
-            if (team.exchange(parent + high, high, low) == high) return;
+            if (team.atomic_cas(parent + high, high, low) == high) return;
         }
     }
 };
