@@ -87,6 +87,14 @@ def test_a_folder_that_cant_be_listed_is_a_log_that_fails(tmp_path, monkeypatch)
         open_log(alone)
 
 
+@pytest.mark.parametrize("pattern", ["x/*", "**", "x/**"])
+def test_what_a_glob_names_twice_is_said_once(tmp_path, pattern):
+    touch(tmp_path, "x/a.mcap", "x/a.db3", "x/b.svo", "x/y/c.mcap")
+    logs = find_logs([str(tmp_path / pattern)])
+    assert [log.name for log in logs] == ["a", "c"]
+    assert logs[0].note.count("a.db3 is left out") == logs[0].note.count("b.svo is left out") == 1
+
+
 def test_siblings_of_a_single_split(tmp_path):
     touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
     [log] = find_logs([str(tmp_path / "run_1.mcap")])

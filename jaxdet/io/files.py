@@ -172,7 +172,8 @@ def _seen(text: str) -> list[Path]:
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
-    return [file for match in matches for file in _within(match)]
+    # A folder may match, and what is in it.
+    return list(dict.fromkeys(file for match in matches for file in _within(match)))
 
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
@@ -306,6 +307,7 @@ def _within(path: Path) -> Iterable[Path]:
     """
     if not path.is_dir():
         yield path
+        return
     walked, shut = set[tuple[int, int]](), list[Path]()
     listed = os.walk(
         path, onerror=lambda error: shut.append(Path(error.filename)), followlinks=True
