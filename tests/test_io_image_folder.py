@@ -140,6 +140,18 @@ def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
         open_log(str(folder), GIVEN)
 
 
+def test_a_folder_that_cant_be_opened_costs_no_other(tmp_path):
+    write_open3d(tmp_path / "a")
+    write_open3d(tmp_path / "b")
+    (tmp_path / "a" / "rgb").mkdir()
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["a", "b"]
+    with pytest.raises(InputError, match="several folders of images: color, rgb; keep one"):
+        open_log(logs[0])
+    with open_log(logs[1]) as log:
+        assert log.num_frames == 3
+
+
 def test_folder_that_changes_is_said(tmp_path):
     folder = write_open3d(tmp_path / "room")
     before = fingerprint(folder)

@@ -156,10 +156,16 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
 
 
 def stamp_note(folder: Path) -> str:
-    """What is to be said of the stamps of a folder's images; empty where they are recorded."""
+    """What is to be said of the stamps of a folder's images; empty where they are recorded.
+
+    Nothing is said of a folder that can't be opened, which says why then.
+    """
     if (folder / LISTED_COLOR).exists() and (folder / LISTED_DEPTH).exists():
         return ""
-    names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
+    try:
+        names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
+    except (InputError, OSError):
+        return ""
     if all("." in name for name in names):
         return ""
     return f"{folder.name} has no stamps; its frames' numbers count as {RATE_HZ} frames a second"
