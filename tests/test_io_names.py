@@ -3,6 +3,7 @@
 import errno
 import os
 import struct
+import time
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ import pytest
 
 from jaxdet.errors import InputError, TopicError
 from jaxdet.io import LogOptions, find_logs, open_log
-from jaxdet.io.files import siblings
+from jaxdet.io.files import _unique_names, siblings
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_INFO,
@@ -49,6 +50,16 @@ def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
     assert [path.name for path in logs[1].paths] == ["run_0.mcap", "run_9.mcap", "run_10.mcap"]
     again = find_logs([str(tmp_path / "b"), str(tmp_path / "a" / "*.mcap"), str(tmp_path)])
     assert again == logs
+
+
+def test_many_logs_get_their_names_at_once(tmp_path):
+    """Whoever counts each name in all of them takes minutes."""
+    stems = [tmp_path / f"drive_{number // 4}" / f"run_{number % 4}" for number in range(60_000)]
+    start = time.perf_counter()
+    assert _unique_names(stems)[5] == "drive_1/run_1"
+    assert time.perf_counter() - start < 10
+    equal = [Path("a (2)"), Path("\n"), Path(r"\n"), Path("a"), Path("a")]
+    assert len(set(_unique_names(equal))) == len(equal)
 
 
 def test_links_are_called_by_their_own_names(tmp_path):

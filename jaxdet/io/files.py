@@ -3,6 +3,7 @@
 import glob
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -340,14 +341,16 @@ def _order(path: Path) -> tuple[str, str, int, str]:
 def _unique_names(stems: Sequence[Path]) -> list[str]:
     names = [printable(stem.name) for stem in stems]
     for depth in range(2, 1 + max((len(stem.parts) for stem in stems), default=0)):
-        double = {name for name in names if names.count(name) > 1}
-        if not double:
+        counts = Counter(names)
+        if len(counts) == len(names):
             break
         names = [
-            printable("/".join(stem.parts[-depth:])) if name in double else name
+            printable("/".join(stem.parts[-depth:])) if counts[name] > 1 else name
             for name, stem in zip(names, stems, strict=True)
         ]
+    found: dict[str, None] = {}
     for number, name in enumerate(names):  # what is printable may be equal
-        if name in names[:number]:
-            names[number] = f"{name} ({number})"
-    return names
+        while name in found:
+            name = f"{name} ({number})"
+        found[name] = None
+    return list(found)
