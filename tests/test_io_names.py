@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import InputError, TopicError
-from jaxdet.io import LogOptions, find_logs, open_log
+from jaxdet.io import LogFiles, LogOptions, find_logs, open_log
 from jaxdet.io.files import _unique_names, siblings
+from jaxdet.io.splits import sketch
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_INFO,
@@ -25,6 +26,7 @@ from tests.io_helpers import (
     START,
     T_DEPTH_COLOR,
     LogFile,
+    Scene,
     make_scene,
     ros_compressed,
     ros_image,
@@ -40,6 +42,10 @@ def touch(folder: Path, *names: str) -> None:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"x")
+
+
+def moved(scene: Scene, later_ns: int) -> Scene:
+    return scene._replace(color_ns=scene.color_ns + later_ns, depth_ns=scene.depth_ns + later_ns)
 
 
 def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
@@ -111,6 +117,27 @@ def test_siblings_of_a_single_split(tmp_path):
     [log] = find_logs([str(tmp_path / "run_1.mcap")])
     assert log.name == "run_1"
     assert [path.name for path in siblings(log)] == ["run_0.mcap", "run_2.mcap"]
+
+
+def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, monkeypatch):
+    """A log's own file, and those beside it: beyond another recording none is of it."""
+    hour = 3600 * 10**9
+    for number in range(10):
+        write_log(tmp_path / f"run_{number}.mcap", moved(make_scene(2), number * hour))
+    logs, looked = find_logs([str(tmp_path)]), []
+    monkeypatch.setattr("jaxdet.io.files.sketch", lambda path: looked.append(path) or sketch(path))
+    assert [siblings(log) for log in logs] == [()] * 10
+    assert len(looked) <= 4 * len(logs)
+
+
+def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
+    for number in range(6):
+        scene = moved(make_scene(2), (number + 100 * (number > 3)) * 10**9)
+        write_log(tmp_path / f"run_{number}.mcap", scene)
+    paths = [tmp_path / f"run_{number}.mcap" for number in range(6)]
+    assert siblings(LogFiles("run", tuple(paths[1:3]))) == (paths[0], paths[3])
+    assert siblings(LogFiles("run", tuple(paths[:4]))) == ()
+    assert siblings(LogFiles("run", tuple(paths[5:]))) == (paths[4],)
 
 
 def test_no_name_is_not_this_folder(tmp_path, monkeypatch):

@@ -4,14 +4,15 @@ import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.image_folder import image_folders, stamp_note
-from jaxdet.io.splits import Recording, Sketch, difference, recordings, sketch
+from jaxdet.io.splits import Recording, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
@@ -82,14 +83,14 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     paths = _once(chosen)
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
-        match = _SPLIT.fullmatch(path.name)
-        key = path.parent, match["stem"] if match else path.name, path.suffix
+        stem, number = _split(path)
+        key = path.parent, path.name if number < 0 else stem, path.suffix
         groups.setdefault(key, []).append(path)
     stems, members = [], []
     for (_, stem, _), group in groups.items():
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
-            parts = recordings((_number(path), path) for path in group)
+            parts = recordings((_split(path)[1], path) for path in group)
         for part in parts:
             alone = len(part.paths) == 1 or len(parts) > 1
             first = part.paths[0]
@@ -126,7 +127,7 @@ def place_of(path: Path) -> Path:
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
     """The numbers lacking between the first and the last split of a log."""
-    numbers = {_number(path) for path in log.paths}
+    numbers = {_split(path)[1] for path in log.paths}
     if len(log.paths) < 2 or -1 in numbers:
         return ()
     return tuple(sorted(set(range(min(numbers), max(numbers))) - numbers))
@@ -137,27 +138,30 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
 
     rosbag2 writes static transforms to the first split only, so they are looked for there.
     """
-    have = {path.resolve() for path in log.paths}
-    first = log.paths[0]
-    match = _SPLIT.fullmatch(first.name)
-    if not match:
+    begin = log.paths[0]
+    stem, first = _split(begin)
+    if first < 0:
         return ()
-    found = []
-    for path in first.parent.glob(f"*{first.suffix}"):
-        other = _SPLIT.fullmatch(path.name)
-        if other and other["stem"] == match["stem"] and path.resolve() not in have:
-            found.append(path)
-    if not found:
-        return ()
-    own, number = sketch(first), _number(first)
-    return tuple(path for path in sorted(found, key=_order) if _belongs(path, own, number))
+    named = begin.parent.glob(f"{glob.escape(stem)}_*{begin.suffix}")
+    splits = [path for path in sorted(named, key=_order) if _split(path)[0] == stem]
+    before = [path for path in splits if _split(path)[1] < first]
+    after = splits[len(before) :]
+    return (*reversed([*_going_on(log, before[::-1])]), *_going_on(log, after))
 
 
-def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
-    """Whether a split is of the same recording as the one with a number."""
-    steps = _number(path) - number
-    pair = (own, sketch(path)) if steps > 0 else (sketch(path), own)
-    return not difference(*pair, abs(steps))
+def _going_on(log: LogFiles, splits: Iterable[Path]) -> Iterator[Path]:
+    """Splits beside a log's files, farther and farther, while each goes with the one before."""
+    own, near, known = {path.resolve() for path in log.paths}, log.paths[0], cache(sketch)
+    for path in splits:
+        if path.resolve() in own:
+            near = path
+            continue
+        steps = _split(path)[1] - _split(near)[1]
+        pair = (near, path) if steps > 0 else (path, near)
+        if difference(*map(known, pair), abs(steps)):
+            return
+        yield path
+        near = path if known(path) else near
 
 
 def _seen(text: str) -> list[Path]:
@@ -292,8 +296,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
 
 def recording_of(path: Path) -> tuple[Path, str]:
     """What the files of one recording share, whatever their format."""
-    match = _SPLIT.fullmatch(path.name)
-    return path.parent, match["stem"] if match else path.stem
+    return path.parent, _split(path)[0]
 
 
 def format_of(path: Path) -> str:
@@ -328,14 +331,14 @@ def _within(path: Path) -> Iterable[Path]:
     yield from shut
 
 
-def _number(path: Path) -> int:
+def _split(path: Path) -> tuple[str, int]:
+    """What the splits of a recording share of their names, and the number; -1: it is none."""
     match = _SPLIT.fullmatch(path.name)
-    return int(match["number"]) if match else -1
+    return (match["stem"], int(match["number"])) if match else (path.stem, -1)
 
 
 def _order(path: Path) -> tuple[str, str, int, str]:
-    match = _SPLIT.fullmatch(path.name)
-    return (str(path.parent), match["stem"] if match else path.stem, _number(path), path.name)
+    return (str(path.parent), *_split(path), path.name)
 
 
 def _unique_names(stems: Sequence[Path]) -> list[str]:
