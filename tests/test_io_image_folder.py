@@ -120,6 +120,9 @@ def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
     with open_log(str(folder), GIVEN) as log:
         [batch] = log.batches(3)
         assert batch.status == (FrameStatus.OK, *[FrameStatus.DECODE_ERROR] * 2)
+        missing, torn = f"rgb/{STAMPS[1]}.png", f"depth/{STAMPS[2]}.png"
+        assert batch.errors[0] == "" and batch.errors[1] == f"{missing}: the image has no data"
+        assert batch.errors[2].startswith(f"{torn}: compressed image")
     with (folder / "rgb.txt").open("a") as file:
         file.write("1305031110.5 rgb/none.png\n")
     with open_log(str(folder), GIVEN) as log:

@@ -42,9 +42,11 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     """Width and height [pixel] by the file's own head, without decoding.
 
     Raises:
-        FrameError: It is neither JPEG, PNG nor ``compressedDepth``.
+        FrameError: It is empty, or neither JPEG, PNG nor ``compressedDepth``.
     """
     data = memoryview(image.data)
+    if not len(data):
+        raise bad_frame("the image has no data")
     if _begins(data, JPEG):
         try:
             return jpeg_size(data)

@@ -171,6 +171,10 @@ class LogFile(ABC):
             return 0
         return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
+    def name_of(self, position: int) -> str:
+        """The name of the image that the chunk there is; empty where it is no file of its own."""
+        return ""
+
     def read(self, position: int, size: int) -> bytes:
         """Exactly ``size`` bytes at ``position``.
 

@@ -157,8 +157,8 @@ def _going_on(log: LogFiles, splits: Iterable[Path]) -> Iterator[Path]:
             near = path
             continue
         steps = _split(path)[1] - _split(near)[1]
-        pair = (near, path) if steps > 0 else (path, near)
-        if difference(*map(known, pair), abs(steps)):
+        earlier, later = (near, path) if steps > 0 else (path, near)
+        if difference(known(earlier), known(later), abs(steps)):
             return
         yield path
         near = path if known(path) else near

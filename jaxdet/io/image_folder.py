@@ -25,7 +25,7 @@ from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.message_fields import MAX_STAMP_S
-from jaxdet.io.message_file import MessageFile, MessageRow
+from jaxdet.io.message_file import POSITION_BITS, MessageFile, MessageRow
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
 from jaxdet.types import Intrinsics
 
@@ -121,26 +121,35 @@ class ImageFolder(MessageFile):
         item = self._messages[number]
         return MessageRow(item.channel, item.log_ns, len(item.head) + item.size)
 
+    def name_of(self, position: int) -> str:
+        """The image's path from the folder on; empty for what is no image."""
+        path = self._messages[position >> POSITION_BITS].path
+        return "" if path is None else os.path.relpath(path, self.path)
+
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
         """Fills writable byte views with a message's data from ``start``, one after the other.
 
         Raises:
             DamageError: They end before, or can't be read.
         """
-        item = self._messages[number]
-        size = sum(map(len, parts))
-        data = item.head[start : start + size]
-        if len(data) < size and item.path is not None:
-            try:
-                with item.path.open("rb") as file:
-                    file.seek(max(0, start - len(item.head)))
-                    data += file.read(size - len(data))
-            except OSError as error:
-                raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
-        if len(data) < size:
-            raise DamageError("message ends early")
+        item, left = self._messages[number], []
+        head = item.head[start:]
         for part in parts:
-            part[:], data = data[: len(part)], data[len(part) :]
+            known, head = head[: len(part)], head[len(part) :]
+            part[: len(known)] = known
+            left += [part[len(known) :]] if len(known) < len(part) else []
+        if not left:
+            return
+        if item.path is None:
+            raise DamageError("message ends early")
+        try:
+            with item.path.open("rb", buffering=0) as file:
+                file.seek(max(0, start - len(item.head)))
+                whole = all(file.readinto(part) == len(part) for part in left)
+        except OSError as error:
+            raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
+        if not whole:
+            raise DamageError(f"{item.path.name} ends early")
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:

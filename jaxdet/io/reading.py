@@ -160,9 +160,10 @@ class ImageReader:
             try:
                 if payload is not None:
                     self._decode(request, payload, color, depth)
-            except FrameError as error:
-                # Its traceback would hold the images.
-                failures.append((request.row, request.depth, error.with_traceback(None)))
+            except FrameError as error:  # whose traceback would hold the images
+                name = self._store.files[chunk.file].name_of(chunk.position)
+                lost = FrameError(error.problem, status=error.status, path=name)
+                failures.append((request.row, request.depth, lost))
         self._took.append(time.perf_counter() - start)
         return failures
 
