@@ -5,6 +5,7 @@ what is whole: it goes over damaged chunks, and ends where a record's length is 
 the chunks that the index at the end knows.
 """
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -135,12 +136,13 @@ class _Scan:
     def records(self) -> Iterator[FileRecord]:
         """The chunks up to the file's end, and in their places what can't be one."""
         position, end = len(MAGIC), self.file.size
+        chunks = sorted(self.counts)
         while position < end:
             try:
                 record = self.file.record(position)
             except DamageError:
-                after = [start for start in self.counts if start > position]
-                start, position = position, min(after, default=end)
+                place = bisect_right(chunks, position)
+                start, position = position, chunks[place] if place < len(chunks) else end
                 yield FileRecord(TORN, start, position - start)
                 continue
             if record.op == CHUNK:

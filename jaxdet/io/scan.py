@@ -9,10 +9,12 @@ message indexes speak of and the walk did not find is lost, and said.
 """
 
 import struct
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError, chunk_records
@@ -86,12 +88,12 @@ class _Scan:
                     return
                 yield FileRecord(opcode, content, length)
                 continue
-            offsets = self.summary.chunks.start.tolist() if self.summary else []
-            after = [offset for offset in offsets if offset > start]
-            position, odd = (after[0], 0) if after else (file.size, 0)
+            starts = self.summary.chunks.start if self.summary else np.zeros(0, np.int64)
+            after = starts[np.searchsorted(starts, start, "right") :]
+            position, odd = int(after[0]) if len(after) else file.size, 0
             self.torn.append((start, position))
             yield FileRecord(TORN, start, position - start)
-            if not after:
+            if not len(after):
                 return
 
     def record(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
@@ -225,7 +227,8 @@ class _Scan:
             if left[known] >= 0:
                 continue
             self.lost_spans.append((key[0], key[1]))
-            if not any(first <= start < end for first, end in self.torn):
+            place = bisect_right(self.torn, start, key=lambda span: span[0])
+            if not place or start >= self.torn[place - 1][1]:
                 self.walk.lose("chunk of the index isn't there", key[3])
 
 

@@ -175,12 +175,12 @@ class ChunkStore:
         """
         if place in self.checked:
             return
-        if self.head(place).is_plain:
-            if self.head(place).crc:
-                self.files[place.file].chunk(place.position)
-            self.checked.add(place)
-        else:
+        head = self.head(place)
+        if not head.is_plain:
             self.data(place, ahead=True)
+        elif head.crc:
+            self.files[place.file].chunk(place.position)
+            self.checked.add(place)
 
     def peek(self, place: Place, offset: int, size: int) -> memoryview:
         """At most ``size`` bytes of a chunk's records, without its CRC where it isn't packed.
