@@ -15,7 +15,7 @@ from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize, ImageStream, first_image, image_sizes
-from jaxdet.io.topics import Choice, affinity
+from jaxdet.io.topics import Choice, affinity, listed
 from jaxdet.types import Calibration, Intrinsics
 
 DEPTH_UNIT_M = 0.001
@@ -114,8 +114,8 @@ def _depth_unit(
     try:
         check_depth_unit(unit)
     except CalibrationError as error:
-        where, remedy = printable(topic), error.remedy
-        raise CalibrationError(error.problem, path=path, topic=where, remedy=remedy) from error
+        problem, remedy = error.problem, error.remedy
+        raise CalibrationError(problem, path=path, topic=topic, remedy=remedy) from error
     return unit, f"topic {printable(topic)}"
 
 
@@ -211,13 +211,9 @@ def _info_topic(
     if override:
         if override not in known:
             flag = "--log.depth-info" if depth else "--log.color-info"
-            names = ", ".join(printable(name) for name in sorted(known)[:12]) or "none"
-            raise CalibrationError(
-                "no calibration on this topic",
-                path=path,
-                topic=printable(override),
-                remedy=f"{flag} can be: {names}",
-            )
+            remedy = f"{flag} can be: {listed(sorted(known)) or 'none'}"
+            problem = "no calibration on this topic"
+            raise CalibrationError(problem, path=path, topic=override, remedy=remedy)
         return override
     if stream.kind is Kind.RGBD:
         topic = f"{stream.topic} ({'depth' if depth else 'rgb'})"

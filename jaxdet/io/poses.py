@@ -9,6 +9,7 @@ from jaxdet.errors import CalibrationError, TopicError, printable
 from jaxdet.io.index import LogIndex, PoseTrack
 from jaxdet.io.motion import MotionSamples
 from jaxdet.io.options import LogOptions
+from jaxdet.io.topics import listed
 from jaxdet.io.transforms import TransformTree
 
 _BASES = ("base_footprint", "base_link")
@@ -126,10 +127,8 @@ def find_poses(
     """
     if options.odom:
         if options.odom not in index.poses:
-            names = ", ".join(printable(name) for name in sorted(index.poses)) or "none"
-            topic = printable(options.odom)
-            remedy = f"--log.odom can be: {names}"
-            raise TopicError("no poses on the topic", path=path, topic=topic, remedy=remedy)
+            remedy = f"--log.odom can be: {listed(sorted(index.poses)) or 'none'}"
+            raise TopicError("no poses on the topic", path=path, topic=options.odom, remedy=remedy)
         return _from_track(index, options.odom, camera_frame, base_frame)
     if options.world_frame and not (
         camera_frame and index.tree.joins(options.world_frame, camera_frame)
@@ -155,8 +154,7 @@ def find_poses(
     if len(topics) == 1:
         return _from_track(index, topics[0], camera_frame, base_frame)
     if topics:
-        names = ", ".join(printable(name) for name in topics)
-        text = f"several topics hold poses ({names}); choose one with --log.odom"
+        text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))
     return PoseSource("poses: none in the log")
 

@@ -137,6 +137,12 @@ def _choose(
     return Choice(name, color.topic, depth.topic, _says_aligned(depth.topic), reasons)
 
 
+def listed(names: Sequence[str]) -> str:
+    """Names for people: the first, and how many more there are; empty where there is none."""
+    more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
+
+
 def encoding_of(stream: ImageStream, depth: bool) -> str:
     """A stream's encoding or format, by its first image; empty when unknown."""
     image = first_image(stream, depth)
@@ -192,12 +198,12 @@ def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidat
         reason = (known and known.trouble) or "there are no images on the topic"
         streams = sorted(index.streams.items())
         names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
-        remedy = f"{flag} can be: {_listed(names) or f'nothing, it has no {what} images'}"
-        raise TopicError(printable(reason), path=path, topic=printable(topic), remedy=remedy)
+        remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
+        raise TopicError(reason, path=path, topic=topic, remedy=remedy)
     if stream.probes and not _is_kind(stream, depth):
         encoding = printable(encoding_of(stream, depth))
         problem = f"encoding {encoding!r} is not a {what} image that can be read"
-        raise TopicError(problem, path=path, topic=printable(topic), remedy=f"change {flag}")
+        raise TopicError(problem, path=path, topic=topic, remedy=f"change {flag}")
     return Candidate(topic, (0, 0, 0), f"given by {flag}")
 
 
@@ -252,7 +258,7 @@ def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
 
 def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
     if len(candidates) > 1:
-        names = _listed([item.topic for item in candidates])
+        names = listed([item.topic for item in candidates])
         flag = "--log.color" if what == "colour" else "--log.depth"
         problem = f"several topics can be {what}: {names}"
         raise TopicError(problem, path=path, remedy=f"choose one with {flag}")
@@ -267,15 +273,15 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
         kind = "" if info.problem else info.channel.schema_name or "no schema"
         encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
-    listed = f"its topics are {_listed(names)}" if names else "it has no messages"
+    known = f"its topics are {listed(names)}" if names else "it has no messages"
     if unread := _unread(index):
-        listed = f"encodings not read: {_listed(unread)}; {listed}"
+        known = f"encodings not read: {listed(unread)}; {known}"
     remedy = (
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
         "with --log.color, --log.depth"
     )
     remedy = remedy if names else "copy or record it again"
-    return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
+    return TopicError(f"no {what} image topic; {known}", path=path, remedy=remedy)
 
 
 def _unread(index: LogIndex) -> list[str]:
@@ -290,11 +296,6 @@ def _unread(index: LogIndex) -> list[str]:
     ]
 
 
-def _listed(names: Sequence[str]) -> str:
-    more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
-    return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
-
-
 def _others(candidates: Sequence[Candidate], chosen: Candidate) -> str:
     names = [item.topic for item in candidates if item.topic != chosen.topic]
-    return f"; goes before {_listed(names)}" if names else ""
+    return f"; goes before {listed(names)}" if names else ""
