@@ -14,7 +14,7 @@ from jaxdet.io.index import LogIndex
 from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import ImageSize, ImageStream, first_image, image_sizes
+from jaxdet.io.streams import ImageSize, ImageStream
 from jaxdet.io.topics import Choice, affinity, listed
 from jaxdet.types import Calibration, Intrinsics
 
@@ -51,15 +51,15 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
             flag that supplies it.
     """
     color_stream, depth_stream = index.streams[choice.color], index.streams[choice.depth]
-    color_frame = options.camera_frame or _frame(color_stream, False)
-    depth_frame = _frame(depth_stream, True)
+    image_frame, depth_frame = color_stream.frame_id(False), depth_stream.frame_id(True)
+    color_frame = options.camera_frame or image_frame
     color_source = _source(index, color_stream, False, options, path)
     color = find_intrinsics(color_source)
     depth_source = _source(index, depth_stream, True, options, path)
     unit, unit_source = _depth_unit(index, options, choice.depth, path)
     origins = [_line("colour", color.intrinsics, color.origin)]
     warnings = [*color.warnings, *_unit_doubts(unit_source, path)]
-    same_frame = bool(color_frame) and _frame(color_stream, False) == depth_frame
+    same_frame = bool(color_frame) and image_frame == depth_frame
     aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
     if aligned:
         size = ImageSize(color.intrinsics.width, color.intrinsics.height)
@@ -92,11 +92,6 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     return Calibrated(
         calibration, color_frame, size, tuple(origins), extrinsics_source, used, tuple(warnings)
     )
-
-
-def _frame(stream: ImageStream, depth: bool) -> str:
-    image = first_image(stream, depth)
-    return image.frame_id if image is not None else ""
 
 
 def _depth_unit(
@@ -186,14 +181,13 @@ def _source(
     name = "depth" if depth else "color"
     override = options.depth_info if depth else options.color_info
     topic = _info_topic(index, stream, depth, override, path)
-    sizes = [size for size, _ in image_sizes(stream, depth).most_common(1)]
-    known = index.calibrations.get(topic)
-    info = (known.of_size(sizes) or known.first) if known else None
+    size, known = stream.size(depth), index.calibrations.get(topic)
+    info = known.of(size) if known else None
     return CameraSource(
         name=name,
         topic=topic,
         info=info,
-        size=sizes[0] if sizes else None,
+        size=size,
         rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
@@ -224,15 +218,11 @@ def _info_topic(
             topic = "/".join([*parts[:end], name])
             if topic in known:
                 return topic
-    frame = _frame(stream, depth)
-    same = [name for name, item in known.items() if frame and _frame_of(item.first) == frame]
+    frame = stream.frame_id(depth)
+    same = [name for name, item in known.items() if frame and item.frame_id == frame]
     best = max((affinity(name, stream.topic) for name in same), default=0)
     nearest = [name for name in same if affinity(name, stream.topic) == best]
     return nearest[0] if len(nearest) == 1 else ""
-
-
-def _frame_of(info: CameraInfoMessage | None) -> str:
-    return info.frame_id if info else ""
 
 
 def _changes(index: LogIndex, used: Mapping[str, CameraInfoMessage]) -> list[str]:

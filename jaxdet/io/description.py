@@ -11,9 +11,7 @@ from jaxdet.io.index import LogIndex
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
 from jaxdet.io.part import first_told
-from jaxdet.io.streams import ImageStream
 from jaxdet.io.timeline import ScannedFrames
-from jaxdet.io.topics import encoding_of
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_PAIR_S = 0.05
@@ -112,7 +110,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=describe_topics(index, found.choice.color, found.choice.depth),
+        topics=_topics(index, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
@@ -166,7 +164,7 @@ def complete(
     )
 
 
-def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescription, ...]:
+def _topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescription, ...]:
     """The topics by name."""
     found = []
     for name, info in sorted(index.topics.items()):
@@ -178,7 +176,7 @@ def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescr
                 topic=printable(name),
                 schema=printable(info.channel.schema_name),
                 message_encoding=printable(info.channel.message_encoding),
-                image_encoding=_image_encoding(stream),
+                image_encoding=printable(stream.encoding(False)) if stream is not None else "",
                 num_messages=info.count,
                 rate_hz=(info.count - 1) / span if info.count > 1 and span > 0 else 0.0,
                 chosen_as=" ".join(chosen),
@@ -217,7 +215,3 @@ def _recorded_apart(notes: Notes) -> float:
     """How much farther apart pairs are by log time than by stamp, the median [s]."""
     more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
     return float(np.median(more)) if len(more) else 0.0
-
-
-def _image_encoding(stream: ImageStream | None) -> str:
-    return printable(encoding_of(stream, False)) if stream is not None else ""

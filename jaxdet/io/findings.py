@@ -14,7 +14,7 @@ from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
-from jaxdet.io.streams import NUM_PROBES, first_image
+from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
@@ -122,8 +122,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         if log.motions.whole and not _is_of_first(log, error):
             raise
         raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
-    image = first_image(index.streams[choice.depth], True)
-    frames_used = {parts.calibrated.color_frame, image.frame_id if image else ""}
+    frames_used = {parts.calibrated.color_frame, index.streams[choice.depth].frame_id(True)}
     frames_used |= {parts.base.frame or "", parts.poses.world}
     if not log.motions.whole and index.tree.sampled_once() & {
         above for frame in frames_used for above in index.tree.above(frame)

@@ -4,7 +4,6 @@ An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; 
 never held. So a log of a million images takes about 64 MB.
 """
 
-from collections.abc import Iterable
 from contextlib import suppress
 
 from jaxdet.errors import FrameError
@@ -63,7 +62,7 @@ class CalibrationTopic:
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
         """The first that is calibrated (K[0] is not 0), else the first of all."""
-        self._of_size: dict[tuple[int, int], CameraInfoMessage] = {}
+        self._of_size: dict[ImageSize, CameraInfoMessage] = {}
         self.changes: list[CalibrationChange] = []
         """In the order of the files."""
         self.last_payload = b""
@@ -76,11 +75,16 @@ class CalibrationTopic:
         if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
             self.first = info
         if values is not None:
-            self._of_size.setdefault((info.width, info.height), info)
+            self._of_size.setdefault(ImageSize(info.width, info.height), info)
 
-    def of_size(self, sizes: Iterable[ImageSize]) -> CameraInfoMessage | None:
-        """The first that is calibrated for one of these sizes; None where none is."""
-        return next((info for size in sizes if (info := self._of_size.get(size))), None)
+    def of(self, size: ImageSize | None) -> CameraInfoMessage | None:
+        """The first that is calibrated for images of this size, else the first."""
+        return (size and self._of_size.get(size)) or self.first
+
+    @property
+    def frame_id(self) -> str:
+        """TF frame of the first; empty where there is none."""
+        return self.first.frame_id if self.first else ""
 
 
 class PoseTrack:

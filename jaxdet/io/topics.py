@@ -13,9 +13,9 @@ from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_compressed_depth, is_png16
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
 from jaxdet.io.index import LogIndex
-from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind
+from jaxdet.io.messages import ImageMessage, Kind
 from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import ImageStream, first_image
+from jaxdet.io.streams import ImageStream
 
 _ALIGNED = ("aligned_depth", "depth_to_rgb", "depth_to_color", "depth_registered")
 _COLOR_WORDS = {"color", "colour", "rgb"}
@@ -143,14 +143,6 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
 
 
-def encoding_of(stream: ImageStream, depth: bool) -> str:
-    """A stream's encoding or format, by its first image; empty when unknown."""
-    image = first_image(stream, depth)
-    if image is None:
-        return ""
-    return image.format if isinstance(image, CompressedImageMessage) else image.encoding
-
-
 def affinity(first: str, second: str) -> int:
     """How many leading parts two topic names share."""
     pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
@@ -201,14 +193,14 @@ def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidat
         remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
         raise TopicError(reason, path=path, topic=topic, remedy=remedy)
     if stream.probes and not _is_kind(stream, depth):
-        encoding = printable(encoding_of(stream, depth))
+        encoding = printable(stream.encoding(depth))
         problem = f"encoding {encoding!r} is not a {what} image that can be read"
         raise TopicError(problem, path=path, topic=topic, remedy=f"change {flag}")
     return Candidate(topic, (0, 0, 0), f"given by {flag}")
 
 
 def _is_kind(stream: ImageStream, depth: bool) -> bool:
-    image = first_image(stream, depth)
+    image = stream.first_image(depth)
     if stream.kind is Kind.RGBD:
         return True
     if isinstance(image, ImageMessage):
@@ -227,7 +219,7 @@ def _depth_candidate(stream: ImageStream) -> Candidate | None:
         return Candidate(stream.topic, (2, 0, 0), "an RGBD message")
     aligned = _says_aligned(stream.topic)
     rank = (0 if aligned else 1, 0 if named else 1, int(stream.kind is Kind.COMPRESSED))
-    encoding = printable(encoding_of(stream, True))
+    encoding = printable(stream.encoding(True))
     why = "its name says that it is aligned to colour" if aligned else "its encoding is depth's"
     return Candidate(stream.topic, rank, f"{why} ({encoding})")
 
@@ -238,7 +230,7 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
         return Candidate(stream.topic, (3, 0, 0), "an RGBD message")
     if not _is_kind(stream, False) or words & _NOT_COLOR:
         return None
-    encoding = encoding_of(stream, False)
+    encoding = stream.encoding(False)
     named = bool(words & _COLOR_WORDS)
     grey = encoding.lower() in ("mono8", "8uc1")
     tier = 2 if grey else 0 if named else 1
@@ -271,7 +263,7 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
     names = []
     for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
         kind = "" if info.problem else info.channel.schema_name or "no schema"
-        encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
+        encoding = index.streams[name].encoding(False) if name in index.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     known = f"its topics are {listed(names)}" if names else "it has no messages"
     if unread := _unread(index):
@@ -286,7 +278,7 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
 
 def _unread(index: LogIndex) -> list[str]:
     """Encodings of raw images that are neither colour's nor depth's, each with its topic."""
-    images = {topic: first_image(stream, False) for topic, stream in sorted(index.streams.items())}
+    images = {topic: stream.first_image(False) for topic, stream in sorted(index.streams.items())}
     return [
         f"{image.encoding!a} of {topic}"
         for topic, image in images.items()
