@@ -15,7 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.bag import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, BagFile, records
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
@@ -24,7 +24,6 @@ from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
-_HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
 _INDEX_VERSION = 1
 
 
@@ -114,7 +113,7 @@ def _chunk_index(
         found[0], found[2], found[3] = number, position, chunk.size
         found[1] = entries["sec"].astype(np.int64) * 1_000_000_000 + entries["nanosec"]
         found[4] = entries["offset"]
-        if len(entries) and found[4].max() > size - _HEAD:
+        if len(entries) and found[4].max() > size - PAYLOAD_OFFSET:
             raise DamageError("message index leaves its chunk")
         seen[number] += len(entries)
         yield found
@@ -163,8 +162,8 @@ class _Scan:
             info = self.file.connection(number, record.position)
             if info is None:
                 raise DamageError("message of an undeclared connection")
-            where = Location(record.position, place + _HEAD, size)
-            payload = chunk[place + _HEAD : place + _HEAD + size]
+            where = Location(record.position, place + PAYLOAD_OFFSET, size)
+            payload = chunk[place + PAYLOAD_OFFSET : place + PAYLOAD_OFFSET + size]
             self.walk.give(number, info, log_ns, payload, where)
 
     def integrity(self) -> FileIntegrity:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.image_folder import ImageFolder
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.message_file import HEAD_BYTES, indexed_messages, position_of
+from jaxdet.io.message_file import indexed_messages, position_of
 from jaxdet.io.walk import Handler, Walk
 
 
@@ -28,11 +28,11 @@ def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
     for number, row in enumerate(folder.rows):
         position = position_of(number)
         try:
-            payload = folder.chunk(position)[HEAD_BYTES:]
+            payload = folder.chunk(position)[PAYLOAD_OFFSET:]
         except DamageError as error:
             walk.lose(str(error), 0)
             continue
-        where = Location(position, HEAD_BYTES, row.size)
+        where = Location(position, PAYLOAD_OFFSET, row.size)
         info = folder.infos[row.channel]
         walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
     return walk.integrity(declared_messages=len(folder.rows), has_end=True)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import RescanError
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location, LogFile
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.formats import read_file_index
@@ -61,8 +61,8 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     whole = sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
     probes = [(topic, _probes(topic, whole)) for topic in topics]
     delays = _Delays()
-    for topic, number, location, payload in _read_messages(store, probes):
-        _add_message(builder, topic, number, location, payload)
+    for topic, number, payload in _read_messages(store, probes):
+        _add_message(builder, topic, number, payload)
         if index.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=topic.topic)
@@ -98,14 +98,14 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
         if topic.kind not in _MOTIONS or topic.is_static
     ]
     probes = [(topic, _probes(topic, False)) for topic in topics]
-    for topic, number, location, payload in _read_messages(store, probes):
-        _add_message(builder, topic, number, location, payload)
+    for topic, number, payload in _read_messages(store, probes):
+        _add_message(builder, topic, number, payload)
 
 
 def _read_messages(
     store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
-) -> Iterator[tuple[TopicMessages, int, Location, memoryview]]:
-    """Some messages of topics in the order of the files; threads decompress their chunks.
+) -> Iterator[tuple[TopicMessages, int, memoryview]]:
+    """Topic, number and payload of some messages, in the order of the files.
 
     Raises:
         DamageError: One isn't where the index says.
@@ -122,24 +122,19 @@ def _read_messages(
     ]
     wanted.sort(key=lambda item: item[:2])
     chunks = {place: list(group) for place, group in groupby(wanted, lambda item: item[0])}
-    for wave in store.waves(chunks):
-        store.load(wave)
-        for place, offset, topic, number in (one for part in wave for one in chunks[part]):
-            size, payload = read_message(store, topic.messages, number)
-            head = RECORD_HEAD.size + MESSAGE_HEAD.size
-            yield topic, number, Location(place.position, offset + head, size), payload
+    for place in store.loaded(chunks):
+        for _, _, topic, number in chunks[place]:
+            yield topic, number, read_message(store, topic.messages, number)[1]
 
 
 def _add_message(
-    builder: IndexBuilder,
-    topic: TopicMessages,
-    number: int,
-    location: Location,
-    payload: memoryview,
+    builder: IndexBuilder, topic: TopicMessages, number: int, payload: memoryview
 ) -> None:
-    info = topic.decoder(number).channel
-    builder.file_number = int(topic.messages.file[number])
-    builder.take(info, int(topic.messages.log_ns[number]), payload, location)
+    messages = topic.messages
+    builder.file_number = int(messages.file[number])
+    place = int(messages.position[number]), int(messages.offset[number]) + PAYLOAD_OFFSET
+    where = Location(*place, len(payload))
+    builder.take(topic.decoder(number).channel, int(messages.log_ns[number]), payload, where)
 
 
 def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicMessages]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
 from jaxdet.io.limits import check_messages
@@ -68,7 +68,7 @@ def read_mcap_index(file: McapFile) -> FileIndex:
     _check_counts(summary, counts)
     channel, log_ns, chunk, offset = map(np.concatenate, zip(*found, strict=True))
     inside = (log_ns >= chunks.first_ns[chunk]) & (log_ns <= chunks.last_ns[chunk])
-    inside &= offset <= chunks.size[chunk] - RECORD_HEAD.size - MESSAGE_HEAD.size
+    inside &= offset <= chunks.size[chunk] - PAYLOAD_OFFSET
     if not inside.all():
         raise DamageError("message index leaves its chunk")
     place, length = chunks.start + RECORD_HEAD.size, chunks.length - RECORD_HEAD.size

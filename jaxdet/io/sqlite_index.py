@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import DEFINITIONS, schema_text
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
-from jaxdet.io.message_file import HEAD_BYTES, MessageRow, indexed_messages, position_of
+from jaxdet.io.message_file import MessageRow, indexed_messages, position_of
 from jaxdet.io.messages import kind_of
 from jaxdet.io.sqlite import SqliteFile, damage
 from jaxdet.io.walk import Handler, Walk
@@ -93,7 +93,7 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
         except DamageError as error:
             walk.lose(str(error), size or 0)
             continue
-        where = Location(position, HEAD_BYTES, len(data))
+        where = Location(position, PAYLOAD_OFFSET, len(data))
         walk.give(channel, infos[channel], log_ns, memoryview(data), where)
     return walk.integrity(
         declared_messages=_declared(file),

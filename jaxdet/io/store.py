@@ -149,16 +149,18 @@ class ChunkStore:
             self.checked.add(place)
         return data
 
-    def load(self, places: Iterable[Place]) -> None:
-        """Decompresses a wave of chunks by all threads, those of them that are packed.
+    def loaded(self, places: Iterable[Place]) -> Iterator[Place]:
+        """Chunks in order; those of a wave that are packed are decompressed by all threads.
 
         Raises:
             DamageError: One can't be read.
         """
-        packed = [place for place in places if place.position >= 0]
-        packed = [place for place in packed if not self.head(place).is_plain]
-        for _ in self.map(partial(self.data, ahead=True), packed):
-            pass
+        for wave in self.waves(places):
+            packed = [place for place in wave if place.position >= 0]
+            packed = [place for place in packed if not self.head(place).is_plain]
+            for _ in self.map(partial(self.data, ahead=True), packed):
+                pass
+            yield from wave
 
     def _drop_one(self) -> None:
         """Drops the chunk used least of late; one that waits for its use only if all do."""

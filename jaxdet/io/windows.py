@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD
+from jaxdet.io.chunks import PAYLOAD_OFFSET
 from jaxdet.io.index import image_stamps
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
@@ -116,9 +116,9 @@ class StreamWindows:
 
     def table(self, numbers: np.ndarray, depth: bool = False) -> FrameTable:
         """Messages of some numbers; of -1 one with a stamp of -1."""
-        messages, head = self.messages, RECORD_HEAD.size + MESSAGE_HEAD.size
+        messages = self.messages
         stamps = (self.depth_stamp if depth else self.stamp)[numbers]
-        columns = messages.position, messages.offset + head, self.size
+        columns = messages.position, messages.offset + PAYLOAD_OFFSET, self.size
         place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
         of = messages.file[numbers], messages.decoder[numbers]
@@ -136,11 +136,9 @@ class StreamWindows:
                 sorted(zip(places, missing.tolist(), strict=True)), lambda item: item[0]
             )
         }
-        for wave in self.store.waves(parts):
-            self.store.load(wave)
-            for place in wave:
-                for number in parts[place]:
-                    self._read(number)
+        for place in self.store.loaded(parts):
+            for number in parts[place]:
+                self._read(number)
 
     def _read(self, number: int) -> None:
         decoder = self.decoders[self.messages.decoder[number]]
