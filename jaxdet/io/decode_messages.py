@@ -27,7 +27,14 @@ from jaxdet.io.definition import (
 )
 from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
-from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
+from jaxdet.io.messages import (
+    IMAGE_KINDS,
+    Kind,
+    Message,
+    TransformMessage,
+    kind_of,
+    plain_schema_name,
+)
 from jaxdet.io.raw_transforms import read_motions
 from jaxdet.io.ros1 import ros1_decoder
 
@@ -90,6 +97,16 @@ class MessageDecoder:
         except Exception as error:  # the decoders raise what they like
             problem = f"{self.kind.value} message can't be decoded ({_short(error)})"
             raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
+
+    def motions(self, payload: bytes | memoryview) -> tuple[TransformMessage, ...]:
+        """The transforms or poses in a payload.
+
+        Raises:
+            FrameError: It can't be decoded.
+        """
+        found = self.decode(payload)
+        assert isinstance(found, tuple)
+        return tuple(item for item in found if isinstance(item, TransformMessage))
 
     def reads_stamp(self, head: bytes | memoryview) -> bool:
         """Whether the header stamp can be told by a message's first bytes.

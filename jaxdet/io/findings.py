@@ -41,14 +41,6 @@ class Findings(NamedTuple):
     """About the frames."""
 
 
-class _Parts(NamedTuple):
-    cameras: Cameras
-    choice: Choice
-    calibrated: Calibrated
-    base: Base
-    poses: PoseSource
-
-
 def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
     """What a log holds that was read as a whole.
 
@@ -70,15 +62,19 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
         # Where the sample has none, any in the sample of another source go before all.
         return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    parts = _find(index, cameras, choice, options, share_known, path)
+    calibrated, base, poses = _find(index, choice, options, share_known, path)
     other = np.zeros(len(stamps), bool)
-    for topic, used in parts.calibrated.used.items():
+    for topic, used in calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
             changes = index.calibrations[topic].changes
             other |= other_calibration(stamps, changes, used, frames.by_log_time)
     return Findings(
-        *parts,
-        frames.completed(parts.poses.at(stamps, index.tree, tracks), other),
+        cameras,
+        choice,
+        calibrated,
+        base,
+        poses,
+        frames.completed(poses.at(stamps, index.tree, tracks), other),
         color.decoders,
         depth.decoders,
         frames.warnings,
@@ -117,23 +113,27 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         return share
 
     try:
-        parts = _find(index, cameras, choice, options, share_known, path)
+        calibrated, base, poses = _find(index, choice, options, share_known, path)
     except CalibrationError as error:
         if log.motions.whole and not _is_of_first(log, error):
             raise
         raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
-    frames_used = {parts.calibrated.color_frame, index.streams[choice.depth].frame_id(True)}
-    frames_used |= {parts.base.frame or "", parts.poses.world}
+    frames_used = {calibrated.color_frame, index.streams[choice.depth].frame_id(True)}
+    frames_used |= {base.frame or "", poses.world}
     if not log.motions.whole and index.tree.sampled_once() & {
         above for frame in frames_used for above in index.tree.above(frame)
     }:
         raise RescanError("a transform is too rare for a sample", path=path)
-    used = parts.calibrated.used
+    used = calibrated.used
     infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
     calibrations = CalibrationWindows(infos, used, log.store, path)
     return Findings(
-        *parts,
-        frames.with_poses(parts.poses, calibrations),
+        cameras,
+        choice,
+        calibrated,
+        base,
+        poses,
+        frames.with_poses(poses, calibrations),
         color.decoders,
         depth.decoders,
         tuple(
@@ -146,17 +146,16 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
 
 def _find(
     index: LogIndex,
-    cameras: Cameras,
     choice: Choice,
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
     path: str,
-) -> _Parts:
+) -> tuple[Calibrated, Base, PoseSource]:
     try:
         calibrated = calibrate(index, choice, options, path)
         frame = calibrated.color_frame
         base = find_base(index, options, frame, path)
-        poses = find_poses(index, options, frame, base.frame, share_known, path)
+        return calibrated, base, find_poses(index, options, frame, base.frame, share_known, path)
     except TransformError as error:
         if error.path:
             raise
@@ -164,7 +163,6 @@ def _find(
         kinds = ((name, kind_of(about.channel.schema_name)) for name, about in index.topics.items())
         topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
         raise TransformError(error.problem, path=path, topic=topic, remedy=error.remedy) from error
-    return _Parts(cameras, choice, calibrated, base, poses)
 
 
 def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:

@@ -273,9 +273,7 @@ class IndexBuilder:
             self._motions(topic, decoder, payload)
 
     def _motions(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
-        messages = decoder.decode(payload)
-        assert isinstance(messages, tuple)
-        motions = [item for item in messages if isinstance(item, TransformMessage)]
+        motions = decoder.motions(payload)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 foxglove = decoder.is_foxglove

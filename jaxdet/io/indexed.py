@@ -13,8 +13,8 @@ from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.formats import read_file_index
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.limits import check_images, check_motions, check_topics
-from jaxdet.io.messages import IMAGE_KINDS, Kind
-from jaxdet.io.motion_windows import MotionMessages, MotionWindows, decode_motions
+from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
+from jaxdet.io.motion_windows import MotionMessages, MotionWindows
 from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
@@ -60,7 +60,8 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
     whole = sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
     probes = [(topic, _probes(topic, whole)) for topic in topics]
-    delays = _Delays()
+    delays: dict[str, tuple[int, int]] = {}
+    """Least and most, by frame or pose topic [ns]."""
     for topic, number, payload in _read_messages(store, probes):
         _add_message(builder, topic, number, payload)
         if index.topics[topic.topic].undecodable:
@@ -69,7 +70,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         if index.tree.ignored and not whole:
             raise RescanError("a transform is none", path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
-            delays.see(topic, number, payload)
+            _see_delays(delays, topic, number, payload)
     for topic in topics:
         known = index.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
@@ -80,7 +81,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    windows = _motion_windows(index, motions, store, delays.seen, path, whole)
+    windows = _motion_windows(index, motions, store, delays, path, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
     return IndexedLog(index, streams, windows, infos, store)
 
@@ -141,7 +142,7 @@ def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicM
     """The topics that are of use; those of no use are noted and counted only."""
     found: dict[str, tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, file in enumerate(files):
-        builder.path, builder.bytes = str(file.path), builder.bytes + file.size
+        builder.next_file(file)
         entries = read_file_index(file)
         check_topics(len(entries.infos), builder.path)
         if builder.images:
@@ -149,10 +150,12 @@ def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicM
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
             builder.count(entries.infos[key], *count)
         for key, info in entries.infos.items():
-            mine = entries.channel == key
-            decoder = builder.decoder(info) if mine.any() else None
+            if key not in entries.counts or kind_of(info.schema_name) is None:
+                continue
+            decoder = builder.decoder(info)
             if decoder is None or not builder.wants(decoder):
                 continue
+            mine = entries.channel == key
             decoders, messages = found.setdefault(info.topic, ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
             messages.append(
@@ -195,20 +198,15 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
 
 
-class _Delays:
-    """By how much stamps differ from log times."""
-
-    def __init__(self) -> None:
-        self.seen: dict[str, tuple[int, int]] = {}
-        """Least and most by frame or pose topic [ns]."""
-
-    def see(self, topic: TopicMessages, number: int, payload: memoryview) -> None:
-        """Looks at a message of what moves."""
-        for item in decode_motions(topic.decoder(number), payload):
-            name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
-            delay = item.stamp_ns - int(topic.messages.log_ns[number])
-            low, high = self.seen.get(name, (delay, delay))
-            self.seen[name] = min(low, delay), max(high, delay)
+def _see_delays(
+    delays: dict[str, tuple[int, int]], topic: TopicMessages, number: int, payload: memoryview
+) -> None:
+    """By how much stamps in a message of what moves differ from its log time."""
+    for item in topic.decoder(number).motions(payload):
+        name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
+        delay = item.stamp_ns - int(topic.messages.log_ns[number])
+        low, high = delays.get(name, (delay, delay))
+        delays[name] = min(low, delay), max(high, delay)
 
 
 def _motion_windows(

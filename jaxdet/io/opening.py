@@ -1,5 +1,6 @@
 """Opens the files of a log and finds what is in them, by their indexes or by reading all."""
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -13,6 +14,7 @@ from jaxdet.io.files import LogFiles, missing_splits, siblings
 from jaxdet.io.formats import open_file, scan_file
 from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
+from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.options import LogOptions
 from jaxdet.io.store import ChunkStore
@@ -65,13 +67,18 @@ def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
 def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogIndex:
     """What is in a log, by reading all of it."""
     index = LogIndex()
-    builder = IndexBuilder(index, options.tf)
-    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-        for file in opened.files:
-            builder.next_file(file)
-            index.integrity.append(scan_file(file, builder.add, pool))
+    index.integrity += _scan(opened.files, IndexBuilder(index, options.tf))
     _finish(index, opened, log, options)
     return index
+
+
+def _scan(files: Sequence[LogFile], builder: IndexBuilder) -> list[FileIntegrity]:
+    found = []
+    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
+        for file in files:
+            builder.next_file(file)
+            found.append(scan_file(file, builder.add, pool))
+    return found
 
 
 def index_files(
@@ -103,9 +110,10 @@ def _search_siblings(
     for path in siblings(log):
         try:
             with closing(_open(path, options, memory)) as file:
-                builder = IndexBuilder(index, options.tf, images=False)
-                builder.next_file(file)
-                _search(file, builder)
+                try:
+                    search_index(file, IndexBuilder(index, options.tf, images=False))
+                except DamageError:
+                    _scan([file], IndexBuilder(index, options.tf, images=False))
         except ChunkMemoryError:
             raise  # else it would be for the memory to decide what is found
         except InputError as error:
@@ -113,14 +121,6 @@ def _search_siblings(
         if index.tree.has_static:
             index.warnings.append(f"static transforms are taken from the split {path.name}")
             return
-
-
-def _search(file: LogFile, builder: IndexBuilder) -> None:
-    try:
-        search_index(file, builder)
-    except DamageError:
-        with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-            scan_file(file, builder.add, pool)
 
 
 def _note(index: LogIndex, log: LogFiles) -> None:
