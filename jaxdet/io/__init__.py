@@ -29,7 +29,7 @@ From the bytes of files to frames, by module::
         raw_images                    pixels that go straight into their arrays
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
         images, compressed            their pixels: raw, jpeg, png, rvl
-    log.Batch                       arrays of images, stamps and poses, and what became of each
+    batch                           arrays of images, stamps and poses, and what became of each
 """
 
 from importlib import import_module
@@ -37,19 +37,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxdet.errors import RescanError
+    from jaxdet.io.batch import Batch, LogFrame
     from jaxdet.io.description import LogDescription
     from jaxdet.io.files import LogFiles, find_logs
-    from jaxdet.io.log import Batch, Log, open_log
-    from jaxdet.io.log_frame import LogFrame
+    from jaxdet.io.log import Log, open_log
     from jaxdet.io.notes import Notes
     from jaxdet.io.options import LogOptions
 
 _MODULES = {
-    "Batch": "io.log",
+    "Batch": "io.batch",
     "Log": "io.log",
     "LogDescription": "io.description",
     "LogFiles": "io.files",
-    "LogFrame": "io.log_frame",
+    "LogFrame": "io.batch",
     "LogOptions": "io.options",
     "Notes": "io.notes",
     "RescanError": "errors",
