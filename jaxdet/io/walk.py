@@ -117,14 +117,13 @@ class Walk:
             InputError: The file was changed meanwhile.
         """
         self._file.check_unchanged()
-        plain = {"chunks": 0, "chunks_with_crc": 0, "lost_spans_ns": (), "missing": {}}
         return FileIntegrity(
             path=self._file.path,
             messages=self.messages,
             lost=dict(self.lost),
             lost_bytes=self.lost_bytes,
             last_log_time_ns=self.last_ns,
-            **{**plain, **more},
+            **more,
         )
 
 
