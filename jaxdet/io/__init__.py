@@ -13,14 +13,14 @@ From the bytes of files to frames, by module::
         message_file                  messages one by one: sqlite (ROS 2), image_folder
       opening
         by index                    where every message is, without reading one
-          summary, message_index      MCAP; bag_index, sqlite_index, image_folder_index
+          mcap_summary, mcap_index    MCAP; bag_index, sqlite_index, image_folder_index
           file_index, records         the same for all formats: messages by topic
-          indexed, index              the first messages of each topic, decoded
+          indexed, contents           the first messages of each topic, decoded
           windows                     any range of frames: order, pairs (pairing), poses
                                       (motion_windows), calibration (validity)
         by a scan                   where there is no index, or it isn't enough
-          walk, scan                  all that is whole; bag_index, sqlite_index, ...
-          index                       every message, decoded but for its pixels
+          walk, mcap_scan             all that is whole; bag_index, sqlite_index, ...
+          contents                    every message, decoded but for its pixels
           timeline                    all frames: order, pairs
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
                                       transforms, motion

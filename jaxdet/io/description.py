@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import printable
+from jaxdet.io.contents import LogContents
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
-from jaxdet.io.index import LogIndex
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
 from jaxdet.io.part import first_told
@@ -88,16 +88,18 @@ class LogDescription(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) -> LogDescription:
+def describe(
+    files: LogFiles, contents: LogContents, found: Findings, numbers: range
+) -> LogDescription:
     """The description of a log.
 
     Args:
         files: Its files.
-        index: What is in them.
+        contents: What is in them.
         found: What is used.
         numbers: The frames that are used.
     """
-    warnings = [*index.warnings, *index.tree.warnings, *found.warnings]
+    warnings = [*contents.warnings, *contents.tree.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count = found.frames.num_frames
     first_ns = first_told(map(found.frames.stamp_ns, range(count)))
@@ -110,7 +112,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=_topics(index, found.choice.color, found.choice.depth),
+        topics=_topics(contents, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
@@ -118,7 +120,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         pose_source=found.poses.text,
         num_poses=None,
         pairing=None,
-        integrity=tuple(index.integrity),
+        integrity=tuple(contents.integrity),
         warnings=tuple(warnings),
     )
 
@@ -164,12 +166,12 @@ def complete(
     )
 
 
-def _topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescription, ...]:
+def _topics(contents: LogContents, color: str, depth: str) -> tuple[TopicDescription, ...]:
     """The topics by name."""
     found = []
-    for name, info in sorted(index.topics.items()):
+    for name, info in sorted(contents.topics.items()):
         span = (info.last_ns - info.first_ns) / 1e9
-        stream = index.streams.get(name)
+        stream = contents.streams.get(name)
         chosen = [role for role, topic in (("color", color), ("depth", depth)) if topic == name]
         found.append(
             TopicDescription(

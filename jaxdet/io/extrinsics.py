@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import TransformError, printable
-from jaxdet.io.index import LogIndex
+from jaxdet.io.contents import LogContents
 from jaxdet.io.messages import ExtrinsicsMessage
 from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.options import LogOptions
@@ -24,7 +24,7 @@ class FoundExtrinsics(NamedTuple):
 
 
 def find_extrinsics(
-    index: LogIndex,
+    contents: LogContents,
     options: LogOptions,
     topics: tuple[str, str],
     color_frame: str,
@@ -40,7 +40,7 @@ def find_extrinsics(
     warning; never is a missing motion taken for none.
 
     Args:
-        index: The log's.
+        contents: The log's.
         options: What the user says.
         topics: Those of the colour and of the depth images.
         color_frame: Of the colour images; empty where unknown.
@@ -55,13 +55,13 @@ def find_extrinsics(
     if given is not None:
         T = motion_matrix(np.array(given[:3]), np.array(given[3:]))
         return FoundExtrinsics(_extrinsics(T), "--log.color-from-depth", ())
-    streams = _between_streams(index, *topics)
+    streams = _between_streams(contents, *topics)
     if streams is not None:
         return FoundExtrinsics(_extrinsics(streams), "librealsense's topics of both streams", ())
-    topic = _topic(index, topics)
-    tf = index.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
+    topic = _topic(contents, topics)
+    tf = contents.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
     if topic:
-        T = _matrix(index.extrinsics[topic])
+        T = _matrix(contents.extrinsics[topic])
         warnings = _contradiction(T, tf, topic) if color_frame != depth_frame else ()
         return FoundExtrinsics(_extrinsics(T), f"topic {printable(topic)}", warnings)
     if tf is None:
@@ -81,21 +81,25 @@ def find_extrinsics(
     return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
 
 
-def _topic(index: LogIndex, topics: tuple[str, str]) -> str:
+def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
     """The ``depth_to_color`` topic that shares most of its name with the depth images'.
 
     Those of the log's other cameras are left out.
     """
-    others = {camera_name(name) for name in index.streams} - {camera_name(name) for name in topics}
+    others = {camera_name(name) for name in contents.streams} - {
+        camera_name(name) for name in topics
+    }
     names = [
         name
-        for name in index.extrinsics
+        for name in contents.extrinsics
         if "depth_to_color" in name.lower() and camera_name(name) not in others
     ]
     return max(sorted(names), key=lambda name: affinity(name, topics[1]), default="")
 
 
-def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.ndarray | None:
+def _between_streams(
+    contents: LogContents, color_topic: str, depth_topic: str
+) -> np.ndarray | None:
     """``T_color_depth`` of a recording of librealsense; None where it is none.
 
     It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
@@ -104,10 +108,10 @@ def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.
     color, depth = (
         topic.removesuffix("image/data") + "tf/" for topic in (color_topic, depth_topic)
     )
-    for name in sorted(index.extrinsics):
+    for name in sorted(contents.extrinsics):
         other = depth + name.removeprefix(color)
-        if name.startswith(color) and other in index.extrinsics:
-            T_color, T_depth = (_matrix(index.extrinsics[key]) for key in (name, other))
+        if name.startswith(color) and other in contents.extrinsics:
+            T_color, T_depth = (_matrix(contents.extrinsics[key]) for key in (name, other))
             return T_color @ inverse(T_depth)
     return None
 

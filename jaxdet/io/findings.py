@@ -8,8 +8,8 @@ import numpy as np
 from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
+from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
@@ -41,7 +41,7 @@ class Findings(NamedTuple):
     """About the frames."""
 
 
-def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
+def find_scanned(contents: LogContents, options: LogOptions, path: str) -> Findings:
     """What a log holds that was read as a whole.
 
     Raises:
@@ -49,24 +49,24 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
         TopicError: No or several topics can be colour or depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
-    cameras = find_cameras(index, options, path)
+    cameras = find_cameras(contents, options, path)
     choice = cameras.chosen(options, path)
-    color, depth = index.streams[choice.color], index.streams[choice.depth]
+    color, depth = contents.streams[choice.color], contents.streams[choice.depth]
     frames = order_and_pair(color, depth, options.pair_tolerance_s)
-    tracks = {name: track.samples for name, track in index.poses.items()}
+    tracks = {name: track.samples for name, track in contents.poses.items()}
     stamps = frames.about_ns()
 
     def share_known(source: PoseSource) -> float:
-        T = source.at(stamps, index.tree, tracks)
+        T = source.at(stamps, contents.tree, tracks)
         known = np.zeros(1) if T is None else np.isfinite(T[:, 0, 0])
         # Where the sample has none, any in the sample of another source go before all.
         return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    calibrated, base, poses = _find(index, choice, options, share_known, path)
+    calibrated, base, poses = _find(contents, choice, options, share_known, path)
     other = np.zeros(len(stamps), bool)
     for topic, used in calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
-            changes = index.calibrations[topic].changes
+            changes = contents.calibrations[topic].changes
             other |= other_calibration(stamps, changes, used, frames.by_log_time)
     return Findings(
         cameras,
@@ -74,7 +74,7 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
         calibrated,
         base,
         poses,
-        frames.completed(poses.at(stamps, index.tree, tracks), other),
+        frames.completed(poses.at(stamps, contents.tree, tracks), other),
         color.decoders,
         depth.decoders,
         frames.warnings,
@@ -91,8 +91,8 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         RescanError: The first messages are such that the index isn't enough.
         DamageError: The file contradicts its index.
     """
-    index = log.contents
-    cameras = find_cameras(index, options, path)
+    contents = log.contents
+    cameras = find_cameras(contents, options, path)
     for error in cameras.incomplete.values():
         sampled = isinstance(error, TransformError) and not log.motions.whole
         if sampled or _is_of_first(log, error):
@@ -100,7 +100,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     choice = cameras.chosen(options, path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]
     for topic in (choice.color, choice.depth):
-        if not index.streams[topic].column("stamp").any():
+        if not contents.streams[topic].column("stamp").any():
             raise RescanError("the first header stamps are zero", path=path, topic=topic)
     tolerance = options.pair_tolerance_s
     frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
@@ -113,15 +113,15 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         return share
 
     try:
-        calibrated, base, poses = _find(index, choice, options, share_known, path)
+        calibrated, base, poses = _find(contents, choice, options, share_known, path)
     except CalibrationError as error:
         if log.motions.whole and not _is_of_first(log, error):
             raise
         raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
-    frames_used = {calibrated.color_frame, index.streams[choice.depth].frame_id(True)}
+    frames_used = {calibrated.color_frame, contents.streams[choice.depth].frame_id(True)}
     frames_used |= {base.frame or "", poses.world}
-    if not log.motions.whole and index.tree.sampled_once() & {
-        above for frame in frames_used for above in index.tree.above(frame)
+    if not log.motions.whole and contents.tree.sampled_once() & {
+        above for frame in frames_used for above in contents.tree.above(frame)
     }:
         raise RescanError("a transform is too rare for a sample", path=path)
     used = calibrated.used
@@ -145,22 +145,23 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
 
 
 def _find(
-    index: LogIndex,
+    contents: LogContents,
     choice: Choice,
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
     path: str,
 ) -> tuple[Calibrated, Base, PoseSource]:
     try:
-        calibrated = calibrate(index, choice, options, path)
+        calibrated = calibrate(contents, choice, options, path)
         frame = calibrated.color_frame
-        base = find_base(index, options, frame, path)
-        return calibrated, base, find_poses(index, options, frame, base.frame, share_known, path)
+        base = find_base(contents, options, frame, path)
+        return calibrated, base, find_poses(contents, options, frame, base.frame, share_known, path)
     except TransformError as error:
         if error.path:
             raise
         # Of the tree, which knows no file.
-        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in index.topics.items())
+        topics = contents.topics.items()
+        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in topics)
         topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
         raise TransformError(error.problem, path=path, topic=topic, remedy=error.remedy) from error
 

@@ -9,9 +9,9 @@ import numpy as np
 from jaxdet.errors import RescanError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location, LogFile
+from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.formats import read_file_index
-from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.limits import check_images, check_motions, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionMessages, MotionWindows
@@ -32,7 +32,7 @@ _STATIC = 256
 class IndexedLog(NamedTuple):
     """What the indexes of a log's files tell."""
 
-    contents: LogIndex
+    contents: LogContents
     streams: dict[str, StreamWindows]
     """Image topics."""
     motions: MotionWindows
@@ -54,8 +54,8 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         DamageError: An index is missing, torn or wrong.
         RescanError: The first messages are such that the index isn't enough.
     """
-    index = LogIndex()
-    builder = IndexBuilder(index, use_tf)
+    contents = LogContents()
+    builder = ContentsBuilder(contents, use_tf)
     topics = _read_topics(files, builder)
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
     whole = sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
@@ -64,15 +64,15 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
     """Least and most, by frame or pose topic [ns]."""
     for topic, number, payload in _read_messages(store, probes):
         _add_message(builder, topic, number, payload)
-        if index.topics[topic.topic].undecodable:
+        if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=topic.topic)
-        if index.tree.ignored and not whole:
+        if contents.tree.ignored and not whole:
             raise RescanError("a transform is none", path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
             _see_delays(delays, topic, number, payload)
     for topic in topics:
-        known = index.calibrations.get(topic.topic)
+        known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
             raise RescanError("the first calibrations are empty", path=path, topic=topic.topic)
@@ -81,12 +81,12 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    windows = _motion_windows(index, motions, store, delays, path, whole)
+    windows = _motion_windows(contents, motions, store, delays, path, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
-    return IndexedLog(index, streams, windows, infos, store)
+    return IndexedLog(contents, streams, windows, infos, store)
 
 
-def search_index(file: LogFile, builder: IndexBuilder) -> None:
+def search_index(file: LogFile, builder: ContentsBuilder) -> None:
     """Calibration and static transforms of a file, by its index.
 
     Raises:
@@ -129,7 +129,7 @@ def _read_messages(
 
 
 def _add_message(
-    builder: IndexBuilder, topic: TopicMessages, number: int, payload: memoryview
+    builder: ContentsBuilder, topic: TopicMessages, number: int, payload: memoryview
 ) -> None:
     messages = topic.messages
     builder.file_number = int(messages.file[number])
@@ -138,7 +138,7 @@ def _add_message(
     builder.take(topic.decoder(number).channel, int(messages.log_ns[number]), payload, where)
 
 
-def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicMessages]:
+def _read_topics(files: Sequence[LogFile], builder: ContentsBuilder) -> list[TopicMessages]:
     """The topics that are of use; those of no use are noted and counted only."""
     found: dict[str, tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, file in enumerate(files):
@@ -146,7 +146,7 @@ def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicM
         entries = read_file_index(file)
         check_topics(len(entries.infos), builder.path)
         if builder.images:
-            builder.index.integrity.append(entries.integrity)
+            builder.contents.integrity.append(entries.integrity)
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
             builder.count(entries.infos[key], *count)
         for key, info in entries.infos.items():
@@ -210,7 +210,7 @@ def _see_delays(
 
 
 def _motion_windows(
-    index: LogIndex,
+    contents: LogContents,
     topics: Sequence[TopicMessages],
     store: ChunkStore,
     delays: dict[str, tuple[int, int]],
@@ -224,9 +224,9 @@ def _motion_windows(
         decoders += topic.decoders
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
-    tracks = {name: track.samples for name, track in index.poses.items()}
+    tracks = {name: track.samples for name, track in contents.poses.items()}
     found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, index.tree, tracks, path, whole)
+    return MotionWindows(found, store, contents.tree, tracks, path, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:

@@ -15,10 +15,10 @@ from jaxdet.checks import MAX_FRAMES
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find_indexed, find_scanned
-from jaxdet.io.index import LogIndex
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
@@ -79,7 +79,7 @@ class Log:
     def __init__(
         self,
         files: LogFiles,
-        index: LogIndex,
+        contents: LogContents,
         found: Findings,
         store: ChunkStore,
         options: LogOptions,
@@ -101,7 +101,7 @@ class Log:
         if part != (None, None, 1):
             about_ns, stamp_ns = found.frames.about_ns(), found.frames.stamp_ns
             self.frames = find_part(about_ns, stamp_ns, *part, self._path)
-        self.description = describe(files, index, found, self.frames)
+        self.description = describe(files, contents, found, self.frames)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
         unit, limit = self.calibration.depth_unit, options.max_pixels

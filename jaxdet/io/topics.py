@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_compressed_depth, is_png16
+from jaxdet.io.contents import LogContents
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.index import LogIndex
 from jaxdet.io.messages import ImageMessage, Kind
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
@@ -53,7 +53,7 @@ class Choice(NamedTuple):
 
 
 def choose_topics(
-    index: LogIndex, options: LogOptions, path: str
+    contents: LogContents, options: LogOptions, path: str
 ) -> dict[str, Choice | TopicError]:
     """The colour and the depth topic of each camera, by its name, in order.
 
@@ -70,16 +70,16 @@ def choose_topics(
     Raises:
         TopicError: None or, of the only camera, several qualify; the text lists them.
     """
-    depths = _candidates(index, options.depth, True, path)
+    depths = _candidates(contents, options.depth, True, path)
     prefer_rect = any("depth_registered" in item.topic for item in depths)
-    colors = _candidates(index, options.color, False, path, prefer_rect)
+    colors = _candidates(contents, options.color, False, path, prefer_rect)
     if not colors or not depths:
         what = "colour and no depth" if not colors and not depths else "depth"
-        raise _missing(index, what if not depths else "colour", path)
+        raise _missing(contents, what if not depths else "colour", path)
     names = {camera_name(color.topic) for color in colors}
     names &= {camera_name(depth.topic) for depth in depths}
     if len(names) < 2 or options.color or options.depth:
-        choice = _choose(index, options, colors, depths, path)
+        choice = _choose(contents, options, colors, depths, path)
         return {choice.camera: choice}
     found: dict[str, Choice | TopicError] = {}
     for name in sorted(names):
@@ -88,7 +88,7 @@ def choose_topics(
             for items in (colors, depths)
         )
         try:
-            found[name] = _choose(index, options, color, depth, path)
+            found[name] = _choose(contents, options, color, depth, path)
         except TopicError as error:
             found[name] = error
     return found
@@ -112,7 +112,7 @@ def camera_name(topic: str) -> str:
 
 
 def _choose(
-    index: LogIndex,
+    contents: LogContents,
     options: LogOptions,
     colors: Sequence[Candidate],
     depths: Sequence[Candidate],
@@ -127,7 +127,7 @@ def _choose(
     _require_one(color_best, "colour", path)
     _require_one(depth_best, "depth", path)
     color, depth = color_best[0], depth_best[0]
-    if index.streams[depth.topic].kind is Kind.RGBD and not options.color:
+    if contents.streams[depth.topic].kind is Kind.RGBD and not options.color:
         color = Candidate(depth.topic, depth.rank, "in the same message as depth")
     reasons = (
         f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}",
@@ -163,32 +163,32 @@ def _says_aligned(topic: str) -> bool:
 
 
 def _candidates(
-    index: LogIndex, override: str | None, depth: bool, path: str, prefer_rect: bool = False
+    contents: LogContents, override: str | None, depth: bool, path: str, prefer_rect: bool = False
 ) -> list[Candidate]:
     if override:
-        return [_overridden(index, override, depth, path)]
+        return [_overridden(contents, override, depth, path)]
     make = _depth_candidate if depth else partial(_color_candidate, prefer_rect=prefer_rect)
     found = [
         candidate
-        for stream in index.streams.values()
-        if not _is_eye(stream.topic, index) and (candidate := make(stream)) is not None
+        for stream in contents.streams.values()
+        if not _is_eye(stream.topic, contents) and (candidate := make(stream)) is not None
     ]
     return sorted(found, key=lambda item: (item.rank, item.topic))
 
 
-def _is_eye(topic: str, index: LogIndex) -> bool:
+def _is_eye(topic: str, contents: LogContents) -> bool:
     """Whether this is a stereo camera's left or right image beside its colour one (ZED)."""
     color = re.sub("/(left|right)/", "/rgb/", topic)
-    return color != topic and color in index.streams
+    return color != topic and color in contents.streams
 
 
-def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidate:
+def _overridden(contents: LogContents, topic: str, depth: bool, path: str) -> Candidate:
     what, flag = ("depth", "--log.depth") if depth else ("colour", "--log.color")
-    stream = index.streams.get(topic)
+    stream = contents.streams.get(topic)
     if stream is None:
-        known = index.topics.get(topic)
+        known = contents.topics.get(topic)
         reason = (known and known.trouble) or "there are no images on the topic"
-        streams = sorted(index.streams.items())
+        streams = sorted(contents.streams.items())
         names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
         remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
         raise TopicError(reason, path=path, topic=topic, remedy=remedy)
@@ -256,17 +256,18 @@ def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
         raise TopicError(problem, path=path, remedy=f"choose one with {flag}")
 
 
-def _missing(index: LogIndex, what: str, path: str) -> TopicError:
-    if not index.streams and any(name.startswith("/jaxdet/") for name in index.topics):
+def _missing(contents: LogContents, what: str, path: str) -> TopicError:
+    if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
         problem, remedy = "an export of jaxdet, without images", "name the log that it was made of"
         return TopicError(problem, path=path, remedy=remedy)
     names = []
-    for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
+    topics = sorted(contents.topics.items(), key=lambda it: (it[0] not in contents.streams, it))
+    for name, info in topics:
         kind = "" if info.problem else info.channel.schema_name or "no schema"
-        encoding = index.streams[name].encoding(False) if name in index.streams else ""
+        encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     known = f"its topics are {listed(names)}" if names else "it has no messages"
-    if unread := _unread(index):
+    if unread := _unread(contents):
         known = f"encodings not read: {listed(unread)}; {known}"
     remedy = (
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
@@ -276,9 +277,10 @@ def _missing(index: LogIndex, what: str, path: str) -> TopicError:
     return TopicError(f"no {what} image topic; {known}", path=path, remedy=remedy)
 
 
-def _unread(index: LogIndex) -> list[str]:
+def _unread(contents: LogContents) -> list[str]:
     """Encodings of raw images that are neither colour's nor depth's, each with its topic."""
-    images = {topic: stream.first_image(False) for topic, stream in sorted(index.streams.items())}
+    streams = sorted(contents.streams.items())
+    images = {topic: stream.first_image(False) for topic, stream in streams}
     return [
         f"{image.encoding!a} of {topic}"
         for topic, image in images.items()

@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.chunks import PAYLOAD_OFFSET
-from jaxdet.io.index import image_stamps
+from jaxdet.io.contents import image_stamps
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes

@@ -22,7 +22,7 @@ from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_ODD_RECORDS
-from jaxdet.io.summary import Summary, read_summary
+from jaxdet.io.mcap_summary import Summary, read_summary
 from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _TOP_LEVEL = -1

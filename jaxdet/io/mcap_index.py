@@ -14,7 +14,7 @@ from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
 from jaxdet.io.limits import check_messages
-from jaxdet.io.summary import FileBytes, Summary, read_summary
+from jaxdet.io.mcap_summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
 """Of a message index before its entries: record head, channel, length."""

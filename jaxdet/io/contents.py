@@ -1,4 +1,4 @@
-"""One pass over a log: where each image lies, and everything small.
+"""What is in a log, by taking in its messages: where each image lies, and everything small.
 
 An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; image data are
 never held. So a log of a million images takes about 64 MB.
@@ -95,8 +95,8 @@ class PoseTrack:
         self.samples = MotionSamples()
 
 
-class LogIndex:
-    """What one pass over a log's files collects."""
+class LogContents:
+    """What is in a log: what its messages tell, but for the pixels of images."""
 
     def __init__(self) -> None:
         self.topics: dict[str, TopicInfo] = {}
@@ -111,18 +111,18 @@ class LogIndex:
         self.warnings: list[str] = []
 
 
-class IndexBuilder:
+class ContentsBuilder:
     """Takes in the messages of one file after the other; ``add`` is a scan's handler.
 
     Args:
-        index: Where they go.
+        contents: Where they go.
         use_tf: Whether transforms are read.
         images: Whether images are recorded and topics counted; off for the sibling files of a
             log, of which only calibration and static transforms are wanted.
     """
 
-    def __init__(self, index: LogIndex, use_tf: bool, images: bool = True) -> None:
-        self.index, self.use_tf, self.images = index, use_tf, images
+    def __init__(self, contents: LogContents, use_tf: bool, images: bool = True) -> None:
+        self.contents, self.use_tf, self.images = contents, use_tf, images
         self.file_number, self.path, self.bytes = -1, "", 0
         self._small_messages = 0
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
@@ -180,7 +180,7 @@ class IndexBuilder:
             topic.why = topic.why or error.problem
 
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
-        topics = self.index.topics
+        topics = self.contents.topics
         if channel.topic not in topics:
             check_topics(len(topics) + 1, self.path)
             topics[channel.topic] = TopicInfo(channel)
@@ -192,7 +192,7 @@ class IndexBuilder:
             try:
                 decoder = MessageDecoder(channel)
             except ValueError as error:
-                self.index.topics[channel.topic].problem = str(error)
+                self.contents.topics[channel.topic].problem = str(error)
         self._decoders[channel] = decoder
         return decoder
 
@@ -204,9 +204,9 @@ class IndexBuilder:
         payload: memoryview,
         location: Location,
     ) -> None:
-        stream = self.index.streams.get(topic)
+        stream = self.contents.streams.get(topic)
         if stream is None:
-            stream = self.index.streams[topic] = ImageStream(topic, decoder.kind)
+            stream = self.contents.streams[topic] = ImageStream(topic, decoder.kind)
         if decoder not in stream.decoders:
             stream.decoders.append(decoder)
         # What can't be decoded stays a frame, at its log time, and fails when it is read.
@@ -248,13 +248,13 @@ class IndexBuilder:
         return message.stamp_ns, message.stamp_ns
 
     def _calibration(self, topic: str, info: CameraInfoMessage, log_ns: int) -> None:
-        self.index.calibrations.setdefault(topic, CalibrationTopic()).add(info, log_ns)
+        self.contents.calibrations.setdefault(topic, CalibrationTopic()).add(info, log_ns)
 
     def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int) -> None:
         self._small_messages += 1
         check_motions(self._small_messages, self.bytes, self.path, topic)
         if decoder.kind is Kind.INFO:
-            known = self.index.calibrations.setdefault(topic, CalibrationTopic())
+            known = self.contents.calibrations.setdefault(topic, CalibrationTopic())
             rest = decoder.after_stamp(payload)
             if rest != known.last_payload:
                 message = decoder.decode(payload)
@@ -264,11 +264,11 @@ class IndexBuilder:
         elif decoder.kind is Kind.EXTRINSICS:
             message = decoder.decode(payload)
             assert isinstance(message, ExtrinsicsMessage)
-            self.index.extrinsics.setdefault(topic, message)
+            self.contents.extrinsics.setdefault(topic, message)
         elif decoder.kind is Kind.NUMBER:
             message = decoder.decode(payload)
             assert isinstance(message, NumberMessage)
-            self.index.depth_units.setdefault(topic, message.value)
+            self.contents.depth_units.setdefault(topic, message.value)
         else:
             self._motions(topic, decoder, payload)
 
@@ -277,10 +277,10 @@ class IndexBuilder:
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 foxglove = decoder.is_foxglove
-                self.index.tree.add(motions, decoder.is_static, once_is_static=foxglove)
+                self.contents.tree.add(motions, decoder.is_static, once_is_static=foxglove)
         elif self.images:
             for item in motions:
-                track = self.index.poses.setdefault(topic, PoseTrack(item))
+                track = self.contents.poses.setdefault(topic, PoseTrack(item))
                 track.samples.add(item.stamp_ns, item.translation, item.rotation)
 
 
