@@ -110,6 +110,11 @@ class LogContents:
         self.integrity: list[FileIntegrity] = []
         self.warnings: list[str] = []
 
+    @property
+    def tracks(self) -> dict[str, MotionSamples]:
+        """The samples of each pose topic."""
+        return {name: track.samples for name, track in self.poses.items()}
+
 
 class ContentsBuilder:
     """Takes in the messages of one file after the other; ``add`` is a scan's handler.

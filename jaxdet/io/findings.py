@@ -53,8 +53,7 @@ def find_scanned(contents: LogContents, options: LogOptions, path: str) -> Findi
     choice = cameras.chosen(options, path)
     color, depth = contents.streams[choice.color], contents.streams[choice.depth]
     frames = order_and_pair(color, depth, options.pair_tolerance_s)
-    tracks = {name: track.samples for name, track in contents.poses.items()}
-    stamps = frames.about_ns()
+    stamps, tracks = frames.about_ns(), contents.tracks
 
     def share_known(source: PoseSource) -> float:
         T = source.at(stamps, contents.tree, tracks)
@@ -106,7 +105,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
     frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
 
     def share_known(source: PoseSource) -> float:
-        sample, with_poses = _sample(len(color)), frames.with_poses(source)
+        sample, with_poses = _sample(len(color)), frames._replace(source=source)
         share = float(np.mean([with_poses.window(i, i + 1).notes.poses for i in sample.tolist()]))
         if not share and len(sample) < len(color):
             raise RescanError("no sampled frame has a pose in the world frame", path=path)
@@ -133,7 +132,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         calibrated,
         base,
         poses,
-        frames.with_poses(poses, calibrations),
+        frames._replace(source=poses, calibrations=calibrations),
         color.decoders,
         depth.decoders,
         tuple(

@@ -224,9 +224,8 @@ def _motion_windows(
         decoders += topic.decoders
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
-    tracks = {name: track.samples for name, track in contents.poses.items()}
     found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, contents.tree, tracks, path, whole)
+    return MotionWindows(found, store, contents.tree, contents.tracks, path, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:

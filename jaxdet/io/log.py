@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from operator import index as as_index
 from os import PathLike
@@ -184,13 +184,25 @@ class Log:
         return self._window(0, self.num_frames)
 
     def _window(self, start: int, stop: int) -> Window:
-        try:
+        with self._by_index():
             return self._frames.window(start, stop)
+
+    @contextmanager
+    def _by_index(self) -> Iterator[None]:
+        """Damage that shows here contradicts the index, unless the files were changed.
+
+        Raises:
+            RescanError: There is some.
+            InputError: A file was changed.
+        """
+        try:
+            yield
         except (DamageError, RescanError) as error:
             self._store.check_unchanged()
             if isinstance(error, RescanError):
                 raise
-            raise _rescan(error, self._path) from error
+            problem = f"the file isn't as its index says ({error})"
+            raise RescanError(problem, path=self._path) from error
 
     @property
     def index_bytes(self) -> int:
@@ -306,11 +318,8 @@ class Log:
         for row, start, stop in _runs(indices, self._at_once):
             window = known.window(start, stop) if known else self._window(start, stop)
             rows = slice(row, row + stop - start)
-            try:
+            with self._by_index():
                 failures += self._reader.read(window, memory[0][rows], memory[1][rows])
-            except DamageError as error:
-                self._store.check_unchanged()
-                raise _rescan(error, self._path) from error
             windows.append(window)
         self._store.check_unchanged()
         status, errors = [], []
@@ -447,10 +456,6 @@ def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
 
 def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:
     return np.concatenate([np.zeros(0, np.int64), *columns])
-
-
-def _rescan(error: DamageError, path: str) -> RescanError:
-    return RescanError(f"the file isn't as its index says ({error})", path=path)
 
 
 def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:

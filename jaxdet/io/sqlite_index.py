@@ -141,14 +141,15 @@ def _last_number(file: SqliteFile) -> int:
     numbers = [0]
     for text in ("SELECT max(id) FROM messages", _GREATEST):
         with suppress(DamageError):
-            numbers.append(next(file.query(text))[0] or 0)
+            numbers += [number or 0 for (number,) in file.query(text)]
     return max(numbers)
 
 
 def _declared(file: SqliteFile) -> int | None:
     """How many messages the index of their times has; None where it can't be read."""
     with suppress(DamageError):
-        return int(next(file.query(_COUNT))[0])
+        for (count,) in file.query(_COUNT):
+            return int(count)
     return None
 
 
