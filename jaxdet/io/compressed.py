@@ -11,10 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxdet.io.images import bad_frame, check_row, check_size, metres_to_units
+from jaxdet.io.images import check_row, check_size, metres_to_units
 from jaxdet.io.jpeg import MAGIC as JPEG
 from jaxdet.io.jpeg import decode_jpeg, jpeg_size
-from jaxdet.io.messages import CompressedImageMessage
+from jaxdet.io.messages import CompressedImageMessage, bad_frame
 from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_head
 from jaxdet.io.rvl import decode_rvl
 

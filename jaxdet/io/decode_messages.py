@@ -17,7 +17,6 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
-from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import (
     bare_definition,
@@ -32,6 +31,7 @@ from jaxdet.io.messages import (
     Kind,
     Message,
     TransformMessage,
+    bad_frame,
     kind_of,
     plain_schema_name,
 )
@@ -87,7 +87,7 @@ class MessageDecoder:
         if len(payload) > self._most_bytes:
             problem = f"{self.kind.value} message of {len(payload)} bytes, but at most "
             problem += f"{self._most_bytes} are read"
-            raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
+            raise bad_frame(problem)
         readable = self._readable(payload)
         try:
             found = read_motions(self.kind, readable) if self._in_place else None
@@ -95,8 +95,9 @@ class MessageDecoder:
         except MemoryError:
             raise
         except Exception as error:  # the decoders raise what they like
-            problem = f"{self.kind.value} message can't be decoded ({_short(error)})"
-            raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
+            raise bad_frame(
+                f"{self.kind.value} message can't be decoded ({_short(error)})"
+            ) from error
 
     def motions(self, payload: bytes | memoryview) -> tuple[TransformMessage, ...]:
         """The transforms or poses in a payload.

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -23,6 +22,7 @@ from jaxdet.io.messages import (
     NumberMessage,
     RgbdMessage,
     TransformMessage,
+    bad_frame,
 )
 from jaxdet.io.motion import motion_matrix
 
@@ -41,7 +41,7 @@ def nanoseconds(sec: int, nanosec: int) -> int:
     sec, nanosec = int(sec), int(nanosec)
     if not (0 <= sec <= MAX_STAMP_S and 0 <= nanosec < 1 << 32):
         problem = f"header stamp ({sec} s, {nanosec} ns) is not between the years 1970 and 2255"
-        raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
+        raise bad_frame(problem)
     return sec * 1_000_000_000 + nanosec
 
 

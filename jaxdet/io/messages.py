@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.errors import FrameError, FrameStatus
+
 
 class Kind(Enum):
     """What a schema holds."""
@@ -52,6 +54,11 @@ def plain_schema_name(name: str) -> str:
 def kind_of(schema_name: str) -> Kind | None:
     """What a schema of this name holds; None when it is of no use here."""
     return _KINDS.get(plain_schema_name(schema_name))
+
+
+def bad_frame(problem: str) -> FrameError:
+    """The error of a message or image that can't be decoded."""
+    return FrameError(problem, status=FrameStatus.DECODE_ERROR)
 
 
 class ImageMessage(NamedTuple):
