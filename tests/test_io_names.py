@@ -12,7 +12,7 @@ import pytest
 
 from jaxdet.errors import InputError, TopicError
 from jaxdet.io import LogFiles, LogOptions, find_logs, open_log
-from jaxdet.io.files import _unique_names, siblings
+from jaxdet.io.files import _unique_names, missing_splits, siblings
 from jaxdet.io.splits import sketch
 from tests.io_helpers import (
     COLOR_FRAME,
@@ -128,6 +128,17 @@ def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, m
     monkeypatch.setattr("jaxdet.io.files.sketch", lambda path: looked.append(path) or sketch(path))
     assert [siblings(log) for log in logs] == [()] * 10
     assert len(looked) <= 4 * len(logs)
+
+
+def test_times_and_dates_in_names_are_no_numbers_of_splits(tmp_path):
+    """300 s apart by their images, as by their names: with 500 numbers between, they could be."""
+    for name, later_s in (("100000", 0), ("100500", 300)):
+        scene = moved(make_scene(2), later_s * 10**9)
+        write_log(tmp_path / f"drive_2024-05-01_{name}.mcap", scene)
+    touch(tmp_path, "run_20240501100000.mcap", "run_20250501100000.bag", "run_1714557600123.db3")
+    logs = find_logs([str(tmp_path)])
+    assert [(len(log.paths), log.note) for log in logs] == [(1, "")] * 5
+    assert missing_splits(LogFiles("run", logs[2].paths + logs[4].paths)) == ()
 
 
 def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):

@@ -16,7 +16,8 @@ from jaxdet.io.splits import Recording, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.(?i:mcap|db3|bag)")
+_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5})\.(?i:mcap|db3|bag)")
+"""With more digits it is a time or a date."""
 _OTHERS = {
     ".zstd": "run unzstd on it",
     ".zst": "run unzstd on it",
