@@ -155,6 +155,16 @@ def test_a_folder_that_cant_be_opened_costs_no_other(tmp_path):
         assert log.num_frames == 3
 
 
+def test_what_macos_writes_beside_files_is_none_of_them(tmp_path):
+    folder = write_open3d(tmp_path / "room")
+    for path in [*folder.glob("*/*.png"), folder / "drive.mcap", folder / "camera.json"]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7")
+    [files] = find_logs([str(tmp_path)])
+    with open_log(files) as log:
+        assert log.name == "room"
+        assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
+
+
 def test_folder_that_changes_is_said(tmp_path):
     folder = write_open3d(tmp_path / "room")
     before = fingerprint(folder)

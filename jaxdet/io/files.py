@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
-from jaxdet.io.image_folder import image_folders, stamp_note
+from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
 from jaxdet.io.splits import Recording, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -306,7 +306,7 @@ def format_of(path: Path) -> str:
 
 
 def _within(path: Path) -> Iterable[Path]:
-    """A file, or what is in a folder and its subfolders; links are followed once.
+    """A file, or what is in a folder and its subfolders but :data:`BESIDE`; links followed once.
 
     Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
     """
@@ -328,7 +328,7 @@ def _within(path: Path) -> Iterable[Path]:
             folders.clear()
             continue
         walked.add((about.st_dev, about.st_ino))
-        yield from (Path(folder, name) for name in files)
+        yield from (Path(folder, name) for name in files if not name.startswith(BESIDE))
     yield from shut
 
 

@@ -34,6 +34,8 @@ COLOR_NAMES = ("rgb", "color", "colour")
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
+BESIDE = "._"
+"""How the files begin that macOS writes beside others on other systems' disks and in archives."""
 LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
@@ -221,6 +223,7 @@ def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list
             f"several folders of images: {listed}", path=str(folder), remedy="keep one"
         )
     files = (path for part in parts for path in part.iterdir())
+    files = (path for path in files if not path.name.startswith(BESIDE))
     return sorted(path for path in files if path.suffix.lower() in suffixes)
 
 
