@@ -184,11 +184,12 @@ def _seen(text: str) -> list[Path]:
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     """The files of an input that are read, at least one, and what is to be said, by file."""
-    path, named = Path(text), _seen(text)
-    seen = [file for file in named if file.is_file()]
-    shut = [folder for folder in named if folder.is_dir()]
-    links = [file for file in named if file.is_symlink() and format_of(file) in SUFFIXES]
-    gone = [file for file in links if not file.exists()]
+    path, seen, rest = Path(text), list[Path](), list[Path]()
+    for item in _seen(text):
+        (seen if item.is_file() else rest).append(item)
+    shut = [item for item in rest if item.is_dir()]
+    links = [item for item in rest if item.is_symlink() and format_of(item) in SUFFIXES]
+    gone = [item for item in links if not item.exists()]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
