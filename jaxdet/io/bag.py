@@ -120,7 +120,7 @@ class BagFile(LogFile):
         size = record.number(b"size")
         return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size, record.size)
 
-    def chunk(self, position: int) -> bytes:
+    def chunk(self, position: int) -> memoryview:
         """The chunk at ``position`` with its messages as MCAP's records, each where it was.
 
         Raises:
@@ -145,7 +145,7 @@ class BagFile(LogFile):
                 start = payload + record.size
                 found[payload:start] = view[record.data : record.end]
             RECORD_HEAD.pack_into(found, start, _PADDING, record.end - start - RECORD_HEAD.size)
-        return bytes(found)
+        return memoryview(found)
 
     def declare(self, record: BagRecord, data: bytes | memoryview, chunk: int = -1) -> None:
         """Takes in a connection; of one number the first counts.

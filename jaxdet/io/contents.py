@@ -230,36 +230,32 @@ class ContentsBuilder:
         self, stream: ImageStream, decoder: MessageDecoder, payload: memoryview, log_ns: int
     ) -> tuple[int, int]:
         message = decoder.decode(payload)
-        probe = len(stream.probes) < NUM_PROBES
         if isinstance(message, RgbdMessage):
             color, depth = message.color, message.depth
             for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
-                self._calibration(f"{stream.topic} ({name})", info, log_ns)
-            if probe:
+                self._calibrations(f"{stream.topic} ({name})").add(info, log_ns)
+            if len(stream.probes) < NUM_PROBES:
                 check_pixels(color)
                 check_pixels(depth)
-                bare = message._replace(
-                    color=color._replace(data=b""), depth=depth._replace(data=b"")
-                )
-                stream.probes.append(bare)
+                color, depth = color._replace(data=b""), depth._replace(data=b"")
+                stream.probes.append(message._replace(color=color, depth=depth))
             return color.stamp_ns, depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
-        if probe:
-            if isinstance(message, ImageMessage):
-                check_pixels(message)
-            kept = PROBE_BYTES if isinstance(message, CompressedImageMessage) else 0
-            head = bytes(message.data[:kept])
-            stream.probes.append(message._replace(data=head))
+        if isinstance(message, ImageMessage):
+            check_pixels(message)
+            stream.probes.append(message._replace(data=b""))
+        else:
+            stream.probes.append(message._replace(data=bytes(message.data[:PROBE_BYTES])))
         return message.stamp_ns, message.stamp_ns
 
-    def _calibration(self, topic: str, info: CameraInfoMessage, log_ns: int) -> None:
-        self.contents.calibrations.setdefault(topic, CalibrationTopic()).add(info, log_ns)
+    def _calibrations(self, topic: str) -> CalibrationTopic:
+        return self.contents.calibrations.setdefault(topic, CalibrationTopic())
 
     def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int) -> None:
         self._small_messages += 1
         check_motions(self._small_messages, self.bytes, self.path, topic)
         if decoder.kind is Kind.INFO:
-            known = self.contents.calibrations.setdefault(topic, CalibrationTopic())
+            known = self._calibrations(topic)
             rest = decoder.after_stamp(payload)
             if rest != known.last_payload:
                 message = decoder.decode(payload)

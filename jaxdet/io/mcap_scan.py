@@ -181,17 +181,17 @@ class _Scan:
             raise DamageError("message record is too short")
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         info = self.infos.get(channel_id) or self._info(channel_id)
+        if info is None:
+            raise DamageError("message of an undeclared channel")
         size = len(content) - MESSAGE_HEAD.size
         location = Location(chunk, offset + MESSAGE_HEAD.size, size)
         payload = content[MESSAGE_HEAD.size :]
         self.walk.give(channel_id, info, min(log_ns, _MAX_TIME_NS), payload, location)
 
-    def _info(self, channel_id: int) -> ChannelInfo:
-        more = self.summary.declared if self.summary else None
-        info = self.declared.info(channel_id, more)
-        if info is None:
-            raise DamageError("message of an undeclared channel")
-        self.infos[channel_id] = info
+    def _info(self, channel_id: int) -> ChannelInfo | None:
+        info = self.declared.info(channel_id, self.summary.declared if self.summary else None)
+        if info is not None:
+            self.infos[channel_id] = info
         return info
 
     def _count_indexed(self, position: int, length: int) -> None:
@@ -210,8 +210,7 @@ class _Scan:
         for number in sorted({*declared, *self.indexed}):
             count = max(declared.get(number, 0), self.indexed[number]) - self.walk.read[number]
             if count > 0:
-                more = self.summary.declared if self.summary else None
-                info = self.infos.get(number) or self.declared.info(number, more)
+                info = self.infos.get(number) or self._info(number)
                 missing[info.topic if info else f"channel {number}"] += count
         return dict(missing)
 
