@@ -43,7 +43,7 @@ class Calibrated(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def calibrate(contents: LogContents, choice: Choice, options: LogOptions, path: str) -> Calibrated:
+def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Calibrated:
     """The calibration for the chosen topics.
 
     Raises:
@@ -53,12 +53,12 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions, path: 
     color_stream, depth_stream = contents.streams[choice.color], contents.streams[choice.depth]
     image_frame, depth_frame = color_stream.frame_id(False), depth_stream.frame_id(True)
     color_frame = options.camera_frame or image_frame
-    color_source = _source(contents, color_stream, False, options, path)
+    color_source = _source(contents, color_stream, False, options)
     color = find_intrinsics(color_source)
-    depth_source = _source(contents, depth_stream, True, options, path)
-    unit, unit_source = _depth_unit(contents, options, choice.depth, path)
+    depth_source = _source(contents, depth_stream, True, options)
+    unit, unit_source = _depth_unit(contents, options, choice.depth)
     origins = [_line("colour", color.intrinsics, color.origin)]
-    warnings = [*color.warnings, *_unit_doubts(unit_source, path)]
+    warnings = [*color.warnings, *_unit_doubts(unit_source, contents.path)]
     same_frame = bool(color_frame) and image_frame == depth_frame
     aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
     if aligned:
@@ -76,7 +76,7 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions, path: 
         topics = choice.color, choice.depth
         one_lens = _one_lens(color.intrinsics, depth.intrinsics)
         frames = color_frame, depth_frame
-        found = find_extrinsics(contents, options, topics, *frames, path, one_lens=one_lens)
+        found = find_extrinsics(contents, options, topics, *frames, one_lens=one_lens)
         origins.append(_line("depth", depth.intrinsics, depth.origin))
         warnings += [*depth.warnings, *found.warnings]
         calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
@@ -85,7 +85,7 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions, path: 
     try:
         check_calibration(calibration)
     except CalibrationError as error:
-        raise CalibrationError(error.problem, path=path, remedy=error.remedy) from error
+        raise CalibrationError(error.problem, path=contents.path, remedy=error.remedy) from error
     origins.append(f"depth unit: {unit:g} m, {unit_source}")
     used = {item.topic: item.info for item in sources if item.info and item.matrix is None}
     warnings += _changes(contents, used)
@@ -94,9 +94,7 @@ def calibrate(contents: LogContents, choice: Choice, options: LogOptions, path: 
     )
 
 
-def _depth_unit(
-    contents: LogContents, options: LogOptions, depth_topic: str, path: str
-) -> tuple[float, str]:
+def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) -> tuple[float, str]:
     """Metres in a depth unit, and where that comes from."""
     if options.depth_unit_m:
         return options.depth_unit_m, "--log.depth-unit-m"
@@ -110,7 +108,7 @@ def _depth_unit(
         check_depth_unit(unit)
     except CalibrationError as error:
         problem, remedy = error.problem, error.remedy
-        raise CalibrationError(problem, path=path, topic=topic, remedy=remedy) from error
+        raise CalibrationError(problem, path=contents.path, topic=topic, remedy=remedy) from error
     return unit, f"topic {printable(topic)}"
 
 
@@ -176,11 +174,11 @@ def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[
 
 
 def _source(
-    contents: LogContents, stream: ImageStream, depth: bool, options: LogOptions, path: str
+    contents: LogContents, stream: ImageStream, depth: bool, options: LogOptions
 ) -> CameraSource:
     name = "depth" if depth else "color"
     override = options.depth_info if depth else options.color_info
-    topic = _info_topic(contents, stream, depth, override, path)
+    topic = _info_topic(contents, stream, depth, override)
     size, known = stream.size(depth), contents.calibrations.get(topic)
     info = known.of(size) if known else None
     return CameraSource(
@@ -191,14 +189,14 @@ def _source(
         rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
-        path=path,
+        path=contents.path,
         max_pixels=options.max_pixels,
         known=tuple(sorted(contents.calibrations)),
     )
 
 
 def _info_topic(
-    contents: LogContents, stream: ImageStream, depth: bool, override: str | None, path: str
+    contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
     """The flag's topic, else the one beside the images, else the only one of their frame."""
     known = contents.calibrations
@@ -207,7 +205,7 @@ def _info_topic(
             flag = "--log.depth-info" if depth else "--log.color-info"
             remedy = f"{flag} can be: {listed(sorted(known)) or 'none'}"
             problem = "no calibration on this topic"
-            raise CalibrationError(problem, path=path, topic=override, remedy=remedy)
+            raise CalibrationError(problem, path=contents.path, topic=override, remedy=remedy)
         return override
     if stream.kind is Kind.RGBD:
         topic = f"{stream.topic} ({'depth' if depth else 'rgb'})"

@@ -66,7 +66,7 @@ class Cameras(NamedTuple):
         )
 
 
-def find_cameras(contents: LogContents, options: LogOptions, path: str) -> Cameras:
+def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
     """The cameras of a log; the calibration is looked at where there are several.
 
     Raises:
@@ -74,13 +74,13 @@ def find_cameras(contents: LogContents, options: LogOptions, path: str) -> Camer
     """
     complete: dict[str, Choice] = {}
     incomplete: dict[str, TopicError | CalibrationError] = {}
-    found = choose_topics(contents, options, path)
+    found = choose_topics(contents, options)
     for name, choice in found.items():
         try:
             if isinstance(choice, TopicError):
                 raise choice
             if len(found) > 1:
-                calibrate(contents, choice, options, path)
+                calibrate(contents, choice, options)
             complete[name] = choice
         except (TopicError, CalibrationError) as error:
             incomplete[name] = error

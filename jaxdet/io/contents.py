@@ -96,9 +96,14 @@ class PoseTrack:
 
 
 class LogContents:
-    """What is in a log: what its messages tell, but for the pixels of images."""
+    """What is in a log: what its messages tell, but for the pixels of images.
 
-    def __init__(self) -> None:
+    Args:
+        path: The log's, for errors.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
         self.topics: dict[str, TopicInfo] = {}
         self.streams: dict[str, ImageStream] = {}
         self.calibrations: dict[str, CalibrationTopic] = {}

@@ -29,7 +29,6 @@ def find_extrinsics(
     topics: tuple[str, str],
     color_frame: str,
     depth_frame: str,
-    path: str,
     *,
     one_lens: bool,
 ) -> FoundExtrinsics:
@@ -45,7 +44,6 @@ def find_extrinsics(
         topics: Those of the colour and of the depth images.
         color_frame: Of the colour images; empty where unknown.
         depth_frame: Of the depth images.
-        path: The log's, for errors.
         one_lens: The camera matrices are the same but for the size of the images.
 
     Raises:
@@ -68,7 +66,7 @@ def find_extrinsics(
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
         problem = f"no transform from depth to colour (frames {frames})"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
-        raise TransformError(problem, path=path, topic=topics[1], remedy=remedy)
+        raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     if color_frame != depth_frame:
         origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"
         return FoundExtrinsics(_extrinsics(tf), origin, ())
@@ -77,7 +75,7 @@ def find_extrinsics(
         problem += "but their camera matrices differ"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw (0 0 0 0 0 0 1: none), or "
         remedy += "--log.depth-aligned where depth lies on the colour camera's pixels"
-        raise TransformError(problem, path=path, topic=topics[1], remedy=remedy)
+        raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
 
 

@@ -41,7 +41,7 @@ class Findings(NamedTuple):
     """About the frames."""
 
 
-def find_scanned(contents: LogContents, options: LogOptions, path: str) -> Findings:
+def find_scanned(contents: LogContents, options: LogOptions) -> Findings:
     """What a log holds that was read as a whole.
 
     Raises:
@@ -49,8 +49,8 @@ def find_scanned(contents: LogContents, options: LogOptions, path: str) -> Findi
         TopicError: No or several topics can be colour or depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
-    cameras = find_cameras(contents, options, path)
-    choice = cameras.chosen(options, path)
+    cameras = find_cameras(contents, options)
+    choice = cameras.chosen(options, contents.path)
     color, depth = contents.streams[choice.color], contents.streams[choice.depth]
     frames = order_and_pair(color, depth, options.pair_tolerance_s)
     stamps, tracks = frames.about_ns(), contents.tracks
@@ -61,7 +61,7 @@ def find_scanned(contents: LogContents, options: LogOptions, path: str) -> Findi
         # Where the sample has none, any in the sample of another source go before all.
         return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    calibrated, base, poses = _find(contents, choice, options, share_known, path)
+    calibrated, base, poses = _find(contents, choice, options, share_known)
     other = np.zeros(len(stamps), bool)
     for topic, used in calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
@@ -80,7 +80,7 @@ def find_scanned(contents: LogContents, options: LogOptions, path: str) -> Findi
     )
 
 
-def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
+def find_indexed(log: IndexedLog, options: LogOptions) -> Findings:
     """What a log holds that was opened by its index.
 
     Raises:
@@ -90,13 +90,13 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         RescanError: The first messages are such that the index isn't enough.
         DamageError: The file contradicts its index.
     """
-    contents = log.contents
-    cameras = find_cameras(contents, options, path)
+    contents, path = log.contents, log.contents.path
+    cameras = find_cameras(contents, options)
     for error in cameras.incomplete.values():
         sampled = isinstance(error, TransformError) and not log.motions.whole
         if sampled or _is_of_first(log, error):
             raise RescanError(f"not found in a sample: {error.problem}", path=path)
-    choice = cameras.chosen(options, path)
+    choice = cameras.chosen(options, contents.path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]
     for topic in (choice.color, choice.depth):
         if not contents.streams[topic].column("stamp").any():
@@ -112,7 +112,7 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         return share
 
     try:
-        calibrated, base, poses = _find(contents, choice, options, share_known, path)
+        calibrated, base, poses = _find(contents, choice, options, share_known)
     except CalibrationError as error:
         if log.motions.whole and not _is_of_first(log, error):
             raise
@@ -148,13 +148,12 @@ def _find(
     choice: Choice,
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
-    path: str,
 ) -> tuple[Calibrated, Base, PoseSource]:
     try:
-        calibrated = calibrate(contents, choice, options, path)
+        calibrated = calibrate(contents, choice, options)
         frame = calibrated.color_frame
-        base = find_base(contents, options, frame, path)
-        return calibrated, base, find_poses(contents, options, frame, base.frame, share_known, path)
+        base = find_base(contents, options, frame)
+        return calibrated, base, find_poses(contents, options, frame, base.frame, share_known)
     except TransformError as error:
         if error.path:
             raise
@@ -162,7 +161,8 @@ def _find(
         topics = contents.topics.items()
         kinds = ((name, kind_of(about.channel.schema_name)) for name, about in topics)
         topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
-        raise TransformError(error.problem, path=path, topic=topic, remedy=error.remedy) from error
+        problem, remedy = error.problem, error.remedy
+        raise TransformError(problem, path=contents.path, topic=topic, remedy=remedy) from error
 
 
 def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:

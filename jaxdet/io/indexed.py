@@ -54,7 +54,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         DamageError: An index is missing, torn or wrong.
         RescanError: The first messages are such that the index isn't enough.
     """
-    contents = LogContents()
+    contents = LogContents(path)
     builder = ContentsBuilder(contents, use_tf)
     topics = _read_topics(files, builder)
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
@@ -81,7 +81,7 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    windows = _motion_windows(contents, motions, store, delays, path, whole)
+    windows = _motion_windows(contents, motions, store, delays, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
     return IndexedLog(contents, streams, windows, infos, store)
 
@@ -214,7 +214,6 @@ def _motion_windows(
     topics: Sequence[TopicMessages],
     store: ChunkStore,
     delays: dict[str, tuple[int, int]],
-    path: str,
     whole: bool,
 ) -> MotionWindows:
     """The windows on the messages of all these topics."""
@@ -225,7 +224,7 @@ def _motion_windows(
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
     found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, contents.tree, contents.tracks, path, whole)
+    return MotionWindows(found, store, contents.tree, contents.tracks, contents.path, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:

@@ -402,16 +402,15 @@ def open_log(
     memory = memory or ReadMemory()
     opened = open_files(source, options, memory)
     store = ChunkStore(opened.files, most_bytes=memory.chunk)
-    path = str(source.paths[0])
     try:
         if not options.scan:
             with suppress(DamageError, RescanError):
                 indexed = index_files(opened, store, source, options)
-                found = find_indexed(indexed, options, path)
+                found = find_indexed(indexed, options)
                 return Log(source, indexed.contents, found, store, options)
         contents = scan_files(opened, source, options)
         try:
-            found = find_scanned(contents, options, path)
+            found = find_scanned(contents, options)
         except (TopicError, CalibrationError) as error:
             damaged = [file for file in contents.integrity if file.recovered]
             for file in damaged[:2]:

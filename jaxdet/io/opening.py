@@ -66,7 +66,7 @@ def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
 
 def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogContents:
     """What is in a log, by reading all of it."""
-    contents = LogContents()
+    contents = LogContents(str(log.paths[0]))
     contents.integrity += _scan(opened.files, ContentsBuilder(contents, options.tf))
     _finish(contents, opened, log, options)
     return contents

@@ -77,7 +77,7 @@ class PoseSource(NamedTuple):
         return tree.at(self.world, self.camera, stamps_ns) if self.world else None
 
 
-def find_base(contents: LogContents, options: LogOptions, camera_frame: str, path: str) -> Base:
+def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> Base:
     """``T_base_camera`` from static transforms: base_footprint, else base_link, or the flag's.
 
     Raises:
@@ -92,7 +92,7 @@ def find_base(contents: LogContents, options: LogOptions, camera_frame: str, pat
             return Base(T, name, f"camera over the floor: TF, z = 0 of frame {frame!r}")
     if options.base_frame:
         problem = f"no static transform joins {options.base_frame!r} and {camera_frame!r}"
-        raise CalibrationError(problem, path=path, remedy="change --log.base-frame")
+        raise CalibrationError(problem, path=contents.path, remedy="change --log.base-frame")
     return Base(None, None, "camera over the floor: not in the log's transforms")
 
 
@@ -102,7 +102,6 @@ def find_poses(
     camera_frame: str,
     base_frame: str | None,
     share_known: Callable[[PoseSource], float],
-    path: str,
 ) -> PoseSource:
     """Where the poses come from.
 
@@ -118,7 +117,6 @@ def find_poses(
         camera_frame: TF frame of the colour camera.
         base_frame: TF frame of the robot.
         share_known: Of how many frames a source knows the pose, 0 to 1.
-        path: The log's.
 
     Raises:
         TopicError: ``--log.odom`` names no topic with poses.
@@ -128,13 +126,15 @@ def find_poses(
     if options.odom:
         if options.odom not in contents.poses:
             remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
-            raise TopicError("no poses on the topic", path=path, topic=options.odom, remedy=remedy)
+            raise TopicError(
+                "no poses on the topic", path=contents.path, topic=options.odom, remedy=remedy
+            )
         return _from_track(contents, options.odom, camera_frame, base_frame)
     if options.world_frame and not (
         camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
         problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
-        raise CalibrationError(problem, path=path, remedy="change --log.world-frame")
+        raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
     best, most = None, 0.0
     for world in [options.world_frame] if options.world_frame else _named(contents, _WORLDS):
         if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):

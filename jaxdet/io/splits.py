@@ -57,7 +57,7 @@ def _sketch(file: LogFile) -> Sketch:
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
     seen = [key for key in images if key in counts]
     spans = [(counts[key].first_ns, counts[key].last_ns) for key in seen]
-    builder = ContentsBuilder(LogContents(), use_tf=False, images=False)
+    builder = ContentsBuilder(LogContents(str(file.path)), use_tf=False, images=False)
     search_index(file, builder)
     known = builder.contents.calibrations.items()
     return Sketch(

@@ -52,9 +52,7 @@ class Choice(NamedTuple):
     reasons: tuple[str, ...]
 
 
-def choose_topics(
-    contents: LogContents, options: LogOptions, path: str
-) -> dict[str, Choice | TopicError]:
+def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
     """The colour and the depth topic of each camera, by its name, in order.
 
     There are several cameras where several names (see :func:`camera_name`) have both a colour and
@@ -70,16 +68,16 @@ def choose_topics(
     Raises:
         TopicError: None or, of the only camera, several qualify; the text lists them.
     """
-    depths = _candidates(contents, options.depth, True, path)
+    depths = _candidates(contents, options.depth, True)
     prefer_rect = any("depth_registered" in item.topic for item in depths)
-    colors = _candidates(contents, options.color, False, path, prefer_rect)
+    colors = _candidates(contents, options.color, False, prefer_rect)
     if not colors or not depths:
         what = "colour and no depth" if not colors and not depths else "depth"
-        raise _missing(contents, what if not depths else "colour", path)
+        raise _missing(contents, what if not depths else "colour")
     names = {camera_name(color.topic) for color in colors}
     names &= {camera_name(depth.topic) for depth in depths}
     if len(names) < 2 or options.color or options.depth:
-        choice = _choose(contents, options, colors, depths, path)
+        choice = _choose(contents, options, colors, depths)
         return {choice.camera: choice}
     found: dict[str, Choice | TopicError] = {}
     for name in sorted(names):
@@ -88,7 +86,7 @@ def choose_topics(
             for items in (colors, depths)
         )
         try:
-            found[name] = _choose(contents, options, color, depth, path)
+            found[name] = _choose(contents, options, color, depth)
         except TopicError as error:
             found[name] = error
     return found
@@ -116,7 +114,6 @@ def _choose(
     options: LogOptions,
     colors: Sequence[Candidate],
     depths: Sequence[Candidate],
-    path: str,
 ) -> Choice:
     """The colour and the depth topic among some candidates."""
     color_best, depth_best = _best(colors), _best(depths)
@@ -124,8 +121,8 @@ def _choose(
         color_best = _nearest(color_best, depth_best[0].topic)
     elif len(depth_best) > 1 and len(color_best) == 1:
         depth_best = _nearest(depth_best, color_best[0].topic)
-    _require_one(color_best, "colour", path)
-    _require_one(depth_best, "depth", path)
+    _require_one(contents, color_best, "colour")
+    _require_one(contents, depth_best, "depth")
     color, depth = color_best[0], depth_best[0]
     if contents.streams[depth.topic].kind is Kind.RGBD and not options.color:
         color = Candidate(depth.topic, depth.rank, "in the same message as depth")
@@ -163,10 +160,10 @@ def _says_aligned(topic: str) -> bool:
 
 
 def _candidates(
-    contents: LogContents, override: str | None, depth: bool, path: str, prefer_rect: bool = False
+    contents: LogContents, override: str | None, depth: bool, prefer_rect: bool = False
 ) -> list[Candidate]:
     if override:
-        return [_overridden(contents, override, depth, path)]
+        return [_overridden(contents, override, depth)]
     make = _depth_candidate if depth else partial(_color_candidate, prefer_rect=prefer_rect)
     found = [
         candidate
@@ -182,7 +179,7 @@ def _is_eye(topic: str, contents: LogContents) -> bool:
     return color != topic and color in contents.streams
 
 
-def _overridden(contents: LogContents, topic: str, depth: bool, path: str) -> Candidate:
+def _overridden(contents: LogContents, topic: str, depth: bool) -> Candidate:
     what, flag = ("depth", "--log.depth") if depth else ("colour", "--log.color")
     stream = contents.streams.get(topic)
     if stream is None:
@@ -191,11 +188,11 @@ def _overridden(contents: LogContents, topic: str, depth: bool, path: str) -> Ca
         streams = sorted(contents.streams.items())
         names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
         remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
-        raise TopicError(reason, path=path, topic=topic, remedy=remedy)
+        raise TopicError(reason, path=contents.path, topic=topic, remedy=remedy)
     if stream.probes and not _is_kind(stream, depth):
         encoding = printable(stream.encoding(depth))
         problem = f"encoding {encoding!r} is not a {what} image that can be read"
-        raise TopicError(problem, path=path, topic=topic, remedy=f"change {flag}")
+        raise TopicError(problem, path=contents.path, topic=topic, remedy=f"change {flag}")
     return Candidate(topic, (0, 0, 0), f"given by {flag}")
 
 
@@ -248,18 +245,18 @@ def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
     return [item for item in candidates if affinity(item.topic, topic) == best]
 
 
-def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
+def _require_one(contents: LogContents, candidates: Sequence[Candidate], what: str) -> None:
     if len(candidates) > 1:
         names = listed([item.topic for item in candidates])
         flag = "--log.color" if what == "colour" else "--log.depth"
         problem = f"several topics can be {what}: {names}"
-        raise TopicError(problem, path=path, remedy=f"choose one with {flag}")
+        raise TopicError(problem, path=contents.path, remedy=f"choose one with {flag}")
 
 
-def _missing(contents: LogContents, what: str, path: str) -> TopicError:
+def _missing(contents: LogContents, what: str) -> TopicError:
     if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
         problem, remedy = "an export of jaxdet, without images", "name the log that it was made of"
-        return TopicError(problem, path=path, remedy=remedy)
+        return TopicError(problem, path=contents.path, remedy=remedy)
     names = []
     topics = sorted(contents.topics.items(), key=lambda it: (it[0] not in contents.streams, it))
     for name, info in topics:
@@ -274,7 +271,7 @@ def _missing(contents: LogContents, what: str, path: str) -> TopicError:
         "with --log.color, --log.depth"
     )
     remedy = remedy if names else "copy or record it again"
-    return TopicError(f"no {what} image topic; {known}", path=path, remedy=remedy)
+    return TopicError(f"no {what} image topic; {known}", path=contents.path, remedy=remedy)
 
 
 def _unread(contents: LogContents) -> list[str]:
