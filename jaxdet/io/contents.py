@@ -6,6 +6,8 @@ never held. So a log of a million images takes about 64 MB.
 
 from contextlib import suppress
 
+import numpy as np
+
 from jaxdet.errors import FrameError
 from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
@@ -17,10 +19,8 @@ from jaxdet.io.messages import (
     IMAGE_KINDS,
     CameraInfoMessage,
     CompressedImageMessage,
-    ExtrinsicsMessage,
     ImageMessage,
     Kind,
-    NumberMessage,
     RgbdMessage,
     TransformMessage,
     kind_of,
@@ -107,7 +107,8 @@ class LogContents:
         self.topics: dict[str, TopicInfo] = {}
         self.streams: dict[str, ImageStream] = {}
         self.calibrations: dict[str, CalibrationTopic] = {}
-        self.extrinsics: dict[str, ExtrinsicsMessage] = {}
+        self.extrinsics: dict[str, np.ndarray] = {}
+        """The first of each topic, ``(4, 4)`` float64."""
         self.depth_units: dict[str, float] = {}
         """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
@@ -269,12 +270,12 @@ class ContentsBuilder:
                 known.last_payload = rest
         elif decoder.kind is Kind.EXTRINSICS:
             message = decoder.decode(payload)
-            assert isinstance(message, ExtrinsicsMessage)
+            assert isinstance(message, np.ndarray)
             self.contents.extrinsics.setdefault(topic, message)
         elif decoder.kind is Kind.NUMBER:
             message = decoder.decode(payload)
-            assert isinstance(message, NumberMessage)
-            self.contents.depth_units.setdefault(topic, message.value)
+            assert isinstance(message, float)
+            self.contents.depth_units.setdefault(topic, message)
         else:
             self._motions(topic, decoder, payload)
 

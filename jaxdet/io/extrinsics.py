@@ -6,7 +6,6 @@ import numpy as np
 
 from jaxdet.errors import TransformError, printable
 from jaxdet.io.contents import LogContents
-from jaxdet.io.messages import ExtrinsicsMessage
 from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import affinity, camera_name
@@ -59,7 +58,7 @@ def find_extrinsics(
     topic = _topic(contents, topics)
     tf = contents.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
     if topic:
-        T = _matrix(contents.extrinsics[topic])
+        T = contents.extrinsics[topic]
         warnings = _contradiction(T, tf, topic) if color_frame != depth_frame else ()
         return FoundExtrinsics(_extrinsics(T), f"topic {printable(topic)}", warnings)
     if tf is None:
@@ -109,15 +108,8 @@ def _between_streams(
     for name in sorted(contents.extrinsics):
         other = depth + name.removeprefix(color)
         if name.startswith(color) and other in contents.extrinsics:
-            T_color, T_depth = (_matrix(contents.extrinsics[key]) for key in (name, other))
-            return T_color @ inverse(T_depth)
+            return contents.extrinsics[name] @ inverse(contents.extrinsics[other])
     return None
-
-
-def _matrix(message: ExtrinsicsMessage) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = message.rotation, message.translation
-    return T
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:

@@ -15,11 +15,9 @@ from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
     CompressedImageMessage,
-    ExtrinsicsMessage,
     ImageMessage,
     Kind,
     Message,
-    NumberMessage,
     RgbdMessage,
     TransformMessage,
     bad_frame,
@@ -194,22 +192,21 @@ def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
     return (motion(*_head(message), "", *_numbers(pose.position, pose.orientation)),)
 
 
-def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
+def _extrinsics(message: Any, name: str) -> np.ndarray:
     if name == "geometry_msgs/Transform":
         found = motion(0, "", "", *_numbers(message.translation, message.rotation))
-        T = motion_matrix(np.array(found.translation), np.array(found.rotation))
-        return ExtrinsicsMessage(T[:3, :3], found.translation)
-    rotation = np.array(message.rotation, np.float64).reshape(3, 3).T
-    if not (np.abs(rotation) <= 2).all():
+        return motion_matrix(np.array(found.translation), np.array(found.rotation))
+    T = np.eye(4)
+    T[:3, :3] = R = np.array(message.rotation, np.float64).reshape(3, 3).T  # column-major
+    if not ((np.abs(R) <= 2).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-3)):
         raise ValueError("rotation is not orthonormal")
     x, y, z = (float(value) for value in message.translation)
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
-        raise ValueError("rotation is not orthonormal")
-    return ExtrinsicsMessage(rotation, (x, y, z))
+    T[:3, 3] = x, y, z
+    return T
 
 
-def _number(message: Any, name: str) -> NumberMessage:
-    return NumberMessage(float(message.data))
+def _number(message: Any, name: str) -> float:
+    return float(message.data)
 
 
 _PARSE: dict[Kind, Callable[[Any, str], Message]] = {

@@ -28,11 +28,6 @@ class OpenedFiles(NamedTuple):
     memory: ReadMemory
     """What reading may take."""
 
-    def close(self) -> None:
-        """Closes the files."""
-        for file in self.files:
-            file.close()
-
 
 def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> OpenedFiles:
     """Opens a log's files; a split that can't be read is left out with a warning.
