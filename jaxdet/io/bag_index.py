@@ -19,7 +19,6 @@ from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageEr
 from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import check_messages
 from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
@@ -39,7 +38,7 @@ def read_bag_index(file: BagFile) -> FileIndex:
     for position, end in pairwise(ends):
         parts += _chunk_index(file, position, end, counts[position])
     messages = np.concatenate(parts, axis=1)
-    check_messages(messages.shape[1], file.size, str(file.path), file.memory)
+    file.check_messages(messages.shape[1])
     infos = dict(sorted(file.connections.items()))
     return file_index(file.path, infos, messages, chunks=len(counts))
 

@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
-from jaxdet.io.limits import ReadMemory, check_chunk
+from jaxdet.io.limits import ReadMemory, check_chunk, check_messages
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
@@ -146,6 +146,14 @@ class LogFile(ABC):
         """
         self.check_size(size, what)
         check_chunk(size, str(self.path), self.memory)
+
+    def check_messages(self, count: int) -> None:
+        """Makes sure that the file has room for so many messages, and memory what is known of them.
+
+        Raises:
+            InputError: One hasn't.
+        """
+        check_messages(count, self.size, str(self.path), self.memory)
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:

@@ -13,7 +13,6 @@ from mcap.opcode import Opcode
 from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
-from jaxdet.io.limits import check_messages
 from jaxdet.io.mcap_summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
@@ -94,8 +93,7 @@ def _check(file: McapFile, summary: Summary) -> None:
     file.check_size(int(chunks.size.max(initial=0)))
     if (chunks.first_ns > chunks.last_ns).any():
         raise DamageError("chunk ends before it begins")
-    count = int(chunks.index_length.sum()) // _ENTRY_BYTES
-    check_messages(count, file.size, str(file.path), file.memory)
+    file.check_messages(int(chunks.index_length.sum()) // _ENTRY_BYTES)
 
 
 def _check_counts(summary: Summary, counts: dict[int, ChannelCount]) -> None:

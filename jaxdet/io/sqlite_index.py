@@ -14,7 +14,7 @@ from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import DEFINITIONS, schema_text
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
 from jaxdet.io.message_file import MessageRow, indexed_messages, position_of
 from jaxdet.io.messages import kind_of
 from jaxdet.io.sqlite import SqliteFile, damage
@@ -53,7 +53,7 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
     except (OverflowError, TypeError, ValueError) as error:
         raise damage(error) from error
     number, channel, log_ns, size = np.concatenate(parts, axis=1)
-    check_messages(len(number), file.size, str(file.path), file.memory)
+    file.check_messages(len(number))
     for value in (channel.min(initial=0), channel.max(initial=0)):
         MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
     if (np.diff(number) <= 0).any():

@@ -14,7 +14,6 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import check_messages
 
 Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
 """Gets channel, log time [ns], payload and location of each message."""
@@ -97,7 +96,7 @@ class Walk:
         """
         self.messages += 1
         self.read[number] += 1
-        check_messages(self.messages, self._file.size, str(self._file.path), self._file.memory)
+        self._file.check_messages(self.messages)
         self.last_ns = max(self.last_ns, log_ns)
         self._handler(info, log_ns, payload, where)
 
