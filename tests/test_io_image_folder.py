@@ -1,7 +1,9 @@
 """Folders of colour and depth images as logs, as TUM's benchmark and Open3D lay them out."""
 
+import errno
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -127,6 +129,24 @@ def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
         file.write("1305031110.5 rgb/none.png\n")
     with open_log(str(folder), GIVEN) as log:
         assert log.num_frames == 4
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_an_image_that_cant_be_read_is_a_frame_with_an_error(tmp_path, monkeypatch, scan):
+    folder, bad = write_tum(tmp_path), f"{STAMPS[1]}.png"
+    opened = Path.open
+
+    def refusing(path, *args, **options):
+        if path.name == bad and path.parent.name == "rgb":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, *args, **options)
+
+    monkeypatch.setattr(Path, "open", refusing)
+    with open_log(str(folder), replace(GIVEN, scan=scan)) as log:
+        [batch] = log.batches(3)
+        assert batch.status == (FrameStatus.OK, FrameStatus.DECODE_ERROR, FrameStatus.OK)
+        assert f"{bad} can't be read (Permission denied)" in batch.errors[1]
+        assert any(f"{bad} can't be read" in text for text in log.description.warnings)
 
 
 def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):

@@ -128,6 +128,10 @@ class ImageFolder(MessageFile):
         path = self._messages[position >> POSITION_BITS].path
         return "" if path is None else os.path.relpath(path, self.path)
 
+    def head(self, number: int) -> bytes:
+        """A message's data up to the image."""
+        return self._messages[number].head
+
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
         """Fills writable byte views with a message's data from ``start``, one after the other.
 

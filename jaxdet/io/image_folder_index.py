@@ -21,6 +21,8 @@ def read_folder_index(folder: ImageFolder) -> FileIndex:
 def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
     """Gives every message to ``handler``, in order of time; says what was lost.
 
+    Of an image that can't be read it gives what is before: it is a frame, which can't be decoded.
+
     Raises:
         InputError: The folder was changed meanwhile.
     """
@@ -31,7 +33,7 @@ def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
             payload = folder.chunk(position)[PAYLOAD_OFFSET:]
         except DamageError as error:
             walk.lose(str(error), 0)
-            continue
+            payload = folder.head(number)
         where = Location(position, PAYLOAD_OFFSET, row.size)
         info = folder.infos[row.channel]
         walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
