@@ -287,8 +287,11 @@ class ContentsBuilder:
                 self.contents.tree.add(motions, decoder.is_static, once_is_static=foxglove)
         elif self.images:
             for item in motions:
-                track = self.contents.poses.setdefault(topic, PoseTrack(item))
-                track.samples.add(item.stamp_ns, item.translation, item.rotation)
+                if topic not in self.contents.poses:
+                    self.contents.poses[topic] = PoseTrack(item)
+                self.contents.poses[topic].samples.add(
+                    item.stamp_ns, item.translation, item.rotation
+                )
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:

@@ -201,7 +201,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
         return seen, {}
     places = {file.parent for file in found}
     images = image_folders(seen)
-    copies = [item for item in images if places & {item, item.parent}]
+    copies = {item for item in images if places & {item, item.parent}}
     folders = [item for item in images if item not in copies]
     stamps = {item: note for item in folders if (note := stamp_note(item))}
     if not found and (folders or shut):
@@ -215,7 +215,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a link to nothing") for file in gone]
     left += [(file, "an export of jaxdet") for file in exports]
-    left += [(item, "images beside a recording") for item in copies]
+    left += [(item, "images beside a recording") for item in sorted(copies)]
     left += [(item, "a LeRobot dataset") for item in datasets]
     notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
