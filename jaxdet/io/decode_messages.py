@@ -61,18 +61,15 @@ class MessageDecoder:
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
+        static = channel.topic.rstrip("/").endswith("tf_static")
+        self.is_static: bool = static and kind is Kind.TRANSFORM
+        """Whether its messages are transforms that hold at all times."""
         self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
         self._in_place = kind in _IN_PLACE and is_standard(channel)
         self.stamp_leads: bool = stamp_leads(channel)
         small = kind not in IMAGE_KINDS
         json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
         self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
-
-    @property
-    def is_static(self) -> bool:
-        """Whether its messages are transforms that hold at all times."""
-        static = self.channel.topic.rstrip("/").endswith("tf_static")
-        return static and self.kind is Kind.TRANSFORM
 
     def __reduce__(self) -> tuple:
         """In another process the decoder is made again from the schema."""
