@@ -13,7 +13,7 @@ From the bytes of files to frames, by module::
         message_file                  messages one by one: sqlite (ROS 2), image_folder
       opening
         by index                    where every message is, without reading one
-          mcap_summary, mcap_index    MCAP; bag_index, sqlite_index, image_folder_index
+          mcap_summary, mcap_index    MCAP; bag_index, sqlite_index, image_folder
           file_index, records         the same for all formats: messages by topic
           indexed, contents           the first messages of each topic, decoded
           windows                     any range of frames: order, pairs (pairing), poses

@@ -13,8 +13,7 @@ from jaxdet.io.bag import BagFile
 from jaxdet.io.bag_index import read_bag_index, scan_bag
 from jaxdet.io.container import LogFile, McapFile
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.image_folder import ImageFolder
-from jaxdet.io.image_folder_index import read_folder_index, scan_folder
+from jaxdet.io.image_folder import ImageFolder, read_folder_index, scan_folder
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.mcap_index import read_mcap_index
 from jaxdet.io.mcap_scan import scan

@@ -19,13 +19,24 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import FileState
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
+from jaxdet.io.container import FileState, Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
+from jaxdet.io.file_index import FileIndex, file_index
+from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.message_fields import MAX_STAMP_S
-from jaxdet.io.message_file import POSITION_BITS, MessageFile, MessageRow
+from jaxdet.io.message_file import (
+    POSITION_BITS,
+    MessageFile,
+    MessageRow,
+    indexed_messages,
+    position_of,
+)
+from jaxdet.io.walk import Handler, Walk
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
 from jaxdet.types import Intrinsics
 
@@ -69,7 +80,6 @@ class ImageFolder(MessageFile):
 
     Attributes:
         infos: Its channels.
-        rows: What is known of its messages, in order of time.
     """
 
     magic = b""
@@ -90,7 +100,6 @@ class ImageFolder(MessageFile):
             for number, (topic, name) in enumerate(_TYPES.items())
         }
 
-    @property
     def rows(self) -> list[MessageRow]:
         """What is known of the messages, in order of time."""
         return [self.row(number) for number in range(len(self._messages))]
@@ -156,6 +165,35 @@ class ImageFolder(MessageFile):
             raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
         if not whole:
             raise DamageError(f"{item.path.name} ends early")
+
+
+def read_folder_index(folder: ImageFolder) -> FileIndex:
+    """What the names and sizes of a folder's files tell of its messages."""
+    channel, log_ns, size = np.array(folder.rows(), np.int64).reshape(-1, 3).T
+    messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+    return file_index(folder.path, folder.infos, messages)
+
+
+def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
+    """Gives every message to ``handler``, in order of time; says what was lost.
+
+    Of an image that can't be read it gives what is before: it is a frame, which can't be decoded.
+
+    Raises:
+        InputError: The folder was changed meanwhile.
+    """
+    walk, rows = Walk(folder, handler), folder.rows()
+    for number, row in enumerate(rows):
+        position = position_of(number)
+        try:
+            payload = folder.chunk(position)[PAYLOAD_OFFSET:]
+        except DamageError as error:
+            walk.lose(str(error), 0)
+            payload = folder.head(number)
+        where = Location(position, PAYLOAD_OFFSET, row.size)
+        info = folder.infos[row.channel]
+        walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
+    return walk.integrity(declared_messages=len(rows), has_end=True)
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:
