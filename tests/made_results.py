@@ -31,7 +31,7 @@ def make_results(folder: Path, logs: Mapping[str, int], config: Config | None = 
     summary = Summary("jax", 16, seconds=12.5)
     folder.mkdir(parents=True, exist_ok=True)
     with ResultWriter(folder) as writer:
-        for seed, (given, file_name) in enumerate(zip(logs, file_names(logs), strict=True)):
+        for seed, (given, file_name) in enumerate(file_names(logs).items()):
             name, count = printable(given), logs[given]  # as find_logs does
             about = LogSummary(name, (f"/nowhere/{name}.mcap",), camera="front")
             about.file_name = file_name

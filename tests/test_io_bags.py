@@ -211,7 +211,7 @@ def test_a_damaged_db3_that_ends_or_leads_back(db3, monkeypatch, answer):
     """All rows are asked for, which fails, then each by itself, which gives none or an old one."""
     query = SqliteFile.query
 
-    def damaged(self: SqliteFile, text: str, values: Any = ()) -> sqlite3.Cursor:
+    def damaged(self: SqliteFile, text: str, values: Any = ()) -> Any:
         if "count" not in values:
             return query(self, text, values)
         if values["count"] == -1:

@@ -2,6 +2,7 @@
 
 import os
 import struct
+import time
 import tracemalloc
 import zlib
 from contextlib import closing
@@ -12,6 +13,7 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from jaxdet import io
 from jaxdet.errors import JaxdetError, TopicError
@@ -139,6 +141,25 @@ def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
         assert not is_indexed(log)  # the first messages showed it
         assert "damaged or torn record" in log.description.integrity[0].lost
         assert 9 <= frames_right(log) < 12
+
+
+def test_many_damaged_lengths_take_no_square_of_their_number(tmp_path):
+    with (tmp_path / "x.mcap").open("wb") as stream:
+        writer = Writer(stream, chunk_size=1)
+        writer.start()
+        channel = writer.register_channel("/x", "cdr", 0)
+        for number in range(15_000):
+            writer.add_message(channel, number, b"", number)
+        writer.finish()
+    data = bytearray((tmp_path / "x.mcap").read_bytes())
+    chunks = chunk_index(tmp_path / "x.mcap")
+    for chunk in chunks:
+        struct.pack_into("<Q", data, chunk.chunk_start_offset + 1, 1 << 62)
+    (tmp_path / "x.mcap").write_bytes(data)
+    start = time.perf_counter()
+    with pytest.raises(TopicError, match=f"damaged or torn record .{len(chunks)}."):
+        open_log(str(tmp_path / "x.mcap"), LogOptions(scan=True))
+    assert time.perf_counter() - start < 6
 
 
 def test_what_is_lost_does_not_depend_on_how_far_threads_are_ahead(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import CalibrationError, TopicError
-from jaxdet.io import LogOptions, RescanError, open_log, scan, store, walk
+from jaxdet.io import LogOptions, RescanError, mcap_scan, open_log, store, walk
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import McapFile
@@ -243,7 +243,7 @@ def test_records_are_taken_in_while_the_file_is_walked(tmp_path, use_chunking):
 
     def records():
         nonlocal walked
-        for record in scan._Scan(file, lambda *_: None).records():
+        for record in mcap_scan._Scan(file, lambda *_: None).records():
             walked += 1
             yield record
 
@@ -264,7 +264,7 @@ def test_one_chunk_is_in_memory_where_more_are_too_many(tmp_path, monkeypatch):
     file = McapFile(path, 1 << 30)
     with ThreadPoolExecutor(1) as pool:
         tracemalloc.start()
-        scan.scan(file, lambda *message: sizes.append(message[3].size), pool)
+        mcap_scan.scan(file, lambda *message: sizes.append(message[3].size), pool)
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
     file.close()

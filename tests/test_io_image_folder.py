@@ -1,7 +1,9 @@
 """Folders of colour and depth images as logs, as TUM's benchmark and Open3D lay them out."""
 
+import errno
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -120,10 +122,31 @@ def test_images_that_are_missing_or_torn_are_frames_with_an_error(tmp_path):
     with open_log(str(folder), GIVEN) as log:
         [batch] = log.batches(3)
         assert batch.status == (FrameStatus.OK, *[FrameStatus.DECODE_ERROR] * 2)
+        missing, torn = f"rgb/{STAMPS[1]}.png", f"depth/{STAMPS[2]}.png"
+        assert batch.errors[0] == "" and batch.errors[1] == f"{missing}: the image has no data"
+        assert batch.errors[2].startswith(f"{torn}: compressed image")
     with (folder / "rgb.txt").open("a") as file:
         file.write("1305031110.5 rgb/none.png\n")
     with open_log(str(folder), GIVEN) as log:
         assert log.num_frames == 4
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_an_image_that_cant_be_read_is_a_frame_with_an_error(tmp_path, monkeypatch, scan):
+    folder, bad = write_tum(tmp_path), f"{STAMPS[1]}.png"
+    opened = Path.open
+
+    def refusing(path, *args, **options):
+        if path.name == bad and path.parent.name == "rgb":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, *args, **options)
+
+    monkeypatch.setattr(Path, "open", refusing)
+    with open_log(str(folder), replace(GIVEN, scan=scan)) as log:
+        [batch] = log.batches(3)
+        assert batch.status == (FrameStatus.OK, FrameStatus.DECODE_ERROR, FrameStatus.OK)
+        assert f"{bad} can't be read (Permission denied)" in batch.errors[1]
+        assert any(f"{bad} can't be read" in text for text in log.description.warnings)
 
 
 def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
@@ -138,6 +161,28 @@ def test_what_a_folder_lacks_is_an_error_that_says_it(tmp_path):
     (folder / "color" / "8.png").rename(folder / "color" / "first.png")
     with pytest.raises(InputError, match=r"first\.png.*neither a stamp.*number"):
         open_log(str(folder), GIVEN)
+
+
+def test_a_folder_that_cant_be_opened_costs_no_other(tmp_path):
+    write_open3d(tmp_path / "a")
+    write_open3d(tmp_path / "b")
+    (tmp_path / "a" / "rgb").mkdir()
+    logs = find_logs([str(tmp_path)])
+    assert [log.name for log in logs] == ["a", "b"]
+    with pytest.raises(InputError, match="several folders of images: color, rgb; keep one"):
+        open_log(logs[0])
+    with open_log(logs[1]) as log:
+        assert log.num_frames == 3
+
+
+def test_what_macos_writes_beside_files_is_none_of_them(tmp_path):
+    folder = write_open3d(tmp_path / "room")
+    for path in [*folder.glob("*/*.png"), folder / "drive.mcap", folder / "camera.json"]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7")
+    [files] = find_logs([str(tmp_path)])
+    with open_log(files) as log:
+        assert log.name == "room"
+        assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
 
 
 def test_folder_that_changes_is_said(tmp_path):

@@ -91,8 +91,10 @@ def test_sizes_must_agree():
 def test_flags_go_before_the_message():
     result = found(matrix=(1.0, 2.0, 3.0, 4.0), model="none")
     assert result.intrinsics[2:6] == (1.0, 2.0, 3.0, 4.0)
-    several = tuple(f"/{letter}/camera_info" for letter in "abcdefg")
-    named = r"-info \(/a/camera_info, .*, /f/camera_info, \.\.\.\) or give --log\.color-intrinsics"
+    several = tuple(f"/{letter}/camera_info" for letter in "abcdefghijklmn")
+    named = (
+        r"-info \(/a/camera_info, .*, /l/camera_info, and 2 more\) or give --log\.color-intrinsics"
+    )
     with pytest.raises(CalibrationError, match=named):
         find_intrinsics(SOURCE._replace(info=None, known=several))
     with pytest.raises(CalibrationError, match=r"colour camera; give --log\.color-intrinsics"):

@@ -3,6 +3,7 @@
 import errno
 import os
 import struct
+import time
 from pathlib import Path
 
 import cv2
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import InputError, TopicError
-from jaxdet.io import LogOptions, find_logs, open_log
-from jaxdet.io.files import siblings
+from jaxdet.io import LogFiles, LogOptions, find_logs, open_log
+from jaxdet.io.files import _unique_names, missing_splits, siblings
+from jaxdet.io.splits import sketch
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_INFO,
@@ -24,6 +26,7 @@ from tests.io_helpers import (
     START,
     T_DEPTH_COLOR,
     LogFile,
+    Scene,
     make_scene,
     ros_compressed,
     ros_image,
@@ -41,6 +44,10 @@ def touch(folder: Path, *names: str) -> None:
         path.write_bytes(b"x")
 
 
+def moved(scene: Scene, later_ns: int) -> Scene:
+    return scene._replace(color_ns=scene.color_ns + later_ns, depth_ns=scene.depth_ns + later_ns)
+
+
 def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
     touch(tmp_path, "a/run_0.mcap", "a/run_10.mcap", "a/run_9.mcap", "a/one.mcap")
     touch(tmp_path, "b/run_0.mcap", "b/run_1.mcap", "b/solo_3.mcap", "b/readme.txt")
@@ -49,6 +56,16 @@ def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
     assert [path.name for path in logs[1].paths] == ["run_0.mcap", "run_9.mcap", "run_10.mcap"]
     again = find_logs([str(tmp_path / "b"), str(tmp_path / "a" / "*.mcap"), str(tmp_path)])
     assert again == logs
+
+
+def test_many_logs_get_their_names_at_once(tmp_path):
+    """Whoever counts each name in all of them takes minutes."""
+    stems = [tmp_path / f"drive_{number // 4}" / f"run_{number % 4}" for number in range(60_000)]
+    start = time.perf_counter()
+    assert _unique_names(stems)[5] == "drive_1/run_1"
+    assert time.perf_counter() - start < 10
+    equal = [Path("a (2)"), Path("\n"), Path(r"\n"), Path("a"), Path("a")]
+    assert len(set(_unique_names(equal))) == len(equal)
 
 
 def test_links_are_called_by_their_own_names(tmp_path):
@@ -87,11 +104,51 @@ def test_a_folder_that_cant_be_listed_is_a_log_that_fails(tmp_path, monkeypatch)
         open_log(alone)
 
 
+@pytest.mark.parametrize("pattern", ["x/*", "**", "x/**"])
+def test_what_a_glob_names_twice_is_said_once(tmp_path, pattern):
+    touch(tmp_path, "x/a.mcap", "x/a.db3", "x/b.svo", "x/y/c.mcap")
+    logs = find_logs([str(tmp_path / pattern)])
+    assert [log.name for log in logs] == ["a", "c"]
+    assert logs[0].note.count("a.db3 is left out") == logs[0].note.count("b.svo is left out") == 1
+
+
 def test_siblings_of_a_single_split(tmp_path):
     touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
     [log] = find_logs([str(tmp_path / "run_1.mcap")])
     assert log.name == "run_1"
     assert [path.name for path in siblings(log)] == ["run_0.mcap", "run_2.mcap"]
+
+
+def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, monkeypatch):
+    """A log's own file, and those beside it: beyond another recording none is of it."""
+    hour = 3600 * 10**9
+    for number in range(10):
+        write_log(tmp_path / f"run_{number}.mcap", moved(make_scene(2), number * hour))
+    logs, looked = find_logs([str(tmp_path)]), []
+    monkeypatch.setattr("jaxdet.io.files.sketch", lambda path: looked.append(path) or sketch(path))
+    assert [siblings(log) for log in logs] == [()] * 10
+    assert len(looked) <= 4 * len(logs)
+
+
+def test_times_and_dates_in_names_are_no_numbers_of_splits(tmp_path):
+    """300 s apart by their images, as by their names: with 500 numbers between, they could be."""
+    for name, later_s in (("100000", 0), ("100500", 300)):
+        scene = moved(make_scene(2), later_s * 10**9)
+        write_log(tmp_path / f"drive_2024-05-01_{name}.mcap", scene)
+    touch(tmp_path, "run_20240501100000.mcap", "run_20250501100000.bag", "run_1714557600123.db3")
+    logs = find_logs([str(tmp_path)])
+    assert [(len(log.paths), log.note) for log in logs] == [(1, "")] * 5
+    assert missing_splits(LogFiles("run", logs[2].paths + logs[4].paths)) == ()
+
+
+def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
+    for number in range(6):
+        scene = moved(make_scene(2), (number + 100 * (number > 3)) * 10**9)
+        write_log(tmp_path / f"run_{number}.mcap", scene)
+    paths = [tmp_path / f"run_{number}.mcap" for number in range(6)]
+    assert siblings(LogFiles("run", tuple(paths[1:3]))) == (paths[0], paths[3])
+    assert siblings(LogFiles("run", tuple(paths[:4]))) == ()
+    assert siblings(LogFiles("run", tuple(paths[5:]))) == (paths[4],)
 
 
 def test_no_name_is_not_this_folder(tmp_path, monkeypatch):

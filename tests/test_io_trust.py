@@ -152,7 +152,8 @@ def test_a_file_that_is_cut_while_it_is_scanned(tmp_path):
     os.truncate(path, 5000)
     with pytest.raises(InputError, match="changed while it was read"):
         scan_files(opened, source, LogOptions())
-    opened.close()
+    for file in opened.files:
+        file.close()
 
 
 def other_calibration(path: Path, changed: range, K: tuple[float, ...]) -> Path:

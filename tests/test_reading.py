@@ -265,7 +265,7 @@ def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
 
 def test_files_of_different_logs_and_cameras_have_different_names() -> None:
     logs = ["a b", "a/b", "a_b", "...", "", "é" * 200, "é" * 201, "x" * 300]
-    names = file_names(logs)
+    names = list(file_names(logs).values())
     assert names[:5] == ["a_b", "a_b_2", "a_b_3", "log", "log_2"] and len(set(names)) == len(logs)
     assert camera_file_name("log", "front/left") == "log@front-left"
     cameras = ["front left", "front_left", "front-left", "front/left", "x" * 300, "x" * 301]

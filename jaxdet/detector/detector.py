@@ -217,7 +217,7 @@ class Detector:
         number, valid = np.arange(count, dtype=np.int64), np.ones(count, bool)
         frames = Frames(*images, calibration, number, stamps, stamps, valid, poses)
         plane, sources = self._known(frames, mounts)
-        from jaxdet.io.log import Batch
+        from jaxdet.io.batch import Batch
 
         batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
         return self._found(batch, plane, sources)

@@ -184,7 +184,7 @@ class KeptLogs:
         self.logs = [logs[name] for name in sorted(logs)]
         inputs = {log.name: files[log.name] for log in self.logs}
         self.record = {**record, "about": {**record["about"], "inputs": inputs}}
-        self._names = dict(zip(inputs, file_names(inputs), strict=True))
+        self._names = file_names(inputs)
         for name in sorted(stay):
             own = (entry["file_name"] or self._names[name] for entry in self._entries[name])
             if any(file.partition("@")[0] != self._names[name] for file in own):

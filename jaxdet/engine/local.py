@@ -141,8 +141,7 @@ class _Run:
         self.files: dict[str, Path] = {}
         """Of the results, by their names."""
         self._start = time.perf_counter()
-        names = [log.name for log in self.logs]
-        self._names = dict(zip(names, file_names(names), strict=True))
+        self._names = file_names(log.name for log in self.logs)
         """What the logs' files are called."""
 
     def run(self, record: Mapping[str, Any]) -> Summary:

@@ -153,7 +153,7 @@ class Workspace:
     def _missing(self, begun: Mapping[str, Any]) -> str | None:
         """What is done of a log that is not among this run's, for people; None: nothing is."""
         inputs, now = begun["about"]["inputs"], self.record["about"]["inputs"]
-        for log, name in zip(inputs, file_names(inputs), strict=True):
+        for log, name in file_names(inputs).items():
             folder = self.logs / _folder_name(begun, log, name)
             if log not in now and any(folder.glob("*/*.part")):
                 return f"the log {log} was among its logs"

@@ -13,14 +13,14 @@ From the bytes of files to frames, by module::
         message_file                  messages one by one: sqlite (ROS 2), image_folder
       opening
         by index                    where every message is, without reading one
-          summary, message_index      MCAP; bag_index, sqlite_index, image_folder_index
+          mcap_summary, mcap_index    MCAP; bag_index, sqlite_index, image_folder
           file_index, records         the same for all formats: messages by topic
-          indexed, index              the first messages of each topic, decoded
+          indexed, contents           the first messages of each topic, decoded
           windows                     any range of frames: order, pairs (pairing), poses
                                       (motion_windows), calibration (validity)
         by a scan                   where there is no index, or it isn't enough
-          walk, scan                  all that is whole; bag_index, sqlite_index, ...
-          index                       every message, decoded but for its pixels
+          walk, mcap_scan             all that is whole; bag_index, sqlite_index, ...
+          contents                    every message, decoded but for its pixels
           timeline                    all frames: order, pairs
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
                                       transforms, motion
@@ -29,7 +29,7 @@ From the bytes of files to frames, by module::
         raw_images                    pixels that go straight into their arrays
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
         images, compressed            their pixels: raw, jpeg, png, rvl
-    log.Batch                       arrays of images, stamps and poses, and what became of each
+    batch                           arrays of images, stamps and poses, and what became of each
 """
 
 from importlib import import_module
@@ -37,19 +37,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxdet.errors import RescanError
+    from jaxdet.io.batch import Batch, LogFrame
     from jaxdet.io.description import LogDescription
     from jaxdet.io.files import LogFiles, find_logs
-    from jaxdet.io.log import Batch, Log, open_log
-    from jaxdet.io.log_frame import LogFrame
+    from jaxdet.io.log import Log, open_log
     from jaxdet.io.notes import Notes
     from jaxdet.io.options import LogOptions
 
 _MODULES = {
-    "Batch": "io.log",
+    "Batch": "io.batch",
     "Log": "io.log",
     "LogDescription": "io.description",
     "LogFiles": "io.files",
-    "LogFrame": "io.log_frame",
+    "LogFrame": "io.batch",
     "LogOptions": "io.options",
     "Notes": "io.notes",
     "RescanError": "errors",

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import lz4.frame
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError
+from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
 from jaxdet.io.container import FileState, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
@@ -29,7 +29,6 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Kinds of records (their field ``op``)."""
 MAGIC = b"#ROSBAG V2.0\n"
 _LENGTH = struct.Struct("<I")
-_TIME = struct.Struct("<II")
 _PADDING = 0x80
 """Opcode of MCAP's records that programs may use as they like."""
 _MAX_HEAD_BYTES = 1 << 16
@@ -121,7 +120,7 @@ class BagFile(LogFile):
         size = record.number(b"size")
         return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size, record.size)
 
-    def chunk(self, position: int) -> bytes:
+    def chunk(self, position: int) -> memoryview:
         """The chunk at ``position`` with its messages as MCAP's records, each where it was.
 
         Raises:
@@ -142,11 +141,11 @@ class BagFile(LogFile):
                     raise DamageError("connection number is out of range")
                 RECORD_HEAD.pack_into(found, start, Opcode.MESSAGE, MESSAGE_HEAD.size + record.size)
                 MESSAGE_HEAD.pack_into(found, start + RECORD_HEAD.size, number, 0, log_ns, log_ns)
-                payload = start + RECORD_HEAD.size + MESSAGE_HEAD.size
+                payload = start + PAYLOAD_OFFSET
                 start = payload + record.size
                 found[payload:start] = view[record.data : record.end]
             RECORD_HEAD.pack_into(found, start, _PADDING, record.end - start - RECORD_HEAD.size)
-        return bytes(found)
+        return memoryview(found)
 
     def declare(self, record: BagRecord, data: bytes | memoryview, chunk: int = -1) -> None:
         """Takes in a connection; of one number the first counts.
@@ -224,7 +223,7 @@ def nanoseconds(record: BagRecord) -> int:
     Raises:
         DamageError: It has none.
     """
-    sec, nanosec = _TIME.unpack(record.number(b"time", 8).to_bytes(8, "little"))
+    nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
     return sec * 1_000_000_000 + nanosec
 
 

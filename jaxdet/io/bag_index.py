@@ -5,6 +5,7 @@ what is whole: it goes over damaged chunks, and ends where a record's length is 
 the chunks that the index at the end knows.
 """
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,16 +15,14 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.bag import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, BagFile, records
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import check_messages
 from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 _COUNT = np.dtype([("connection", "<u4"), ("messages", "<u4")])
-_HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
 _INDEX_VERSION = 1
 
 
@@ -39,7 +38,7 @@ def read_bag_index(file: BagFile) -> FileIndex:
     for position, end in pairwise(ends):
         parts += _chunk_index(file, position, end, counts[position])
     messages = np.concatenate(parts, axis=1)
-    check_messages(messages.shape[1], file.size, str(file.path), file.memory)
+    file.check_messages(messages.shape[1])
     infos = dict(sorted(file.connections.items()))
     return file_index(file.path, infos, messages, chunks=len(counts))
 
@@ -113,7 +112,7 @@ def _chunk_index(
         found[0], found[2], found[3] = number, position, chunk.size
         found[1] = entries["sec"].astype(np.int64) * 1_000_000_000 + entries["nanosec"]
         found[4] = entries["offset"]
-        if len(entries) and found[4].max() > size - _HEAD:
+        if len(entries) and found[4].max() > size - PAYLOAD_OFFSET:
             raise DamageError("message index leaves its chunk")
         seen[number] += len(entries)
         yield found
@@ -135,12 +134,13 @@ class _Scan:
     def records(self) -> Iterator[FileRecord]:
         """The chunks up to the file's end, and in their places what can't be one."""
         position, end = len(MAGIC), self.file.size
+        chunks = sorted(self.counts)
         while position < end:
             try:
                 record = self.file.record(position)
             except DamageError:
-                after = [start for start in self.counts if start > position]
-                start, position = position, min(after, default=end)
+                place = bisect_right(chunks, position)
+                start, position = position, chunks[place] if place < len(chunks) else end
                 yield FileRecord(TORN, start, position - start)
                 continue
             if record.op == CHUNK:
@@ -161,8 +161,8 @@ class _Scan:
             info = self.file.connection(number, record.position)
             if info is None:
                 raise DamageError("message of an undeclared connection")
-            where = Location(record.position, place + _HEAD, size)
-            payload = chunk[place + _HEAD : place + _HEAD + size]
+            where = Location(record.position, place + PAYLOAD_OFFSET, size)
+            payload = chunk[place + PAYLOAD_OFFSET : place + PAYLOAD_OFFSET + size]
             self.walk.give(number, info, log_ns, payload, where)
 
     def integrity(self) -> FileIntegrity:

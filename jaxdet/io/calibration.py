@@ -8,14 +8,14 @@ import numpy as np
 
 from jaxdet.checks import check_calibration, check_depth_unit
 from jaxdet.errors import CalibrationError, printable
+from jaxdet.io.contents import LogContents
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.image_folder import LISTED_DEPTH
-from jaxdet.io.index import LogIndex
 from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import ImageSize, ImageStream, first_image, image_sizes
-from jaxdet.io.topics import Choice, affinity
+from jaxdet.io.streams import ImageSize, ImageStream
+from jaxdet.io.topics import Choice, affinity, listed
 from jaxdet.types import Calibration, Intrinsics
 
 DEPTH_UNIT_M = 0.001
@@ -43,23 +43,23 @@ class Calibrated(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -> Calibrated:
+def calibrate(contents: LogContents, choice: Choice, options: LogOptions) -> Calibrated:
     """The calibration for the chosen topics.
 
     Raises:
         CalibrationError: A part is missing, unknown or contradicts another; the text names the
             flag that supplies it.
     """
-    color_stream, depth_stream = index.streams[choice.color], index.streams[choice.depth]
-    color_frame = options.camera_frame or _frame(color_stream, False)
-    depth_frame = _frame(depth_stream, True)
-    color_source = _source(index, color_stream, False, options, path)
+    color_stream, depth_stream = contents.streams[choice.color], contents.streams[choice.depth]
+    image_frame, depth_frame = color_stream.frame_id(False), depth_stream.frame_id(True)
+    color_frame = options.camera_frame or image_frame
+    color_source = _source(contents, color_stream, False, options)
     color = find_intrinsics(color_source)
-    depth_source = _source(index, depth_stream, True, options, path)
-    unit, unit_source = _depth_unit(index, options, choice.depth, path)
+    depth_source = _source(contents, depth_stream, True, options)
+    unit, unit_source = _depth_unit(contents, options, choice.depth)
     origins = [_line("colour", color.intrinsics, color.origin)]
-    warnings = [*color.warnings, *_unit_doubts(unit_source, path)]
-    same_frame = bool(color_frame) and _frame(color_stream, False) == depth_frame
+    warnings = [*color.warnings, *_unit_doubts(unit_source, contents.path)]
+    same_frame = bool(color_frame) and image_frame == depth_frame
     aligned, why = _aligned(color.intrinsics, depth_source, choice, same_frame, options)
     if aligned:
         size = ImageSize(color.intrinsics.width, color.intrinsics.height)
@@ -76,7 +76,7 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
         topics = choice.color, choice.depth
         one_lens = _one_lens(color.intrinsics, depth.intrinsics)
         frames = color_frame, depth_frame
-        found = find_extrinsics(index, options, topics, *frames, path, one_lens=one_lens)
+        found = find_extrinsics(contents, options, topics, *frames, one_lens=one_lens)
         origins.append(_line("depth", depth.intrinsics, depth.origin))
         warnings += [*depth.warnings, *found.warnings]
         calibration = Calibration(color.intrinsics, depth.intrinsics, found.extrinsics, unit)
@@ -85,37 +85,30 @@ def calibrate(index: LogIndex, choice: Choice, options: LogOptions, path: str) -
     try:
         check_calibration(calibration)
     except CalibrationError as error:
-        raise CalibrationError(error.problem, path=path, remedy=error.remedy) from error
+        raise CalibrationError(error.problem, path=contents.path, remedy=error.remedy) from error
     origins.append(f"depth unit: {unit:g} m, {unit_source}")
     used = {item.topic: item.info for item in sources if item.info and item.matrix is None}
-    warnings += _changes(index, used)
+    warnings += _changes(contents, used)
     return Calibrated(
         calibration, color_frame, size, tuple(origins), extrinsics_source, used, tuple(warnings)
     )
 
 
-def _frame(stream: ImageStream, depth: bool) -> str:
-    image = first_image(stream, depth)
-    return image.frame_id if image is not None else ""
-
-
-def _depth_unit(
-    index: LogIndex, options: LogOptions, depth_topic: str, path: str
-) -> tuple[float, str]:
+def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) -> tuple[float, str]:
     """Metres in a depth unit, and where that comes from."""
     if options.depth_unit_m:
         return options.depth_unit_m, "--log.depth-unit-m"
-    near = [name for name in sorted(index.depth_units) if affinity(name, depth_topic) > 1]
+    near = [name for name in sorted(contents.depth_units) if affinity(name, depth_topic) > 1]
     if not near:
         return DEPTH_UNIT_M, _ASSUMED
     topic = max(near, key=lambda name: affinity(name, depth_topic))
     # The shortest decimal that is this float32: 0.001, not 0.0010000000475.
-    unit = float(str(np.float32(index.depth_units[topic])))
+    unit = float(str(np.float32(contents.depth_units[topic])))
     try:
         check_depth_unit(unit)
     except CalibrationError as error:
-        where, remedy = printable(topic), error.remedy
-        raise CalibrationError(error.problem, path=path, topic=where, remedy=remedy) from error
+        problem, remedy = error.problem, error.remedy
+        raise CalibrationError(problem, path=contents.path, topic=topic, remedy=remedy) from error
     return unit, f"topic {printable(topic)}"
 
 
@@ -181,43 +174,38 @@ def _aligned_doubts(depth: CameraSource, color: Intrinsics, topic: str) -> list[
 
 
 def _source(
-    index: LogIndex, stream: ImageStream, depth: bool, options: LogOptions, path: str
+    contents: LogContents, stream: ImageStream, depth: bool, options: LogOptions
 ) -> CameraSource:
     name = "depth" if depth else "color"
     override = options.depth_info if depth else options.color_info
-    topic = _info_topic(index, stream, depth, override, path)
-    sizes = [size for size, _ in image_sizes(stream, depth).most_common(1)]
-    known = index.calibrations.get(topic)
-    info = (known.of_size(sizes) or known.first) if known else None
+    topic = _info_topic(contents, stream, depth, override)
+    size, known = stream.size(depth), contents.calibrations.get(topic)
+    info = known.of(size) if known else None
     return CameraSource(
         name=name,
         topic=topic,
         info=info,
-        size=sizes[0] if sizes else None,
+        size=size,
         rectified="rect" in stream.topic.lower().replace("/", "_").split("_"),
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
-        path=path,
+        path=contents.path,
         max_pixels=options.max_pixels,
-        known=tuple(sorted(index.calibrations)),
+        known=tuple(sorted(contents.calibrations)),
     )
 
 
 def _info_topic(
-    index: LogIndex, stream: ImageStream, depth: bool, override: str | None, path: str
+    contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
     """The flag's topic, else the one beside the images, else the only one of their frame."""
-    known = index.calibrations
+    known = contents.calibrations
     if override:
         if override not in known:
             flag = "--log.depth-info" if depth else "--log.color-info"
-            names = ", ".join(printable(name) for name in sorted(known)[:12]) or "none"
-            raise CalibrationError(
-                "no calibration on this topic",
-                path=path,
-                topic=printable(override),
-                remedy=f"{flag} can be: {names}",
-            )
+            remedy = f"{flag} can be: {listed(sorted(known)) or 'none'}"
+            problem = "no calibration on this topic"
+            raise CalibrationError(problem, path=contents.path, topic=override, remedy=remedy)
         return override
     if stream.kind is Kind.RGBD:
         topic = f"{stream.topic} ({'depth' if depth else 'rgb'})"
@@ -228,22 +216,18 @@ def _info_topic(
             topic = "/".join([*parts[:end], name])
             if topic in known:
                 return topic
-    frame = _frame(stream, depth)
-    same = [name for name, item in known.items() if frame and _frame_of(item.first) == frame]
+    frame = stream.frame_id(depth)
+    same = [name for name, item in known.items() if frame and item.frame_id == frame]
     best = max((affinity(name, stream.topic) for name in same), default=0)
     nearest = [name for name in same if affinity(name, stream.topic) == best]
     return nearest[0] if len(nearest) == 1 else ""
 
 
-def _frame_of(info: CameraInfoMessage | None) -> str:
-    return info.frame_id if info else ""
-
-
-def _changes(index: LogIndex, used: Mapping[str, CameraInfoMessage]) -> list[str]:
+def _changes(contents: LogContents, used: Mapping[str, CameraInfoMessage]) -> list[str]:
     return [
         f"{printable(name)} changes: frames with another calibration than the one used are left out"
         for name in sorted(used)
-        if len(index.calibrations[name].changes) > 1
+        if len(contents.calibrations[name].changes) > 1
     ]
 
 

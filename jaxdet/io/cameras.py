@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxdet.errors import CalibrationError, CamerasError, TopicError, printable
 from jaxdet.io.calibration import calibrate
-from jaxdet.io.index import LogIndex
+from jaxdet.io.contents import LogContents
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import Choice, choose_topics
 
@@ -66,7 +66,7 @@ class Cameras(NamedTuple):
         )
 
 
-def find_cameras(index: LogIndex, options: LogOptions, path: str) -> Cameras:
+def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
     """The cameras of a log; the calibration is looked at where there are several.
 
     Raises:
@@ -74,13 +74,13 @@ def find_cameras(index: LogIndex, options: LogOptions, path: str) -> Cameras:
     """
     complete: dict[str, Choice] = {}
     incomplete: dict[str, TopicError | CalibrationError] = {}
-    found = choose_topics(index, options, path)
+    found = choose_topics(contents, options)
     for name, choice in found.items():
         try:
             if isinstance(choice, TopicError):
                 raise choice
             if len(found) > 1:
-                calibrate(index, choice, options, path)
+                calibrate(contents, choice, options)
             complete[name] = choice
         except (TopicError, CalibrationError) as error:
             incomplete[name] = error

@@ -18,6 +18,8 @@ RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length, before every record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time [ns], publish time [ns]; the payload follows."""
+PAYLOAD_OFFSET = RECORD_HEAD.size + MESSAGE_HEAD.size
+"""From where a message's record begins to its payload."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 PIECE_BYTES = 1 << 18

@@ -11,10 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from jaxdet.io.images import bad_frame, check_row, check_size, metres_to_units
+from jaxdet.io.images import check_row, check_size, metres_to_units
 from jaxdet.io.jpeg import MAGIC as JPEG
 from jaxdet.io.jpeg import decode_jpeg, jpeg_size
-from jaxdet.io.messages import CompressedImageMessage
+from jaxdet.io.messages import CompressedImageMessage, bad_frame
 from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_head
 from jaxdet.io.rvl import decode_rvl
 
@@ -42,9 +42,11 @@ def compressed_size(image: CompressedImageMessage) -> tuple[int, int]:
     """Width and height [pixel] by the file's own head, without decoding.
 
     Raises:
-        FrameError: It is neither JPEG, PNG nor ``compressedDepth``.
+        FrameError: It is empty, or neither JPEG, PNG nor ``compressedDepth``.
     """
     data = memoryview(image.data)
+    if not len(data):
+        raise bad_frame("the image has no data")
     if _begins(data, JPEG):
         try:
             return jpeg_size(data)

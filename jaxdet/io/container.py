@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import RECORD_HEAD, ChunkHead, DamageError, decompress, read_chunk_head
-from jaxdet.io.limits import ReadMemory, check_chunk
+from jaxdet.io.limits import ReadMemory, check_chunk, check_messages
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 128
@@ -147,6 +147,14 @@ class LogFile(ABC):
         self.check_size(size, what)
         check_chunk(size, str(self.path), self.memory)
 
+    def check_messages(self, count: int) -> None:
+        """Makes sure that the file has room for so many messages, and memory what is known of them.
+
+        Raises:
+            InputError: One hasn't.
+        """
+        check_messages(count, self.size, str(self.path), self.memory)
+
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
         """The head of the chunk at ``position``, which is any number that the index gives it.
@@ -170,6 +178,10 @@ class LogFile(ABC):
         except DamageError:
             return 0
         return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
+
+    def name_of(self, position: int) -> str:
+        """The name of the image that the chunk there is; empty where it is no file of its own."""
+        return ""
 
     def read(self, position: int, size: int) -> bytes:
         """Exactly ``size`` bytes at ``position``.

@@ -17,7 +17,6 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
-from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import (
     bare_definition,
@@ -27,7 +26,15 @@ from jaxdet.io.definition import (
 )
 from jaxdet.io.limits import MAX_JSON_BYTES, MAX_SCHEMA_BYTES, MAX_SMALL_BYTES
 from jaxdet.io.message_fields import nanoseconds, parse
-from jaxdet.io.messages import IMAGE_KINDS, Kind, Message, kind_of, plain_schema_name
+from jaxdet.io.messages import (
+    IMAGE_KINDS,
+    Kind,
+    Message,
+    TransformMessage,
+    bad_frame,
+    kind_of,
+    plain_schema_name,
+)
 from jaxdet.io.raw_transforms import read_motions
 from jaxdet.io.ros1 import ros1_decoder
 
@@ -54,18 +61,15 @@ class MessageDecoder:
         self.kind: Kind = kind
         self._name = plain_schema_name(channel.schema_name)
         self.is_foxglove: bool = self._name.startswith("foxglove.")
+        static = channel.topic.rstrip("/").endswith("tf_static")
+        self.is_static: bool = static and kind is Kind.TRANSFORM
+        """Whether its messages are transforms that hold at all times."""
         self._raw = _raw_decoder(channel.message_encoding, *channel[2:5])
         self._in_place = kind in _IN_PLACE and is_standard(channel)
         self.stamp_leads: bool = stamp_leads(channel)
         small = kind not in IMAGE_KINDS
         json_bytes = MAX_JSON_BYTES if channel.message_encoding == "json" else sys.maxsize
         self._most_bytes = min(MAX_SMALL_BYTES if small else sys.maxsize, json_bytes)
-
-    @property
-    def is_static(self) -> bool:
-        """Whether its messages are transforms that hold at all times."""
-        static = self.channel.topic.rstrip("/").endswith("tf_static")
-        return static and self.kind is Kind.TRANSFORM
 
     def __reduce__(self) -> tuple:
         """In another process the decoder is made again from the schema."""
@@ -80,7 +84,7 @@ class MessageDecoder:
         if len(payload) > self._most_bytes:
             problem = f"{self.kind.value} message of {len(payload)} bytes, but at most "
             problem += f"{self._most_bytes} are read"
-            raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
+            raise bad_frame(problem)
         readable = self._readable(payload)
         try:
             found = read_motions(self.kind, readable) if self._in_place else None
@@ -88,8 +92,19 @@ class MessageDecoder:
         except MemoryError:
             raise
         except Exception as error:  # the decoders raise what they like
-            problem = f"{self.kind.value} message can't be decoded ({_short(error)})"
-            raise FrameError(problem, status=FrameStatus.DECODE_ERROR) from error
+            raise bad_frame(
+                f"{self.kind.value} message can't be decoded ({_short(error)})"
+            ) from error
+
+    def motions(self, payload: bytes | memoryview) -> tuple[TransformMessage, ...]:
+        """The transforms or poses in a payload.
+
+        Raises:
+            FrameError: It can't be decoded.
+        """
+        found = self.decode(payload)
+        assert isinstance(found, tuple)
+        return tuple(item for item in found if isinstance(item, TransformMessage))
 
     def reads_stamp(self, head: bytes | memoryview) -> bool:
         """Whether the header stamp can be told by a message's first bytes.

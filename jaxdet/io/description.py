@@ -5,15 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import printable
+from jaxdet.io.contents import LogContents
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
-from jaxdet.io.index import LogIndex
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.notes import Notes
 from jaxdet.io.part import first_told
-from jaxdet.io.streams import ImageStream
 from jaxdet.io.timeline import ScannedFrames
-from jaxdet.io.topics import encoding_of
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_PAIR_S = 0.05
@@ -90,16 +88,18 @@ class LogDescription(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) -> LogDescription:
+def describe(
+    files: LogFiles, contents: LogContents, found: Findings, numbers: range
+) -> LogDescription:
     """The description of a log.
 
     Args:
         files: Its files.
-        index: What is in them.
+        contents: What is in them.
         found: What is used.
         numbers: The frames that are used.
     """
-    warnings = [*index.warnings, *index.tree.warnings, *found.warnings]
+    warnings = [*contents.warnings, *contents.tree.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.poses.warnings, *found.cameras.warnings]
     count = found.frames.num_frames
     first_ns = first_told(map(found.frames.stamp_ns, range(count)))
@@ -112,7 +112,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
-        topics=describe_topics(index, found.choice.color, found.choice.depth),
+        topics=_topics(contents, found.choice.color, found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
         extrinsics_source=found.calibrated.extrinsics_source,
@@ -120,7 +120,7 @@ def describe(files: LogFiles, index: LogIndex, found: Findings, numbers: range) 
         pose_source=found.poses.text,
         num_poses=None,
         pairing=None,
-        integrity=tuple(index.integrity),
+        integrity=tuple(contents.integrity),
         warnings=tuple(warnings),
     )
 
@@ -166,19 +166,19 @@ def complete(
     )
 
 
-def describe_topics(index: LogIndex, color: str, depth: str) -> tuple[TopicDescription, ...]:
+def _topics(contents: LogContents, color: str, depth: str) -> tuple[TopicDescription, ...]:
     """The topics by name."""
     found = []
-    for name, info in sorted(index.topics.items()):
+    for name, info in sorted(contents.topics.items()):
         span = (info.last_ns - info.first_ns) / 1e9
-        stream = index.streams.get(name)
+        stream = contents.streams.get(name)
         chosen = [role for role, topic in (("color", color), ("depth", depth)) if topic == name]
         found.append(
             TopicDescription(
                 topic=printable(name),
                 schema=printable(info.channel.schema_name),
                 message_encoding=printable(info.channel.message_encoding),
-                image_encoding=_image_encoding(stream),
+                image_encoding=printable(stream.encoding(False)) if stream is not None else "",
                 num_messages=info.count,
                 rate_hz=(info.count - 1) / span if info.count > 1 and span > 0 else 0.0,
                 chosen_as=" ".join(chosen),
@@ -217,7 +217,3 @@ def _recorded_apart(notes: Notes) -> float:
     """How much farther apart pairs are by log time than by stamp, the median [s]."""
     more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
     return float(np.median(more)) if len(more) else 0.0
-
-
-def _image_encoding(stream: ImageStream | None) -> str:
-    return printable(encoding_of(stream, False)) if stream is not None else ""

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import TransformError, printable
-from jaxdet.io.index import LogIndex
-from jaxdet.io.messages import ExtrinsicsMessage
+from jaxdet.io.contents import LogContents
 from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.options import LogOptions
 from jaxdet.io.topics import affinity, camera_name
@@ -24,12 +23,11 @@ class FoundExtrinsics(NamedTuple):
 
 
 def find_extrinsics(
-    index: LogIndex,
+    contents: LogContents,
     options: LogOptions,
     topics: tuple[str, str],
     color_frame: str,
     depth_frame: str,
-    path: str,
     *,
     one_lens: bool,
 ) -> FoundExtrinsics:
@@ -40,12 +38,11 @@ def find_extrinsics(
     warning; never is a missing motion taken for none.
 
     Args:
-        index: The log's.
+        contents: The log's.
         options: What the user says.
         topics: Those of the colour and of the depth images.
         color_frame: Of the colour images; empty where unknown.
         depth_frame: Of the depth images.
-        path: The log's, for errors.
         one_lens: The camera matrices are the same but for the size of the images.
 
     Raises:
@@ -55,20 +52,20 @@ def find_extrinsics(
     if given is not None:
         T = motion_matrix(np.array(given[:3]), np.array(given[3:]))
         return FoundExtrinsics(_extrinsics(T), "--log.color-from-depth", ())
-    streams = _between_streams(index, *topics)
+    streams = _between_streams(contents, *topics)
     if streams is not None:
         return FoundExtrinsics(_extrinsics(streams), "librealsense's topics of both streams", ())
-    topic = _topic(index, topics)
-    tf = index.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
+    topic = _topic(contents, topics)
+    tf = contents.tree.fixed(color_frame, depth_frame) if color_frame and depth_frame else None
     if topic:
-        T = _matrix(index.extrinsics[topic])
+        T = contents.extrinsics[topic]
         warnings = _contradiction(T, tf, topic) if color_frame != depth_frame else ()
         return FoundExtrinsics(_extrinsics(T), f"topic {printable(topic)}", warnings)
     if tf is None:
         frames = f"{printable(depth_frame)!r} to {printable(color_frame)!r}"
         problem = f"no transform from depth to colour (frames {frames})"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
-        raise TransformError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
+        raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     if color_frame != depth_frame:
         origin = f"TF, {printable(depth_frame)!r} to {printable(color_frame)!r}"
         return FoundExtrinsics(_extrinsics(tf), origin, ())
@@ -77,25 +74,29 @@ def find_extrinsics(
         problem += "but their camera matrices differ"
         remedy = "give --log.color-from-depth tx ty tz qx qy qz qw (0 0 0 0 0 0 1: none), or "
         remedy += "--log.depth-aligned where depth lies on the colour camera's pixels"
-        raise TransformError(problem, path=path, topic=printable(topics[1]), remedy=remedy)
+        raise TransformError(problem, path=contents.path, topic=topics[1], remedy=remedy)
     return FoundExtrinsics(_extrinsics(tf), f"both images are in frame {color_frame!r}", ())
 
 
-def _topic(index: LogIndex, topics: tuple[str, str]) -> str:
+def _topic(contents: LogContents, topics: tuple[str, str]) -> str:
     """The ``depth_to_color`` topic that shares most of its name with the depth images'.
 
     Those of the log's other cameras are left out.
     """
-    others = {camera_name(name) for name in index.streams} - {camera_name(name) for name in topics}
+    others = {camera_name(name) for name in contents.streams} - {
+        camera_name(name) for name in topics
+    }
     names = [
         name
-        for name in index.extrinsics
+        for name in contents.extrinsics
         if "depth_to_color" in name.lower() and camera_name(name) not in others
     ]
     return max(sorted(names), key=lambda name: affinity(name, topics[1]), default="")
 
 
-def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.ndarray | None:
+def _between_streams(
+    contents: LogContents, color_topic: str, depth_topic: str
+) -> np.ndarray | None:
     """``T_color_depth`` of a recording of librealsense; None where it is none.
 
     It has ``STREAM/image/data`` beside ``STREAM/tf/N``, the motion from the reference stream of
@@ -104,18 +105,11 @@ def _between_streams(index: LogIndex, color_topic: str, depth_topic: str) -> np.
     color, depth = (
         topic.removesuffix("image/data") + "tf/" for topic in (color_topic, depth_topic)
     )
-    for name in sorted(index.extrinsics):
+    for name in sorted(contents.extrinsics):
         other = depth + name.removeprefix(color)
-        if name.startswith(color) and other in index.extrinsics:
-            T_color, T_depth = (_matrix(index.extrinsics[key]) for key in (name, other))
-            return T_color @ inverse(T_depth)
+        if name.startswith(color) and other in contents.extrinsics:
+            return contents.extrinsics[name] @ inverse(contents.extrinsics[other])
     return None
-
-
-def _matrix(message: ExtrinsicsMessage) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = message.rotation, message.translation
-    return T
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:

@@ -71,14 +71,9 @@ def file_index(
         path=path,
         messages=count,
         declared_messages=count,
+        has_end=True,
         chunks=chunks,
         chunks_with_crc=chunks_with_crc,
-        has_end=True,
-        lost={},
-        lost_bytes=0,
-        lost_spans_ns=(),
-        last_log_time_ns=0,
-        missing={},
         by_index=True,
     )
     return FileIndex(infos, counts, integrity, *messages[:, which])

@@ -3,18 +3,21 @@
 import glob
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
-from jaxdet.io.image_folder import image_folders, stamp_note
-from jaxdet.io.splits import Recording, Sketch, difference, recordings, sketch
+from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
+from jaxdet.io.splits import Recording, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.(?i:mcap|db3|bag)")
+_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5})\.(?i:mcap|db3|bag)")
+"""With more digits it is a time or a date."""
 _OTHERS = {
     ".zstd": "run unzstd on it",
     ".zst": "run unzstd on it",
@@ -81,14 +84,14 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     paths = _once(chosen)
     groups: dict[tuple[Path, str, str], list[Path]] = {}
     for path in sorted(paths, key=_order):
-        match = _SPLIT.fullmatch(path.name)
-        key = path.parent, match["stem"] if match else path.name, path.suffix
+        stem, number = _split(path)
+        key = path.parent, path.name if number < 0 else stem, path.suffix
         groups.setdefault(key, []).append(path)
     stems, members = [], []
     for (_, stem, _), group in groups.items():
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
-            parts = recordings((_number(path), path) for path in group)
+            parts = recordings((_split(path)[1], path) for path in group)
         for part in parts:
             alone = len(part.paths) == 1 or len(parts) > 1
             first = part.paths[0]
@@ -125,7 +128,7 @@ def place_of(path: Path) -> Path:
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
     """The numbers lacking between the first and the last split of a log."""
-    numbers = {_number(path) for path in log.paths}
+    numbers = {_split(path)[1] for path in log.paths}
     if len(log.paths) < 2 or -1 in numbers:
         return ()
     return tuple(sorted(set(range(min(numbers), max(numbers))) - numbers))
@@ -136,27 +139,30 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
 
     rosbag2 writes static transforms to the first split only, so they are looked for there.
     """
-    have = {path.resolve() for path in log.paths}
-    first = log.paths[0]
-    match = _SPLIT.fullmatch(first.name)
-    if not match:
+    begin = log.paths[0]
+    stem, first = _split(begin)
+    if first < 0:
         return ()
-    found = []
-    for path in first.parent.glob(f"*{first.suffix}"):
-        other = _SPLIT.fullmatch(path.name)
-        if other and other["stem"] == match["stem"] and path.resolve() not in have:
-            found.append(path)
-    if not found:
-        return ()
-    own, number = sketch(first), _number(first)
-    return tuple(path for path in sorted(found, key=_order) if _belongs(path, own, number))
+    named = begin.parent.glob(f"{glob.escape(stem)}_*{begin.suffix}")
+    splits = [path for path in sorted(named, key=_order) if _split(path)[0] == stem]
+    before = [path for path in splits if _split(path)[1] < first]
+    after = splits[len(before) :]
+    return (*reversed([*_going_on(log, before[::-1])]), *_going_on(log, after))
 
 
-def _belongs(path: Path, own: Sketch | None, number: int) -> bool:
-    """Whether a split is of the same recording as the one with a number."""
-    steps = _number(path) - number
-    pair = (own, sketch(path)) if steps > 0 else (sketch(path), own)
-    return not difference(*pair, abs(steps))
+def _going_on(log: LogFiles, splits: Iterable[Path]) -> Iterator[Path]:
+    """Splits beside a log's files, farther and farther, while each goes with the one before."""
+    own, near, known = {path.resolve() for path in log.paths}, log.paths[0], cache(sketch)
+    for path in splits:
+        if path.resolve() in own:
+            near = path
+            continue
+        steps = _split(path)[1] - _split(near)[1]
+        earlier, later = (near, path) if steps > 0 else (path, near)
+        if difference(known(earlier), known(later), abs(steps)):
+            return
+        yield path
+        near = path if known(path) else near
 
 
 def _seen(text: str) -> list[Path]:
@@ -172,16 +178,18 @@ def _seen(text: str) -> list[Path]:
     matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
     for match in matches:
         _check_path(match)
-    return [file for match in matches for file in _within(match)]
+    # A folder may match, and what is in it.
+    return list(dict.fromkeys(file for match in matches for file in _within(match)))
 
 
 def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     """The files of an input that are read, at least one, and what is to be said, by file."""
-    path, named = Path(text), _seen(text)
-    seen = [file for file in named if file.is_file()]
-    shut = [folder for folder in named if folder.is_dir()]
-    links = [file for file in named if file.is_symlink() and format_of(file) in SUFFIXES]
-    gone = [file for file in links if not file.exists()]
+    path, seen, rest = Path(text), list[Path](), list[Path]()
+    for item in _seen(text):
+        (seen if item.is_file() else rest).append(item)
+    shut = [item for item in rest if item.is_dir()]
+    links = [item for item in rest if item.is_symlink() and format_of(item) in SUFFIXES]
+    gone = [item for item in links if not item.exists()]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
@@ -193,7 +201,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
         return seen, {}
     places = {file.parent for file in found}
     images = image_folders(seen)
-    copies = [item for item in images if places & {item, item.parent}]
+    copies = {item for item in images if places & {item, item.parent}}
     folders = [item for item in images if item not in copies]
     stamps = {item: note for item in folders if (note := stamp_note(item))}
     if not found and (folders or shut):
@@ -207,7 +215,7 @@ def _files(text: str) -> tuple[list[Path], dict[Path, str]]:
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a link to nothing") for file in gone]
     left += [(file, "an export of jaxdet") for file in exports]
-    left += [(item, "images beside a recording") for item in copies]
+    left += [(item, "images beside a recording") for item in sorted(copies)]
     left += [(item, "a LeRobot dataset") for item in datasets]
     notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
@@ -290,8 +298,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
 
 def recording_of(path: Path) -> tuple[Path, str]:
     """What the files of one recording share, whatever their format."""
-    match = _SPLIT.fullmatch(path.name)
-    return path.parent, match["stem"] if match else path.stem
+    return path.parent, _split(path)[0]
 
 
 def format_of(path: Path) -> str:
@@ -300,12 +307,13 @@ def format_of(path: Path) -> str:
 
 
 def _within(path: Path) -> Iterable[Path]:
-    """A file, or what is in a folder and its subfolders; links are followed once.
+    """A file, or what is in a folder and its subfolders but :data:`BESIDE`; links followed once.
 
     Of a folder that can't be listed, or whose files can't be looked at, it is the folder itself.
     """
     if not path.is_dir():
         yield path
+        return
     walked, shut = set[tuple[int, int]](), list[Path]()
     listed = os.walk(
         path, onerror=lambda error: shut.append(Path(error.filename)), followlinks=True
@@ -321,31 +329,33 @@ def _within(path: Path) -> Iterable[Path]:
             folders.clear()
             continue
         walked.add((about.st_dev, about.st_ino))
-        yield from (Path(folder, name) for name in files)
+        yield from (Path(folder, name) for name in files if not name.startswith(BESIDE))
     yield from shut
 
 
-def _number(path: Path) -> int:
+def _split(path: Path) -> tuple[str, int]:
+    """What the splits of a recording share of their names, and the number; -1: it is none."""
     match = _SPLIT.fullmatch(path.name)
-    return int(match["number"]) if match else -1
+    return (match["stem"], int(match["number"])) if match else (path.stem, -1)
 
 
 def _order(path: Path) -> tuple[str, str, int, str]:
-    match = _SPLIT.fullmatch(path.name)
-    return (str(path.parent), match["stem"] if match else path.stem, _number(path), path.name)
+    return (str(path.parent), *_split(path), path.name)
 
 
 def _unique_names(stems: Sequence[Path]) -> list[str]:
     names = [printable(stem.name) for stem in stems]
     for depth in range(2, 1 + max((len(stem.parts) for stem in stems), default=0)):
-        double = {name for name in names if names.count(name) > 1}
-        if not double:
+        counts = Counter(names)
+        if len(counts) == len(names):
             break
         names = [
-            printable("/".join(stem.parts[-depth:])) if name in double else name
+            printable("/".join(stem.parts[-depth:])) if counts[name] > 1 else name
             for name, stem in zip(names, stems, strict=True)
         ]
+    found: dict[str, None] = {}
     for number, name in enumerate(names):  # what is printable may be equal
-        if name in names[:number]:
-            names[number] = f"{name} ({number})"
-    return names
+        while name in found:
+            name = f"{name} ({number})"
+        found[name] = None
+    return list(found)

@@ -8,13 +8,13 @@ import numpy as np
 from jaxdet.errors import CalibrationError, JaxdetError, RescanError, TransformError
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
+from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.index import LogIndex
 from jaxdet.io.indexed import IndexedLog
 from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
-from jaxdet.io.streams import NUM_PROBES, first_image
+from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.timeline import ScannedFrames, log_time_warnings, order_and_pair
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows, other_calibration
@@ -41,15 +41,7 @@ class Findings(NamedTuple):
     """About the frames."""
 
 
-class _Parts(NamedTuple):
-    cameras: Cameras
-    choice: Choice
-    calibrated: Calibrated
-    base: Base
-    poses: PoseSource
-
-
-def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
+def find_scanned(contents: LogContents, options: LogOptions) -> Findings:
     """What a log holds that was read as a whole.
 
     Raises:
@@ -57,35 +49,38 @@ def find_scanned(index: LogIndex, options: LogOptions, path: str) -> Findings:
         TopicError: No or several topics can be colour or depth, or there is no such camera.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
     """
-    cameras = find_cameras(index, options, path)
-    choice = cameras.chosen(options, path)
-    color, depth = index.streams[choice.color], index.streams[choice.depth]
+    cameras = find_cameras(contents, options)
+    choice = cameras.chosen(options, contents.path)
+    color, depth = contents.streams[choice.color], contents.streams[choice.depth]
     frames = order_and_pair(color, depth, options.pair_tolerance_s)
-    tracks = {name: track.samples for name, track in index.poses.items()}
-    stamps = frames.about_ns()
+    stamps, tracks = frames.about_ns(), contents.tracks
 
     def share_known(source: PoseSource) -> float:
-        T = source.at(stamps, index.tree, tracks)
+        T = source.at(stamps, contents.tree, tracks)
         known = np.zeros(1) if T is None else np.isfinite(T[:, 0, 0])
         # Where the sample has none, any in the sample of another source go before all.
         return float(known[_sample(len(known))].mean() or known.mean() / 100)
 
-    parts = _find(index, cameras, choice, options, share_known, path)
+    calibrated, base, poses = _find(contents, choice, options, share_known)
     other = np.zeros(len(stamps), bool)
-    for topic, used in parts.calibrated.used.items():
+    for topic, used in calibrated.used.items():
         if color.kind is not Kind.RGBD:  # whose images are read with their calibrations
-            changes = index.calibrations[topic].changes
+            changes = contents.calibrations[topic].changes
             other |= other_calibration(stamps, changes, used, frames.by_log_time)
     return Findings(
-        *parts,
-        frames.completed(parts.poses.at(stamps, index.tree, tracks), other),
+        cameras,
+        choice,
+        calibrated,
+        base,
+        poses,
+        frames.completed(poses.at(stamps, contents.tree, tracks), other),
         color.decoders,
         depth.decoders,
         frames.warnings,
     )
 
 
-def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
+def find_indexed(log: IndexedLog, options: LogOptions) -> Findings:
     """What a log holds that was opened by its index.
 
     Raises:
@@ -95,46 +90,49 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
         RescanError: The first messages are such that the index isn't enough.
         DamageError: The file contradicts its index.
     """
-    index = log.contents
-    cameras = find_cameras(index, options, path)
+    contents, path = log.contents, log.contents.path
+    cameras = find_cameras(contents, options)
     for error in cameras.incomplete.values():
         sampled = isinstance(error, TransformError) and not log.motions.whole
         if sampled or _is_of_first(log, error):
             raise RescanError(f"not found in a sample: {error.problem}", path=path)
-    choice = cameras.chosen(options, path)
+    choice = cameras.chosen(options, contents.path)
     color, depth = log.streams[choice.color], log.streams[choice.depth]
     for topic in (choice.color, choice.depth):
-        if not index.streams[topic].column("stamp").any():
+        if not contents.streams[topic].column("stamp").any():
             raise RescanError("the first header stamps are zero", path=path, topic=topic)
     tolerance = options.pair_tolerance_s
     frames = IndexedFrames(color, depth, log.motions, PoseSource(""), tolerance, path)
 
     def share_known(source: PoseSource) -> float:
-        sample, with_poses = _sample(len(color)), frames.with_poses(source)
+        sample, with_poses = _sample(len(color)), frames._replace(source=source)
         share = float(np.mean([with_poses.window(i, i + 1).notes.poses for i in sample.tolist()]))
         if not share and len(sample) < len(color):
             raise RescanError("no sampled frame has a pose in the world frame", path=path)
         return share
 
     try:
-        parts = _find(index, cameras, choice, options, share_known, path)
+        calibrated, base, poses = _find(contents, choice, options, share_known)
     except CalibrationError as error:
         if log.motions.whole and not _is_of_first(log, error):
             raise
         raise RescanError(f"not found in a sample: {error.problem}", path=path) from error
-    image = first_image(index.streams[choice.depth], True)
-    frames_used = {parts.calibrated.color_frame, image.frame_id if image else ""}
-    frames_used |= {parts.base.frame or "", parts.poses.world}
-    if not log.motions.whole and index.tree.sampled_once() & {
-        above for frame in frames_used for above in index.tree.above(frame)
+    frames_used = {calibrated.color_frame, contents.streams[choice.depth].frame_id(True)}
+    frames_used |= {base.frame or "", poses.world}
+    if not log.motions.whole and contents.tree.sampled_once() & {
+        above for frame in frames_used for above in contents.tree.above(frame)
     }:
         raise RescanError("a transform is too rare for a sample", path=path)
-    used = parts.calibrated.used
+    used = calibrated.used
     infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
     calibrations = CalibrationWindows(infos, used, log.store, path)
     return Findings(
-        *parts,
-        frames.with_poses(parts.poses, calibrations),
+        cameras,
+        choice,
+        calibrated,
+        base,
+        poses,
+        frames._replace(source=poses, calibrations=calibrations),
         color.decoders,
         depth.decoders,
         tuple(
@@ -146,26 +144,25 @@ def find_indexed(log: IndexedLog, options: LogOptions, path: str) -> Findings:
 
 
 def _find(
-    index: LogIndex,
-    cameras: Cameras,
+    contents: LogContents,
     choice: Choice,
     options: LogOptions,
     share_known: Callable[[PoseSource], float],
-    path: str,
-) -> _Parts:
+) -> tuple[Calibrated, Base, PoseSource]:
     try:
-        calibrated = calibrate(index, choice, options, path)
+        calibrated = calibrate(contents, choice, options)
         frame = calibrated.color_frame
-        base = find_base(index, options, frame, path)
-        poses = find_poses(index, options, frame, base.frame, share_known, path)
+        base = find_base(contents, options, frame)
+        return calibrated, base, find_poses(contents, options, frame, base.frame, share_known)
     except TransformError as error:
         if error.path:
             raise
         # Of the tree, which knows no file.
-        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in index.topics.items())
+        topics = contents.topics.items()
+        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in topics)
         topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
-        raise TransformError(error.problem, path=path, topic=topic, remedy=error.remedy) from error
-    return _Parts(cameras, choice, calibrated, base, poses)
+        problem, remedy = error.problem, error.remedy
+        raise TransformError(problem, path=contents.path, topic=topic, remedy=remedy) from error
 
 
 def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:

@@ -13,11 +13,10 @@ from jaxdet.io.bag import BagFile
 from jaxdet.io.bag_index import read_bag_index, scan_bag
 from jaxdet.io.container import LogFile, McapFile
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.image_folder import ImageFolder
-from jaxdet.io.image_folder_index import read_folder_index, scan_folder
+from jaxdet.io.image_folder import ImageFolder, read_folder_index, scan_folder
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.message_index import read_mcap_index
-from jaxdet.io.scan import scan
+from jaxdet.io.mcap_index import read_mcap_index
+from jaxdet.io.mcap_scan import scan
 from jaxdet.io.sqlite import SqliteFile
 from jaxdet.io.sqlite_index import read_sqlite_index, scan_sqlite
 from jaxdet.io.walk import Handler

@@ -19,13 +19,24 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import FileState
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
+from jaxdet.io.container import FileState, Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
+from jaxdet.io.file_index import FileIndex, file_index
+from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.message_fields import MAX_STAMP_S
-from jaxdet.io.message_file import MessageFile, MessageRow
+from jaxdet.io.message_file import (
+    POSITION_BITS,
+    MessageFile,
+    MessageRow,
+    indexed_messages,
+    position_of,
+)
+from jaxdet.io.walk import Handler, Walk
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header
 from jaxdet.types import Intrinsics
 
@@ -34,6 +45,8 @@ COLOR_NAMES = ("rgb", "color", "colour")
 DEPTH_NAMES = ("depth",)
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
+BESIDE = "._"
+"""How the files begin that macOS writes beside others on other systems' disks and in archives."""
 LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
 _SECOND = 1_000_000_000
 _FIRST_S = 1
@@ -67,7 +80,6 @@ class ImageFolder(MessageFile):
 
     Attributes:
         infos: Its channels.
-        rows: What is known of its messages, in order of time.
     """
 
     magic = b""
@@ -88,7 +100,6 @@ class ImageFolder(MessageFile):
             for number, (topic, name) in enumerate(_TYPES.items())
         }
 
-    @property
     def rows(self) -> list[MessageRow]:
         """What is known of the messages, in order of time."""
         return [self.row(number) for number in range(len(self._messages))]
@@ -121,26 +132,68 @@ class ImageFolder(MessageFile):
         item = self._messages[number]
         return MessageRow(item.channel, item.log_ns, len(item.head) + item.size)
 
+    def name_of(self, position: int) -> str:
+        """The image's path from the folder on; empty for what is no image."""
+        path = self._messages[position >> POSITION_BITS].path
+        return "" if path is None else os.path.relpath(path, self.path)
+
+    def head(self, number: int) -> bytes:
+        """A message's data up to the image."""
+        return self._messages[number].head
+
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
         """Fills writable byte views with a message's data from ``start``, one after the other.
 
         Raises:
             DamageError: They end before, or can't be read.
         """
-        item = self._messages[number]
-        size = sum(map(len, parts))
-        data = item.head[start : start + size]
-        if len(data) < size and item.path is not None:
-            try:
-                with item.path.open("rb") as file:
-                    file.seek(max(0, start - len(item.head)))
-                    data += file.read(size - len(data))
-            except OSError as error:
-                raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
-        if len(data) < size:
-            raise DamageError("message ends early")
+        item, left = self._messages[number], []
+        head = item.head[start:]
         for part in parts:
-            part[:], data = data[: len(part)], data[len(part) :]
+            known, head = head[: len(part)], head[len(part) :]
+            part[: len(known)] = known
+            left += [part[len(known) :]] if len(known) < len(part) else []
+        if not left:
+            return
+        if item.path is None:
+            raise DamageError("message ends early")
+        try:
+            with item.path.open("rb", buffering=0) as file:
+                file.seek(max(0, start - len(item.head)))
+                whole = all(file.readinto(part) == len(part) for part in left)
+        except OSError as error:
+            raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
+        if not whole:
+            raise DamageError(f"{item.path.name} ends early")
+
+
+def read_folder_index(folder: ImageFolder) -> FileIndex:
+    """What the names and sizes of a folder's files tell of its messages."""
+    channel, log_ns, size = np.array(folder.rows(), np.int64).reshape(-1, 3).T
+    messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+    return file_index(folder.path, folder.infos, messages)
+
+
+def scan_folder(folder: ImageFolder, handler: Handler) -> FileIntegrity:
+    """Gives every message to ``handler``, in order of time; says what was lost.
+
+    Of an image that can't be read it gives what is before: it is a frame, which can't be decoded.
+
+    Raises:
+        InputError: The folder was changed meanwhile.
+    """
+    walk, rows = Walk(folder, handler), folder.rows()
+    for number, row in enumerate(rows):
+        position = position_of(number)
+        try:
+            payload = folder.chunk(position)[PAYLOAD_OFFSET:]
+        except DamageError as error:
+            walk.lose(str(error), 0)
+            payload = folder.head(number)
+        where = Location(position, PAYLOAD_OFFSET, row.size)
+        info = folder.infos[row.channel]
+        walk.give(row.channel, info, row.log_ns, memoryview(payload), where)
+    return walk.integrity(declared_messages=len(rows), has_end=True)
 
 
 def image_folders(files: Iterable[Path]) -> list[Path]:
@@ -156,10 +209,16 @@ def image_folders(files: Iterable[Path]) -> list[Path]:
 
 
 def stamp_note(folder: Path) -> str:
-    """What is to be said of the stamps of a folder's images; empty where they are recorded."""
+    """What is to be said of the stamps of a folder's images; empty where they are recorded.
+
+    Nothing is said of a folder that can't be opened, which says why then.
+    """
     if (folder / LISTED_COLOR).exists() and (folder / LISTED_DEPTH).exists():
         return ""
-    names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
+    try:
+        names = [path.stem for path in _images(folder, COLOR_NAMES, COLOR_SUFFIXES)]
+    except (InputError, OSError):
+        return ""
     if all("." in name for name in names):
         return ""
     return f"{folder.name} has no stamps; its frames' numbers count as {RATE_HZ} frames a second"
@@ -206,6 +265,7 @@ def _images(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> list
             f"several folders of images: {listed}", path=str(folder), remedy="keep one"
         )
     files = (path for part in parts for path in part.iterdir())
+    files = (path for path in files if not path.name.startswith(BESIDE))
     return sorted(path for path in files if path.suffix.lower() in suffixes)
 
 

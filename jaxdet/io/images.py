@@ -5,7 +5,7 @@ import numpy as np
 
 from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.kernels import launch
-from jaxdet.io.messages import ImageMessage
+from jaxdet.io.messages import ImageMessage, bad_frame
 
 _ALIASES = {
     "8uc1": "mono8",
@@ -30,11 +30,6 @@ _TO_RGB: dict[str, tuple[int, int | None]] = {
 }
 """Bytes of a pixel, and OpenCV's name of the conversion; None: there is nothing to convert."""
 _DEPTH_TYPES = {"16uc1": "u2", "32fc1": "f4"}
-
-
-def bad_frame(problem: str) -> FrameError:
-    """The error of an image that can't be decoded."""
-    return FrameError(problem, status=FrameStatus.DECODE_ERROR)
 
 
 def canonical_encoding(encoding: str) -> str:

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import RescanError
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location, LogFile
+from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.formats import read_file_index
-from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.limits import check_images, check_motions, check_topics
-from jaxdet.io.messages import IMAGE_KINDS, Kind
-from jaxdet.io.motion_windows import MotionMessages, MotionWindows, decode_motions
+from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
+from jaxdet.io.motion_windows import MotionMessages, MotionWindows
 from jaxdet.io.records import IndexedMessages, TopicMessages, read_message
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
@@ -32,7 +32,7 @@ _STATIC = 256
 class IndexedLog(NamedTuple):
     """What the indexes of a log's files tell."""
 
-    contents: LogIndex
+    contents: LogContents
     streams: dict[str, StreamWindows]
     """Image topics."""
     motions: MotionWindows
@@ -54,24 +54,25 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         DamageError: An index is missing, torn or wrong.
         RescanError: The first messages are such that the index isn't enough.
     """
-    index = LogIndex()
-    builder = IndexBuilder(index, use_tf)
+    contents = LogContents(path)
+    builder = ContentsBuilder(contents, use_tf)
     topics = _read_topics(files, builder)
     motions = [topic for topic in topics if topic.kind in _MOTIONS]
     whole = sum(topic.num_messages for topic in motions) <= _MAX_MOTIONS
     probes = [(topic, _probes(topic, whole)) for topic in topics]
-    delays = _Delays()
-    for topic, number, location, payload in _read_messages(store, probes):
-        _add_message(builder, topic, number, location, payload)
-        if index.topics[topic.topic].undecodable:
+    delays: dict[str, tuple[int, int]] = {}
+    """Least and most, by frame or pose topic [ns]."""
+    for topic, number, payload in _read_messages(store, probes):
+        _add_message(builder, topic, number, payload)
+        if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=path, topic=topic.topic)
-        if index.tree.ignored and not whole:
+        if contents.tree.ignored and not whole:
             raise RescanError("a transform is none", path=path, topic=topic.topic)
         if topic.kind in _MOTIONS and not whole and not topic.is_static:
-            delays.see(topic, number, payload)
+            _see_delays(delays, topic, number, payload)
     for topic in topics:
-        known = index.calibrations.get(topic.topic)
+        known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
             raise RescanError("the first calibrations are empty", path=path, topic=topic.topic)
@@ -80,12 +81,12 @@ def open_index(files: Sequence[LogFile], store: ChunkStore, use_tf: bool, path: 
         for topic in topics
         if topic.kind in IMAGE_KINDS
     }
-    windows = _motion_windows(index, motions, store, delays.seen, path, whole)
+    windows = _motion_windows(contents, motions, store, delays, whole)
     infos = {topic.topic: topic.in_time() for topic in topics if topic.kind is Kind.INFO}
-    return IndexedLog(index, streams, windows, infos, store)
+    return IndexedLog(contents, streams, windows, infos, store)
 
 
-def search_index(file: LogFile, builder: IndexBuilder) -> None:
+def search_index(file: LogFile, builder: ContentsBuilder) -> None:
     """Calibration and static transforms of a file, by its index.
 
     Raises:
@@ -98,14 +99,14 @@ def search_index(file: LogFile, builder: IndexBuilder) -> None:
         if topic.kind not in _MOTIONS or topic.is_static
     ]
     probes = [(topic, _probes(topic, False)) for topic in topics]
-    for topic, number, location, payload in _read_messages(store, probes):
-        _add_message(builder, topic, number, location, payload)
+    for topic, number, payload in _read_messages(store, probes):
+        _add_message(builder, topic, number, payload)
 
 
 def _read_messages(
     store: ChunkStore, parts: Sequence[tuple[TopicMessages, np.ndarray]]
-) -> Iterator[tuple[TopicMessages, int, Location, memoryview]]:
-    """Some messages of topics in the order of the files; threads decompress their chunks.
+) -> Iterator[tuple[TopicMessages, int, memoryview]]:
+    """Topic, number and payload of some messages, in the order of the files.
 
     Raises:
         DamageError: One isn't where the index says.
@@ -122,42 +123,39 @@ def _read_messages(
     ]
     wanted.sort(key=lambda item: item[:2])
     chunks = {place: list(group) for place, group in groupby(wanted, lambda item: item[0])}
-    for wave in store.waves(chunks):
-        store.load(wave)
-        for place, offset, topic, number in (one for part in wave for one in chunks[part]):
-            size, payload = read_message(store, topic.messages, number)
-            head = RECORD_HEAD.size + MESSAGE_HEAD.size
-            yield topic, number, Location(place.position, offset + head, size), payload
+    for place in store.loaded(chunks):
+        for _, _, topic, number in chunks[place]:
+            yield topic, number, read_message(store, topic.messages, number)[1]
 
 
 def _add_message(
-    builder: IndexBuilder,
-    topic: TopicMessages,
-    number: int,
-    location: Location,
-    payload: memoryview,
+    builder: ContentsBuilder, topic: TopicMessages, number: int, payload: memoryview
 ) -> None:
-    info = topic.decoder(number).channel
-    builder.file_number = int(topic.messages.file[number])
-    builder.take(info, int(topic.messages.log_ns[number]), payload, location)
+    messages = topic.messages
+    builder.file_number = int(messages.file[number])
+    place = int(messages.position[number]), int(messages.offset[number]) + PAYLOAD_OFFSET
+    where = Location(*place, len(payload))
+    builder.take(topic.decoder(number).channel, int(messages.log_ns[number]), payload, where)
 
 
-def _read_topics(files: Sequence[LogFile], builder: IndexBuilder) -> list[TopicMessages]:
+def _read_topics(files: Sequence[LogFile], builder: ContentsBuilder) -> list[TopicMessages]:
     """The topics that are of use; those of no use are noted and counted only."""
     found: dict[str, tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     for number, file in enumerate(files):
-        builder.path, builder.bytes = str(file.path), builder.bytes + file.size
+        builder.next_file(file)
         entries = read_file_index(file)
         check_topics(len(entries.infos), builder.path)
         if builder.images:
-            builder.index.integrity.append(entries.integrity)
+            builder.contents.integrity.append(entries.integrity)
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
             builder.count(entries.infos[key], *count)
         for key, info in entries.infos.items():
-            mine = entries.channel == key
-            decoder = builder.decoder(info) if mine.any() else None
+            if key not in entries.counts or kind_of(info.schema_name) is None:
+                continue
+            decoder = builder.decoder(info)
             if decoder is None or not builder.wants(decoder):
                 continue
+            mine = entries.channel == key
             decoders, messages = found.setdefault(info.topic, ([], []))
             same = np.full(int(mine.sum()), 0, np.int64)
             messages.append(
@@ -200,28 +198,22 @@ def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:
     return np.unique(np.concatenate([np.arange(min(count, first)), spread]))
 
 
-class _Delays:
-    """By how much stamps differ from log times."""
-
-    def __init__(self) -> None:
-        self.seen: dict[str, tuple[int, int]] = {}
-        """Least and most by frame or pose topic [ns]."""
-
-    def see(self, topic: TopicMessages, number: int, payload: memoryview) -> None:
-        """Looks at a message of what moves."""
-        for item in decode_motions(topic.decoder(number), payload):
-            name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
-            delay = item.stamp_ns - int(topic.messages.log_ns[number])
-            low, high = self.seen.get(name, (delay, delay))
-            self.seen[name] = min(low, delay), max(high, delay)
+def _see_delays(
+    delays: dict[str, tuple[int, int]], topic: TopicMessages, number: int, payload: memoryview
+) -> None:
+    """By how much stamps in a message of what moves differ from its log time."""
+    for item in topic.decoder(number).motions(payload):
+        name = item.child if topic.kind is Kind.TRANSFORM else topic.topic
+        delay = item.stamp_ns - int(topic.messages.log_ns[number])
+        low, high = delays.get(name, (delay, delay))
+        delays[name] = min(low, delay), max(high, delay)
 
 
 def _motion_windows(
-    index: LogIndex,
+    contents: LogContents,
     topics: Sequence[TopicMessages],
     store: ChunkStore,
     delays: dict[str, tuple[int, int]],
-    path: str,
     whole: bool,
 ) -> MotionWindows:
     """The windows on the messages of all these topics."""
@@ -231,9 +223,8 @@ def _motion_windows(
         decoders += topic.decoders
     messages = _joined(parts)
     order = np.argsort(messages.log_ns, kind="stable")
-    tracks = {name: track.samples for name, track in index.poses.items()}
     found = MotionMessages(messages.rows(order), order, tuple(decoders), delays)
-    return MotionWindows(found, store, index.tree, tracks, path, whole)
+    return MotionWindows(found, store, contents.tree, contents.tracks, contents.path, whole)
 
 
 def _joined(parts: Sequence[IndexedMessages]) -> IndexedMessages:

@@ -1,5 +1,6 @@
 """What a file's own checks say about it."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -15,18 +16,18 @@ class FileIntegrity(NamedTuple):
     """Messages read."""
     declared_messages: int | None
     """Messages the file's statistics speak of; None without."""
-    chunks: int
-    chunks_with_crc: int
     has_end: bool
     """Whether the data end and the file's closing magic are there."""
-    lost: dict[str, int]
+    chunks: int = 0
+    chunks_with_crc: int = 0
+    lost: Mapping[str, int] = {}
     """How many records or chunks were rejected, by reason."""
-    lost_bytes: int
-    lost_spans_ns: tuple[tuple[int, int], ...]
+    lost_bytes: int = 0
+    lost_spans_ns: tuple[tuple[int, int], ...] = ()
     """Log times of the rejected chunks, by their own word."""
-    last_log_time_ns: int
+    last_log_time_ns: int = 0
     """Of the messages read."""
-    missing: dict[str, int]
+    missing: Mapping[str, int] = {}
     """How many messages of each topic statistics or message indexes count that were not read."""
     summary_problem: str = ""
     """Why the file has no summary that can be read; empty where it has one."""

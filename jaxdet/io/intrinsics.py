@@ -9,6 +9,7 @@ from jaxdet.errors import CalibrationError, printable
 from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
+from jaxdet.io.topics import listed
 from jaxdet.types import Distortion, Intrinsics
 
 _ALIASES = {
@@ -25,7 +26,6 @@ _COUNTS = {
     Distortion.EQUIDISTANT: 4,
     Distortion.INVERSE_BROWN_CONRADY: 5,
 }
-_MOST_NAMED = 6
 OFF_MIDDLE = 0.2
 """An optical centre is doubted that is farther from an image's middle than this share of it."""
 
@@ -84,9 +84,8 @@ def find_intrinsics(source: CameraSource) -> Found:
         problem = f"no calibration of the {source.camera} camera"
         remedy = f"give {flag} fx fy cx cy"
         if source.known:
-            names = ", ".join(map(printable, source.known[:_MOST_NAMED]))
-            names += ", ..." if len(source.known) > _MOST_NAMED else ""
-            remedy = f"name its topic with --log.{source.name}-info ({names}) or {remedy}"
+            topics = listed(source.known)
+            remedy = f"name its topic with --log.{source.name}-info ({topics}) or {remedy}"
         raise source.error(problem, remedy)
     warnings: list[str] = []
     size = _size(source, flag, warnings)

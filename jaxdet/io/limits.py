@@ -48,32 +48,34 @@ class ReadMemory(NamedTuple):
     """For what is known of messages while a file is opened."""
 
 
-def check_messages(count: int, file_bytes: int, path: str, memory: "ReadMemory") -> None:
+def check_messages(count: int, file_bytes: int, path: str, memory: ReadMemory) -> None:
     """Refuses more messages than a file has room for, or memory: 250,000, and one for each 8 bytes.
 
     Raises:
         InputError: There are more.
     """
     _check("messages", count, _FREE_MESSAGES, _MESSAGE_BYTES, file_bytes, path)
-    what, index = f"an index of {count} messages", count * _INDEX_BYTES
-    _check_memory(InputError, what, index, memory.messages, path)
+    if count * _INDEX_BYTES > memory.messages:
+        what, most = f"an index of {count} messages", memory.messages
+        raise _too_large(InputError, what, count * _INDEX_BYTES, most, path)
 
 
-def check_chunk(nbytes: int, path: str, memory: "ReadMemory") -> None:
+def check_chunk(nbytes: int, path: str, memory: ReadMemory) -> None:
     """Refuses a chunk that takes more memory than there is for one.
 
     Raises:
         ChunkMemoryError: It does.
     """
-    _check_memory(ChunkMemoryError, f"a chunk of {nbytes} bytes", nbytes, memory.chunk, path)
+    if nbytes > memory.chunk:
+        what = f"a chunk of {nbytes} bytes"
+        raise _too_large(ChunkMemoryError, what, nbytes, memory.chunk, path)
 
 
-def _check_memory(kind: type[InputError], what: str, nbytes: int, most: int, path: str) -> None:
-    if nbytes > most:
-        problem = f"{what} takes {size_text(nbytes)}, where {size_text(most)} are allowed"
-        # A chunk gets a quarter of what there is for a process, and the index half.
-        remedy = f"give --memory {size_text(4 * (nbytes - most))} more"
-        raise kind(problem, path=path, remedy=remedy)
+def _too_large(kind: type[InputError], what: str, nbytes: int, most: int, path: str) -> InputError:
+    problem = f"{what} takes {size_text(nbytes)}, where {size_text(most)} are allowed"
+    # A chunk gets a quarter of what there is for a process, and the index half.
+    remedy = f"give --memory {size_text(4 * (nbytes - most))} more"
+    return kind(problem, path=path, remedy=remedy)
 
 
 def check_motions(count: int, file_bytes: int, path: str, topic: str) -> None:

@@ -1,10 +1,9 @@
-"""A log as frames: calibration, stamps, poses, and batches of decoded images."""
+"""A log: calibration, stamps, poses, and its frames in batches."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import cached_property
-from itertools import chain
 from operator import index as as_index
 from os import PathLike
 from typing import Any, NamedTuple, Self, overload
@@ -14,13 +13,13 @@ import numpy as np
 from jaxdet.arguments import of_type, whole_number
 from jaxdet.checks import MAX_FRAMES
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
+from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe
 from jaxdet.io.files import LogFiles, find_logs
 from jaxdet.io.findings import Findings, find_indexed, find_scanned
-from jaxdet.io.index import LogIndex
 from jaxdet.io.limits import ReadMemory
-from jaxdet.io.log_frame import LogFrame
 from jaxdet.io.notes import Notes, total
 from jaxdet.io.opening import index_files, open_files, scan_files
 from jaxdet.io.options import LogOptions
@@ -32,82 +31,15 @@ from jaxdet.io.windows import IndexedFrames
 from jaxdet.types import Frames
 
 _LINE_BYTES = 64
-_PER_FRAME = ("number", "stamp_ns", "depth_stamp_ns", "valid")
-"""Of :class:`jaxdet.types.Frames`, what is known of each frame beside images and pose."""
 _MESSAGE_BYTES = 96
 _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
 """Of images that are read together."""
 _LOOKED_AT = 256
 """Frames whose messages are looked at together, where no chunk has to be unpacked for that."""
-_NONE = np.zeros(0, np.int64)
 _FRAMES_KEPT = 14
 """Of which the chunks are kept: those read together, or of large images one, and those that are
 looked at to know which come next."""
-
-
-class Batch(NamedTuple):
-    """Decoded frames, and what became of each."""
-
-    frames: Frames
-    """Padded to the batch size. Padding, unpaired and failed frames have zero images and
-    ``valid`` False; padding has ``number`` and stamps -1."""
-    status: tuple[FrameStatus, ...]
-    """One for each colour frame asked for; at most the batch size."""
-    errors: tuple[str, ...]
-    """One line for each of them, empty where the status is OK."""
-    notes: Notes = Notes()
-    """What else was seen, for :meth:`Log.described`."""
-    decoding_s: float = 0.0
-    """How long its images were decoded [s]; the rest of the time they were read."""
-    camera_frame: str = ""
-    """Name of the colour camera's optical frame; empty where the log has none."""
-    world_frame: str = ""
-    """Name of the frame that poses are in; empty where there are none."""
-    log_time_ns: np.ndarray | None = None
-    """When the log received the colour image of each of them, int64 [ns]; None: of no log."""
-
-    def one_by_one(self) -> Iterator[LogFrame]:
-        """The frames without the padding."""
-        frames, poses = self.frames, self.frames.T_world_camera
-        for row, (status, error) in enumerate(zip(self.status, self.errors, strict=True)):
-            yield LogFrame(
-                int(frames.number[row]),
-                frames.color[row],
-                frames.depth[row],
-                status,
-                error,
-                int(frames.stamp_ns[row]),
-                int(frames.depth_stamp_ns[row]),
-                None if poses is None else poses[row],
-            )
-
-    def without_images(self) -> "Batch":
-        """The batch without images and padding: what is small, and stays when memory is reused."""
-        count, frames = len(self.status), self.frames
-        poses = frames.T_world_camera
-        known = {name: getattr(frames, name)[:count] for name in _PER_FRAME}
-        small = {"color": frames.color[:0].copy(), "depth": frames.depth[:0].copy()}
-        poses = poses if poses is None else poses[:count]
-        return self._replace(frames=frames._replace(**known, **small, T_world_camera=poses))
-
-    @classmethod
-    def joined(cls, parts: Sequence["Batch"]) -> "Batch":
-        """Batches of a log as one; they are :meth:`without_images`, and at least one."""
-        frames = [part.frames for part in parts]
-        known = {name: np.concatenate([getattr(a, name) for a in frames]) for name in _PER_FRAME}
-        poses = [a.T_world_camera for a in frames if a.T_world_camera is not None]
-        times = [part.log_time_ns for part in parts if part.log_time_ns is not None]
-        return parts[0]._replace(
-            frames=frames[0]._replace(
-                **known, T_world_camera=np.concatenate(poses) if poses else None
-            ),
-            status=tuple(chain.from_iterable(part.status for part in parts)),
-            errors=tuple(chain.from_iterable(part.errors for part in parts)),
-            notes=total(part.notes for part in parts),
-            decoding_s=sum(part.decoding_s for part in parts),
-            log_time_ns=np.concatenate(times) if times else None,
-        )
 
 
 ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
@@ -147,7 +79,7 @@ class Log:
     def __init__(
         self,
         files: LogFiles,
-        index: LogIndex,
+        contents: LogContents,
         found: Findings,
         store: ChunkStore,
         options: LogOptions,
@@ -169,7 +101,7 @@ class Log:
         if part != (None, None, 1):
             about_ns, stamp_ns = found.frames.about_ns(), found.frames.stamp_ns
             self.frames = find_part(about_ns, stamp_ns, *part, self._path)
-        self.description = describe(files, index, found, self.frames)
+        self.description = describe(files, contents, found, self.frames)
         if isinstance(found.frames, ScannedFrames):
             self.description = self.described(found.frames.notes)
         unit, limit = self.calibration.depth_unit, options.max_pixels
@@ -252,13 +184,25 @@ class Log:
         return self._window(0, self.num_frames)
 
     def _window(self, start: int, stop: int) -> Window:
-        try:
+        with self._by_index():
             return self._frames.window(start, stop)
+
+    @contextmanager
+    def _by_index(self) -> Iterator[None]:
+        """Damage that shows here contradicts the index, unless the files were changed.
+
+        Raises:
+            RescanError: There is some.
+            InputError: A file was changed.
+        """
+        try:
+            yield
         except (DamageError, RescanError) as error:
             self._store.check_unchanged()
             if isinstance(error, RescanError):
                 raise
-            raise _rescan(error, self._path) from error
+            problem = f"the file isn't as its index says ({error})"
+            raise RescanError(problem, path=self._path) from error
 
     @property
     def index_bytes(self) -> int:
@@ -354,19 +298,8 @@ class Log:
         """
         windows = [self._window(start, stop) for _, start, stop in _runs(indices, self._at_once)]
         count, (color, depth) = len(indices), self.image_shapes
-        frames = Frames(
-            color=np.zeros((0, *color), np.uint8),
-            depth=np.zeros((0, *depth), np.uint16),
-            calibration=self.calibration,
-            number=np.array(indices, np.int64),
-            stamp_ns=np.concatenate([window.color.stamps_ns for window in windows]),
-            depth_stamp_ns=np.concatenate([window.depth.stamps_ns for window in windows]),
-            valid=np.zeros(count, bool),
-            T_world_camera=self._poses(windows, count),
-        )
-        notes = total(window.notes for window in windows)
-        rest = notes, 0.0, self.camera_frame, self.world_frame, _log_times(windows)
-        return Batch(frames, (status,) * count, (error,) * count, *rest)
+        none = np.zeros((0, *color), np.uint8), np.zeros((0, *depth), np.uint16)
+        return self._made(indices, windows, none, (status,) * count, (error,) * count)
 
     def _batch(
         self,
@@ -385,48 +318,56 @@ class Log:
         for row, start, stop in _runs(indices, self._at_once):
             window = known.window(start, stop) if known else self._window(start, stop)
             rows = slice(row, row + stop - start)
-            try:
+            with self._by_index():
                 failures += self._reader.read(window, memory[0][rows], memory[1][rows])
-            except DamageError as error:
-                self._store.check_unchanged()
-                raise _rescan(error, self._path) from error
             windows.append(window)
         self._store.check_unchanged()
-        stamps = np.concatenate([_NONE, *(window.color.stamps_ns for window in windows)])
-        depth_stamps = np.concatenate([_NONE, *(window.depth.stamps_ns for window in windows)])
         status, errors = [], []
-        for failure, paired in zip(failures, (depth_stamps >= 0).tolist(), strict=True):
-            before = FrameStatus.OK if paired else FrameStatus.UNPAIRED
+        paired = _joined(window.depth.stamps_ns for window in windows) >= 0
+        for failure, has_depth in zip(failures, paired.tolist(), strict=True):
+            before = FrameStatus.OK if has_depth else FrameStatus.UNPAIRED
             status.append(failure.status if failure else before)
-            unpaired = "" if paired else f"no depth image of its own within {self._tolerance_s:g} s"
-            errors.append(" ".join((str(failure) if failure else unpaired).split()))
-        valid = np.zeros(size, bool)
+            alone = f"no depth image of its own within {self._tolerance_s:g} s"
+            text = str(failure) if failure else "" if has_depth else alone
+            errors.append(" ".join(text.split()))
+        made = self._made(indices, windows, memory, tuple(status), tuple(errors))
+        return made._replace(decoding_s=self._reader.decoding_s())
+
+    def _made(
+        self,
+        indices: Sequence[int],
+        windows: Sequence[Window],
+        images: tuple[np.ndarray, np.ndarray],
+        status: tuple[FrameStatus, ...],
+        errors: tuple[str, ...],
+    ) -> Batch:
+        """A batch of the frames of some windows, as long as its images where these are more."""
+        count, size = len(indices), max(len(indices), len(images[0]))
+        valid, poses = np.zeros(size, bool), None
         valid[:count] = [item is FrameStatus.OK for item in status]
+        if self.has_poses:
+            poses = np.full((size, 4, 4), np.nan)
+            known = [T for window in windows if (T := window.T_world_camera) is not None]
+            poses[:count] = np.concatenate([poses[:0], *known])
         frames = Frames(
-            color=memory[0],
-            depth=memory[1],
+            color=images[0],
+            depth=images[1],
             calibration=self.calibration,
             number=_padded(np.array(indices, np.int64), size),
-            stamp_ns=_padded(stamps, size),
-            depth_stamp_ns=_padded(depth_stamps, size),
+            stamp_ns=_padded(_joined(window.color.stamps_ns for window in windows), size),
+            depth_stamp_ns=_padded(_joined(window.depth.stamps_ns for window in windows), size),
             valid=valid,
-            T_world_camera=self._poses(windows, size),
+            T_world_camera=poses,
         )
-        notes = total(window.notes for window in windows)
-        names = self.camera_frame, self.world_frame
-        rest = notes, self._reader.decoding_s(), *names, _log_times(windows)
-        return Batch(frames, tuple(status), tuple(errors), *rest)
-
-    def _poses(self, windows: Sequence[Window], size: int) -> np.ndarray | None:
-        if not self.has_poses:
-            return None
-        poses, row = np.full((size, 4, 4), np.nan), 0
-        for window in windows:
-            assert window.T_world_camera is not None
-            count = len(window.T_world_camera)
-            poses[row : row + count] = window.T_world_camera
-            row += count
-        return poses
+        return Batch(
+            frames,
+            status,
+            errors,
+            notes=total(window.notes for window in windows),
+            camera_frame=self.camera_frame,
+            world_frame=self.world_frame,
+            log_time_ns=_joined(window.color.log_ns for window in windows),
+        )
 
 
 def open_log(
@@ -461,16 +402,15 @@ def open_log(
     memory = memory or ReadMemory()
     opened = open_files(source, options, memory)
     store = ChunkStore(opened.files, most_bytes=memory.chunk)
-    path = str(source.paths[0])
     try:
         if not options.scan:
             with suppress(DamageError, RescanError):
                 indexed = index_files(opened, store, source, options)
-                found = find_indexed(indexed, options, path)
+                found = find_indexed(indexed, options)
                 return Log(source, indexed.contents, found, store, options)
         contents = scan_files(opened, source, options)
         try:
-            found = find_scanned(contents, options, path)
+            found = find_scanned(contents, options)
         except (TopicError, CalibrationError) as error:
             damaged = [file for file in contents.integrity if file.recovered]
             for file in damaged[:2]:
@@ -513,12 +453,8 @@ def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
         row += count
 
 
-def _log_times(windows: Sequence[Window]) -> np.ndarray:
-    return np.concatenate([_NONE, *(window.color.log_ns for window in windows)])
-
-
-def _rescan(error: DamageError, path: str) -> RescanError:
-    return RescanError(f"the file isn't as its index says ({error})", path=path)
+def _joined(columns: Iterable[np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.zeros(0, np.int64), *columns])
 
 
 def _aligned(shape: tuple[int, ...], kind: type[np.unsignedinteger]) -> np.ndarray:

@@ -11,18 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from jaxdet.errors import FrameError, FrameStatus
 from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
     CompressedImageMessage,
-    ExtrinsicsMessage,
     ImageMessage,
     Kind,
     Message,
-    NumberMessage,
     RgbdMessage,
     TransformMessage,
+    bad_frame,
 )
 from jaxdet.io.motion import motion_matrix
 
@@ -41,7 +39,7 @@ def nanoseconds(sec: int, nanosec: int) -> int:
     sec, nanosec = int(sec), int(nanosec)
     if not (0 <= sec <= MAX_STAMP_S and 0 <= nanosec < 1 << 32):
         problem = f"header stamp ({sec} s, {nanosec} ns) is not between the years 1970 and 2255"
-        raise FrameError(problem, status=FrameStatus.DECODE_ERROR)
+        raise bad_frame(problem)
     return sec * 1_000_000_000 + nanosec
 
 
@@ -194,22 +192,21 @@ def _pose(message: Any, name: str) -> tuple[TransformMessage, ...]:
     return (motion(*_head(message), "", *_numbers(pose.position, pose.orientation)),)
 
 
-def _extrinsics(message: Any, name: str) -> ExtrinsicsMessage:
+def _extrinsics(message: Any, name: str) -> np.ndarray:
     if name == "geometry_msgs/Transform":
         found = motion(0, "", "", *_numbers(message.translation, message.rotation))
-        T = motion_matrix(np.array(found.translation), np.array(found.rotation))
-        return ExtrinsicsMessage(T[:3, :3], found.translation)
-    rotation = np.array(message.rotation, np.float64).reshape(3, 3).T
-    if not (np.abs(rotation) <= 2).all():
+        return motion_matrix(np.array(found.translation), np.array(found.rotation))
+    T = np.eye(4)
+    T[:3, :3] = R = np.array(message.rotation, np.float64).reshape(3, 3).T  # column-major
+    if not ((np.abs(R) <= 2).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-3)):
         raise ValueError("rotation is not orthonormal")
     x, y, z = (float(value) for value in message.translation)
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
-        raise ValueError("rotation is not orthonormal")
-    return ExtrinsicsMessage(rotation, (x, y, z))
+    T[:3, 3] = x, y, z
+    return T
 
 
-def _number(message: Any, name: str) -> NumberMessage:
-    return NumberMessage(float(message.data))
+def _number(message: Any, name: str) -> float:
+    return float(message.data)
 
 
 _PARSE: dict[Kind, Callable[[Any, str], Message]] = {

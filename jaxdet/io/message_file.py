@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError
+from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
 from jaxdet.io.container import LogFile
 
 POSITION_BITS = 32
-HEAD_BYTES = RECORD_HEAD.size + MESSAGE_HEAD.size
 _WITHIN = (1 << POSITION_BITS) - 1
 _MAX_NUMBER = (1 << 31) - 1
 _MAX_CHANNEL = 0xFFFF
@@ -60,7 +59,7 @@ def indexed_messages(
 ) -> np.ndarray:
     """Messages ``(N,)`` as :func:`jaxdet.io.file_index.file_index` takes them, ``(5, N)`` int64."""
     place = number << POSITION_BITS
-    return np.stack([channel, log_ns, place, size + HEAD_BYTES, np.zeros_like(place)])
+    return np.stack([channel, log_ns, place, size + PAYLOAD_OFFSET, np.zeros_like(place)])
 
 
 class MessageFile(LogFile):
@@ -89,7 +88,7 @@ class MessageFile(LogFile):
             DamageError: There is none.
         """
         _, log_ns, size = self.row(position >> POSITION_BITS)
-        size += HEAD_BYTES
+        size += PAYLOAD_OFFSET
         return ChunkHead(log_ns, log_ns, size, 0, "", 0, size, size)
 
     def chunk(self, position: int) -> bytes:
@@ -120,15 +119,15 @@ class MessageFile(LogFile):
         """
         number, start = position >> POSITION_BITS, position & _WITHIN
         left = list(parts)
-        if start < HEAD_BYTES:
+        if start < PAYLOAD_OFFSET:
             head = self._head(number)
-            while left and start < HEAD_BYTES:
+            while left and start < PAYLOAD_OFFSET:
                 known = head[start : start + len(left[0])]
                 left[0][: len(known)] = known
                 left[0], start = left[0][len(known) :], start + len(known)
                 left = [part for part in left if len(part)]
         if left:
-            self.read_payload(number, start - HEAD_BYTES, left)
+            self.read_payload(number, start - PAYLOAD_OFFSET, left)
 
     def _head(self, number: int) -> bytes:
         channel, log_ns, size = self.row(number)

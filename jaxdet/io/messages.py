@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxdet.errors import FrameError, FrameStatus
+
 
 class Kind(Enum):
     """What a schema holds."""
@@ -52,6 +54,11 @@ def plain_schema_name(name: str) -> str:
 def kind_of(schema_name: str) -> Kind | None:
     """What a schema of this name holds; None when it is of no use here."""
     return _KINDS.get(plain_schema_name(schema_name))
+
+
+def bad_frame(problem: str) -> FrameError:
+    """The error of a message or image that can't be decoded."""
+    return FrameError(problem, status=FrameStatus.DECODE_ERROR)
 
 
 class ImageMessage(NamedTuple):
@@ -119,31 +126,17 @@ class TransformMessage(NamedTuple):
     """Why it is no motion, whatever its numbers here; empty when it is one."""
 
 
-class ExtrinsicsMessage(NamedTuple):
-    """RealSense's ``depth_to_color``: takes depth-camera points to the colour camera.
-
-    In recordings of librealsense: takes a reference stream's points to the stream's of the topic.
-    """
-
-    rotation: np.ndarray
-    """``(3, 3)`` float64 (column-major or a quaternion in the message)."""
-    translation: tuple[float, float, float]
-    """Metres."""
-
-
-class NumberMessage(NamedTuple):
-    """A single number."""
-
-    value: float
-
-
 Message = (
     ImageMessage
     | CompressedImageMessage
     | CameraInfoMessage
     | RgbdMessage
-    | ExtrinsicsMessage
-    | NumberMessage
     | tuple[TransformMessage, ...]
+    | np.ndarray
+    | float
 )
-"""What :class:`jaxdet.io.decode_messages.MessageDecoder` returns."""
+"""What :class:`jaxdet.io.decode_messages.MessageDecoder` returns.
+
+Extrinsics are a motion ``(4, 4)`` float64: RealSense's ``depth_to_color`` takes points of the depth
+camera to the colour camera; in recordings of librealsense, a reference stream's to the topic's.
+"""

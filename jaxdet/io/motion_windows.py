@@ -151,7 +151,7 @@ class MotionWindows:
         _, payload = read_message(self._store, self._messages, number)
         found = []
         try:
-            items = decode_motions(decoder, payload)
+            items = decoder.motions(payload)
         except FrameError as error:  # which a scan counts
             raise self._odd(f"a message of {decoder.channel.topic} can't be decoded") from error
         for item in items:
@@ -194,14 +194,3 @@ class MotionWindows:
 
     def _odd(self, problem: str) -> RescanError:
         return RescanError(problem, path=self._path)
-
-
-def decode_motions(decoder: MessageDecoder, payload: memoryview) -> tuple[TransformMessage, ...]:
-    """The transforms or poses in a message.
-
-    Raises:
-        FrameError: It can't be decoded.
-    """
-    message = decoder.decode(payload)
-    assert isinstance(message, tuple)
-    return tuple(item for item in message if isinstance(item, TransformMessage))

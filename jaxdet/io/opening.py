@@ -1,5 +1,6 @@
 """Opens the files of a log and finds what is in them, by their indexes or by reading all."""
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -9,10 +10,11 @@ from jaxdet.cores import cores
 from jaxdet.errors import ChunkMemoryError, InputError, printable
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
+from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.files import LogFiles, missing_splits, siblings
 from jaxdet.io.formats import open_file, scan_file
-from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
+from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.options import LogOptions
 from jaxdet.io.store import ChunkStore
@@ -25,11 +27,6 @@ class OpenedFiles(NamedTuple):
     warnings: tuple[str, ...]
     memory: ReadMemory
     """What reading may take."""
-
-    def close(self) -> None:
-        """Closes the files."""
-        for file in self.files:
-            file.close()
 
 
 def open_files(log: LogFiles, options: LogOptions, memory: ReadMemory) -> OpenedFiles:
@@ -62,16 +59,21 @@ def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
     return file
 
 
-def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogIndex:
+def scan_files(opened: OpenedFiles, log: LogFiles, options: LogOptions) -> LogContents:
     """What is in a log, by reading all of it."""
-    index = LogIndex()
-    builder = IndexBuilder(index, options.tf)
+    contents = LogContents(str(log.paths[0]))
+    contents.integrity += _scan(opened.files, ContentsBuilder(contents, options.tf))
+    _finish(contents, opened, log, options)
+    return contents
+
+
+def _scan(files: Sequence[LogFile], builder: ContentsBuilder) -> list[FileIntegrity]:
+    found = []
     with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-        for file in opened.files:
+        for file in files:
             builder.next_file(file)
-            index.integrity.append(scan_file(file, builder.add, pool))
-    _finish(index, opened, log, options)
-    return index
+            found.append(scan_file(file, builder.add, pool))
+    return found
 
 
 def index_files(
@@ -88,54 +90,48 @@ def index_files(
     return found
 
 
-def _finish(index: LogIndex, opened: OpenedFiles, log: LogFiles, options: LogOptions) -> None:
-    if options.tf and not index.tree.has_static:
-        _search_siblings(index, opened.memory, log, options)
-    index.tree.settle()
-    index.warnings += opened.warnings
-    _note(index, log)
+def _finish(contents: LogContents, opened: OpenedFiles, log: LogFiles, options: LogOptions) -> None:
+    if options.tf and not contents.tree.has_static:
+        _search_siblings(contents, opened.memory, log, options)
+    contents.tree.settle()
+    contents.warnings += opened.warnings
+    _note(contents, log)
 
 
 def _search_siblings(
-    index: LogIndex, memory: ReadMemory, log: LogFiles, options: LogOptions
+    contents: LogContents, memory: ReadMemory, log: LogFiles, options: LogOptions
 ) -> None:
     """Static transforms and calibration from the recording's other splits, first to last."""
     for path in siblings(log):
         try:
             with closing(_open(path, options, memory)) as file:
-                builder = IndexBuilder(index, options.tf, images=False)
-                builder.next_file(file)
-                _search(file, builder)
+                try:
+                    search_index(file, ContentsBuilder(contents, options.tf, images=False))
+                except DamageError:
+                    _scan([file], ContentsBuilder(contents, options.tf, images=False))
         except ChunkMemoryError:
             raise  # else it would be for the memory to decide what is found
         except InputError as error:
-            index.warnings.append(f"{error}; the split is not searched for static transforms")
-        if index.tree.has_static:
-            index.warnings.append(f"static transforms are taken from the split {path.name}")
+            contents.warnings.append(f"{error}; the split is not searched for static transforms")
+        if contents.tree.has_static:
+            contents.warnings.append(f"static transforms are taken from the split {path.name}")
             return
 
 
-def _search(file: LogFile, builder: IndexBuilder) -> None:
-    try:
-        search_index(file, builder)
-    except DamageError:
-        with ThreadPoolExecutor(cores(), thread_name_prefix="jaxdet-open") as pool:
-            scan_file(file, builder.add, pool)
-
-
-def _note(index: LogIndex, log: LogFiles) -> None:
+def _note(contents: LogContents, log: LogFiles) -> None:
     if log.note:
-        index.warnings.append(log.note)
+        contents.warnings.append(log.note)
     gaps = missing_splits(log)
     if gaps:
-        index.warnings.append(f"splits {', '.join(map(str, gaps[:10]))} of {log.name} are missing")
-    for integrity in index.integrity:
+        numbers = ", ".join(map(str, gaps[:10]))
+        contents.warnings.append(f"splits {numbers} of {log.name} are missing")
+    for integrity in contents.integrity:
         if integrity.recovered or integrity.summary_problem not in ("", "no summary"):
-            index.warnings.append(f"{printable(str(integrity.path))}: {integrity.text}")
-    unchecked = sum(not integrity.chunks_with_crc for integrity in index.integrity)
+            contents.warnings.append(f"{printable(str(integrity.path))}: {integrity.text}")
+    unchecked = sum(not integrity.chunks_with_crc for integrity in contents.integrity)
     if unchecked:
-        files = f"{unchecked} of {len(index.integrity)} files"
-        index.warnings.append(f"integrity not checkable in {files}: they hold no CRC")
-    for name, topic in sorted(index.topics.items()):
+        files = f"{unchecked} of {len(contents.integrity)} files"
+        contents.warnings.append(f"integrity not checkable in {files}: they hold no CRC")
+    for name, topic in sorted(contents.topics.items()):
         if topic.trouble:
-            index.warnings.append(f"{printable(name)}: {printable(topic.trouble)}")
+            contents.warnings.append(f"{printable(name)}: {printable(topic.trouble)}")

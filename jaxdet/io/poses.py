@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import CalibrationError, TopicError, printable
-from jaxdet.io.index import LogIndex, PoseTrack
+from jaxdet.io.contents import LogContents, PoseTrack
 from jaxdet.io.motion import MotionSamples
 from jaxdet.io.options import LogOptions
+from jaxdet.io.topics import listed
 from jaxdet.io.transforms import TransformTree
 
 _BASES = ("base_footprint", "base_link")
@@ -76,32 +77,31 @@ class PoseSource(NamedTuple):
         return tree.at(self.world, self.camera, stamps_ns) if self.world else None
 
 
-def find_base(index: LogIndex, options: LogOptions, camera_frame: str, path: str) -> Base:
+def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> Base:
     """``T_base_camera`` from static transforms: base_footprint, else base_link, or the flag's.
 
     Raises:
         CalibrationError: The frame that the flag names isn't joined to the camera, or the
             transforms form a cycle.
     """
-    names = [options.base_frame] if options.base_frame else _named(index, _BASES)
+    names = [options.base_frame] if options.base_frame else _named(contents, _BASES)
     for name in names:
-        T = index.tree.fixed(name, camera_frame) if camera_frame else None
+        T = contents.tree.fixed(name, camera_frame) if camera_frame else None
         if T is not None:
             frame = printable(name)
             return Base(T, name, f"camera over the floor: TF, z = 0 of frame {frame!r}")
     if options.base_frame:
         problem = f"no static transform joins {options.base_frame!r} and {camera_frame!r}"
-        raise CalibrationError(problem, path=path, remedy="change --log.base-frame")
+        raise CalibrationError(problem, path=contents.path, remedy="change --log.base-frame")
     return Base(None, None, "camera over the floor: not in the log's transforms")
 
 
 def find_poses(
-    index: LogIndex,
+    contents: LogContents,
     options: LogOptions,
     camera_frame: str,
     base_frame: str | None,
     share_known: Callable[[PoseSource], float],
-    path: str,
 ) -> PoseSource:
     """Where the poses come from.
 
@@ -112,12 +112,11 @@ def find_poses(
     and a warning.
 
     Args:
-        index: What is in the log.
+        contents: What is in the log.
         options: What the user says.
         camera_frame: TF frame of the colour camera.
         base_frame: TF frame of the robot.
         share_known: Of how many frames a source knows the pose, 0 to 1.
-        path: The log's.
 
     Raises:
         TopicError: ``--log.odom`` names no topic with poses.
@@ -125,20 +124,20 @@ def find_poses(
             the transforms form a cycle.
     """
     if options.odom:
-        if options.odom not in index.poses:
-            names = ", ".join(printable(name) for name in sorted(index.poses)) or "none"
-            topic = printable(options.odom)
-            remedy = f"--log.odom can be: {names}"
-            raise TopicError("no poses on the topic", path=path, topic=topic, remedy=remedy)
-        return _from_track(index, options.odom, camera_frame, base_frame)
+        if options.odom not in contents.poses:
+            remedy = f"--log.odom can be: {listed(sorted(contents.poses)) or 'none'}"
+            raise TopicError(
+                "no poses on the topic", path=contents.path, topic=options.odom, remedy=remedy
+            )
+        return _from_track(contents, options.odom, camera_frame, base_frame)
     if options.world_frame and not (
-        camera_frame and index.tree.joins(options.world_frame, camera_frame)
+        camera_frame and contents.tree.joins(options.world_frame, camera_frame)
     ):
         problem = f"no transforms join {options.world_frame!r} and {camera_frame!r}"
-        raise CalibrationError(problem, path=path, remedy="change --log.world-frame")
+        raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
     best, most = None, 0.0
-    for world in [options.world_frame] if options.world_frame else _named(index, _WORLDS):
-        if not camera_frame or world == base_frame or not index.tree.joins(world, camera_frame):
+    for world in [options.world_frame] if options.world_frame else _named(contents, _WORLDS):
+        if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):
             continue
         text = f"poses: TF, frame {printable(world)!r}"
         if best:
@@ -151,22 +150,21 @@ def find_poses(
             break
     if best:
         return best
-    topics = [name for name in sorted(index.poses) if _is_robot_pose(index, name)]
+    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
     if len(topics) == 1:
-        return _from_track(index, topics[0], camera_frame, base_frame)
+        return _from_track(contents, topics[0], camera_frame, base_frame)
     if topics:
-        names = ", ".join(printable(name) for name in topics)
-        text = f"several topics hold poses ({names}); choose one with --log.odom"
+        text = f"several topics hold poses ({listed(topics)}); choose one with --log.odom"
         return PoseSource("poses: none chosen", (text,))
     return PoseSource("poses: none in the log")
 
 
 def _from_track(
-    index: LogIndex, topic: str, camera_frame: str, base_frame: str | None
+    contents: LogContents, topic: str, camera_frame: str, base_frame: str | None
 ) -> PoseSource:
-    track: PoseTrack = index.poses[topic]
+    track: PoseTrack = contents.poses[topic]
     child = track.child or base_frame or ""
-    T_child_camera = index.tree.fixed(child, camera_frame) if child and camera_frame else None
+    T_child_camera = contents.tree.fixed(child, camera_frame) if child and camera_frame else None
     if T_child_camera is None:
         frames = f"{printable(child)!r} and camera {printable(camera_frame)!r}"
         text = f"{printable(topic)} is not used: no static transform joins its frame {frames}"
@@ -176,12 +174,12 @@ def _from_track(
     return PoseSource(text, camera=camera_frame, **given)
 
 
-def _is_robot_pose(index: LogIndex, topic: str) -> bool:
-    schema = index.topics[topic].channel.schema_name
+def _is_robot_pose(contents: LogContents, topic: str) -> bool:
+    schema = contents.topics[topic].channel.schema_name
     return schema.endswith(("Odometry", "PoseInFrame"))
 
 
-def _named(index: LogIndex, names: tuple[str, ...]) -> list[str]:
+def _named(contents: LogContents, names: tuple[str, ...]) -> list[str]:
     """The tree's frames of these names, with any namespace before them, in this order."""
-    frames = sorted(index.tree.frames)
+    frames = sorted(contents.tree.frames)
     return [frame for name in names for frame in frames if frame.split("/")[-1] == name]

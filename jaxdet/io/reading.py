@@ -24,6 +24,7 @@ from jaxdet.io.messages import (
     ImageMessage,
     Message,
     RgbdMessage,
+    bad_frame,
 )
 from jaxdet.io.raw_images import HEAD_BYTES, find_pixels, is_standard_image
 from jaxdet.io.store import ChunkStore, Place
@@ -152,17 +153,17 @@ class ImageReader:
         except DamageError as error:
             if self._strict:
                 raise
-            problem = f"the file can't be read any more ({error})"
-            lost = FrameError(problem, status=FrameStatus.DECODE_ERROR)
+            lost = bad_frame(f"the file can't be read any more ({error})")
             return [(request.row, request.depth, lost) for request in requests]
         failures, start = [], time.perf_counter()
         for request, payload in zip(requests, payloads, strict=True):
             try:
                 if payload is not None:
                     self._decode(request, payload, color, depth)
-            except FrameError as error:
-                # Its traceback would hold the images.
-                failures.append((request.row, request.depth, error.with_traceback(None)))
+            except FrameError as error:  # whose traceback would hold the images
+                name = self._store.files[chunk.file].name_of(chunk.position)
+                lost = FrameError(error.problem, status=error.status, path=name)
+                failures.append((request.row, request.depth, lost))
         self._took.append(time.perf_counter() - start)
         return failures
 

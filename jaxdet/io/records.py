@@ -5,12 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.messages import Kind
 from jaxdet.io.store import ChunkStore, Place
 
-_HEAD = RECORD_HEAD.size + MESSAGE_HEAD.size
 _FIRST_BYTES = 1024
 """Read at once of a message of unknown size."""
 
@@ -102,8 +101,8 @@ def read_message(
     """
     place = Place(int(messages.file[number]), int(messages.position[number]))
     offset = int(messages.offset[number])
-    known = store.peek(place, offset, _HEAD + (_FIRST_BYTES if most is None else most))
-    if len(known) < _HEAD:
+    known = store.peek(place, offset, PAYLOAD_OFFSET + (_FIRST_BYTES if most is None else most))
+    if len(known) < PAYLOAD_OFFSET:
         raise DamageError("message record is too short")
     opcode, length = RECORD_HEAD.unpack_from(known)
     channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(known, RECORD_HEAD.size)
@@ -114,13 +113,13 @@ def read_message(
     head = store.head(place)
     if head.length != messages.length[number]:
         raise DamageError("chunk has another length than its index says")
-    if size < 0 or offset + _HEAD + size > head.uncompressed_size:
+    if size < 0 or offset + PAYLOAD_OFFSET + size > head.uncompressed_size:
         raise DamageError("message is longer than its chunk")
     wanted = size if most is None else min(size, most)
-    if wanted > len(known) - _HEAD:
+    if wanted > len(known) - PAYLOAD_OFFSET:
         store.files[place.file].check_size(wanted, "message")
-        known = store.peek(place, offset, _HEAD + wanted)
-    payload = known[_HEAD : _HEAD + wanted]
+        known = store.peek(place, offset, PAYLOAD_OFFSET + wanted)
+    payload = known[PAYLOAD_OFFSET : PAYLOAD_OFFSET + wanted]
     if len(payload) < wanted:
         raise DamageError("message is longer than its chunk")
     return size, payload

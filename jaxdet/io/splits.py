@@ -13,8 +13,8 @@ from typing import NamedTuple
 from jaxdet.errors import InputError, RescanError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
+from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.formats import open_file, read_file_index
-from jaxdet.io.index import IndexBuilder, LogIndex
 from jaxdet.io.indexed import search_index
 from jaxdet.io.messages import IMAGE_KINDS, kind_of
 from jaxdet.io.options import LogOptions
@@ -57,9 +57,9 @@ def _sketch(file: LogFile) -> Sketch:
     images = [key for key, info in useful.items() if kind_of(info.schema_name) in IMAGE_KINDS]
     seen = [key for key in images if key in counts]
     spans = [(counts[key].first_ns, counts[key].last_ns) for key in seen]
-    builder = IndexBuilder(LogIndex(), use_tf=False, images=False)
+    builder = ContentsBuilder(LogContents(str(file.path)), use_tf=False, images=False)
     search_index(file, builder)
-    known = builder.index.calibrations.items()
+    known = builder.contents.calibrations.items()
     return Sketch(
         {info.topic: info.schema_name for info in useful.values()},
         frozenset(useful[key].topic for key in seen),

@@ -5,9 +5,10 @@ Source: rosbag2's ``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
 
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from threading import local
+from typing import Any
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
@@ -46,15 +47,15 @@ class SqliteFile(MessageFile):
 
     def query(
         self, text: str, values: Sequence[object] | Mapping[str, object] = ()
-    ) -> sqlite3.Cursor:
+    ) -> Iterator[tuple[Any, ...]]:
         """The rows of a query.
 
         Raises:
-            DamageError: SQLite can't answer; reading the rows may raise ``sqlite3.Error``.
+            DamageError: SQLite can't go on.
         """
         try:
-            return self._connection().execute(text, values)
-        except sqlite3.Error as error:
+            yield from self._connection().execute(text, values)
+        except (sqlite3.Error, OverflowError) as error:
             raise damage(error) from error
 
     def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
@@ -87,10 +88,7 @@ class SqliteFile(MessageFile):
         Raises:
             DamageError: There is none, or it can't be read.
         """
-        try:
-            row = self._connection().execute(_ROW, (number,)).fetchone()
-        except (sqlite3.Error, OverflowError) as error:
-            raise damage(error) from error
+        row = next(self.query(_ROW, (number,)), None)
         if row is None or row[3] != "blob":
             raise DamageError("no message where one should be")
         return MessageRow(*row[:3]).check()
@@ -131,11 +129,10 @@ class SqliteFile(MessageFile):
                 )
         try:
             tables = {row[0] for row in self.query(_TABLES)}
-            first = self.query(_FIRST).fetchone() if tables >= _NEEDED else None
-        except (sqlite3.Error, DamageError) as error:
-            problem = str(error if isinstance(error, DamageError) else damage(error))
+            first = next(self.query(_FIRST), None) if tables >= _NEEDED else None
+        except DamageError as error:
             remedy = "recover it with sqlite3 FILE .recover, or leave it out"
-            raise InputError(problem, path=str(self.path), remedy=remedy) from error
+            raise InputError(str(error), path=str(self.path), remedy=remedy) from error
         if not tables >= _NEEDED:
             problem = "not a rosbag2 recording: it has no tables messages and topics"
             raise InputError(problem, path=str(self.path), remedy="leave it out")

@@ -1,21 +1,21 @@
 """The messages of a rosbag2 recording in SQLite: without their data, or all of it."""
 
-import sqlite3
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
 from jaxdet.io.container import Location
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import DEFINITIONS, schema_text
 from jaxdet.io.file_index import FileIndex, file_index
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_messages, check_topics
-from jaxdet.io.message_file import HEAD_BYTES, MessageRow, indexed_messages, position_of
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
+from jaxdet.io.message_file import MessageRow, indexed_messages, position_of
 from jaxdet.io.messages import kind_of
 from jaxdet.io.sqlite import SqliteFile, damage
 from jaxdet.io.walk import Handler, Walk
@@ -46,15 +46,14 @@ def read_sqlite_index(file: SqliteFile) -> FileIndex:
     if file.declared_bytes > file.size:
         raise DamageError("file ends early")
     infos = _channels(file)
-    parts = [np.zeros((4, 0), np.int64)]
+    rows, parts = file.query(_INDEX), [np.zeros((4, 0), np.int64)]
     try:
-        rows = file.query(_INDEX)
-        while some := rows.fetchmany(_ROWS_AT_ONCE):
+        while some := list(islice(rows, _ROWS_AT_ONCE)):
             parts.append(np.array(some, np.int64).T)
-    except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
+    except (OverflowError, TypeError, ValueError) as error:
         raise damage(error) from error
     number, channel, log_ns, size = np.concatenate(parts, axis=1)
-    check_messages(len(number), file.size, str(file.path), file.memory)
+    file.check_messages(len(number))
     for value in (channel.min(initial=0), channel.max(initial=0)):
         MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
     if (np.diff(number) <= 0).any():
@@ -93,7 +92,7 @@ def scan_sqlite(file: SqliteFile, handler: Handler) -> FileIntegrity:
         except DamageError as error:
             walk.lose(str(error), size or 0)
             continue
-        where = Location(position, HEAD_BYTES, len(data))
+        where = Location(position, PAYLOAD_OFFSET, len(data))
         walk.give(channel, infos[channel], log_ns, memoryview(data), where)
     return walk.integrity(
         declared_messages=_declared(file),
@@ -110,7 +109,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
     """
     before, last = -1, _last_number(file)
 
-    def after(text: str, count: int) -> sqlite3.Cursor:
+    def after(text: str, count: int) -> Iterator[tuple[Any, ...]]:
         values = {"most": file.max_bytes, "before": before, "count": count}
         return file.query(text, values)
 
@@ -118,7 +117,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
         return isinstance(row[0], int) and row[0] > before
 
     while before < last and lost[_DAMAGED] < _MAX_LOST:
-        with suppress(sqlite3.Error, DamageError):
+        with suppress(DamageError):
             for row in after(_DATA, -1):
                 if comes_next(row):
                     yield row
@@ -126,8 +125,8 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
             return
         # The next one may be whole: what SQLite could not read can come after it.
         for text in (_DATA, _WITHOUT_DATA):
-            with suppress(sqlite3.Error, DamageError):
-                row = next(iter(after(text, 1).fetchall()), None)
+            with suppress(DamageError):
+                row = next(iter([*after(text, 1)]), None)
                 if row and comes_next(row):
                     yield row
                     before = row[0]
@@ -141,19 +140,17 @@ def _last_number(file: SqliteFile) -> int:
     """The greatest number of a message, by the messages or by the index of their times."""
     numbers = [0]
     for text in ("SELECT max(id) FROM messages", _GREATEST):
-        try:
-            numbers.append(file.query(text).fetchone()[0] or 0)
-        except (sqlite3.Error, DamageError):
-            continue
+        with suppress(DamageError):
+            numbers += [number or 0 for (number,) in file.query(text)]
     return max(numbers)
 
 
 def _declared(file: SqliteFile) -> int | None:
     """How many messages the index of their times has; None where it can't be read."""
-    try:
-        return int(file.query(_COUNT).fetchone()[0])
-    except (sqlite3.Error, DamageError):
-        return None
+    with suppress(DamageError):
+        for (count,) in file.query(_COUNT):
+            return int(count)
+    return None
 
 
 def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
@@ -162,15 +159,10 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
     Raises:
         DamageError: The table can't be read.
     """
-    try:
-        topics = file.query(_TOPICS).fetchall()
-    except sqlite3.Error as error:
-        raise damage(error) from error
+    topics, known = list(file.query(_TOPICS)), {}
     check_topics(len(topics), str(file.path))
-    try:
+    with suppress(DamageError):
         known = {row[0]: row[1:] for row in file.query(_DEFINITIONS, (MAX_SCHEMA_BYTES,))}
-    except (sqlite3.Error, DamageError):
-        known = {}
     found = {}
     for number, topic, name, encoding in topics:
         schema, text = known.get(name) or ("ros2msg", _definition(str(name)))

@@ -149,16 +149,18 @@ class ChunkStore:
             self.checked.add(place)
         return data
 
-    def load(self, places: Iterable[Place]) -> None:
-        """Decompresses a wave of chunks by all threads, those of them that are packed.
+    def loaded(self, places: Iterable[Place]) -> Iterator[Place]:
+        """Chunks in order; those of a wave that are packed are decompressed by all threads.
 
         Raises:
             DamageError: One can't be read.
         """
-        packed = [place for place in places if place.position >= 0]
-        packed = [place for place in packed if not self.head(place).is_plain]
-        for _ in self.map(partial(self.data, ahead=True), packed):
-            pass
+        for wave in self.waves(places):
+            packed = [place for place in wave if place.position >= 0]
+            packed = [place for place in packed if not self.head(place).is_plain]
+            for _ in self.map(partial(self.data, ahead=True), packed):
+                pass
+            yield from wave
 
     def _drop_one(self) -> None:
         """Drops the chunk used least of late; one that waits for its use only if all do."""
@@ -175,12 +177,12 @@ class ChunkStore:
         """
         if place in self.checked:
             return
-        if self.head(place).is_plain:
-            if self.head(place).crc:
-                self.files[place.file].chunk(place.position)
-            self.checked.add(place)
-        else:
+        head = self.head(place)
+        if not head.is_plain:
             self.data(place, ahead=True)
+        elif head.crc:
+            self.files[place.file].chunk(place.position)
+            self.checked.add(place)
 
     def peek(self, place: Place, offset: int, size: int) -> memoryview:
         """At most ``size`` bytes of a chunk's records, without its CRC where it isn't packed.

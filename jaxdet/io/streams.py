@@ -2,6 +2,7 @@
 
 from array import array
 from collections import Counter
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -48,28 +49,36 @@ class ImageStream:
         """``(N,)`` int64, in the order of the files."""
         return np.array(self._columns[name], np.int64)
 
+    def images(self, depth: bool) -> list[ImageMessage | CompressedImageMessage]:
+        """The first images, without their pixels; which one of those in an RGBD message."""
+        return [
+            (probe.depth if depth else probe.color) if isinstance(probe, RgbdMessage) else probe
+            for probe in self.probes
+        ]
 
-def image_sizes(stream: ImageStream, depth: bool) -> Counter[ImageSize]:
-    """The sizes of a stream's first images, without decoding them."""
-    sizes: Counter[ImageSize] = Counter()
-    for probe in stream.probes:
-        image = probe if not isinstance(probe, RgbdMessage) else None
-        if isinstance(probe, RgbdMessage):
-            image = probe.depth if depth else probe.color
-        if isinstance(image, ImageMessage):
-            sizes[ImageSize(image.width, image.height)] += 1
-        elif image is not None:
-            try:
-                sizes[ImageSize(*compressed_size(image))] += 1
-            except FrameError:
+    def first_image(self, depth: bool) -> ImageMessage | CompressedImageMessage | None:
+        """The first of them; None when none of the first messages can be decoded."""
+        return next(iter(self.images(depth)), None)
+
+    def frame_id(self, depth: bool) -> str:
+        """TF frame of the first image; empty when unknown."""
+        image = self.first_image(depth)
+        return image.frame_id if image else ""
+
+    def encoding(self, depth: bool) -> str:
+        """Encoding or format of the first image; empty when unknown."""
+        image = self.first_image(depth)
+        if isinstance(image, CompressedImageMessage):
+            return image.format
+        return image.encoding if image else ""
+
+    def size(self, depth: bool) -> ImageSize | None:
+        """The size of most of the first images, without decoding them; None when unknown."""
+        sizes: Counter[ImageSize] = Counter()
+        for image in self.images(depth):
+            if isinstance(image, ImageMessage):
+                sizes[ImageSize(image.width, image.height)] += 1
                 continue
-    return sizes
-
-
-def first_image(stream: ImageStream, depth: bool) -> ImageMessage | CompressedImageMessage | None:
-    """A stream's first image, without its pixels; None when none of the first can be decoded."""
-    for probe in stream.probes:
-        if isinstance(probe, RgbdMessage):
-            return probe.depth if depth else probe.color
-        return probe
-    return None
+            with suppress(FrameError):
+                sizes[ImageSize(*compressed_size(image))] += 1
+        return max(sizes, key=sizes.__getitem__, default=None)

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_compressed_depth, is_png16
+from jaxdet.io.contents import LogContents
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.index import LogIndex
-from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind
+from jaxdet.io.messages import ImageMessage, Kind
 from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import ImageStream, first_image
+from jaxdet.io.streams import ImageStream
 
 _ALIGNED = ("aligned_depth", "depth_to_rgb", "depth_to_color", "depth_registered")
 _COLOR_WORDS = {"color", "colour", "rgb"}
@@ -52,9 +52,7 @@ class Choice(NamedTuple):
     reasons: tuple[str, ...]
 
 
-def choose_topics(
-    index: LogIndex, options: LogOptions, path: str
-) -> dict[str, Choice | TopicError]:
+def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
     """The colour and the depth topic of each camera, by its name, in order.
 
     There are several cameras where several names (see :func:`camera_name`) have both a colour and
@@ -70,16 +68,16 @@ def choose_topics(
     Raises:
         TopicError: None or, of the only camera, several qualify; the text lists them.
     """
-    depths = _candidates(index, options.depth, True, path)
+    depths = _candidates(contents, options.depth, True)
     prefer_rect = any("depth_registered" in item.topic for item in depths)
-    colors = _candidates(index, options.color, False, path, prefer_rect)
+    colors = _candidates(contents, options.color, False, prefer_rect)
     if not colors or not depths:
         what = "colour and no depth" if not colors and not depths else "depth"
-        raise _missing(index, what if not depths else "colour", path)
+        raise _missing(contents, what if not depths else "colour")
     names = {camera_name(color.topic) for color in colors}
     names &= {camera_name(depth.topic) for depth in depths}
     if len(names) < 2 or options.color or options.depth:
-        choice = _choose(index, options, colors, depths, path)
+        choice = _choose(contents, options, colors, depths)
         return {choice.camera: choice}
     found: dict[str, Choice | TopicError] = {}
     for name in sorted(names):
@@ -88,7 +86,7 @@ def choose_topics(
             for items in (colors, depths)
         )
         try:
-            found[name] = _choose(index, options, color, depth, path)
+            found[name] = _choose(contents, options, color, depth)
         except TopicError as error:
             found[name] = error
     return found
@@ -112,11 +110,10 @@ def camera_name(topic: str) -> str:
 
 
 def _choose(
-    index: LogIndex,
+    contents: LogContents,
     options: LogOptions,
     colors: Sequence[Candidate],
     depths: Sequence[Candidate],
-    path: str,
 ) -> Choice:
     """The colour and the depth topic among some candidates."""
     color_best, depth_best = _best(colors), _best(depths)
@@ -124,10 +121,10 @@ def _choose(
         color_best = _nearest(color_best, depth_best[0].topic)
     elif len(depth_best) > 1 and len(color_best) == 1:
         depth_best = _nearest(depth_best, color_best[0].topic)
-    _require_one(color_best, "colour", path)
-    _require_one(depth_best, "depth", path)
+    _require_one(contents, color_best, "colour")
+    _require_one(contents, depth_best, "depth")
     color, depth = color_best[0], depth_best[0]
-    if index.streams[depth.topic].kind is Kind.RGBD and not options.color:
+    if contents.streams[depth.topic].kind is Kind.RGBD and not options.color:
         color = Candidate(depth.topic, depth.rank, "in the same message as depth")
     reasons = (
         f"colour: {printable(color.topic)}, {color.why}{_others(colors, color)}",
@@ -137,12 +134,10 @@ def _choose(
     return Choice(name, color.topic, depth.topic, _says_aligned(depth.topic), reasons)
 
 
-def encoding_of(stream: ImageStream, depth: bool) -> str:
-    """A stream's encoding or format, by its first image; empty when unknown."""
-    image = first_image(stream, depth)
-    if image is None:
-        return ""
-    return image.format if isinstance(image, CompressedImageMessage) else image.encoding
+def listed(names: Sequence[str]) -> str:
+    """Names for people: the first, and how many more there are; empty where there is none."""
+    more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
 
 
 def affinity(first: str, second: str) -> int:
@@ -165,44 +160,44 @@ def _says_aligned(topic: str) -> bool:
 
 
 def _candidates(
-    index: LogIndex, override: str | None, depth: bool, path: str, prefer_rect: bool = False
+    contents: LogContents, override: str | None, depth: bool, prefer_rect: bool = False
 ) -> list[Candidate]:
     if override:
-        return [_overridden(index, override, depth, path)]
+        return [_overridden(contents, override, depth)]
     make = _depth_candidate if depth else partial(_color_candidate, prefer_rect=prefer_rect)
     found = [
         candidate
-        for stream in index.streams.values()
-        if not _is_eye(stream.topic, index) and (candidate := make(stream)) is not None
+        for stream in contents.streams.values()
+        if not _is_eye(stream.topic, contents) and (candidate := make(stream)) is not None
     ]
     return sorted(found, key=lambda item: (item.rank, item.topic))
 
 
-def _is_eye(topic: str, index: LogIndex) -> bool:
+def _is_eye(topic: str, contents: LogContents) -> bool:
     """Whether this is a stereo camera's left or right image beside its colour one (ZED)."""
     color = re.sub("/(left|right)/", "/rgb/", topic)
-    return color != topic and color in index.streams
+    return color != topic and color in contents.streams
 
 
-def _overridden(index: LogIndex, topic: str, depth: bool, path: str) -> Candidate:
+def _overridden(contents: LogContents, topic: str, depth: bool) -> Candidate:
     what, flag = ("depth", "--log.depth") if depth else ("colour", "--log.color")
-    stream = index.streams.get(topic)
+    stream = contents.streams.get(topic)
     if stream is None:
-        known = index.topics.get(topic)
+        known = contents.topics.get(topic)
         reason = (known and known.trouble) or "there are no images on the topic"
-        streams = sorted(index.streams.items())
+        streams = sorted(contents.streams.items())
         names = [name for name, one in streams if not one.probes or _is_kind(one, depth)]
-        remedy = f"{flag} can be: {_listed(names) or f'nothing, it has no {what} images'}"
-        raise TopicError(printable(reason), path=path, topic=printable(topic), remedy=remedy)
+        remedy = f"{flag} can be: {listed(names) or f'nothing, it has no {what} images'}"
+        raise TopicError(reason, path=contents.path, topic=topic, remedy=remedy)
     if stream.probes and not _is_kind(stream, depth):
-        encoding = printable(encoding_of(stream, depth))
+        encoding = printable(stream.encoding(depth))
         problem = f"encoding {encoding!r} is not a {what} image that can be read"
-        raise TopicError(problem, path=path, topic=printable(topic), remedy=f"change {flag}")
+        raise TopicError(problem, path=contents.path, topic=topic, remedy=f"change {flag}")
     return Candidate(topic, (0, 0, 0), f"given by {flag}")
 
 
 def _is_kind(stream: ImageStream, depth: bool) -> bool:
-    image = first_image(stream, depth)
+    image = stream.first_image(depth)
     if stream.kind is Kind.RGBD:
         return True
     if isinstance(image, ImageMessage):
@@ -221,7 +216,7 @@ def _depth_candidate(stream: ImageStream) -> Candidate | None:
         return Candidate(stream.topic, (2, 0, 0), "an RGBD message")
     aligned = _says_aligned(stream.topic)
     rank = (0 if aligned else 1, 0 if named else 1, int(stream.kind is Kind.COMPRESSED))
-    encoding = printable(encoding_of(stream, True))
+    encoding = printable(stream.encoding(True))
     why = "its name says that it is aligned to colour" if aligned else "its encoding is depth's"
     return Candidate(stream.topic, rank, f"{why} ({encoding})")
 
@@ -232,7 +227,7 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
         return Candidate(stream.topic, (3, 0, 0), "an RGBD message")
     if not _is_kind(stream, False) or words & _NOT_COLOR:
         return None
-    encoding = encoding_of(stream, False)
+    encoding = stream.encoding(False)
     named = bool(words & _COLOR_WORDS)
     grey = encoding.lower() in ("mono8", "8uc1")
     tier = 2 if grey else 0 if named else 1
@@ -250,37 +245,39 @@ def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
     return [item for item in candidates if affinity(item.topic, topic) == best]
 
 
-def _require_one(candidates: Sequence[Candidate], what: str, path: str) -> None:
+def _require_one(contents: LogContents, candidates: Sequence[Candidate], what: str) -> None:
     if len(candidates) > 1:
-        names = _listed([item.topic for item in candidates])
+        names = listed([item.topic for item in candidates])
         flag = "--log.color" if what == "colour" else "--log.depth"
         problem = f"several topics can be {what}: {names}"
-        raise TopicError(problem, path=path, remedy=f"choose one with {flag}")
+        raise TopicError(problem, path=contents.path, remedy=f"choose one with {flag}")
 
 
-def _missing(index: LogIndex, what: str, path: str) -> TopicError:
-    if not index.streams and any(name.startswith("/jaxdet/") for name in index.topics):
+def _missing(contents: LogContents, what: str) -> TopicError:
+    if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
         problem, remedy = "an export of jaxdet, without images", "name the log that it was made of"
-        return TopicError(problem, path=path, remedy=remedy)
+        return TopicError(problem, path=contents.path, remedy=remedy)
     names = []
-    for name, info in sorted(index.topics.items(), key=lambda it: (it[0] not in index.streams, it)):
+    topics = sorted(contents.topics.items(), key=lambda it: (it[0] not in contents.streams, it))
+    for name, info in topics:
         kind = "" if info.problem else info.channel.schema_name or "no schema"
-        encoding = encoding_of(index.streams[name], False) if name in index.streams else ""
+        encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
-    listed = f"its topics are {_listed(names)}" if names else "it has no messages"
-    if unread := _unread(index):
-        listed = f"encodings not read: {_listed(unread)}; {listed}"
+    known = f"its topics are {listed(names)}" if names else "it has no messages"
+    if unread := _unread(contents):
+        known = f"encodings not read: {listed(unread)}; {known}"
     remedy = (
         "record colour and depth in encodings that jaxdet help logs names, or name their topics "
         "with --log.color, --log.depth"
     )
     remedy = remedy if names else "copy or record it again"
-    return TopicError(f"no {what} image topic; {listed}", path=path, remedy=remedy)
+    return TopicError(f"no {what} image topic; {known}", path=contents.path, remedy=remedy)
 
 
-def _unread(index: LogIndex) -> list[str]:
+def _unread(contents: LogContents) -> list[str]:
     """Encodings of raw images that are neither colour's nor depth's, each with its topic."""
-    images = {topic: first_image(stream, False) for topic, stream in sorted(index.streams.items())}
+    streams = sorted(contents.streams.items())
+    images = {topic: stream.first_image(False) for topic, stream in streams}
     return [
         f"{image.encoding!a} of {topic}"
         for topic, image in images.items()
@@ -290,11 +287,6 @@ def _unread(index: LogIndex) -> list[str]:
     ]
 
 
-def _listed(names: Sequence[str]) -> str:
-    more = f", and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
-    return ", ".join(printable(name) for name in names[:_MAX_LISTED]) + more
-
-
 def _others(candidates: Sequence[Candidate], chosen: Candidate) -> str:
     names = [item.topic for item in candidates if item.topic != chosen.topic]
-    return f"; goes before {_listed(names)}" if names else ""
+    return f"; goes before {listed(names)}" if names else ""

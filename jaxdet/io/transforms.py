@@ -188,11 +188,13 @@ class TransformTree:
 
     def _edge(self, message: TransformMessage, static: bool) -> _Edge | None:
         """The edge a transform belongs to; None where it contradicts the one there is."""
-        if message.child not in self._edges and len(self._edges) >= MAX_FRAMES_TF:
+        edge = self._edges.get(message.child)
+        if edge is None and len(self._edges) >= MAX_FRAMES_TF:
             text = f"there are more than {MAX_FRAMES_TF} TF frames; the first ones are used"
             self.warnings += [text] if text not in self.warnings else []
             return None
-        edge = self._edges.setdefault(message.child, _Edge(message.parent))
+        if edge is None:
+            edge = self._edges[message.child] = _Edge(message.parent)
         if edge.parent == message.parent:
             return edge
         used = edge.parent

@@ -14,7 +14,6 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import Location, LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.integrity import FileIntegrity
-from jaxdet.io.limits import check_messages
 
 Handler = Callable[[ChannelInfo, int, memoryview, Location], None]
 """Gets channel, log time [ns], payload and location of each message."""
@@ -97,7 +96,7 @@ class Walk:
         """
         self.messages += 1
         self.read[number] += 1
-        check_messages(self.messages, self._file.size, str(self._file.path), self._file.memory)
+        self._file.check_messages(self.messages)
         self.last_ns = max(self.last_ns, log_ns)
         self._handler(info, log_ns, payload, where)
 
@@ -117,14 +116,13 @@ class Walk:
             InputError: The file was changed meanwhile.
         """
         self._file.check_unchanged()
-        plain = {"chunks": 0, "chunks_with_crc": 0, "lost_spans_ns": (), "missing": {}}
         return FileIntegrity(
             path=self._file.path,
             messages=self.messages,
             lost=dict(self.lost),
             lost_bytes=self.lost_bytes,
             last_log_time_ns=self.last_ns,
-            **{**plain, **more},
+            **more,
         )
 
 

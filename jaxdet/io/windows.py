@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD
-from jaxdet.io.index import image_stamps
+from jaxdet.io.chunks import PAYLOAD_OFFSET
+from jaxdet.io.contents import image_stamps
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
@@ -116,9 +116,9 @@ class StreamWindows:
 
     def table(self, numbers: np.ndarray, depth: bool = False) -> FrameTable:
         """Messages of some numbers; of -1 one with a stamp of -1."""
-        messages, head = self.messages, RECORD_HEAD.size + MESSAGE_HEAD.size
+        messages = self.messages
         stamps = (self.depth_stamp if depth else self.stamp)[numbers]
-        columns = messages.position, messages.offset + head, self.size
+        columns = messages.position, messages.offset + PAYLOAD_OFFSET, self.size
         place = np.stack([column[numbers] for column in columns], axis=1)
         stamps = np.where(numbers < 0, -1, stamps)
         of = messages.file[numbers], messages.decoder[numbers]
@@ -136,11 +136,9 @@ class StreamWindows:
                 sorted(zip(places, missing.tolist(), strict=True)), lambda item: item[0]
             )
         }
-        for wave in self.store.waves(parts):
-            self.store.load(wave)
-            for place in wave:
-                for number in parts[place]:
-                    self._read(number)
+        for place in self.store.loaded(parts):
+            for number in parts[place]:
+                self._read(number)
 
     def _read(self, number: int) -> None:
         decoder = self.decoders[self.messages.decoder[number]]
@@ -216,32 +214,22 @@ class _Part:
         return self._stream.messages.chunks(slice(self._first, self._last))
 
 
-class IndexedFrames:
-    """The frames of a log by its index.
+class IndexedFrames(NamedTuple):
+    """The frames of a log by its index."""
 
-    Args:
-        color: The colour stream.
-        depth: The depth stream; the same object for RGBD messages.
-        motions: Transforms and poses.
-        source: Where the poses come from.
-        tolerance_s: The pairing's [s].
-        path: The log's, for errors.
-        calibrations: What must not change; None: not looked at.
-    """
-
-    def __init__(
-        self,
-        color: StreamWindows,
-        depth: StreamWindows,
-        motions: MotionWindows,
-        source: PoseSource,
-        tolerance_s: float,
-        path: str,
-        calibrations: CalibrationWindows | None = None,
-    ) -> None:
-        self.color, self.depth, self.source = color, depth, source
-        self._motions, self._tolerance_s, self._path = motions, tolerance_s, path
-        self._calibrations = calibrations
+    color: StreamWindows
+    depth: StreamWindows
+    """The same object for RGBD messages."""
+    motions: MotionWindows
+    """Transforms and poses."""
+    source: PoseSource
+    """Where the poses come from."""
+    tolerance_s: float
+    """The pairing's [s]."""
+    path: str
+    """The log's, for errors."""
+    calibrations: CalibrationWindows | None = None
+    """What must not change; None: not looked at."""
 
     @property
     def num_frames(self) -> int:
@@ -268,13 +256,6 @@ class IndexedFrames:
         (place,) = self.color.messages.places(slice(number, number + 1))
         return place.position < 0 or self.color.store.head(place).is_plain
 
-    def with_poses(
-        self, source: PoseSource, calibrations: CalibrationWindows | None = None
-    ) -> "IndexedFrames":
-        """The same frames with poses, and with calibrations that must not change."""
-        given = self.color, self.depth, self._motions, source, self._tolerance_s, self._path
-        return IndexedFrames(*given, calibrations)
-
     def stamp_ns(self, number: int) -> int:
         """The stamp of a frame [ns].
 
@@ -299,8 +280,8 @@ class IndexedFrames:
             for part, side in missing:
                 if not part.widen(side):
                     problem = "colour and depth stamps are too far apart"
-                    raise RescanError(problem, path=self._path)
-        pairing = pair(color.stamps_ns, depth.stamps_ns, self._tolerance_s)
+                    raise RescanError(problem, path=self.path)
+        pairing = pair(color.stamps_ns, depth.stamps_ns, self.tolerance_s)
         partner = pairing.depth_of_color[color.wanted]
         messages = np.append(depth.ranked, -1)[partner]
         own, others = self.color.table(color.ranked[color.wanted]), self.depth.table(messages)
@@ -335,9 +316,9 @@ class IndexedFrames:
         log_ns = self.color.messages.log_ns
         begin = int(log_ns[start]) if start else None
         end = int(log_ns[stop]) if stop < len(self.color) else None
-        T, more = self._motions.window(self.source, window.color.stamps_ns, begin, end)
-        if self._calibrations:
-            more = more | self._calibrations.check(begin, end)
+        T, more = self.motions.window(self.source, window.color.stamps_ns, begin, end)
+        if self.calibrations:
+            more = more | self.calibrations.check(begin, end)
         poses = 0 if T is None else int(np.isfinite(T[:, 0, 0]).sum())
         return window._replace(
             T_world_camera=T,
@@ -366,7 +347,7 @@ class IndexedFrames:
     def _reach(self, part: _Part, side: int, edge: int) -> _Reach:
         """Whether frames beyond ``edge`` are known as far as it matters; side 1 is negated."""
         stamps = -part.stamps_ns[::-1] if side else part.stamps_ns
-        limit = edge - round(self._tolerance_s * 1e9)
+        limit = edge - round(self.tolerance_s * 1e9)
         below = stamps[: np.searchsorted(stamps, edge)]
         if not len(below):
             return _Reach(part.is_end(side), edge)

@@ -69,10 +69,8 @@ class Ros2LogWriter:
 
     def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
         self._stream = Path(path).open("wb")  # noqa: SIM115 closed by close()
-        kind = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4}
-        self._writer = McapWriter(
-            self._stream, compression=kind.get(compression, CompressionType.ZSTD)
-        )
+        kind = CompressionType[compression.upper()]
+        self._writer = McapWriter(self._stream, compression=kind)
         self._writer.start(profile="ros2", library="jaxdet")
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}

@@ -8,16 +8,17 @@ MOST_BYTES = 80
 """Of a log's or a camera's name in a file's: file systems take 255 in all."""
 
 
-def file_names(logs: Iterable[str]) -> list[str]:
-    """The logs' names with nothing that a file name should not have, each different."""
-    names: dict[str, None] = {}
+def file_names(logs: Iterable[str]) -> dict[str, str]:
+    """What the files of each log are called: nothing that they shouldn't be, each different."""
+    names, used = dict[str, str](), set[str]()
     for log in logs:
         name = stem = _plain(log).strip(".") or "log"
         number = 2
-        while name in names:
+        while name in used:
             name, number = f"{stem}_{number}", number + 1
-        names[name] = None
-    return list(names)
+        used.add(name)
+        names[log] = name
+    return names
 
 
 def camera_file_name(log: str, camera: str) -> str:

@@ -10,11 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, DamageError
+from jaxdet.io.chunks import PAYLOAD_OFFSET, RECORD_HEAD, DamageError
 from jaxdet.io.container import McapFile
 from jaxdet.io.file_index import ChannelCount, FileIndex, file_index, useful_channels
-from jaxdet.io.limits import check_messages
-from jaxdet.io.summary import FileBytes, Summary, read_summary
+from jaxdet.io.mcap_summary import FileBytes, Summary, read_summary
 
 _HEAD_BYTES = RECORD_HEAD.size + 6
 """Of a message index before its entries: record head, channel, length."""
@@ -68,7 +67,7 @@ def read_mcap_index(file: McapFile) -> FileIndex:
     _check_counts(summary, counts)
     channel, log_ns, chunk, offset = map(np.concatenate, zip(*found, strict=True))
     inside = (log_ns >= chunks.first_ns[chunk]) & (log_ns <= chunks.last_ns[chunk])
-    inside &= offset <= chunks.size[chunk] - RECORD_HEAD.size - MESSAGE_HEAD.size
+    inside &= offset <= chunks.size[chunk] - PAYLOAD_OFFSET
     if not inside.all():
         raise DamageError("message index leaves its chunk")
     place, length = chunks.start + RECORD_HEAD.size, chunks.length - RECORD_HEAD.size
@@ -94,8 +93,7 @@ def _check(file: McapFile, summary: Summary) -> None:
     file.check_size(int(chunks.size.max(initial=0)))
     if (chunks.first_ns > chunks.last_ns).any():
         raise DamageError("chunk ends before it begins")
-    count = int(chunks.index_length.sum()) // _ENTRY_BYTES
-    check_messages(count, file.size, str(file.path), file.memory)
+    file.check_messages(int(chunks.index_length.sum()) // _ENTRY_BYTES)
 
 
 def _check_counts(summary: Summary, counts: dict[int, ChannelCount]) -> None:

@@ -9,10 +9,12 @@ message indexes speak of and the walk did not find is lost, and said.
 """
 
 import struct
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, RECORD_HEAD, ChunkHead, DamageError, chunk_records
@@ -20,7 +22,7 @@ from jaxdet.io.container import MAGIC, Location, McapFile
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.integrity import FileIntegrity
 from jaxdet.io.limits import MAX_ODD_RECORDS
-from jaxdet.io.summary import Summary, read_summary
+from jaxdet.io.mcap_summary import Summary, read_summary
 from jaxdet.io.walk import TORN, FileRecord, Handler, Walk
 
 _TOP_LEVEL = -1
@@ -86,12 +88,12 @@ class _Scan:
                     return
                 yield FileRecord(opcode, content, length)
                 continue
-            offsets = self.summary.chunks.start.tolist() if self.summary else []
-            after = [offset for offset in offsets if offset > start]
-            position, odd = (after[0], 0) if after else (file.size, 0)
+            starts = self.summary.chunks.start if self.summary else np.zeros(0, np.int64)
+            after = starts[np.searchsorted(starts, start, "right") :]
+            position, odd = int(after[0]) if len(after) else file.size, 0
             self.torn.append((start, position))
             yield FileRecord(TORN, start, position - start)
-            if not after:
+            if not len(after):
                 return
 
     def record(self, record: FileRecord, chunk: Future[bytes | memoryview] | None) -> None:
@@ -179,17 +181,17 @@ class _Scan:
             raise DamageError("message record is too short")
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         info = self.infos.get(channel_id) or self._info(channel_id)
+        if info is None:
+            raise DamageError("message of an undeclared channel")
         size = len(content) - MESSAGE_HEAD.size
         location = Location(chunk, offset + MESSAGE_HEAD.size, size)
         payload = content[MESSAGE_HEAD.size :]
         self.walk.give(channel_id, info, min(log_ns, _MAX_TIME_NS), payload, location)
 
-    def _info(self, channel_id: int) -> ChannelInfo:
-        more = self.summary.declared if self.summary else None
-        info = self.declared.info(channel_id, more)
-        if info is None:
-            raise DamageError("message of an undeclared channel")
-        self.infos[channel_id] = info
+    def _info(self, channel_id: int) -> ChannelInfo | None:
+        info = self.declared.info(channel_id, self.summary.declared if self.summary else None)
+        if info is not None:
+            self.infos[channel_id] = info
         return info
 
     def _count_indexed(self, position: int, length: int) -> None:
@@ -208,8 +210,7 @@ class _Scan:
         for number in sorted({*declared, *self.indexed}):
             count = max(declared.get(number, 0), self.indexed[number]) - self.walk.read[number]
             if count > 0:
-                more = self.summary.declared if self.summary else None
-                info = self.infos.get(number) or self.declared.info(number, more)
+                info = self.infos.get(number) or self._info(number)
                 missing[info.topic if info else f"channel {number}"] += count
         return dict(missing)
 
@@ -225,7 +226,8 @@ class _Scan:
             if left[known] >= 0:
                 continue
             self.lost_spans.append((key[0], key[1]))
-            if not any(first <= start < end for first, end in self.torn):
+            place = bisect_right(self.torn, start, key=lambda span: span[0])
+            if not place or start >= self.torn[place - 1][1]:
                 self.walk.lose("chunk of the index isn't there", key[3])
 
 

@@ -1,11 +1,12 @@
-"""One pass over a log: where each image lies, and everything small.
+"""What is in a log, by taking in its messages: where each image lies, and everything small.
 
 An image costs 64 bytes here whatever its size, a transform or a pose 64 bytes; image data are
 never held. So a log of a million images takes about 64 MB.
 """
 
-from collections.abc import Iterable
 from contextlib import suppress
+
+import numpy as np
 
 from jaxdet.errors import FrameError
 from jaxdet.io.container import Location, LogFile
@@ -18,10 +19,8 @@ from jaxdet.io.messages import (
     IMAGE_KINDS,
     CameraInfoMessage,
     CompressedImageMessage,
-    ExtrinsicsMessage,
     ImageMessage,
     Kind,
-    NumberMessage,
     RgbdMessage,
     TransformMessage,
     kind_of,
@@ -63,7 +62,7 @@ class CalibrationTopic:
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
         """The first that is calibrated (K[0] is not 0), else the first of all."""
-        self._of_size: dict[tuple[int, int], CameraInfoMessage] = {}
+        self._of_size: dict[ImageSize, CameraInfoMessage] = {}
         self.changes: list[CalibrationChange] = []
         """In the order of the files."""
         self.last_payload = b""
@@ -76,11 +75,16 @@ class CalibrationTopic:
         if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
             self.first = info
         if values is not None:
-            self._of_size.setdefault((info.width, info.height), info)
+            self._of_size.setdefault(ImageSize(info.width, info.height), info)
 
-    def of_size(self, sizes: Iterable[ImageSize]) -> CameraInfoMessage | None:
-        """The first that is calibrated for one of these sizes; None where none is."""
-        return next((info for size in sizes if (info := self._of_size.get(size))), None)
+    def of(self, size: ImageSize | None) -> CameraInfoMessage | None:
+        """The first that is calibrated for images of this size, else the first."""
+        return (size and self._of_size.get(size)) or self.first
+
+    @property
+    def frame_id(self) -> str:
+        """TF frame of the first; empty where there is none."""
+        return self.first.frame_id if self.first else ""
 
 
 class PoseTrack:
@@ -91,14 +95,20 @@ class PoseTrack:
         self.samples = MotionSamples()
 
 
-class LogIndex:
-    """What one pass over a log's files collects."""
+class LogContents:
+    """What is in a log: what its messages tell, but for the pixels of images.
 
-    def __init__(self) -> None:
+    Args:
+        path: The log's, for errors.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
         self.topics: dict[str, TopicInfo] = {}
         self.streams: dict[str, ImageStream] = {}
         self.calibrations: dict[str, CalibrationTopic] = {}
-        self.extrinsics: dict[str, ExtrinsicsMessage] = {}
+        self.extrinsics: dict[str, np.ndarray] = {}
+        """The first of each topic, ``(4, 4)`` float64."""
         self.depth_units: dict[str, float] = {}
         """What :data:`DEPTH_UNIT_TOPIC` says first [m], by its topic."""
         self.poses: dict[str, PoseTrack] = {}
@@ -106,19 +116,24 @@ class LogIndex:
         self.integrity: list[FileIntegrity] = []
         self.warnings: list[str] = []
 
+    @property
+    def tracks(self) -> dict[str, MotionSamples]:
+        """The samples of each pose topic."""
+        return {name: track.samples for name, track in self.poses.items()}
 
-class IndexBuilder:
+
+class ContentsBuilder:
     """Takes in the messages of one file after the other; ``add`` is a scan's handler.
 
     Args:
-        index: Where they go.
+        contents: Where they go.
         use_tf: Whether transforms are read.
         images: Whether images are recorded and topics counted; off for the sibling files of a
             log, of which only calibration and static transforms are wanted.
     """
 
-    def __init__(self, index: LogIndex, use_tf: bool, images: bool = True) -> None:
-        self.index, self.use_tf, self.images = index, use_tf, images
+    def __init__(self, contents: LogContents, use_tf: bool, images: bool = True) -> None:
+        self.contents, self.use_tf, self.images = contents, use_tf, images
         self.file_number, self.path, self.bytes = -1, "", 0
         self._small_messages = 0
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
@@ -176,7 +191,7 @@ class IndexBuilder:
             topic.why = topic.why or error.problem
 
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
-        topics = self.index.topics
+        topics = self.contents.topics
         if channel.topic not in topics:
             check_topics(len(topics) + 1, self.path)
             topics[channel.topic] = TopicInfo(channel)
@@ -188,7 +203,7 @@ class IndexBuilder:
             try:
                 decoder = MessageDecoder(channel)
             except ValueError as error:
-                self.index.topics[channel.topic].problem = str(error)
+                self.contents.topics[channel.topic].problem = str(error)
         self._decoders[channel] = decoder
         return decoder
 
@@ -200,9 +215,9 @@ class IndexBuilder:
         payload: memoryview,
         location: Location,
     ) -> None:
-        stream = self.index.streams.get(topic)
+        stream = self.contents.streams.get(topic)
         if stream is None:
-            stream = self.index.streams[topic] = ImageStream(topic, decoder.kind)
+            stream = self.contents.streams[topic] = ImageStream(topic, decoder.kind)
         if decoder not in stream.decoders:
             stream.decoders.append(decoder)
         # What can't be decoded stays a frame, at its log time, and fails when it is read.
@@ -221,36 +236,32 @@ class IndexBuilder:
         self, stream: ImageStream, decoder: MessageDecoder, payload: memoryview, log_ns: int
     ) -> tuple[int, int]:
         message = decoder.decode(payload)
-        probe = len(stream.probes) < NUM_PROBES
         if isinstance(message, RgbdMessage):
             color, depth = message.color, message.depth
             for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
-                self._calibration(f"{stream.topic} ({name})", info, log_ns)
-            if probe:
+                self._calibrations(f"{stream.topic} ({name})").add(info, log_ns)
+            if len(stream.probes) < NUM_PROBES:
                 check_pixels(color)
                 check_pixels(depth)
-                bare = message._replace(
-                    color=color._replace(data=b""), depth=depth._replace(data=b"")
-                )
-                stream.probes.append(bare)
+                color, depth = color._replace(data=b""), depth._replace(data=b"")
+                stream.probes.append(message._replace(color=color, depth=depth))
             return color.stamp_ns, depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
-        if probe:
-            if isinstance(message, ImageMessage):
-                check_pixels(message)
-            kept = PROBE_BYTES if isinstance(message, CompressedImageMessage) else 0
-            head = bytes(message.data[:kept])
-            stream.probes.append(message._replace(data=head))
+        if isinstance(message, ImageMessage):
+            check_pixels(message)
+            stream.probes.append(message._replace(data=b""))
+        else:
+            stream.probes.append(message._replace(data=bytes(message.data[:PROBE_BYTES])))
         return message.stamp_ns, message.stamp_ns
 
-    def _calibration(self, topic: str, info: CameraInfoMessage, log_ns: int) -> None:
-        self.index.calibrations.setdefault(topic, CalibrationTopic()).add(info, log_ns)
+    def _calibrations(self, topic: str) -> CalibrationTopic:
+        return self.contents.calibrations.setdefault(topic, CalibrationTopic())
 
     def _small(self, topic: str, decoder: MessageDecoder, payload: memoryview, log_ns: int) -> None:
         self._small_messages += 1
         check_motions(self._small_messages, self.bytes, self.path, topic)
         if decoder.kind is Kind.INFO:
-            known = self.index.calibrations.setdefault(topic, CalibrationTopic())
+            known = self._calibrations(topic)
             rest = decoder.after_stamp(payload)
             if rest != known.last_payload:
                 message = decoder.decode(payload)
@@ -259,27 +270,28 @@ class IndexBuilder:
                 known.last_payload = rest
         elif decoder.kind is Kind.EXTRINSICS:
             message = decoder.decode(payload)
-            assert isinstance(message, ExtrinsicsMessage)
-            self.index.extrinsics.setdefault(topic, message)
+            assert isinstance(message, np.ndarray)
+            self.contents.extrinsics.setdefault(topic, message)
         elif decoder.kind is Kind.NUMBER:
             message = decoder.decode(payload)
-            assert isinstance(message, NumberMessage)
-            self.index.depth_units.setdefault(topic, message.value)
+            assert isinstance(message, float)
+            self.contents.depth_units.setdefault(topic, message)
         else:
             self._motions(topic, decoder, payload)
 
     def _motions(self, topic: str, decoder: MessageDecoder, payload: memoryview) -> None:
-        messages = decoder.decode(payload)
-        assert isinstance(messages, tuple)
-        motions = [item for item in messages if isinstance(item, TransformMessage)]
+        motions = decoder.motions(payload)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 foxglove = decoder.is_foxglove
-                self.index.tree.add(motions, decoder.is_static, once_is_static=foxglove)
+                self.contents.tree.add(motions, decoder.is_static, once_is_static=foxglove)
         elif self.images:
             for item in motions:
-                track = self.index.poses.setdefault(topic, PoseTrack(item))
-                track.samples.add(item.stamp_ns, item.translation, item.rotation)
+                if topic not in self.contents.poses:
+                    self.contents.poses[topic] = PoseTrack(item)
+                self.contents.poses[topic].samples.add(
+                    item.stamp_ns, item.translation, item.rotation
+                )
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:
