@@ -92,7 +92,7 @@ class FakeLog:
     """Ten frames of a floorless scene, some of them bad, 100 ms apart."""
 
     name, base_frame, T_base_camera = "fake", "base_link", None
-    description = SimpleNamespace(warnings=("odd",), cameras_left_out=())
+    description = SimpleNamespace(warnings=("odd",), notes=(), cameras_left_out=())
     num_frames, frames, camera, label = 10, range(10), "cam", "fake"
     image_shapes, index_bytes = ((48, 64, 3), (48, 64)), 2000
     status = (FrameStatus.OK,) * 6 + (FrameStatus.UNPAIRED, FrameStatus.DECODE_ERROR) * 2
@@ -175,7 +175,7 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"
     assert any("5 of 5 frames don't show their floor" in w for w in summary.logs[0].warnings)
-    assert "no map: no frame has a pose" in summary.logs[0].warnings
+    assert summary.logs[0].notes[-1] == "no map: no frame has a pose"
 
 
 def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) -> None:

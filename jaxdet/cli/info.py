@@ -136,6 +136,7 @@ def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[st
     known = "" if about.num_poses is None else f"known for {about.num_poses} frames"
     yield from _section("poses", [about.pose_source, known])
     yield from _section("warnings", [*about.warnings, *planes.warnings])
+    yield from _section("notes", about.notes)
 
 
 def _section(name: str, lines: Sequence[str]) -> Iterator[str]:

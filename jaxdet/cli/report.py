@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 MANY_LOGS = 12
 """With more logs than this each has one line."""
-MOST_WARNINGS = 12
-"""Kinds of warnings listed of many logs."""
+MOST_REMARKS = 12
+"""Warnings, and notes, that are listed of many logs."""
 MOST_NAMED = 3
-"""Logs named of those that have a warning."""
+"""Logs named of those that have one."""
 
 
 def summary_lines(summary: "Summary", output: Path) -> list[str]:
@@ -30,7 +30,10 @@ def summary_lines(summary: "Summary", output: Path) -> list[str]:
             text.append(f"{_label(log)}: {counts[0]} ({_states(log)}), {counts[1]}")
         else:
             text += [_label(log), *(f"  {line}" for line in _log_lines(log))]
-    text += _warnings([log for log in done if not log.error]) if brief else []
+    if brief:
+        whole = [log for log in done if not log.error]
+        text += _remarks("warning", [(log, log.warnings) for log in whole])
+        text += _remarks("note", [(log, log.notes) for log in whole])
     failed = len(summary.failed)
     some = f"{failed} of {many(len(summary.logs), 'log')} failed"
     if failed == len(summary.logs) and not summary.frames:
@@ -65,16 +68,16 @@ def _results_line(summary: "Summary", output: Path) -> str:
     return f"results: {output} ({', '.join(made)})"
 
 
-def _warnings(logs: Sequence["LogSummary"]) -> list[str]:
-    """The warnings of many logs, each once, those of most logs first."""
+def _remarks(kind: str, each: Sequence[tuple["LogSummary", Sequence[str]]]) -> list[str]:
+    """What is remarked of many logs, each remark once, those of most logs first."""
     found: dict[str, list[str]] = {}
-    for log in logs:
-        for warning in dict.fromkeys(log.warnings):
-            found.setdefault(warning, []).append(_label(log))
-    common = sorted(found.items(), key=lambda item: -len(item[1]))[:MOST_WARNINGS]
-    lines = [f"warning    {_named(labels)}: {warning}" for warning, labels in common]
+    for log, remarks in each:
+        for remark in dict.fromkeys(remarks):
+            found.setdefault(remark, []).append(_label(log))
+    common = sorted(found.items(), key=lambda item: -len(item[1]))[:MOST_REMARKS]
+    lines = [f"{kind:<10} {_named(labels)}: {remark}" for remark, labels in common]
     left = len(found) - len(lines)
-    return [*lines, f"warning    {left} more in summary.json"] if left else lines
+    return [*lines, f"{kind:<10} {left} more in summary.json"] if left else lines
 
 
 def _named(labels: Sequence[str]) -> str:
@@ -117,7 +120,8 @@ def _log_lines(log: "LogSummary") -> list[str]:
     if "score" in log.observed:
         text += _score_lines(log.observed["score"], log.frames)
     text += [f"lost       {lost}" for lost in log.lost]
-    return text + [f"warning    {warning}" for warning in log.warnings]
+    text += [f"warning    {warning}" for warning in log.warnings]
+    return text + [f"note       {note}" for note in log.notes]
 
 
 def _floor_text(log: "LogSummary") -> str:

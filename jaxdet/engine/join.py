@@ -77,7 +77,7 @@ def map_files(about: LogSummary, folder: Path) -> dict[str, Path]:
 
 def _write_map(occupancy: OccupancyMap, plan: LogPlan, about: LogSummary, map_bytes: int) -> None:
     if not any(path.size for path in occupancy.path):
-        about.warnings.append("no map: no frame has a pose")
+        about.notes.append("no map: no frame has a pose")
         return
     if occupancy.skipped:
         about.warnings.append(f"{occupancy.skipped} outlines or views have no place on the map")

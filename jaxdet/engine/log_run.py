@@ -217,6 +217,7 @@ class LogRun:
         about, frames = self.about, len(log.frames)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
+        about.notes += log.description.notes
         alone = self._alone(frames)
         share = self._share(log, 1 if alone else self.memory.workers)
         alone = alone or (share.workers == 1 and not self._kept_apart)

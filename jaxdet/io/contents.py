@@ -115,6 +115,8 @@ class LogContents:
         self.tree = TransformTree()
         self.integrity: list[FileIntegrity] = []
         self.warnings: list[str] = []
+        self.notes: list[str] = []
+        """What is worth knowing and as it should be."""
 
     @property
     def tracks(self) -> dict[str, MotionSamples]:

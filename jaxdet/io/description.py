@@ -86,6 +86,8 @@ class LogDescription(NamedTuple):
     integrity: tuple[FileIntegrity, ...]
     """One for each file; its ``text`` is a line."""
     warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    """What is worth knowing and as it should be."""
 
 
 def describe(
@@ -122,6 +124,7 @@ def describe(
         pairing=None,
         integrity=tuple(contents.integrity),
         warnings=tuple(warnings),
+        notes=tuple(contents.notes),
     )
 
 

@@ -114,7 +114,7 @@ def _search_siblings(
         except InputError as error:
             contents.warnings.append(f"{error}; the split is not searched for static transforms")
         if contents.tree.has_static:
-            contents.warnings.append(f"static transforms are taken from the split {path.name}")
+            contents.notes.append(f"static transforms are taken from the split {path.name}")
             return
 
 
@@ -131,7 +131,7 @@ def _note(contents: LogContents, log: LogFiles) -> None:
     unchecked = sum(not integrity.chunks_with_crc for integrity in contents.integrity)
     if unchecked:
         files = f"{unchecked} of {len(contents.integrity)} files"
-        contents.warnings.append(f"integrity not checkable in {files}: they hold no CRC")
+        contents.notes.append(f"integrity not checkable in {files}: they hold no CRC")
     for name, topic in sorted(contents.topics.items()):
         if topic.trouble:
             contents.warnings.append(f"{printable(name)}: {printable(topic.trouble)}")

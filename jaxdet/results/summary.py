@@ -106,6 +106,8 @@ class LogSummary(Counts):
     observed: dict[str, Any] = field(default_factory=dict)
     """What each observer says of the log; ``score`` is the comparison with the truth."""
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What is worth knowing and as it should be."""
     frame_errors: list[str] = field(default_factory=list)
     """The first few frames that could not be used, with the reason."""
     lost: list[str] = field(default_factory=list)

@@ -178,6 +178,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
             if n
         ),
         "warnings": summary["warnings"],
+        "notes": summary.get("notes", []),
         "errors": summary["frame_errors"],
         "map": None,
         "map_file": summary["map"],
@@ -191,7 +192,7 @@ def _failed(entry: Mapping[str, Any]) -> dict[str, Any]:
     nothing |= dict.fromkeys(("per_frame", "per_obstacle", "near_frames", "near_obstacles"))
     counts = dict.fromkeys(("frames", "obstacles", "overflow", "floorless"), 0)
     counts |= {"stride": 1, "status": {}}
-    lines = {"floor": "", "warnings": entry["warnings"], "errors": []}
+    lines = {"floor": "", "warnings": entry["warnings"], "notes": [], "errors": []}
     return {"log": entry["log"], "error": failure(entry), **nothing, **counts, **lines}
 
 

@@ -314,7 +314,7 @@
     $("map-section").hidden = !data.logs.some((l) => l.map);
     if (!some.length) {
       const left = picked().filter((l) => l.map_file).map((l) => `${l.map_file}.png`);
-      add(node, "p", {}, left.length ? `Not one of the maps in this page; the results have it as ${left[0]}.` : "No map, see the warnings.");
+      add(node, "p", {}, left.length ? `Not one of the maps in this page; the results have it as ${left[0]}.` : "No map, see the warnings and notes.");
       return;
     }
     for (const log of some.slice(0, only < 0 ? 4 : 1)) {
@@ -489,12 +489,15 @@
         l.error ? "failed" : (l.frames - (l.status.ok || 0)).toLocaleString("en"), l.obstacles.toLocaleString("en"),
         l.nearest ? metres(l.nearest[0]) : "–", l.overflow.toLocaleString("en"), l.floor]));
     const node = clear($("warnings"));
-    const lines = picked().flatMap((l) => l.warnings.map((w) => (data.logs.length > 1 ? `${l.log}: ${w}` : w)));
-    if (!lines.length) return;
-    const more = add(node, "details", { open: lines.length < 6 || sum((l) => l.floorless) ? "" : null });
-    add(more, "summary", {}, many(lines.length, "warning"));
-    const list = add(more, "ul");
-    for (const text of lines.slice(0, 200)) add(list, "li", {}, text);
+    for (const what of ["warning", "note"]) {
+      const lines = picked().flatMap((l) => l[`${what}s`].map((w) => (data.logs.length > 1 ? `${l.log}: ${w}` : w)));
+      if (!lines.length) continue;
+      const open = what === "warning" && (lines.length < 6 || sum((l) => l.floorless));
+      const more = add(node, "details", { open: open ? "" : null });
+      add(more, "summary", {}, many(lines.length, what));
+      const list = add(more, "ul");
+      for (const text of lines.slice(0, 200)) add(list, "li", {}, text);
+    }
   }
   function drawSettings() {
     const node = $("settings");
