@@ -130,6 +130,23 @@ def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, m
     assert len(looked) <= 4 * len(logs)
 
 
+@pytest.mark.parametrize(
+    ("names", "taken"),
+    [
+        ("x_0.mcap x_0.bag x_1.bag", "x_0.mcap x_1.bag"),
+        ("x_1.bag x_2.mcap", "x_1.bag x_2.mcap"),
+        ("x_0.bag x_1.bag x.mcap", "x.mcap"),
+        ("x.bag x_0.mcap x_1.mcap", "x_0.mcap x_1.mcap"),
+        ("x_0.db3 x_0.bag x.bag", "x_0.db3"),
+    ],
+)
+def test_a_split_is_left_out_where_it_is_there_in_another_format(tmp_path, names, taken):
+    """Not where other splits alone are: it may be half converted, or another recording."""
+    touch(tmp_path, *names.split())
+    found = [path.name for log in find_logs([str(tmp_path)]) for path in log.paths]
+    assert sorted(found) == taken.split()
+
+
 def test_times_and_dates_in_names_are_no_numbers_of_splits(tmp_path):
     """300 s apart by their images, as by their names: with 500 numbers between, they could be."""
     for name, later_s in (("100000", 0), ("100500", 300)):

@@ -281,14 +281,20 @@ def _check_path(path: Path) -> None:
 
 
 def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
-    """The files that are taken of those found, and the others, each with the reason."""
-    formats: dict[tuple[Path, str], set[str]] = {}
+    """The files that are taken of those found, and the others, each with the reason.
+
+    A file is left out where its recording is there in a format that is read rather. A split is not
+    where that has splits of other numbers alone: it may be half converted, or another recording.
+    """
+    known: dict[tuple[Path, str], dict[int, set[str]]] = {}
     for file in found:
-        formats.setdefault(recording_of(file), set()).add(format_of(file))
-    best = {key: min(kinds, key=SUFFIXES.index) for key, kinds in formats.items()}
+        numbers = known.setdefault(recording_of(file), {})
+        numbers.setdefault(_split(file)[1], set()).add(format_of(file))
     taken, left = [], []
     for file in found:
-        suffix = best[recording_of(file)]
+        numbers, number = known[recording_of(file)], _split(file)[1]
+        formats = set().union(*(numbers.values() if number < 0 else (numbers[number],)))
+        suffix = min(formats | numbers.get(-1, set()), key=SUFFIXES.index)
         if format_of(file) == suffix:
             taken.append(file)
         else:
