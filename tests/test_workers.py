@@ -518,7 +518,7 @@ def test_a_temporary_folder_whose_name_is_too_long(sim_logs, tmp_path):
     found = command(sim_logs[:1], tmp_path / "out", temporary)
     assert found.returncode == 1 and not (tmp_path / "out").exists()
     assert found.stderr == (
-        "jaxdet: error: workers can't be started (AF_UNIX path too long); "
+        "jaxdet: error: a: workers can't be started (AF_UNIX path too long); "
         "set TMPDIR to a folder with a short name and room, for instance /tmp\n"
     )
 
