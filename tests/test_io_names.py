@@ -158,6 +158,12 @@ def test_times_and_dates_in_names_are_no_numbers_of_splits(tmp_path):
     assert missing_splits(LogFiles("run", logs[2].paths + logs[4].paths)) == ()
 
 
+def test_numbers_of_splits_may_begin_with_zeros(tmp_path):
+    touch(tmp_path, "run_000000.mcap", "run_000002.mcap", "run_000001.mcap")
+    [log] = find_logs([str(tmp_path)])
+    assert [path.stem for path in log.paths] == [f"run_00000{number}" for number in range(3)]
+
+
 def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
     for number in range(6):
         scene = moved(make_scene(2), (number + 100 * (number > 3)) * 10**9)

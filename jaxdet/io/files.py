@@ -16,8 +16,8 @@ from jaxdet.io.splits import Recording, difference, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5})\.(?i:mcap|db3|bag)")
-"""With more digits it is a time or a date."""
+_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,6})\.(?i:mcap|db3|bag)")
+"""What has more digits, and does not begin with two zeros, is a time or a date."""
 _OTHERS = {
     ".zstd": "run unzstd on it",
     ".zst": "run unzstd on it",
