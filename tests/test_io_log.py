@@ -128,7 +128,7 @@ def test_splits_are_one_log_and_share_static_transforms(tmp_path):
         assert any("missing" in text for text in log.description.warnings)
     with open_log(str(tmp_path / names[1])) as log:
         assert_holds(log, halves[1])
-        assert any("split bag_2.mcap" in text for text in log.description.notes)
+        assert any("split bag_2.mcap" in text for text in log.description.warnings)
 
 
 def test_images_are_decoded_where_the_caller_says(tmp_path):

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import InputError, TopicError
-from jaxdet.io import LogFiles, LogOptions, find_logs, open_log
+from jaxdet.io import LogFiles, LogOptions, files, find_logs, open_log
 from jaxdet.io.files import _unique_names, missing_splits, siblings
-from jaxdet.io.splits import sketch
+from jaxdet.io.splits import Sketch, sketch
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_INFO,
@@ -138,10 +138,23 @@ def test_recordings_that_are_numbered_are_not_all_looked_at_for_each(tmp_path, m
         ("x_0.bag x_1.bag x.mcap", "x.mcap"),
         ("x.bag x_0.mcap x_1.mcap", "x_0.mcap x_1.mcap"),
         ("x_0.db3 x_0.bag x.bag", "x_0.db3"),
+        ("y_0.db3 y_1.db3 y_2.db3 y_5.db3 y_0.mcap", "y_0.mcap y_5.db3"),
     ],
 )
-def test_a_split_is_left_out_where_it_is_there_in_another_format(tmp_path, names, taken):
-    """Not where other splits alone are: it may be half converted, or another recording."""
+def test_a_split_is_left_out_where_it_is_there_in_another_format(
+    tmp_path, monkeypatch, names, taken
+):
+    """Not where others alone are, of other times: half converted, or another recording.
+
+    Split ``n`` is of the second ``n``, the MCAP file ``y_0`` of the first three.
+    """
+
+    def sketched(path: Path) -> Sketch:
+        second = int(path.stem.partition("_")[2] or 0)
+        span = 0 if path.name == "y_0.mcap" else second, 2.9 if path.name == "y_0.mcap" else second
+        return Sketch({}, frozenset(), (int(span[0] * 1e9), int(span[1] * 1e9 + 9e8)), {})
+
+    monkeypatch.setattr(files, "sketch", sketched)
     touch(tmp_path, *names.split())
     found = [path.name for log in find_logs([str(tmp_path)]) for path in log.paths]
     assert sorted(found) == taken.split()
@@ -172,6 +185,33 @@ def test_splits_beside_are_those_that_go_on_where_the_log_ends(tmp_path):
     assert siblings(LogFiles("run", tuple(paths[1:3]))) == (paths[0], paths[3])
     assert siblings(LogFiles("run", tuple(paths[:4]))) == ()
     assert siblings(LogFiles("run", tuple(paths[5:]))) == (paths[4],)
+
+
+@pytest.mark.parametrize(
+    ("own", "spans", "matrices", "beside"),
+    [
+        ([2], [(0, 1), None, (86400, 86401)], "KKK", [1]),
+        ([2], [(0, 1), (1, 2), (2, 3)], "K-L", [1]),
+        ([2, 3], [(0, 1), (10, 11), (8, 9), (12, 13)], "KKKK", [0]),
+        ([0], [(0, 1), (1, 2), (2000, 2001), (2001, 2002)], "KKKK", [1]),
+    ],
+)
+def test_splits_beside_go_with_the_log_and_all_nearer_ones(
+    tmp_path, monkeypatch, own, spans, matrices, beside
+):
+    """Of one without images or calibration that is known of those nearer; a clock is set back."""
+
+    def sketched(path: Path) -> Sketch:
+        number = int(path.stem.partition("_")[2])
+        span = spans[number] and tuple(second * 10**9 for second in spans[number])
+        known = {} if matrices[number] == "-" else {"info": (matrices[number],)}
+        return Sketch({}, frozenset(), span, known)
+
+    monkeypatch.setattr(files, "sketch", sketched)
+    paths = [tmp_path / f"x_{number}.mcap" for number in range(len(spans))]
+    touch(tmp_path, *(path.name for path in paths))
+    log = LogFiles("x", tuple(paths[number] for number in own))
+    assert siblings(log) == tuple(paths[number] for number in beside)
 
 
 def test_no_name_is_not_this_folder(tmp_path, monkeypatch):

@@ -5,18 +5,18 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
+from itertools import chain, islice, pairwise
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.image_folder import BESIDE, image_folders, stamp_note
-from jaxdet.io.splits import Recording, difference, recordings, sketch
+from jaxdet.io.splits import Recording, Sketch, difference, gap, joined, recordings, sketch
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
-_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,6})\.(?i:mcap|db3|bag)")
+_SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)")
 """What has more digits, and does not begin with two zeros, is a time or a date."""
 _OTHERS = {
     ".zstd": "run unzstd on it",
@@ -36,7 +36,7 @@ version, and nowhere has it the camera's calibration."""
 EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
-_MAX_LISTED = 4
+_MAX_LISTED, _MAX_MISSING = 4, 1000
 
 
 class LogFiles(NamedTuple):
@@ -127,11 +127,12 @@ def place_of(path: Path) -> Path:
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
-    """The numbers lacking between the first and the last split of a log."""
+    """The numbers lacking between the first and the last split of a log, the first ones."""
     numbers = {_split(path)[1] for path in log.paths}
     if len(log.paths) < 2 or -1 in numbers:
         return ()
-    return tuple(sorted(set(range(min(numbers), max(numbers))) - numbers))
+    gaps = (range(one + 1, other) for one, other in pairwise(sorted(numbers)))
+    return tuple(islice(chain.from_iterable(gaps), _MAX_MISSING))
 
 
 def siblings(log: LogFiles) -> tuple[Path, ...]:
@@ -146,23 +147,31 @@ def siblings(log: LogFiles) -> tuple[Path, ...]:
     named = begin.parent.glob(f"{glob.escape(stem)}_*{begin.suffix}")
     splits = [path for path in sorted(named, key=_order) if _split(path)[0] == stem]
     before = [path for path in splits if _split(path)[1] < first]
-    after = splits[len(before) :]
-    return (*reversed([*_going_on(log, before[::-1])]), *_going_on(log, after))
+    after = [path for path in splits[len(before) :] if path.resolve() != begin.resolve()]
+    if not (before or after):
+        return ()
+    own = sketch(begin)
+    return (*reversed([*_going_on(log, own, before[::-1])]), *_going_on(log, own, after))
 
 
-def _going_on(log: LogFiles, splits: Iterable[Path]) -> Iterator[Path]:
-    """Splits beside a log's files, farther and farther, while each goes with the one before."""
-    own, near, known = {path.resolve() for path in log.paths}, log.paths[0], cache(sketch)
+def _going_on(log: LogFiles, known: Sketch | None, splits: Iterable[Path]) -> Iterator[Path]:
+    """Splits beside a log's files, farther and farther, that go with all nearer ones.
+
+    What does not go with them is passed over; but where it is too far in time, so is the rest.
+    """
+    own, near = {path.resolve() for path in log.paths}, _split(log.paths[0])[1]
     for path in splits:
-        if path.resolve() in own:
-            near = path
-            continue
-        steps = _split(path)[1] - _split(near)[1]
-        earlier, later = (near, path) if steps > 0 else (path, near)
-        if difference(known(earlier), known(later), abs(steps)):
-            return
-        yield path
-        near = path if known(path) else near
+        number, found = _split(path)[1], sketch(path)
+        if path.resolve() not in own:
+            steps = number - near
+            pair = (known, found) if steps > 0 else (found, known)
+            if gap(*pair, abs(steps)):
+                return
+            if difference(*pair, abs(steps)):
+                continue
+            yield path
+        known = joined(known, found)
+        near = number if found and found.span_ns else near
 
 
 def _seen(text: str) -> list[Path]:
@@ -284,7 +293,8 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     """The files that are taken of those found, and the others, each with the reason.
 
     A file is left out where its recording is there in a format that is read rather. A split is not
-    where that has splits of other numbers alone: it may be half converted, or another recording.
+    where that has other numbers alone, and images of other times: it may be half converted, or
+    another recording.
     """
     known: dict[tuple[Path, str], dict[int, set[str]]] = {}
     for file in found:
@@ -296,10 +306,24 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
         formats = set().union(*(numbers.values() if number < 0 else (numbers[number],)))
         suffix = min(formats | numbers.get(-1, set()), key=SUFFIXES.index)
         if format_of(file) == suffix:
-            taken.append(file)
-        else:
-            left.append((file, f"its recording is there as {suffix}"))
+            suffix = min(set().union(*numbers.values()), key=SUFFIXES.index)
+            same = recording_of(file), suffix
+            others = [one for one in found if (recording_of(one), format_of(one)) == same]
+            if format_of(file) == suffix or not _has_times_of(file, others):
+                taken.append(file)
+                continue
+        left.append((file, f"its recording is there as {suffix}"))
     return taken, left
+
+
+def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
+    """Whether the images of a file are of the times of those of others, or that can't be told."""
+    known = sketch(file)
+    spans = [one.span_ns for one in map(sketch, others) if one and one.span_ns]
+    if known is None or known.span_ns is None or not spans:
+        return True
+    first, last = zip(*spans, strict=True)
+    return known.span_ns[0] < max(last) and known.span_ns[1] > min(first)
 
 
 def recording_of(path: Path) -> tuple[Path, str]:

@@ -162,9 +162,10 @@ class ImageFolder(MessageFile):
                 file.seek(max(0, start - len(item.head)))
                 whole = all(file.readinto(part) == len(part) for part in left)
         except OSError as error:
-            raise DamageError(f"{item.path.name} can't be read ({error.strerror})") from error
+            name = os.path.relpath(item.path, self.path)
+            raise DamageError(f"{name} can't be read ({error.strerror})") from error
         if not whole:
-            raise DamageError(f"{item.path.name} ends early")
+            raise DamageError(f"{os.path.relpath(item.path, self.path)} ends early")
 
 
 def read_folder_index(folder: ImageFolder) -> FileIndex:

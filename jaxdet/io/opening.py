@@ -114,7 +114,7 @@ def _search_siblings(
         except InputError as error:
             contents.warnings.append(f"{error}; the split is not searched for static transforms")
         if contents.tree.has_static:
-            contents.notes.append(f"static transforms are taken from the split {path.name}")
+            contents.warnings.append(f"static transforms are taken from the split {path.name}")
             return
 
 

@@ -24,6 +24,8 @@ _MAX_OVERLAP_NS = 1_000_000_000
 """Images of two splits may overlap by this: a recorder has several queues."""
 _MAX_GAP_NS = 60_000_000_000
 """Longest pause between the images of a split and of the next."""
+_MOST_STEPS = 10
+"""Where more splits lack, the pause may be no longer: their numbers may be times."""
 
 
 class Sketch(NamedTuple):
@@ -78,6 +80,10 @@ def difference(first: Sketch | None, second: Sketch | None, steps: int) -> str:
     """
     if first is None or second is None:
         return ""
+    return _other_kind(first, second) or _overlap(first, second) or gap(first, second, steps)
+
+
+def _other_kind(first: Sketch, second: Sketch) -> str:
     for topic in sorted(first.schemas.keys() & second.schemas.keys()):
         if first.schemas[topic] != second.schemas[topic]:
             return f"{topic} has another schema"
@@ -87,14 +93,32 @@ def difference(first: Sketch | None, second: Sketch | None, steps: int) -> str:
             return f"{topic} has another calibration"
     if first.images and second.images and not first.images & second.images:
         return "they have no image topic in common"
-    if first.span_ns and second.span_ns:
-        pause = second.span_ns[0] - first.span_ns[1]
+    return ""
+
+
+def _overlap(first: Sketch, second: Sketch) -> str:
+    spans = first.span_ns, second.span_ns
+    if spans[0] and spans[1] and spans[1][0] - spans[0][1] < -_MAX_OVERLAP_NS:
+        return "their images overlap in time or are in the wrong order"
+    return ""
+
+
+def gap(first: Sketch | None, second: Sketch | None, steps: int) -> str:
+    """Whether two files can't be of one recording for the time between them, as a text."""
+    if first and second and first.span_ns and second.span_ns:
+        pause, steps = second.span_ns[0] - first.span_ns[1], min(steps, _MOST_STEPS)
         longest = max(last - begin for begin, last in (first.span_ns, second.span_ns))
-        if pause < -_MAX_OVERLAP_NS:
-            return "their images overlap in time or are in the wrong order"
         if pause > steps * _MAX_GAP_NS + 4 * (steps - 1) * longest:
             return f"there are {pause / 1e9:.0f} s between them"
     return ""
+
+
+def joined(first: Sketch | None, second: Sketch | None) -> Sketch | None:
+    """What is known of a recording after another file of it, ``second``."""
+    if first is None or second is None:
+        return second or first
+    schemas, calibrations = first.schemas | second.schemas, first.calibrations | second.calibrations
+    return Sketch(schemas, second.images, second.span_ns or first.span_ns, calibrations)
 
 
 class Recording(NamedTuple):
@@ -122,8 +146,6 @@ def recordings(files: Iterable[tuple[int, Path]]) -> list[Recording]:
                 about.append(f"{names} are different recordings: {why}")
         found[-1].append(path)
         if now:
-            known = before[1] if before[1] and not why else now
-            merged = known.schemas | now.schemas, known.calibrations | now.calibrations
-            before = number, Sketch(merged[0], now.images, now.span_ns or known.span_ns, merged[1])
+            before = number, joined(None if why else before[1], now)
     both = zip(found, notes, strict=True)
     return [Recording(tuple(paths), "; ".join(about)) for paths, about in both]
