@@ -13,7 +13,7 @@ from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands, repo
 from jaxdet.cli.report import MANY_LOGS, ground_text, summary_lines
 from jaxdet.cli.tell import tell
 from jaxdet.engine import GroundRecord, LogSummary, Progress
-from jaxdet.results.summary import Summary
+from jaxdet.results.summary import Summary, failure
 
 
 def about(workers: int, devices: int, **busy_s: float) -> LogSummary:
@@ -116,3 +116,19 @@ def test_a_floor_that_frames_show_but_the_log_has_not_is_not_unknown() -> None:
 )
 def test_rates(rate: float, shown: str) -> None:
     assert _thousands(rate) == shown
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        ("/d/drive.mcap: torn", "/d/drive.mcap: torn"),
+        ("/d/images/depth/1.png: torn", "/d/images/depth/1.png: torn"),
+        ("/a/drive.mcap: the truth is of others", "d/drive: /a/drive.mcap: the truth is of others"),
+        ("d/drive: KeyError: x", "d/drive: KeyError: x"),
+        ("d/drive, frames 0 to 9: odd", "d/drive, frames 0 to 9: odd"),
+        ("workers can't be started", "d/drive: workers can't be started"),
+    ],
+)
+def test_a_failure_names_its_log(error: str, said: str) -> None:
+    paths = ["/d/drive.mcap", "/d/images"]
+    assert failure({"log": "d/drive", "paths": paths, "error": error}) == said

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -305,9 +306,12 @@ def failure(log: Mapping[str, Any]) -> str:
     Args:
         log: Its entry in ``summary.json``.
     """
-    error, own = log["error"], {log["log"], *(Path(path).name for path in log["paths"])}
-    about = Path(error.partition(": ")[0])
-    return error if own & {*about.parts, about.stem} else f"{log['log']}: {error}"
+    error, name = log["error"], log["log"]
+    about = os.path.abspath(error.partition(": ")[0])
+    own = (os.path.abspath(path) for path in log["paths"])
+    if any(about == path or about.startswith(os.path.join(path, "")) for path in own):
+        return error
+    return error if error.startswith((f"{name}: ", f"{name}, ")) else f"{name}: {error}"
 
 
 def _good(log: Mapping[str, Any]) -> int:

@@ -148,7 +148,7 @@ def _fitted(
     first, last = time[np.append(0, ends[:-1] + 1)][track], time[ends][track]
     inner = np.minimum(reach_s / 2, (last - first) / 2)
     middle = np.clip(time, first + inner, last - inner)
-    reach = _reached(track, time, middle, reach_s)
+    lonely = _are_lonely(track, time, middle, reach_s)
     n = weight.copy()
     st, stt = np.zeros(len(track)), np.zeros(len(track))
     sv, stv = np.zeros_like(values), np.zeros_like(values)
@@ -157,7 +157,8 @@ def _fitted(
             here = np.s_[step:] if sign < 0 else np.s_[:-step]
             there = np.s_[:-step] if sign < 0 else np.s_[step:]
             t = time[there] - time[here]
-            near = np.abs(time[there] - middle[here]) <= reach[here]
+            near = np.abs(time[there] - middle[here]) <= reach_s
+            near |= lonely[here] & (step == 1)
             near &= track[there] == track[here]
             if not near.any():
                 break
@@ -174,13 +175,12 @@ def _fitted(
     return values + mean_v - slope * mean_t[:, None], slope
 
 
-def _reached(track: np.ndarray, time: np.ndarray, middle: np.ndarray, reach_s: float) -> np.ndarray:
-    """How far each line reaches, ``(P,)`` [s].
-
-    That is ``reach_s``; where no other point is so near, as far as both that are next to it.
-    """
+def _are_lonely(
+    track: np.ndarray, time: np.ndarray, middle: np.ndarray, reach_s: float
+) -> np.ndarray:
+    """``(P,)`` bool, whether a line reaches no other point of the track within ``reach_s``."""
     apart = np.full((2, len(track)), np.nan)
     same = track[1:] == track[:-1]
     apart[0, 1:][same] = np.abs(time[:-1] - middle[1:])[same]
     apart[1, :-1][same] = np.abs(time[1:] - middle[:-1])[same]
-    return np.where(np.fmin(*apart) > reach_s, np.fmax(*apart), reach_s)
+    return np.fmin(*apart) > reach_s
