@@ -157,10 +157,11 @@ def test_lost_frames_are_a_problem_of_the_run():
     assert problems({"logs": [log]}) == [lost]
 
 
-def test_a_problem_names_its_log():
+def test_a_problem_names_its_log(monkeypatch):
     """Also where the error is about another file, as of a truth that is not the log's."""
+    monkeypatch.chdir("/")
     log = {"log": "day", "paths": ["/logs/day_0.mcap"], "error": "logs/day_0.mcap: is torn"}
-    folder = {"log": "room", "paths": ["/logs/room"], "error": "room/rgb/1.png: is torn"}
+    folder = {"log": "room", "paths": ["/logs/room"], "error": "logs/room/rgb/1.png: is torn"}
     truth = {"log": "b", "paths": ["/logs/b.mcap"], "error": "a.mcap: the truth is of others"}
     found = problems({"logs": [log, folder, truth]})
     assert found == [log["error"], folder["error"], f"b: {truth['error']}"]
