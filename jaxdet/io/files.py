@@ -296,23 +296,20 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     where that has other numbers alone, and images of other times: it may be half converted, or
     another recording.
     """
-    known: dict[tuple[Path, str], dict[int, set[str]]] = {}
+    known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
     for file in found:
-        numbers = known.setdefault(recording_of(file), {})
-        numbers.setdefault(_split(file)[1], set()).add(format_of(file))
+        known.setdefault(recording_of(file), {}).setdefault(format_of(file), []).append(file)
     taken, left = [], []
     for file in found:
-        numbers, number = known[recording_of(file)], _split(file)[1]
-        formats = set().union(*(numbers.values() if number < 0 else (numbers[number],)))
-        suffix = min(formats | numbers.get(-1, set()), key=SUFFIXES.index)
-        if format_of(file) == suffix:
-            suffix = min(set().union(*numbers.values()), key=SUFFIXES.index)
-            same = recording_of(file), suffix
-            others = [one for one in found if (recording_of(one), format_of(one)) == same]
-            if format_of(file) == suffix or not _has_times_of(file, others):
-                taken.append(file)
-                continue
-        left.append((file, f"its recording is there as {suffix}"))
+        formats, number = known[recording_of(file)], _split(file)[1]
+        rather = SUFFIXES[: SUFFIXES.index(format_of(file))]
+        better = [one for kind in rather for one in formats.get(kind, ())]
+        same = [one for one in better if number < 0 or _split(one)[1] in (number, -1)]
+        if better and (same or _has_times_of(file, formats[format_of(better[0])])):
+            suffix = format_of((same or better)[0])
+            left.append((file, f"its recording is there as {suffix}"))
+        else:
+            taken.append(file)
     return taken, left
 
 

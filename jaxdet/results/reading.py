@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.io.files import SUFFIXES
+from jaxdet.io.image_folder import COLOR_TOPIC
 from jaxdet.io.options import LogOptions
 from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
@@ -32,8 +33,6 @@ CHUNK_FRAMES = 1024
 TRACKS, LINKS = "tracks", "track_links"
 """Tables that ``jaxdet track`` adds."""
 
-_FOLDER_COLOR = "/camera/color/image"
-"""What the reader calls the colour images of a folder of images."""
 _AGAIN = "run jaxdet run again, or name another folder"
 
 
@@ -80,7 +79,7 @@ class ResultLog(NamedTuple):
     @property
     def _is_image_folder(self) -> bool:
         known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
-        return not known and self.topic("color") == _FOLDER_COLOR
+        return not known and self.topic("color") == COLOR_TOPIC
 
     def topic(self, role: str) -> str:
         """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
