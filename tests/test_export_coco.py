@@ -1,5 +1,7 @@
 """The training set: read by pycocotools, its masks beside the boxes of the table and the truth."""
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +11,20 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet import engine, preset
+from jaxdet.cli import main
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.export import export
 from jaxdet.export.coco import run_lengths
-from jaxdet.export.recordings import find
+from jaxdet.export.recordings import Seen, find, look_again
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.results.masks import label_image
-from jaxdet.results.reading import Results
+from jaxdet.results.reading import ResultLog, Results
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import CellLabels, Cells, Intrinsics
 from tests.camera_logs import join_cameras
+from tests.export_results import sim_log
 from tests.made_results import make_results
 
 # pycocotools' own arrays don't know NumPy 2's copy.
@@ -124,6 +128,37 @@ def test_other_log_and_no_log(drive: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone.mcap: the log isn't where it was.*with --log"):
         coco_of(gone, tmp_path / "set")
     assert not (tmp_path / "set").exists()
+
+
+def test_a_log_that_is_gone_or_torn_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others are written, and what is missing is said; logs that are given must be right."""
+    logs = [sim_log(tmp_path / f"{name}.mcap", frames=2, seed=3) for name in "abc"]
+    folder, output = tmp_path / "out", tmp_path / "set"
+    how = RunOptions(folder, pictures=0)
+    engine.run(find_logs([str(log) for log in logs]), Config(), LogOptions(), how)
+    logs[0].rename(tmp_path / "moved.mcap")
+
+    def torn(results: Results, log: ResultLog, *given: Any, **how: Any) -> Iterator[Seen]:
+        yield from look_again(results, log, *given, **how)
+        if log.name == "b":
+            raise InputError("is torn", path=str(logs[1]))
+
+    monkeypatch.setattr("jaxdet.export.coco.look_again", torn)
+    assert main(["export", str(folder), "--to", "coco", "--output", str(output)]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith(f"jaxdet: warning: a is left out: {logs[0]}: the log isn't where")
+    assert said[1] == f"jaxdet: warning: b is left out: {logs[1]}: is torn"
+    told = json.loads((output / "annotations.json").read_text("utf-8"))
+    assert [f"jaxdet: warning: {line}" for line in told["info"]["left_out"]] == said[:2]
+    assert [image["log"] for image in told["images"]] == ["c", "c"] and told["annotations"]
+    for entries in (told["images"], told["annotations"]):
+        assert [entry["id"] for entry in entries] == [*range(1, 1 + len(entries))]
+    kept = {image["file_name"] for image in told["images"]}
+    assert {f"images/{path.name}" for path in (output / "images").iterdir()} == kept
+    with pytest.raises(InputError, match="is torn"):
+        coco_of(folder, tmp_path / "given", str(logs[1]), str(logs[2]))
 
 
 def test_clusters_of_points_have_no_masks(tmp_path: Path) -> None:

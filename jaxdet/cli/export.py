@@ -22,6 +22,9 @@ Examples:
   jaxdet export results --to html --output report.html
 """
 
+MOST_LINES = 12
+"""That are said of what is left out."""
+
 
 @dataclass(frozen=True)
 class ExportCommand:
@@ -55,7 +58,10 @@ def main(args: list[str]) -> int:
 
         with Results(command.results) as results:
             recordings = find(results, command.log)
-            export(results, command.to, command.output, recordings)
+            left_out = export(results, command.to, command.output, recordings)
+    more = len(left_out) - MOST_LINES
+    for line in left_out[:MOST_LINES] + ([f"and {more} more logs"] if more > 0 else []):
+        tell(f"jaxdet: warning: {line}")
     tell(f"written: {command.output}")
     tell(f"to see it: {FORMATS[command.to].seen(command.output)}")
     return 0

@@ -2,7 +2,8 @@
 
 A module ``NAME`` has ``export(results, output, recordings)``, which writes the file or folder
 ``output``, that is not there yet, and may raise a :class:`jaxdet.errors.JaxdetError`.
-``recordings`` are the logs given with ``--log``, by their names in the results.
+``recordings`` are the logs given with ``--log``, by their names in the results. It returns lines
+about what is left out, or nothing.
 """
 
 import shlex
@@ -80,7 +81,9 @@ FORMATS = {
 }
 
 
-def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "LogFiles"]) -> None:
+def export(
+    results: "Results", to: str, output: Path, recordings: Mapping[str, "LogFiles"]
+) -> list[str]:
     """Writes results in another format; whole, or nothing.
 
     Args:
@@ -88,6 +91,9 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
         to: One of :data:`FORMATS`.
         output: File or folder to write, see :class:`Format`.
         recordings: Logs of the results by name, see :func:`jaxdet.export.recordings.find`.
+
+    Returns:
+        Lines about what the format shows and is left out, as its log is gone.
 
     Raises:
         ConfigError: The output is there already, a package is missing, or the format shows nothing
@@ -106,7 +112,7 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
         remedy = "give another --output, or remove it"
         raise ConfigError("is there already", path=str(output), remedy=remedy)
     try:
-        write: Callable[..., None] = import_module(f"jaxdet.export.{to}").export
+        write: Callable[..., list[str] | None] = import_module(f"jaxdet.export.{to}").export
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("jaxdet"):
             raise
@@ -123,9 +129,10 @@ def export(results: "Results", to: str, output: Path, recordings: Mapping[str, "
         raise InputError(reason, path=str(output.parent)) from error
     try:
         with writing(output):
-            write(results, staging / "output", recordings)
+            left_out = write(results, staging / "output", recordings)
         if output.is_dir():
             output.rmdir()
         (staging / "output").rename(output)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+    return left_out or []

@@ -9,7 +9,7 @@ from typing import IO, Any
 import cv2
 import numpy as np
 
-from jaxdet.errors import ConfigError, FrameStatus
+from jaxdet.errors import ConfigError, FrameStatus, JaxdetError
 from jaxdet.export.recordings import Seen, look_again, recorded
 from jaxdet.io import LogFiles
 from jaxdet.results.masks import label_image
@@ -20,8 +20,11 @@ QUALITY = 95
 CATEGORY = {"id": 1, "name": "obstacle", "supercategory": "obstacle"}
 
 
-def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
     """Writes a folder with ``images/`` and ``annotations.json``.
+
+    A log that was not given and can't be read where the run found it is left out; ``info`` in
+    ``annotations.json`` has a line for each.
 
     Frames without a result are left out, as it isn't known what they show; ``info`` in
     ``annotations.json`` counts them. Masks are found again in the logs; frames whose obstacles are
@@ -33,9 +36,12 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         output: The folder.
         recordings: Logs of the results; others are read where the run found them.
 
+    Returns:
+        A line for each log that is left out.
+
     Raises:
         ConfigError: The results are clusters of points, which have no masks.
-        InputError: A log isn't there or isn't that of the results.
+        InputError: A log that was given isn't that of the results, or none can be read.
     """
     if results.method.cluster.points:
         raise ConfigError(
@@ -44,12 +50,24 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
             remedy="run jaxdet run with another preset than paper",
         )
     (output / "images").mkdir(parents=True)
+    failed: dict[str, JaxdetError] = {}
     with _Annotations(output) as annotations:
         for log in results.logs:
-            files = recordings.get(log.name) or recorded(log)
-            for seen in look_again(results, log, files, with_cells=True):
-                _add(annotations, log, seen)
-        annotations.finish(results)
+            annotations.begin()
+            try:
+                files = recordings.get(log.name) or recorded(log)
+                for seen in look_again(results, log, files, with_cells=True):
+                    _add(annotations, log, seen)
+            except JaxdetError as error:
+                if log.name in recordings or len(results.logs) == 1:
+                    raise
+                annotations.take_back()
+                failed[log.label] = error
+        if failed and len(failed) == len(results.logs):
+            raise next(iter(failed.values()))
+        left_out = [f"{label} is left out: {error}" for label, error in failed.items()]
+        annotations.finish(results, left_out)
+    return left_out
 
 
 def _add(annotations: "_Annotations", log: ResultLog, seen: Seen) -> None:
@@ -59,7 +77,7 @@ def _add(annotations: "_Annotations", log: ResultLog, seen: Seen) -> None:
     assert seen.found.cells is not None
     for b, row in enumerate(rows):
         if row["status"] != FrameStatus.OK:
-            annotations.left_out += 1
+            annotations.lost += 1
             continue
         labels = label_image(seen.found.cells, b, frames.calibration.color)
         name = f"images/{log.file_name}_{row['frame']:06d}.jpg"
@@ -71,8 +89,9 @@ class _Annotations:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.images, self.objects, self.left_out = 0, 0, 0
+        self.images, self.objects, self.lost = 0, 0, 0
         self._images, self._objects = _Lines(), _Lines()
+        self.begin()
 
     def __enter__(self) -> "_Annotations":
         return self
@@ -80,6 +99,21 @@ class _Annotations:
     def __exit__(self, *_: object) -> None:
         self._images.file.close()
         self._objects.file.close()
+
+    def begin(self) -> None:
+        """Begins a log."""
+        self._before = self.images, self.objects, self.lost
+        self._names: list[str] = []
+        self._images.mark()
+        self._objects.mark()
+
+    def take_back(self) -> None:
+        """Takes back what was added of the log."""
+        self.images, self.objects, self.lost = self._before
+        for name in self._names:
+            (self.folder / name).unlink()
+        self._images.take_back()
+        self._objects.take_back()
 
     def add(
         self,
@@ -91,6 +125,7 @@ class _Annotations:
     ) -> None:
         """Adds a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
         encoded = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+        self._names.append(name)
         (self.folder / name).write_bytes(encoded.tobytes())
         self.images += 1
         height, width = labels.shape
@@ -102,12 +137,13 @@ class _Annotations:
             place = {"id": self.objects, "image_id": self.images, "category_id": CATEGORY["id"]}
             self._objects.add({**place, **_annotation(obstacle, labels)})
 
-    def finish(self, results: Results) -> None:
-        """Joins the parts."""
+    def finish(self, results: Results, left_out: Sequence[str]) -> None:
+        """Joins the parts; ``left_out`` has a line for each log that is not in them."""
         info = {
             "description": "obstacles found by jaxdet",
             "version": results.version,
-            "frames_without_result": self.left_out,
+            "frames_without_result": self.lost,
+            "left_out": left_out,
         }
         head = {"info": info, "licenses": [], "categories": [CATEGORY]}
         with (self.folder / "annotations.json").open("w", encoding="utf-8") as file:
@@ -124,6 +160,14 @@ class _Lines:
 
     def __init__(self) -> None:
         self.file: IO[str] = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
+
+    def mark(self) -> None:
+        self._mark = self.file.tell()
+
+    def take_back(self) -> None:
+        """Forgets what was added since the mark."""
+        self.file.seek(self._mark)
+        self.file.truncate()
 
     def add(self, value: Mapping[str, Any]) -> None:
         self.file.write(json.dumps(value, ensure_ascii=False, allow_nan=False) + "\n")

@@ -46,7 +46,7 @@ DIGITS = 6
 """Of metres: what float32 holds, so that rounding for the eye gives what pictures say."""
 
 
-def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"]) -> None:
+def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"]) -> list[str]:
     """Writes the report.
 
     The frames of a long log are put into a few hundred bins, of which the nearest obstacle is
@@ -58,6 +58,9 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         output: The file.
         recordings: Where logs of the results are; the others are looked for where the run found
             them. The frames in the gallery that have no picture are drawn from them.
+
+    Returns:
+        A line for each log of which some can't be drawn.
     """
     figures = collect(results, results.method.ground.max_depth_m)
     pictures = {
@@ -99,6 +102,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     title = f"Obstacles in {results.logs[0].name}" if len(entries) == 1 and results.logs else ""
     title = title or f"Obstacles in {len(entries)} logs"
     output.write_text(page(title, data), encoding="utf-8")
+    return [f"no pictures of some frames: {reason}" for reason in undrawn]
 
 
 def _draw(
