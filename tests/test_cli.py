@@ -402,10 +402,10 @@ def test_a_comparison_says_how_many_frames_it_is_of(
     assert "truth      compared in none of 2 frames\n" in capfd.readouterr().out
 
 
-def test_the_truth_of_another_log_is_refused(
+def test_the_truth_of_another_log_gives_no_score(
     sim_log: Path, tmp_path: Path, capfd: Captured
 ) -> None:
-    """Its stamps and sizes are those of the log, its obstacles are not."""
+    """Its stamps and sizes are those of the log, its obstacles are not. The results stay."""
     other = tmp_path / "other.mcap"
     write_log(other, SimConfig(scene="corridor", frames=2, width=160, height=120))
     args = ["--output", str(tmp_path / "out"), "--backend", "reference", "--pictures", "0"]
@@ -413,7 +413,21 @@ def test_the_truth_of_another_log_is_refused(
     said = (
         "other.mcap: the truth has other obstacles than the log's depth shows; give the log's own"
     )
-    assert said in capfd.readouterr().err
+    out, err = capfd.readouterr()
+    assert f"truth      not compared: {tmp_path}/{said}" in out and "2 frames" in out
+    assert f"jaxdet: error: sim: no score: {tmp_path}/{said}" in err
+    [told] = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))["logs"]
+    assert told["error"] is None and told["frames"] == 2 and said in told["score"]["error"]
+    assert main(["verify", str(tmp_path / "out"), "--sample", "0"]) == 0
+
+
+def test_a_truth_that_is_not_there_is_said_before_the_run(
+    sim_log: Path, tmp_path: Path, capfd: Captured
+) -> None:
+    command = ["run", str(sim_log), "--output", str(tmp_path / "out"), "--truth", "nothing.mcap"]
+    assert main(command) == 1
+    assert "nothing.mcap.truth.npz: no truth can be read" in capfd.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")

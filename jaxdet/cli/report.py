@@ -146,6 +146,8 @@ def _score_lines(score: Mapping[str, Any] | None, frames: int) -> list[str]:
     """The comparison with the truth, with the number of frames where it is not of all."""
     if score is None:
         return [f"truth      compared in none of {many(frames, 'frame')}"]
+    if "error" in score:
+        return [f"truth      not compared: {score['error']}"]
     compared = "" if score["frames"] == frames else f"in {score['frames']} of {frames} frames "
     others = f", {score['ignored']} not counted" if score["ignored"] else ""
     return [

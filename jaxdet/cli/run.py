@@ -114,6 +114,7 @@ def _run(command: RunCommand) -> int:
         from jaxdet.cli.truth import TruthScore  # which loads the simulator
 
         observers["score"] = TruthScore(command.truth, command.method)
+        observers["score"].check()
     silent = command.quiet or command.json
     if command.run.backend == "jax" and not silent and (text := first_time(cache_folders())):
         _say(text)

@@ -40,12 +40,11 @@ errors it is at most 0.06 in a log's own scene, and in nine of ten others 0.21 o
 class TruthScore:
     """Compares the frames whose stamps the truth knows; a :class:`jaxdet.engine.Observer`.
 
+    A log that the truth contradicts has no score, but why; its results stay.
+
     Args:
         path: The simulated log, or the truth file beside it.
         config: Its depth range says which obstacles are asked for.
-
-    Raises:
-        InputError: By each call: there is no truth, or it can't be read.
     """
 
     def __init__(self, path: Path, config: Config) -> None:
@@ -61,8 +60,22 @@ class TruthScore:
             footprint=config.footprint,
         )
 
-    def __call__(self, batch: "Batch", found: Detections) -> Tally:
-        """Compares a batch, ``found`` as NumPy arrays."""
+    def check(self) -> None:
+        """Reads all of the truth but its images.
+
+        Raises:
+            InputError: There is none, or it can't be read.
+        """
+        load_truth(self._log)
+
+    def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
+        """Compares a batch, ``found`` as NumPy arrays; a text says why it can't be compared."""
+        try:
+            return self._compare(batch, found)
+        except InputError as error:
+            return str(error)
+
+    def _compare(self, batch: "Batch", found: Detections) -> Tally:
         truth, frames = self._truth, batch.frames
         numbers = [self._number.get(stamp, -1) for stamp in frames.stamp_ns.tolist()]
         known = np.array(numbers) >= 0
@@ -117,8 +130,11 @@ class TruthScore:
         floor_m = measured_floor(floor_m, depth_m, z_m, self.config)
         return claimed_floor(found, floor_m, unit, self.config, valid)
 
-    def summary(self, tallies: Sequence[Tally]) -> dict[str, Any] | None:
-        """The figures for the summary; None when no frame was compared."""
+    def summary(self, seen: Sequence[Tally | str]) -> dict[str, Any] | None:
+        """The figures for the summary, or only why there are none; None: no frame is compared."""
+        tallies = [one for one in seen if isinstance(one, Tally)]
+        if len(tallies) < len(seen):
+            return {"error": next(one for one in seen if isinstance(one, str))}
         figures = score(tallies) if tallies else None
         return figures.to_dict() if figures and figures.tally.frames else None
 

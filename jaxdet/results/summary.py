@@ -291,6 +291,8 @@ def problems(told: Mapping[str, Any]) -> list[str]:
     whole = [log for log in told["logs"] if not log["error"]]
     found = [failure(log) for log in told["logs"] if log["error"]]
     found += [_unusable(log) for log in whole if log["frames"] and not _good(log)]
+    scores = [(log["log"], log.get("score") or {}) for log in whole]
+    found += [f"{log}: no score: {score['error']}" for log, score in scores if "error" in score]
     left = {log["log"]: log["cameras_left_out"] for log in whole if log["cameras_left_out"]}
     found += [
         f"{log}: left out: camera {', camera '.join(names)}, see the warning; "
@@ -301,7 +303,7 @@ def problems(told: Mapping[str, Any]) -> list[str]:
 
 
 def failure(log: Mapping[str, Any]) -> str:
-    """Why a log failed, with its name where the error is about another file: the truth's.
+    """Why a log failed, with its name where the error is not about one of its files.
 
     Args:
         log: Its entry in ``summary.json``.
