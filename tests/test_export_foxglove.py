@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from scipy.spatial.transform import Rotation, Slerp
@@ -191,6 +192,24 @@ def test_a_folder_of_images_has_no_tf_of_its_own(tmp_path: Path) -> None:
         edge = edges[row["world_frame"], f"{row['camera_frame']}_jaxdet"]
         place = edge.translation.x, edge.translation.y, edge.translation.z
         np.testing.assert_allclose(place, row["camera_position_world"], atol=1e-6)
+
+
+def test_a_log_is_no_folder_of_images_by_its_topics(driven_log: Path, tmp_path: Path) -> None:
+    """A file without a suffix may call its colour images as those of folders are called."""
+    log = tmp_path / "drive"
+    with driven_log.open("rb") as old, log.open("wb") as new:
+        writer = Writer(new)
+        writer.start()
+        for schema, channel, message in make_reader(old).iter_messages():
+            assert schema is not None
+            topic = channel.topic.replace("/camera/camera/", "/camera/").replace("_raw", "")
+            form = writer.register_schema(schema.name, schema.encoding, schema.data)
+            to = writer.register_channel(topic, channel.message_encoding, form)
+            writer.add_message(to, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    with Results(run(log, tmp_path / "results")) as results:
+        assert results.logs[0].topic("color") == "/camera/color/image"
+        assert results.logs[0].poses_from_tf
 
 
 def test_the_floor_frame_is_where_the_table_says(driven_results: Path, tmp_path: Path) -> None:

@@ -59,6 +59,8 @@ class LogDescription(NamedTuple):
 
     name: str
     paths: tuple[str, ...]
+    is_folder: bool
+    """Whether it is a folder of images."""
     camera: str
     """The camera's name."""
     cameras: tuple[str, ...]
@@ -108,6 +110,7 @@ def describe(
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
+        is_folder=files.paths[0].is_dir(),
         camera=found.choice.camera,
         cameras=found.cameras.lines,
         cameras_left_out=tuple(map(printable, found.cameras.incomplete)),

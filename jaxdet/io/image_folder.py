@@ -54,10 +54,8 @@ _FIRST_S = 1
 _MAX_TEXT_BYTES = 64 << 20
 _NUMBER = re.compile(r"(\d+)\D*$")
 _FRAME = "camera_color_optical_frame"
-COLOR_TOPIC = "/camera/color/image"
-"""What the colour images are called."""
 _TYPES = {
-    COLOR_TOPIC: "sensor_msgs/CompressedImage",
+    "/camera/color/image": "sensor_msgs/CompressedImage",
     "/camera/depth_registered/image": "sensor_msgs/CompressedImage",
     "/camera/color/camera_info": "sensor_msgs/CameraInfo",
     "/camera/depth_registered/option/Depth Units/value": "std_msgs/Float32",

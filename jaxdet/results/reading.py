@@ -17,8 +17,6 @@ import pyarrow.parquet as pq
 
 from jaxdet.config import Config
 from jaxdet.errors import InputError
-from jaxdet.io.files import SUFFIXES
-from jaxdet.io.image_folder import COLOR_TOPIC
 from jaxdet.io.options import LogOptions
 from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
@@ -73,13 +71,8 @@ class ResultLog(NamedTuple):
 
         Those of a folder of images are made of ``groundtruth.txt``: no other program sees any.
         """
-        source = (self.summary["description"] or {}).get("pose_source", "")
-        return source.startswith("poses: TF") and not self._is_image_folder
-
-    @property
-    def _is_image_folder(self) -> bool:
-        known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
-        return not known and self.topic("color") == COLOR_TOPIC
+        about = self.summary["description"] or {}
+        return about.get("pose_source", "").startswith("poses: TF") and not about.get("is_folder")
 
     def topic(self, role: str) -> str:
         """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
