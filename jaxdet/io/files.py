@@ -17,7 +17,11 @@ from jaxdet.io.splits import Recording, Sketch, difference, gap, joined, recordi
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Of the files that are read; of one recording in several formats the first is taken."""
 _SPLIT = re.compile(r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)")
-"""What has more digits, and does not begin with two zeros, is a time or a date."""
+"""What has more digits, and does not begin with two zeros, is a time or a date, but for
+:data:`_LATE` ones."""
+_LATE = re.compile(r"(?P<stem>.+)_(?P<number>(?!00)\d{6})\.(?i:mcap|db3|bag)")
+"""Splits too, where the one of :data:`_BEFORE_LATE` is there, which is no time of day."""
+_BEFORE_LATE = "009999"
 _OTHERS = {
     ".zstd": "run unzstd on it",
     ".zst": "run unzstd on it",
@@ -362,8 +366,16 @@ def _within(path: Path) -> Iterable[Path]:
 
 def _split(path: Path) -> tuple[str, int]:
     """What the splits of a recording share of their names, and the number; -1: it is none."""
-    match = _SPLIT.fullmatch(path.name)
+    match = _SPLIT.fullmatch(path.name) or _late_split(path)
     return (match["stem"], int(match["number"])) if match else (path.stem, -1)
+
+
+def _late_split(path: Path) -> re.Match[str] | None:
+    match = _LATE.fullmatch(path.name)
+    if match is None:
+        return None
+    before = path.with_name(f"{match['stem']}_{_BEFORE_LATE}{path.suffix}")
+    return match if os.path.exists(before) else None
 
 
 def _order(path: Path) -> tuple[str, str, int, str]:
