@@ -86,9 +86,12 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
         chosen += found
         said |= {path.resolve(): note for path, note in notes.items()}
     paths = _once(chosen)
+
+    def note_of(place: Path) -> str:
+        return said.get(paths[place].target, "")
+
     groups: dict[tuple[Path, str, str], list[Path]] = {}
-    for path in sorted(paths, key=_order):
-        stem, number = _split(path)
+    for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
         key = path.parent, path.name if number < 0 else stem, path.suffix
         groups.setdefault(key, []).append(path)
     stems, members = [], []
@@ -106,28 +109,53 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     return [
         LogFiles(
             name,
-            tuple(paths[path] for path in part.paths),
-            "; ".join(filter(None, [part.note, *(said.get(p.resolve(), "") for p in part.paths)])),
+            tuple(paths[path].path for path in part.paths),
+            "; ".join(filter(None, [part.note, *map(note_of, part.paths)])),
         )
         for name, part in zip(names, members, strict=True)
     ]
 
 
-def _once(found: Iterable[Path]) -> dict[Path, Path]:
+class _Named(NamedTuple):
+    """A file or folder that was named."""
+
+    place: Path
+    """See :func:`place_of`."""
+    target: Path
+    """The same, a link's own name followed as well."""
+    path: Path
+    """As it was named."""
+
+
+def _once(found: Iterable[Path]) -> dict[Path, _Named]:
     """Each file once, by its place; one that is named by links as well, by its own name.
 
     Links of files are not followed for names: caches of data sets link to files named by a hash.
     """
-    names = sorted(((place_of(path), path) for path in found), reverse=True)
-    own: dict[Path, tuple[Path, Path]] = {}
-    for place, path in sorted(names, key=lambda item: item[0] == item[0].resolve()):
-        own[place.resolve()] = place, path
-    return dict(own.values())
+    folders: dict[Path, Path] = {}
+    named = []
+    for path in found:
+        place = _place(path, folders)
+        named.append(_Named(place, place.resolve() if place.is_symlink() else place, path))
+    named.sort(key=lambda one: (one.place, one.path), reverse=True)
+    named.sort(key=lambda one: one.place == one.target)
+    own = {one.target: one for one in named}
+    return {one.place: one for one in own.values()}
 
 
 def place_of(path: Path) -> Path:
     """Where a file is, however it is named; its own name stays, also where that is a link's."""
-    return path.resolve() if path.is_dir() else path.parent.resolve() / path.name
+    return _place(path, {})
+
+
+def _place(path: Path, folders: dict[Path, Path]) -> Path:
+    """The same, where folders have been looked up already."""
+    if path.is_dir():
+        return path.resolve()
+    parent = path.parent
+    if parent not in folders:
+        folders[parent] = parent.resolve()
+    return folders[parent] / path.name
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
@@ -301,13 +329,14 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     another recording.
     """
     known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
-    for file in found:
-        known.setdefault(recording_of(file), {}).setdefault(format_of(file), []).append(file)
+    of = [known.setdefault(recording_of(file), {}) for file in found]
+    for file, formats in zip(found, of, strict=True):
+        formats.setdefault(format_of(file), []).append(file)
     taken, left = [], []
-    for file in found:
-        formats, number = known[recording_of(file)], _split(file)[1]
+    for file, formats in zip(found, of, strict=True):
         rather = SUFFIXES[: SUFFIXES.index(format_of(file))]
         better = [one for kind in rather for one in formats.get(kind, ())]
+        number = _split(file)[1] if better else -1
         same = [one for one in better if number < 0 or _split(one)[1] in (number, -1)]
         if better and (same or _has_times_of(file, formats[format_of(better[0])])):
             suffix = format_of((same or better)[0])
