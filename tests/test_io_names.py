@@ -58,6 +58,15 @@ def test_splits_are_ordered_by_number_and_names_are_unique(tmp_path):
     assert again == logs
 
 
+def test_folders_whose_names_say_nothing_are_called_by_the_folders_they_are_in(tmp_path):
+    for name in ("attic/data", "hall/run7/data", "hall/run8", "loft/Frames"):
+        touch(tmp_path, *(f"{name}/{kind}/000001.png" for kind in ("rgb", "depth")))
+    touch(tmp_path, "data.mcap")
+    names = [log.name for log in find_logs([str(tmp_path)])]
+    assert names == ["data", "attic/data", "run8", "run7/data", "loft/Frames"]
+    assert [log.name for log in find_logs([str(tmp_path / "attic" / "data")])] == ["attic/data"]
+
+
 def test_many_logs_get_their_names_at_once(tmp_path):
     """Whoever counts each name in all of them takes minutes."""
     stems = [tmp_path / f"drive_{number // 4}" / f"run_{number % 4}" for number in range(60_000)]

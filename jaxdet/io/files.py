@@ -4,7 +4,7 @@ import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from itertools import chain, islice, pairwise
 from os import PathLike
 from pathlib import Path
@@ -40,6 +40,8 @@ version, and nowhere has it the camera's calibration."""
 EXPORTED = ".jaxdet.mcap"
 """How files for Foxglove and ROS 2 are named that jaxdet exports, for beside the log. The name says
 so, as their headers are those of any writer."""
+VAGUE = ("data", "dataset", "frames", "images", "recording", "rgbd")
+"""What folders of images are called that are told apart by the folders they are in."""
 _MAX_LISTED, _MAX_MISSING = 4, 1000
 
 
@@ -61,12 +63,12 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     them speaks against it (:mod:`jaxdet.io.splits`); every other ``.mcap`` file is a log called by
     its stem. So are ``.db3`` and ``.bag`` files; of a recording that a folder holds in several of
     these formats one is taken, MCAP first. A folder of colour and depth images
-    (:mod:`jaxdet.io.image_folder`) is a log called by its name, but where a recording lies in it
-    or beside it, whose images they are. So is a folder that can't be listed, which fails when it is
-    opened. Exports of jaxdet are left out, unless they are
-    named themselves. Names are made printable. Equal names get as many parent folders put before
-    them as it takes. A file named twice counts once; the order is by path and does not depend on
-    the order of ``inputs``.
+    (:mod:`jaxdet.io.image_folder`) is a log called by its name, but where a recording lies in it or
+    beside it, whose images they are. So is a folder that can't be listed, which fails when it is
+    opened. Exports of jaxdet are left out, unless they are named themselves. Names are made
+    printable. Equal names get as many parent folders put before them as it takes, and :data:`VAGUE`
+    ones of folders of images one. A file named twice counts once; the order is by path and does not
+    depend on the order of ``inputs``.
 
     Raises:
         InputError: An input doesn't exist or holds nothing that is read.
@@ -105,7 +107,7 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
             alone_name = first if first.is_dir() else first.with_suffix("")
             stems.append(alone_name if alone else first.with_name(stem))
         members += parts
-    names = _unique_names(stems)
+    names = _unique_names(stems, {stem for stem in stems if _is_vague(stem)})
     return [
         LogFiles(
             name,
@@ -411,8 +413,13 @@ def _order(path: Path) -> tuple[str, str, int, str]:
     return (str(path.parent), *_split(path), path.name)
 
 
-def _unique_names(stems: Sequence[Path]) -> list[str]:
-    names = [printable(stem.name) for stem in stems]
+def _is_vague(stem: Path) -> bool:
+    """Whether a log's name says nothing and its folder's may."""
+    return stem.name.lower() in VAGUE and bool(stem.parent.name) and stem.is_dir()
+
+
+def _unique_names(stems: Sequence[Path], vague: Container[Path] = ()) -> list[str]:
+    names = [printable("/".join(stem.parts[-2:]) if stem in vague else stem.name) for stem in stems]
     for depth in range(2, 1 + max((len(stem.parts) for stem in stems), default=0)):
         counts = Counter(names)
         if len(counts) == len(names):
