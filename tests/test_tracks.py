@@ -333,6 +333,19 @@ def test_visitors_of_many_windows():
     assert of == [[0] * (f % 30 < 2) + [1] * (f < 12) for f in range(180)]
 
 
+@pytest.mark.parametrize("seen", [(19,), (18, 20), (17, 19)])
+def test_who_comes_back_at_the_end_of_a_window_is_the_same(seen):
+    """Whether it is seen once in that window or more often."""
+    frames, expected = [], []
+    for f in range(60):
+        there = f < 8 or f in seen or f > 21
+        frames.append([corners_of(0, 2), *[corners_of(3, 2 + f / RATE_HZ)] * there])
+        expected.append([0, *[1] * there])
+    tracks, of = follow(frames, window=20)
+    assert of == expected and len(tracks) == 2
+    assert tracks[1].frames == sum(map(len, frames)) - 60
+
+
 def test_a_standing_camera_keeps_little_in_memory():
     """What is kept of things that stand in sight, and of those that come and go, has a bound."""
     config, tracker = TrackConfig(), Tracker(TrackConfig())
@@ -380,6 +393,14 @@ def test_frames_that_are_seconds_apart(rate_hz):
     np.testing.assert_allclose(walks.speed, 1, atol=0.01)
     np.testing.assert_allclose(walks.path[:, 1], np.arange(12) / rate_hz - 3, atol=0.01)
     assert walks.moving and not stands.moving
+
+
+def test_who_is_hidden_where_frames_are_far_apart_goes_on_walking():
+    """For four frames, 2.2 s: who stood still would be far from there."""
+    frames = [[corners_of(4, f / 1.8 - 4)] * (not 5 < f < 9) for f in range(15)]
+    [walker], _ = follow(frames, rate_hz=1.8)
+    assert walker.frames == 12 and walker.moving
+    np.testing.assert_allclose(walker.path[:, 1], np.arange(15) / 1.8 - 4, atol=0.05)
 
 
 def test_a_glimpse_is_no_track():

@@ -11,7 +11,8 @@ from jaxdet.tracks.pairs import chain_starts, choose, pairs_of_frames, ranges
 from jaxdet.tracks.things import Things
 
 FIT_S = 0.5
-"""The velocity at an end of a tracklet is fitted over so much time [s]."""
+"""The velocity at an end of a tracklet is fitted over so much time, and at least to the next
+sighting [s]."""
 _STEADY_S = 0.1
 """Fits over less time than this are drawn to standing still [s]."""
 _STRETCH = 0.1
@@ -123,13 +124,23 @@ def tracklets_of(things: Things, before: np.ndarray) -> Tracklets:
     length = np.bincount(chain, minlength=count)
     center = things.outline.center + unseen(things, chain, count)
     fits = []
-    for at in (start, end):
+    for at, step in ((start, 1), (end, -1)):
         t = (things.stamp_ns - things.stamp_ns[at][chain]) * 1e-9
         chosen = np.abs(t) <= FIT_S
+        chosen[_next(chain, at, step)] = True
         shift = center - center[at][chain]
         fits.append(_slopes(chain[chosen], t[chosen], shift[chosen], count))
     places = np.stack([center[start], center[end]], axis=1)
     return Tracklets(start, end, length, np.stack(fits, axis=1), places)
+
+
+def _next(chain: np.ndarray, at: np.ndarray, step: int) -> np.ndarray:
+    """Rows of the sightings ``step`` after those ``at`` in their chains, of chains with more."""
+    order = np.argsort(chain, kind="stable")
+    place = np.empty(len(chain), np.int64)
+    place[order] = np.arange(len(chain))
+    found = order[np.clip(place[at] + step, 0, len(chain) - 1)]
+    return found[chain[found] == chain[at]]
 
 
 def _slopes(group: np.ndarray, t: np.ndarray, xy: np.ndarray, count: int) -> np.ndarray:
@@ -146,7 +157,11 @@ def _slopes(group: np.ndarray, t: np.ndarray, xy: np.ndarray, count: int) -> np.
 
 
 def link_tracklets(
-    things: Things, before: np.ndarray, first: int, config: TrackConfig
+    things: Things,
+    before: np.ndarray,
+    first: int,
+    config: TrackConfig,
+    late: np.ndarray | None = None,
 ) -> np.ndarray:
     """Second pass: links the starts of tracklets to ends, where each expects the other.
 
@@ -155,13 +170,16 @@ def link_tracklets(
         before: ``(N,)`` int64, as the first pass left it.
         first: Tracklets that start from here on are linked.
         config: The longest gap.
+        late: Things before that, at which tracklets are linked as well.
 
     Returns:
         ``before`` with those links.
     """
     track = tracklets_of(things, before)
     long = track.length > 1
-    starts = np.flatnonzero(long & (track.start >= first))
+    wanted = np.arange(len(before)) >= first
+    wanted[[] if late is None else late] = True
+    starts = np.flatnonzero(long & wanted[track.start])
     ends = np.flatnonzero(long)
     ends = ends[np.argsort(things.stamp_ns[track.end[ends]], kind="stable")]
     stamp = things.stamp_ns[track.end[ends]]

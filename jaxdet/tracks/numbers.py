@@ -43,6 +43,13 @@ class Numbers:
         self._rows.append(obstacles)
         self._number()
 
+    def join(self, chain: int, earlier: int) -> None:
+        """Makes a chain without a number, and all its sightings, part of an earlier one."""
+        self._open.remove(chain)
+        self._seen[earlier] += self._seen.pop(chain)
+        for rows in self._rows:
+            rows[rows == chain] = earlier
+
     def is_track(self, chain: int) -> bool:
         """Whether a chain has enough sightings."""
         return self._seen[chain] >= self.least

@@ -61,6 +61,7 @@ class Tracker:
             seen: ``N`` obstacles; their ``frame`` counts the frames from the log's first, 0.
             size: ``(N,)``, the obstacles' cells in the image.
         """
+        late = self._glimpsed()
         self.frames = np.concatenate([self.frames, frames])
         self.stamps = np.concatenate([self.stamps, stamps])
         things, thing = whole_things(seen, size, self.config)
@@ -70,15 +71,28 @@ class Tracker:
         before = np.concatenate([self.before, np.full(new, -1)])
         before = link_frames(self.things, before, first, self.config)
         before = end_pieces(self.things, before, first, self.config)
-        self.before = link_tracklets(self.things, before, first, self.config)
+        self.before = link_tracklets(self.things, before, first, self.config, late)
         chain = np.concatenate([self.chain, self.count + np.arange(new)])
         self.chain = chain[chain_starts(self.before)]
+        for row in late[self.before[late] >= 0].tolist():
+            self.numbers.join(int(chain[row]), int(self.chain[row]))
         self.count += new
         own = self.chain[first:]
         self.numbers.add(own, own[thing])
         if len(stamps):
             self._close(int(stamps[-1]) - round(self.config.max_gap_s * 1e9))
             self._fold()
+
+    def _glimpsed(self) -> np.ndarray:
+        """Rows of things that were seen once, so late that more may come of them."""
+        if self.things is None:
+            return np.zeros(0, np.int64)
+        _, row, count = np.unique(self.chain, return_index=True, return_counts=True)
+        end = self.start + len(self.frames)
+        late = self.things.frame[row] >= end - self.config.max_gap_frames
+        rows = row[(count == 1) & late]
+        tracks = [self.numbers.is_track(chain) for chain in self.chain[rows].tolist()]
+        return rows[~np.array(tracks, bool)]
 
     def finish(self) -> None:
         """Ends the log: what is taken after this is the rest."""
