@@ -67,6 +67,8 @@ def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
             assert log["nearest"] == [pytest.approx(near.min(), abs=1e-3), near.idxmin()]
     assert data["logs"][3]["error"] and not data["logs"][3]["bins"]
     assert data["near"] == [1.0, 0.5]
+    farthest = max(distance or 0 for log in data["logs"][:3] for distance in log["bins"]["nearest"])
+    assert 5 < farthest <= data["reach"] == 6  # farther than depth is used, at the side
     assert data["settings"] == [["ground.max_depth_m", "5.0", "4.0"]]
 
 

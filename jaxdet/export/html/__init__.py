@@ -1,6 +1,7 @@
 """``--to html``: a report in one file that any browser shows, without a network."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,7 +89,7 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
         "about": about(results.version, frames, [entry["begin"] or 0.0 for entry in entries]),
         "logs": entries,
         "frames": list(shown.values()),
-        "range": results.method.ground.max_depth_m,
+        "reach": _reach(figures, shown.values()),
         "width": figures[0].width_m if figures else 1.0,
         "near": NEAR_M,
         "reasons": REASONS,
@@ -103,6 +104,16 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     title = title or f"Obstacles in {len(entries)} logs"
     output.write_text(page(title, data), encoding="utf-8")
     return [f"no pictures of some frames: {reason}" for reason in undrawn]
+
+
+def _reach(figures: Sequence[LogFigures], shown: Iterable[Mapping[str, Any]]) -> int:
+    """How far the timelines go [m]: one scale for all logs, as far as what is drawn in them.
+
+    That may be farther than depth is used, as distances to the side are.
+    """
+    drawn = [distance for one in figures for distance in one.timeline.nearest_m.tolist()]
+    drawn += [frame["nearest"] for frame in shown if frame["nearest"] is not None]
+    return math.ceil(max(filter(math.isfinite, [1.0, *drawn])))
 
 
 def _draw(

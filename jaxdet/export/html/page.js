@@ -124,9 +124,7 @@
   }, true);
 
   const byFrame = new Map(data.frames.map((f, i) => [`${f.log} ${f.frame}`, i]));
-  // One scale for all logs, as far as anything was found.
-  const far = data.logs.reduce((m, l) => (l.bins ? l.bins.nearest.reduce((a, d) => Math.max(a, d || 0), m) : m), 0);
-  const reach = Math.max(1, Math.min(data.range, Math.ceil(far)));
+  const { reach } = data;
   const TICKS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200];
   const STEP = 10; // timelines drawn at first, and with each press of the button
   let drawn = STEP;
@@ -163,7 +161,7 @@
     const least = log.nearest ? `nearest ${metres(log.nearest[0])} in frame ${log.nearest[1]}` : "no obstacle";
     const svg = add(box, "svg", { viewBox: `0 0 ${W} ${H}`, tabindex: "0", role: "application", "aria-roledescription": "timeline",
       "aria-label": `Distance to the nearest obstacle in ${log.log}: ${many(log.frames, "frame")}, ${least}. Arrow keys move, Enter opens a frame.` });
-    const steps = reach > 12 ? 4 : reach > 4 ? 2 : reach > 2 ? 1 : 0.5;
+    const steps = reach > 60 ? 20 : reach > 24 ? 10 : reach > 12 ? 4 : reach > 4 ? 2 : reach > 2 ? 1 : 0.5;
     for (let d = 0; d <= reach + 1e-9; d += steps) {
       add(svg, "line", { class: "rule", x1: left, x2: right, y1: y(d), y2: y(d) });
       add(svg, "text", { x: left - 6, y: y(d) + 4, "text-anchor": "end" }, `${d} m`);
