@@ -1,6 +1,7 @@
 """The sidecar for Foxglove, read by MCAP's own library, and its transforms resolved."""
 
 import json
+import shutil
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,14 @@ from mcap_protobuf.decoder import DecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from scipy.spatial.transform import Rotation, Slerp
 
+from jaxdet import engine
+from jaxdet.config import Config
+from jaxdet.engine import RunOptions
 from jaxdet.export import export
 from jaxdet.export.grid import FREE, OCCUPIED, last_grid
-from jaxdet.io import LogOptions
+from jaxdet.io import LogOptions, find_logs
 from jaxdet.results.reading import Frame, Results
+from tests.camera_logs import join_cameras
 from tests.export_results import run
 from tests.test_io_image_folder import GIVEN, STAMPS, write_tum
 
@@ -271,6 +276,22 @@ def test_the_layout_shows_what_is_there(
     scene, image = panels["3D!jaxdet"], panels["Image!jaxdet"]["imageMode"]
     assert set(scene["topics"]) | set(image["annotations"]) <= set(topics)
     assert image["imageTopic"] in messages(driven_log) and scene["followTf"] == "odom"
+
+
+def test_logs_with_other_topics_have_layouts_of_their_own(driven_log: Path, tmp_path: Path) -> None:
+    logs = [tmp_path / f"{name}.mcap" for name in ("a", "b", "c")]
+    for log in logs[:2]:
+        shutil.copy(driven_log, log)
+    join_cameras({"rear": driven_log}, logs[2])
+    how = RunOptions(tmp_path / "results", backend="reference", pictures=0)
+    engine.run(find_logs([str(log) for log in logs]), Config(), LogOptions(), how)
+    with Results(tmp_path / "results") as results:
+        export(results, "foxglove", tmp_path / "out", {})
+    names = {path.name for path in (tmp_path / "out").glob("*.json")}
+    assert names == {"layout.json", "c.layout.json"}
+    for name, log in (("layout.json", logs[0]), ("c.layout.json", logs[2])):
+        panels = json.loads((tmp_path / "out" / name).read_text())["configById"]
+        assert panels["Image!jaxdet"]["imageMode"]["imageTopic"] in messages(log)
 
 
 def test_a_recording_without_poses(aims_results: Path, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ class Format(NamedTuple):
 
 FORMATS = {
     "foxglove": Format(
-        "a folder: an MCAP file to open beside each log, and a layout",
+        "a folder: an MCAP file to open beside each log, and layouts",
         "drag {}/LOG.jaxdet.mcap and the log into Foxglove, and import {}/layout.json",
     ),
     "ros2": Format(

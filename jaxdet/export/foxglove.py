@@ -1,4 +1,4 @@
-"""Scenes for Foxglove: an MCAP file to open beside each log, and a layout.
+"""Scenes for Foxglove: an MCAP file to open beside each log, and layouts.
 
 Obstacles are in the frame of the colour camera,
 the map is in the world's, and a transform adds the camera's floor frame, which is x right,
@@ -41,7 +41,6 @@ from mcap_protobuf.writer import Writer
 
 from jaxdet.export.grid import FREE, OCCUPIED, Grid
 from jaxdet.export.shapes import (
-    FRAME_COLUMNS,
     Row,
     T_camera_floor,
     T_world_camera,
@@ -84,21 +83,38 @@ _CELL_FIELDS = ("red", "green", "blue", "alpha")
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
     """Writes ``LOG.jaxdet.mcap`` of each log and ``layout.json`` into a folder.
 
+    A log that needs another layout, as its topics or frames are called otherwise, has
+    ``LOG.layout.json``.
+
     Args:
         results: What a run wrote.
         output: The folder.
         recordings: Not used.
     """
+    cameras: dict[str, list[tuple[ResultLog, str]]] = {}
     for log, path in sidecars(results, output):
         with path.open("wb") as stream, Writer(stream) as writer:
-            _write_log(writer, results, log)
-    text = json.dumps(layout(results), indent=2, ensure_ascii=False)
-    (output / "layout.json").write_text(text + "\n", encoding="utf-8")
+            follow = _write_log(writer, results, log)
+        cameras.setdefault(log.name, []).append((log, follow))
+    common = layout(next(iter(cameras.values()), []))
+    _write_layout(output / "layout.json", common)
+    for each in cameras.values():
+        own, name = layout(each), each[0][0].file_name.partition("@")[0]
+        if own != common:
+            _write_layout(output / f"{name}.layout.json", own)
 
 
-def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
+def _write_layout(path: Path, content: Mapping[str, Any]) -> None:
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _write_log(writer: Writer, results: Results, log: ResultLog) -> str:
+    """Writes the messages; returns what the view follows: the world, or the camera's floor."""
+    follow = ""
     for sequence, moment in enumerate(moments(results, log)):
         frame, at = moment.frame, moment.log_time_ns
+        follow = follow or frame.row["world_frame"] or floor_name(frame.row)
         messages = {
             TF: tf_message(frame.row["stamp_ns"], moment.transforms),
             SCENE: scene(frame),
@@ -108,6 +124,7 @@ def _write_log(writer: Writer, results: Results, log: ResultLog) -> None:
             messages[MAP] = grid_message(moment.grid, frame.row)
         for name, message in messages.items():
             writer.write_message(topic(log, name), message, at, at, sequence)
+    return follow
 
 
 def tf_message(stamp_ns: int, transforms: Sequence[Transform]) -> FrameTransforms:
@@ -296,14 +313,17 @@ def grid_message(grid: Grid, row: Row) -> GridMessage:
     )
 
 
-def layout(results: Results) -> dict[str, Any]:
-    """A layout with the scene beside the colour image of the first log."""
+def layout(cameras: Sequence[tuple[ResultLog, str]]) -> dict[str, Any]:
+    """A layout with the scene of a log beside the colour image of its first camera.
+
+    Args:
+        cameras: Each with what the view follows.
+    """
     view, image = "3D!jaxdet", "Image!jaxdet"
-    logs = [log for log in results.logs if log.name == results.logs[0].name]
-    first = next(results.frames(logs[0], FRAME_COLUMNS), None) if logs else None
-    color, boxes = (logs[0].topic("color"), topic(logs[0], BOXES)) if logs else ("", "")
-    shown = {topic(log, name): {"visible": True} for log in logs for name in (SCENE, MAP)}
-    follow = first.row["world_frame"] or floor_name(first.row) if first else ""
+    color, boxes, follow = "", "", ""
+    for log, followed in cameras[:1]:
+        color, boxes, follow = log.topic("color"), topic(log, BOXES), followed
+    shown = {topic(log, name): {"visible": True} for log, _ in cameras for name in (SCENE, MAP)}
     return {
         "configById": {
             view: {
