@@ -4,6 +4,7 @@ import json
 import re
 import resource
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -130,6 +131,25 @@ def test_commands_that_show_it_take_any_name(tmp_path: Path) -> None:
     for to in ("ros2", "nav2", "rerun"):
         last = shlex.split(FORMATS[to].seen(tmp_path / "a b's"))[-1]
         assert str(Path(last.removeprefix("yaml_filename:=")).parent) == str(tmp_path / "a b's")
+
+
+def test_logs_that_a_format_leaves_out_are_named(
+    parts: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(parts / "results", results)
+    summary = json.loads((results / "summary.json").read_text("utf-8"))
+    for log in summary["logs"]:
+        log["paths"] = ["/gone/both.mcap"]
+    summary["logs"][1] |= {"map": None, "pictures": []}
+    (results / "summary.json").write_text(json.dumps(summary), "utf-8")
+    for to, said in (
+        ("nav2", "jaxdet: warning: both, rear is left out: it has no map"),
+        ("html", "jaxdet: warning: no pictures of some frames: /gone/both.mcap: the log isn't"),
+    ):
+        command = ["export", str(results), "--to", to, "--output", str(tmp_path / to)]
+        assert main(command) == 0
+        assert capsys.readouterr().err.startswith(said)
 
 
 def test_the_page_tells_cameras_and_frames_apart(parts: Path, tmp_path: Path) -> None:

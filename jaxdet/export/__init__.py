@@ -93,7 +93,7 @@ def export(
         recordings: Logs of the results by name, see :func:`jaxdet.export.recordings.find`.
 
     Returns:
-        Lines about what the format shows and is left out, as its log is gone.
+        Lines about what the format shows and is left out: its log is gone, or has none.
 
     Raises:
         ConfigError: The output is there already, a package is missing, or the format shows nothing

@@ -26,7 +26,7 @@ free_thresh: 0.196
 # The grey of unknown cells is 0.19608 of the way to occupied.
 
 
-def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> None:
+def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
     """Writes ``LOG.pgm`` and ``LOG.yaml`` of each log that has a map into a folder.
 
     A cell is occupied where outlines of obstacles weigh more than later free floor, see
@@ -37,17 +37,24 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
         output: The folder.
         recordings: Not used.
 
+    Returns:
+        A line for each log without a map.
+
     Raises:
         InputError: No log has a map.
     """
     output.mkdir()
+    left_out = []
     for log in results.logs:
         grid = last_grid(results, log)
-        if grid is not None:
+        if grid is None:
+            left_out.append(f"{log.label} is left out: it has no map")
+        else:
             _write(output / log.file_name, grid, log.label, results.world_frame(log))
-    if not any(output.iterdir()):
+    if len(left_out) == len(results.logs):
         remedy = "maps need logs with the camera's poses"
         raise InputError("no log has a map", path=str(results.folder), remedy=remedy)
+    return left_out
 
 
 def _write(path: Path, grid: Grid, log: str, frame: str) -> None:
