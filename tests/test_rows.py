@@ -19,7 +19,7 @@ from jaxdet.results.free_floor import FreeFloor
 from jaxdet.results.rows import batch_rows, joined_inputs, row_inputs, used_slots
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.writer import to_table
-from jaxdet.types import Calibration, Obstacles
+from jaxdet.types import Calibration, Obstacles, Refusal
 from tests.scenes import frames, level, small
 
 SCHEMAS = {"frames": FRAMES_SCHEMA, "obstacles": OBSTACLES_SCHEMA}
@@ -122,7 +122,28 @@ def test_without_a_floor_there_are_no_heights() -> None:
     assert frame["floor_source"].to_pylist() == ["none"] * 3
     assert frame["floor_refused"].null_count == 3 == frame["camera_height_m"].null_count
     assert obstacle["bottom_m"].null_count == obstacle.num_rows > 0
+    assert obstacle["corners_world"].null_count == obstacle.num_rows
+    assert rows.free_world is not None and not len(rows.free_world.frame)
     assert obstacle["distance_m"].null_count == 0
+
+
+def test_a_frame_that_cant_be_used_says_nothing_of_what_was_found_in_it() -> None:
+    batch, config = boxes(), Config()
+    found = row_inputs(detect(batch.frames, config, backend="reference"))
+    assert found.scene is not None
+    floor = found.scene.floor.copy()
+    floor[:, 7] = Refusal.NONE  # each frame shows its own
+    found = found._replace(overflow=np.ones(3, bool), scene=found.scene._replace(floor=floor))
+    statuses = FrameStatus.DECODE_ERROR, FrameStatus.OK, FrameStatus.OK
+    batch = batch._replace(status=statuses)
+    rows = batch_rows("log", "cam", batch, batch.frames.plane, ["flags"] * 3, found, config)
+    frame = to_table(rows.frames, FRAMES_SCHEMA).to_pylist()
+    assert [row["status"] for row in frame] == ["decode_error", "no_depth", "ok"]
+    assert [row["overflow"] for row in frame] == [False, False, True]
+    assert [row["floor_source"] for row in frame] == ["flags", "flags", "frame"]
+    assert [row["num_obstacles"] > 0 for row in frame] == [False, False, True]
+    assert set(rows.obstacles["frame"].tolist()) == {frame[2]["frame"]}
+    assert rows.free_world is not None and not len(rows.free_world.frame)
 
 
 def tables(batch: Batch, found: Any, config: Config) -> list[pa.Table]:

@@ -198,9 +198,7 @@ def batch_rows(
     for columns in (frame_columns, obstacle_columns):
         rows = len(columns["frame"])
         columns["log"], columns["camera"] = (np.full(rows, n, object) for n in (log, camera))
-    world = None
-    if free is not None and poses is not None:
-        world = free._replace(seen=free.seen & known[:, None]).in_world(poses)
+    world = None if free is None or poses is None else free.in_world(poses)
     return Rows(frame_columns, obstacle_columns, plane, world)
 
 
