@@ -53,6 +53,7 @@ AHEAD = [(0.0, 1.5)]
         ([(AHEAD, 1.4)] * 20 + [([], 1.2)] * 50, OCCUPIED),
         ([([], 1.2)] * 5, UNKNOWN),
         ([(AHEAD, 2.0)] * 3, OCCUPIED),
+        ([([(0.0, 1e9)], 2.0)] * 3, FREE),  # an outline too far for any map
     ],
 )
 def test_what_is_seen_free_later_is_free(tmp_path: Path, frames: list, state: int) -> None:

@@ -14,6 +14,7 @@ from jaxdet.errors import InputError
 from jaxdet.export import FORMATS, export
 from jaxdet.export.grid import last_grid
 from jaxdet.export.recordings import find, images, look_again
+from jaxdet.export.shapes import box, heights
 from jaxdet.io import LogFiles, LogOptions
 from jaxdet.results.reading import Frame, Results
 from tests.export_results import run, sim_log
@@ -106,6 +107,20 @@ def test_points_are_the_contours(driven_results: Path, tmp_path: Path) -> None:
             foot = world(row)[:2, 3]
             near = np.linalg.norm(own[:, :2] - foot, axis=1).min()
             assert near == pytest.approx(obstacle["distance_m"], abs=0.02)
+
+
+def test_heights_of_clusters_seen_by_a_camera_upside_down() -> None:
+    row = {"camera_height_m": 1.0, "camera_pitch_rad": 0.0, "camera_roll_rad": np.pi}
+    cluster = {"bottom_m": None, "x": 0.0, "z": 2.0, "y_min": -0.5, "y_max": 0.25}
+    assert heights(row, cluster) == pytest.approx((0.5, 1.25))
+    assert heights(row | {"camera_roll_rad": 0.0}, cluster) == pytest.approx((0.75, 1.5))
+
+
+def test_a_box_of_an_outline_without_a_length() -> None:
+    """It lies as the floor does."""
+    T, size = box({"corners_ground": [1.0, 2.0] * 4}, 0.0, 0.5)
+    np.testing.assert_allclose(T, [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 0.25], [0, 0, 0, 1]])
+    assert size.tolist() == [0, 0, 0.5]
 
 
 def test_points_are_the_obstacles_own_where_the_log_is_given(
