@@ -15,6 +15,7 @@ import pytest
 
 from jaxdet.errors import ConfigError
 from jaxdet.export import export
+from jaxdet.export.map_picture import FREE
 from jaxdet.export.recordings import find
 from jaxdet.results.reading import Results
 from tests.made_results import make_results
@@ -80,6 +81,8 @@ def check(folder: Path, found: Any) -> None:
         half = np.reshape(flat["half_sizes"][number], (-1, 2))
         low = np.reshape(flat["centers"][number], (-1, 2)) - half
         assert low.tolist() == [[r["u_min"], r["v_min"]] for r in parts]
+        high = low + 2 * half
+        assert high.tolist() == [[r["u_max"] + 1, r["v_max"] + 1] for r in parts]
 
 
 def check_points(folder: Path, found: Any) -> None:
@@ -105,7 +108,10 @@ def test_with_the_log(drive: Path, tmp_path: Path) -> None:
     assert len(found[f"{CAMERA}/color"]["blob"]) == len(found[f"{CAMERA}/depth"]["blob"]) == 5
     shown = found["/world/map"]
     with np.load(drive / "out" / "map_drive.npz") as map_:
-        assert np.size(shown["data"][-1]) == map_["counts"].size * 3
+        drawn = np.reshape(shown["data"][-1], (*map_["counts"].shape, 3))[::-1]  # Y up
+        assert np.array_equal(
+            (drawn == FREE).all(axis=-1), (map_["free"] > 0) & (map_["counts"] == 0)
+        )
         np.testing.assert_allclose(
             np.ravel(shown["translation"][-1])[:2], map_["origin"], atol=1e-5
         )

@@ -113,16 +113,22 @@ def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:
     assert found == [t for number in sorted(of) for t in of[number]]
 
 
-def test_rerun_has_an_entity_for_each_thing_that_moves(walkers: Path, tmp_path: Path) -> None:
-    folder = walkers / "out"
+def test_rerun_has_an_entity_for_each_thing_that_moves(
+    walkers: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From its first frame to its last, and where the world is moved to."""
+    folder, origin = walkers / "out", np.array([1000.0, -2000.0, 0.0])
+    monkeypatch.setattr("jaxdet.export.rerun._origin", lambda *_: origin)
     found = recording_of(folder, tmp_path / "rerun")
     tracks = pq.read_table(folder / "tracks.parquet").to_pylist()
     moving = {f"/world/tracks/{t['track']}": t for t in tracks if t["moving"]}
     assert {name for name in found if name.startswith("/world/tracks")} == {*moving}
     for name, track in moving.items():
         strip = np.array(found[name]["strips"][track["first_frame"]][0])
-        np.testing.assert_allclose(strip[:, :2].ravel(), track["path"], atol=1e-6)
-        assert track["last_frame"] + 1 in found[name]["strips"] or found[name]["is_recursive"]
+        path = np.reshape(track["path"], (-1, 2)) - origin[:2]
+        np.testing.assert_allclose(strip[:, :2], path, atol=1e-3)
+        assert [*found[name]["strips"]] == [track["first_frame"]]
+        assert [*found[name]["is_recursive"]] == [track["last_frame"] + 1]
 
 
 def test_points_in_rerun_have_the_colours_of_their_boxes(walkers: Path, tmp_path: Path) -> None:

@@ -81,6 +81,13 @@ def test_sidecars_are_no_logs(to: str, parts: Path, tmp_path: Path) -> None:
         open_log(str(folder / name))
 
 
+def test_a_name_that_several_cameras_have_names_none(parts: Path) -> None:
+    with Results(parts / "results") as results:
+        assert [results.log(f"both, {camera}").camera for camera in CAMERAS] == [*CAMERAS]
+        with pytest.raises(InputError, match="no log 'both'; it holds both, front, both, rear"):
+            results.log("both")
+
+
 def test_ros2_points_are_of_the_part(parts: Path) -> None:
     with Results(parts / "results") as results:
         found = find(results, [str(parts / "both.mcap")])
