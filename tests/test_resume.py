@@ -422,6 +422,23 @@ def test_a_damaged_part_of_a_whole_log_is_done_again(many: list, tmp_path: Path)
     same_results(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_damaged_picture_is_drawn_again(many: list, tmp_path: Path, *, whole: bool) -> None:
+    """A power cut leaves what the system had not put on the disk yet empty, or away."""
+    with pytest.raises(Interrupted):
+        run(many[:2], tmp_path / "a", pictures=2, progress=stop_at("01", interrupt))
+    log = "00" if whole else "01"
+    (picture,) = (tmp_path / "a").glob(f".jaxdet/logs-*/{log}-*/0/pictures/{log}_000000.png")
+    picture.write_bytes(b"")
+    if whole:
+        with pytest.raises(OutputError, match="was changed or removed; run the command again"):
+            run(many[:2], tmp_path / "a", pictures=2)
+        picture.unlink()
+    run(many[:2], tmp_path / "a", pictures=2)
+    run(many[:2], tmp_path / "b", pictures=2)
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
 def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:
     def second() -> None:
         with pytest.raises(ConfigError, match="another run works here") as caught:

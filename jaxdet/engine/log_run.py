@@ -20,7 +20,7 @@ from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
 from jaxdet.engine.memory import BATCH, Memory, Needs, Share
 from jaxdet.engine.options import RunOptions
-from jaxdet.engine.part import Part, part_path
+from jaxdet.engine.part import load_parts, part_path
 from jaxdet.engine.part_store import PartStore
 from jaxdet.engine.plan import LogPlan, Observer, Unit, UnitSizes
 from jaxdet.engine.pool import Pool
@@ -37,7 +37,7 @@ from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetErro
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
-from jaxdet.results.durable import flush, read_checked, writing
+from jaxdet.results.durable import flush, writing
 from jaxdet.results.fault import fault_text
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.names import camera_file_name
@@ -237,7 +237,9 @@ class LogRun:
                 notes = None
             else:
                 notes = join_parts(plan, about, self.memory.room)
+            files = (self.folder / name for name in about.pictures)
             with writing(self.folder):
+                flush(*files, *map_files(about, self.folder).values())
                 flushed.result()
         if notes is None:
             return
@@ -267,7 +269,7 @@ class LogRun:
         begun = begun._replace(folder=self.folder)
         if shared and not shares:
             self.fetched += shared.fetch(begun)
-            if all(read_checked(part_path(self.folder, unit)) for unit in begun.units()):
+            if all(part for _, part in load_parts(self.folder, begun.units())):
                 return begun
         together = self._start(log, share, alone=alone)
         store = shared.store if shared and shares else None
@@ -293,8 +295,7 @@ class LogRun:
         """Leaves the parts that are not there yet; these may not be on the disk so far."""
         about, clock = self.about, Clock(self.about, self.workers)
         units, mine = [], self._left(log) if plan.store else list(plan.units())
-        for unit in mine:
-            part = Part.load(plan.folder, unit)
+        for unit, part in load_parts(plan.folder, mine):
             if part is None:
                 units.append(unit)
             else:

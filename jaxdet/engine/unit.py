@@ -18,7 +18,7 @@ from jaxdet.engine.slots import Piped, Slots
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import sha256, writing
 from jaxdet.results.metric import rectangles
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.rows import (
@@ -149,7 +149,7 @@ class _NewPart:
         """What rows need of each batch."""
         seen = {name: [] for name in plan.observers}
         none = Tables.joined(())
-        self.part = Part(Counts(), none, OccupancyMap(), [], [], seen, [])
+        self.part = Part(Counts(), none, OccupancyMap(), [], {}, seen, [])
 
     def add(self, piece: _Piece, found: Found) -> None:
         """Uses what was found in a batch."""
@@ -162,7 +162,7 @@ class _NewPart:
         if found.whole is not None:
             unit = batch.frames.calibration.depth_unit
             shown = shown_planes(found.inputs, piece.plane, unit)
-            part.pictures.extend(self._draw(piece, found.whole, shown))
+            part.pictures.update(self._draw(piece, found.whole, shown))
             for name, observer in plan.observers.items():
                 part.seen[name].append(observer(batch, found.whole))
 
@@ -180,7 +180,9 @@ class _NewPart:
         part.map.add_free(rows.free_world)
         return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
 
-    def _draw(self, piece: _Piece, found: Detections, plane: GroundPlane) -> Iterator[str]:
+    def _draw(
+        self, piece: _Piece, found: Detections, plane: GroundPlane
+    ) -> Iterator[tuple[str, str]]:
         plan, frames = self.plan, piece.batch.frames._replace(plane=plane)
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
         for row, number in enumerate(piece.numbers):
@@ -188,10 +190,11 @@ class _NewPart:
                 name = f"pictures/{plan.file_name}_{number:06d}.png"
                 title = f"{plan.label}   frame {number}"
                 picture = draw_frame(frames, found, corners, row, plan.config, title)
-                with writing(plan.folder / name):
-                    (plan.folder / name).parent.mkdir(exist_ok=True)
-                    write_png(plan.folder / name, picture)
-                yield name
+                path = plan.folder / name
+                with writing(path):
+                    path.parent.mkdir(exist_ok=True)
+                    write_png(path, picture)
+                    yield name, sha256(path)
 
 
 def save_work(path: Path, log: "Log", plan: LogPlan, slots: Slots | None) -> None:
