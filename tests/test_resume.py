@@ -26,7 +26,14 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device, log_run, pool
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import ConfigError, InputError, Interrupted, JaxdetError, OutputError
+from jaxdet.errors import (
+    ConfigError,
+    InputError,
+    Interrupted,
+    JaxdetError,
+    OutputError,
+    ResultsError,
+)
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
 from jaxdet.results.lock import Lock
@@ -330,6 +337,24 @@ def test_another_run_is_refused_with_the_reason(many: list, tmp_path: Path, monk
     said: list[str] = []
     run(logs, output, overwrite=True, say=said.append)
     assert said == [f"dropped an unfinished run: {path} has changed"]
+
+
+def test_another_version_ends_the_move_of_whole_results(many, tmp_path, monkeypatch) -> None:
+    """It may not know the classes of the one that was killed."""
+
+    def killed(working: Path) -> None:
+        raise OutputError("is gone", path=str(working))
+
+    with monkeypatch.context() as patch, pytest.raises(OutputError):
+        patch.setattr("jaxdet.results.commit.settle", killed)
+        run(many[:1], tmp_path)
+    assert not result_files(tmp_path)
+    with monkeypatch.context() as patch, pytest.raises(ResultsError, match=r"is \"0\.2\.0\" now"):
+        patch.setattr("jaxdet.__version__", "0.2.0")
+        patch.delattr("jaxdet.results.summary.Summary")
+        run(many[:1], tmp_path)
+    assert not verify(tmp_path, sample=0).findings
+    assert not (tmp_path / ".jaxdet").exists()
 
 
 def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path) -> None:

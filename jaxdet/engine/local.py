@@ -87,8 +87,8 @@ def run(
     store = options.parts and open_store(options.parts, record, begin=options.share is not None)
     update = partial(KeptLogs, output, ordered, record) if options.update else None
     with Workspace(output, record, overwrite=options.overwrite, update=update, say=say) as work:
-        if work.done:
-            return work.done.told[1]
+        if work.done is not None:
+            return work.done
         whole = _Run(ordered, config, log_options, options, seen, work)
         whole.progress, whole.say, whole.store = progress, say, store or None
         if there := whole.standing():

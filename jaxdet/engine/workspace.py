@@ -33,7 +33,7 @@ from jaxdet.engine.record import (
     record_of_results,
 )
 from jaxdet.errors import ConfigError, ResultsError
-from jaxdet.results.commit import JOURNAL, Journal, commit, settle
+from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import (
@@ -88,8 +88,8 @@ class Workspace:
         if not self.folder.exists() and not (overwrite or update):
             self._refuse_results()
         self._lock = Lock(self.folder / "lock")
-        self.done: Journal | None = None
-        """The results were whole already, and are in their place now."""
+        self.done: Any = None
+        """What :meth:`commit` was told of these results: a stopped run had made them whole."""
         self.kept: KeptLogs | None = None
         """What stays of results that are brought up to date; their record is that of all logs."""
         self.taken_over = self._lock.before is not None
@@ -114,8 +114,9 @@ class Workspace:
         if journal := settle(self.folder):
             what = "results of the last run" if journal.told else "tracks of the last jaxdet track"
             say(f"the {what} were whole and are in their place now")
-            if journal.told and difference(journal.told[0], self.record) is None:
-                self.done = journal
+            record, told = journal.told or (None, b"")
+            if record and difference(record, self.record) is None:
+                self.done = pickle.loads(told)
                 return
         if update and (self.output / MANIFEST).exists():
             self.kept = update()
@@ -210,13 +211,15 @@ class Workspace:
 
         Args:
             files: By their names there.
-            told: Is given to a next run that finds them whole, as ``done.told[1]``.
+            told: Is given to a next run that finds them whole, as ``done``.
 
         Raises:
             OutputError: The disk is full or broken.
         """
         rest = self.logs.name, "result", "tracks", "plan"
-        commit(self.folder, files, result_files(self.output), rest, (self.record, told))
+        # Of another version nothing but the record can be read, see done.
+        about = self.record, pickle.dumps(told, 5)
+        commit(self.folder, files, result_files(self.output), rest, about)
         self.clear()
 
     def clear(self) -> None:
@@ -231,7 +234,7 @@ class Workspace:
         if self.kept:
             self.kept.close()
         kept = next(self.folder.glob("logs-*/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
-        if self.done or not kept:
+        if self.done is not None or not kept:
             with suppress(OSError):
                 self.clear()
         self._lock.release()
