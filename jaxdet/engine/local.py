@@ -13,7 +13,7 @@ from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.engine.join import WHOLE
 from jaxdet.engine.kept import KeptLogs
-from jaxdet.engine.log_run import PLAN, LogRun, Shared
+from jaxdet.engine.log_run import PLAN, LogRun, RunContext
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part_store import PartStore
@@ -206,7 +206,7 @@ class _Run:
 
     def _run_logs(self, pool: Pool, writer: ResultWriter) -> None:
         given = self.config, self.options, self.observers, self.work, self.summary, self.files
-        shared = Shared(*given, self.memory, pool, writer, self.store, self.say)
+        context = RunContext(*given, self.memory, pool, writer, self.store, self.say)
         fetched = 0
         for number, files in enumerate(self.logs):
             if self.kept and files.name in self.kept.names:
@@ -214,7 +214,7 @@ class _Run:
                 self.files |= self.kept.link_files(files, self.work.result / "kept")
                 continue
             report = reporter(self.progress, number, len(self.logs))
-            one = LogRun(shared, files, self._names[files.name], report, number)
+            one = LogRun(context, files, self._names[files.name], report, number)
             folder, options = self._folder(files), self.log_options
             try:
                 found = [one.take(folder / "0", options)]

@@ -17,8 +17,8 @@ from jaxdet.config import Config
 from jaxdet.engine import pool
 from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
-from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
-from jaxdet.engine.memory import BATCH, Memory, Needs, Share
+from jaxdet.engine.join import WHOLE, add_rows, join_parts, map_files, parts_of
+from jaxdet.engine.memory import BATCH, Allotment, Memory, Needs
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import load_parts, part_path
 from jaxdet.engine.part_store import PartStore
@@ -61,7 +61,7 @@ _numbers = itertools.count()
 """Of the files that workers are given."""
 
 
-class Shared(NamedTuple):
+class RunContext(NamedTuple):
     """What the logs of a run have in common."""
 
     config: Config
@@ -84,7 +84,7 @@ class LogRun:
     """One log of a run, or one camera of it after the other."""
 
     def __init__(
-        self, run: Shared, files: "LogFiles", file_name: str, report: Report, number: int = 0
+        self, run: RunContext, files: "LogFiles", file_name: str, report: Report, number: int = 0
     ) -> None:
         self.run, self.files, self.file_name, self.report = run, files, file_name, report
         self.number = number
@@ -99,6 +99,9 @@ class LogRun:
         """Processes that shared the frames."""
         self.batch = 0
         """Frames computed together."""
+        self.alone = True
+        """This process does the log itself."""
+        self.allotment = Allotment(1, 0, 0)
 
     def take(self, folder: Path, log_options: "LogOptions") -> LogSummary:
         """The rows, pictures and map are in the results, or there is an error.
@@ -136,12 +139,8 @@ class LogRun:
     def _add_results(self) -> None:
         """Rows, pictures and map of a log that is whole go into the results."""
         plan: LogPlan = self.run.work.read(self.folder / PLAN)
-        try:
-            for part in parts_of(plan._replace(folder=self.folder)):
-                self.run.writer.add(part.rows)
-        except MemoryError as error:
-            how = {"path": self.files.name, "remedy": "end other programs"}
-            raise OutputError("no memory for its rows", **how) from error
+        parts = parts_of(plan._replace(folder=self.folder))
+        add_rows(self.run.writer, (part.rows for part in parts), self.files.name)
         self.run.files.update({name: self.folder / name for name in self.about.pictures})
         self.run.files.update(map_files(self.about, self.folder))
 
@@ -214,53 +213,54 @@ class LogRun:
                 raise InputError(problem, path=str(path), remedy=remedy)
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
-        about, frames = self.about, len(log.frames)
+        about = self.about
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
-        alone = self._alone(frames)
-        share = self._share(log, 1 if alone else self.memory.workers)
-        alone = alone or (share.workers == 1 and not self._kept_apart)
-        self.pool.resize(share.workers)
-        self.workers = about.workers = share.workers
-        about.devices = len(self.pool.devices)
-        self.batch = share.batch
-        plan = self._begin(log, begun, share, alone=alone, scan=scan)
+        self._decide_how(log)
+        plan = self._begin(log, begun, scan=scan)
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
-        parts = self._work_through(log, plan, share, alone=alone)
+        parts = self._work_through(log, plan)
+        if self.options.share:
+            about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in self._left(log)]
+        else:
+            self._join(log, plan, parts)
+
+    def _decide_how(self, log: "Log") -> None:
+        """Who works on the log, and on how much of it at a time."""
+        alone = self._alone(len(log.frames))
+        self.allotment = self._allot(log, 1 if alone else self.memory.workers)
+        self.workers, self.batch, _ = self.allotment
+        self.alone = alone or (self.workers == 1 and not self._kept_apart)
+        self.pool.resize(self.workers)
+        self.about.workers, self.about.devices = self.workers, len(self.pool.devices)
+
+    def _join(self, log: "Log", plan: LogPlan, parts: list[Path]) -> None:
+        """The parts become the summary and the map, and are on the disk as these are."""
+        about = self.about
         with ThreadPoolExecutor(1) as disk:  # units did not wait for it
             flushed = disk.submit(flush, *parts)
-            if self.options.share:
-                left = self._left(log)
-                about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in left]
-                notes = None
-            else:
-                notes = join_parts(plan, about, self.memory.room)
+            notes = join_parts(plan, about, self.memory.room)
             files = (self.folder / name for name in about.pictures)
             with writing(self.folder):
                 flush(*files, *map_files(about, self.folder).values())
                 flushed.result()
-        if notes is None:
-            return
+        before = len(log.description.warnings)
         about.description = log.described(total(notes))
-        about.warnings += about.description.warnings[len(log.description.warnings) :]
-        about.warnings += filter(
-            None,
-            (about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning),
-        )
+        about.warnings += about.description.warnings[before:]
+        own = about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning
+        about.warnings += filter(None, own)
 
-    def _begin(
-        self, log: "Log", begun: LogPlan | None, share: Share, *, alone: bool, scan: bool
-    ) -> LogPlan:
+    def _begin(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> LogPlan:
         """The plan, and whatever works on it started; with the parts that others have left."""
         shared, shares = self.shared, self.options.share is not None
         if begun is None and shared and (planes := shared.floors()):
             begun = self._plan(log, self.batch, planes, scan=scan)
         if begun is None:
             self.report(self.about, log.label, len(log.frames), "looking for the floor")
-            together = self._start(log, share, alone=alone)
-            here = alone or bool(self.pool.devices)  # else this process has no need of JAX
+            together = self._start(log)
+            here = self.alone or bool(self.pool.devices)  # else this process has no need of JAX
             decide = decide_planes if here else partial(self.pool.call, decide_floors)
             planes = decide(log, self.config, self.options.backend, None, self.batch)
             begun = self._plan(log, together, planes, scan=scan)
@@ -271,18 +271,18 @@ class LogRun:
             self.fetched += shared.fetch(begun)
             if all(part for _, part in load_parts(self.folder, begun.units())):
                 return begun
-        together = self._start(log, share, alone=alone)
+        together = self._start(log)
         store = shared.store if shared and shares else None
         return begun._replace(batch_size=together, store=store)
 
-    def _start(self, log: "Log", share: Share, *, alone: bool) -> int:
+    def _start(self, log: "Log") -> int:
         """Starts what computes, if it isn't there; returns how many frames are read together."""
-        if not alone:
+        if not self.alone:
             self.pool.start()
         elif self.options.backend == "jax":
             start_up()
         if self.pool.devices:
-            slots, self.batch = self._serve(log, share)
+            slots, self.batch = self._serve(log)
             return slots.frames
         return min(self.batch, max(1, len(log.frames)))
 
@@ -291,7 +291,7 @@ class LogRun:
         assert self.shared is not None
         return self.shared.left(log.frames)
 
-    def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> list[Path]:
+    def _work_through(self, log: "Log", plan: LogPlan) -> list[Path]:
         """Leaves the parts that are not there yet; these may not be on the disk so far."""
         about, clock = self.about, Clock(self.about, self.workers)
         units, mine = [], self._left(log) if plan.store else list(plan.units())
@@ -306,14 +306,14 @@ class LogRun:
         total = sum(len(range(unit.start, unit.stop, log.frames.step)) for unit in mine)
         self.report(about, log.label, total, "starting")
         with ExitStack() as ends:
-            if alone:
+            if self.alone:
                 device = OwnDevice(self.config, self.options.backend, ahead=1)
                 own = LogWork(log, plan, device)
                 late = partial(self._say_late, log.label)
                 own.batch_done = ends.enter_context(Watch(pool.NO_PROGRESS_S, late)).alive
-                work = own.work_through(units, share.read_ahead)
+                work = own.work_through(units, self.allotment.read_ahead)
             else:
-                work = self.pool.work_through(plan, units, partial(self._save, log, share))
+                work = self.pool.work_through(plan, units, partial(self._save, log))
             ends.enter_context(closing(work))
             for counts in work:
                 about.add(counts)
@@ -330,26 +330,24 @@ class LogRun:
             "which have a time limit, do the log then"
         )
 
-    def _save(self, log: "Log", share: Share, plan: LogPlan) -> Path:
+    def _save(self, log: "Log", plan: LogPlan) -> Path:
         """What workers need, in a file of its own."""
-        slots = None
-        if self.pool.devices:
-            slots, _ = self._serve(log, share)
+        slots = self._serve(log)[0] if self.pool.devices else None
         path = self.folder / f"{os.getpid()}-{next(_numbers)}.work"
         save_work(path, log, plan, slots)
         return path
 
-    def _share(self, log: "Log", workers: int) -> Share:
-        """How many work on the log, and on how much of it at a time."""
+    def _allot(self, log: "Log", workers: int) -> Allotment:
+        """What so many workers on the log get of the memory."""
         color, depth = log.image_shapes
         batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
         waiting = min(ROWS_PER_GROUP, self.run.summary.frames + len(log.frames))
         row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
         needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
-        return self.memory.share(needs, batch, workers, log.name)
+        return self.memory.allot(needs, batch, workers, log.name)
 
-    def _serve(self, log: "Log", share: Share) -> tuple[Slots, int]:
-        return self.pool.serve(log, self.config, self.options.batch_size, share.batch)
+    def _serve(self, log: "Log") -> tuple[Slots, int]:
+        return self.pool.serve(log, self.config, self.options.batch_size, self.allotment.batch)
 
     def _stem(self, log: "Log") -> str:
         one = log.label == log.name

@@ -67,20 +67,20 @@ class LogWork:
         Returns:
             The counts of each part.
         """
-        pieces: deque[_Piece] = deque()
+        in_flight: deque[_InFlight] = deque()
         building: list[_NewPart] = []
         try:
             with closing(_ahead(self._batches(units), read_ahead)) as batches:
                 for unit, batch in batches:
-                    pieces.append(self._start(unit, batch))
-                    if len(pieces) > self.device.ahead:
-                        yield from self._finish(pieces.popleft(), building)
-                while pieces:
-                    yield from self._finish(pieces.popleft(), building)
+                    in_flight.append(self._start(unit, batch))
+                    if len(in_flight) > self.device.ahead:
+                        yield from self._finish(in_flight.popleft(), building)
+                while in_flight:
+                    yield from self._finish(in_flight.popleft(), building)
         finally:
-            for piece in pieces:
+            for one in in_flight:
                 with suppress(Exception):
-                    self.device.finish(piece.started)
+                    self.device.finish(one.started)
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
         given = {"images": self.device.images} if self.device.images else {}
@@ -91,32 +91,32 @@ class LogWork:
                 self._busy["read"] -= batch.decoding_s
                 yield unit, batch
 
-    def _start(self, unit: Unit, batch: "Batch") -> "_Piece":
+    def _start(self, unit: Unit, batch: "Batch") -> "_InFlight":
         numbers = batch.frames.number[: len(batch.status)].tolist()
         plane = self.plan.planes.of(batch.frames.stamp_ns)
         whole = bool(self.plan.observers) or not self.plan.drawn.isdisjoint(numbers)
         started = self._timed(
             self.device.doing, partial(self.device.start, batch, plane, whole=whole)
         )
-        return _Piece(unit, numbers, batch, plane, started)
+        return _InFlight(unit, numbers, batch, plane, started)
 
-    def _finish(self, piece: "_Piece", building: list["_NewPart"]) -> Iterator[Counts]:
+    def _finish(self, one: "_InFlight", building: list["_NewPart"]) -> Iterator[Counts]:
         """Waits for a batch; with the last one of a unit its part is whole."""
         if not building:
             building.append(_NewPart(self.plan))
-        found = self._timed(self.device.doing, self.device.finish, piece.started)
+        found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
-        self._timed("write", building[0].add, piece, found)
+        self._timed("write", building[0].add, one, found)
         self.batch_done()
-        if piece.numbers[-1] + 1 == piece.unit.stop:
+        if one.numbers[-1] + 1 == one.unit.stop:
             part: Part = self._timed("write", building.pop().whole)
             # With the file, as who goes on with the run counts its frames; the time that it takes
             # to write it is the next one's.
             busy, self._busy = self._busy, Counter()
             part.counts.busy_s.update(busy)
-            self._timed("write", part.save, self.plan.folder, piece.unit)
+            self._timed("write", part.save, self.plan.folder, one.unit)
             if self.plan.store:
-                self._timed("write", send, self.plan.store, self.plan, piece.unit)
+                self._timed("write", send, self.plan.store, self.plan, one.unit)
             yield part.counts
 
     def _timed(self, what: str, function: Callable[..., Any], *args: Any) -> Any:
@@ -127,7 +127,7 @@ class LogWork:
             self._busy[what] += time.perf_counter() - start  # pyright: ignore
 
 
-class _Piece(NamedTuple):
+class _InFlight(NamedTuple):
     """A batch of a unit that has been started."""
 
     unit: Unit
@@ -151,18 +151,18 @@ class _NewPart:
         none = Tables.joined(())
         self.part = Part(Counts(), none, OccupancyMap(), [], {}, seen, [])
 
-    def add(self, piece: _Piece, found: Found) -> None:
+    def add(self, one: _InFlight, found: Found) -> None:
         """Uses what was found in a batch."""
-        plan, part, batch = self.plan, self.part, piece.batch
+        plan, part, batch = self.plan, self.part, one.batch
         count = len(batch.status)
-        plane = GroundPlane(*(known[:count] for known in piece.plane))
+        plane = GroundPlane(*(known[:count] for known in one.plane))
         self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
-        errors = zip(piece.numbers, batch.errors, strict=True)
+        errors = zip(one.numbers, batch.errors, strict=True)
         part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
         if found.whole is not None:
             unit = batch.frames.calibration.depth_unit
-            shown = shown_planes(found.inputs, piece.plane, unit)
-            part.pictures.update(self._draw(piece, found.whole, shown))
+            shown = shown_planes(found.inputs, one.plane, unit)
+            part.pictures.update(self._draw(one, found.whole, shown))
             for name, observer in plan.observers.items():
                 part.seen[name].append(observer(batch, found.whole))
 
@@ -181,11 +181,11 @@ class _NewPart:
         return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
 
     def _draw(
-        self, piece: _Piece, found: Detections, plane: GroundPlane
+        self, one: _InFlight, found: Detections, plane: GroundPlane
     ) -> Iterator[tuple[str, str]]:
-        plan, frames = self.plan, piece.batch.frames._replace(plane=plane)
+        plan, frames = self.plan, one.batch.frames._replace(plane=plane)
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
-        for row, number in enumerate(piece.numbers):
+        for row, number in enumerate(one.numbers):
             if number in plan.drawn and frames.valid[row]:
                 name = f"pictures/{plan.file_name}_{number:06d}.png"
                 title = f"{plan.label}   frame {number}"
@@ -260,7 +260,7 @@ def lose_unit(path: Path, unit: Unit, status: FrameStatus, reason: str) -> Count
         some = numbers[first : first + plan.batch_size]
         batch = work.log.without_images(some, status, reason)
         plane = plan.planes.of(batch.frames.stamp_ns)
-        building.add(_Piece(unit, some, batch, plane, None), Found(no_inputs(len(some)), None))
+        building.add(_InFlight(unit, some, batch, plane, None), Found(no_inputs(len(some)), None))
     part = building.whole()._replace(errors=[], lost=f"{plan.where(unit)}: {status} ({reason})")
     part.save(plan.folder, unit)
     return part.counts
