@@ -475,6 +475,15 @@ def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:
     assert not (tmp_path / ".jaxdet").exists()
 
 
+def test_control_c_while_a_folder_is_left(many: list, tmp_path: Path, monkeypatch) -> None:
+    """Its lock would be this process's for good, as a notebook's."""
+    release = Lock.release
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Lock, "release", lambda self: (interrupt(), release(self)))
+        run(many[:1], tmp_path / "a")
+    run(many[:1], tmp_path / "a", overwrite=True)
+
+
 def test_the_lock_of_a_dead_run_is_taken_over(many: list, tmp_path: Path) -> None:
     code = "import os, sys; from pathlib import Path; from jaxdet.results.lock import Lock\n"
     code += "lock = Lock(Path(sys.argv[1])); os._exit(9)"

@@ -4,7 +4,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -89,8 +89,8 @@ def run(
     with Workspace(output, record, overwrite=options.overwrite, update=update, say=say) as work:
         if work.done is not None:
             return work.done
-        whole = _Run(ordered, config, log_options, options, seen, work)
-        whole.progress, whole.say, whole.store = progress, say, store or None
+        given = ordered, config, log_options, options, seen, progress, say
+        whole = _Run(*given, work, store or None)
         if there := whole.standing():
             say(f"continuing: {there} there")
         try:
@@ -116,28 +116,27 @@ def _check_outside(output: Path, logs: Sequence["LogFiles"]) -> None:
             raise ConfigError(problem, path=str(output), remedy=remedy)
 
 
+@dataclass
 class _Run:
-    """The logs of a run, one after the other."""
+    """The logs of a run, one after the other; the first fields are as of :func:`run`."""
 
-    def __init__(
-        self,
-        logs: Sequence["LogFiles"],
-        config: Config,
-        log_options: "LogOptions",
-        options: RunOptions,
-        observers: Mapping[str, Observer],
-        work: Workspace,
-    ) -> None:
-        self.kept = kept = work.kept
-        self.logs = kept.logs if kept else logs
-        self.config, self.log_options = config, log_options
-        self.options, self.observers, self.work = options, observers, work
-        self.progress: ProgressCallback | None = None
-        self.say: Callable[[str], None] = print
-        self.store: PartStore | None = None
-        computed = options.batch_size or (kept.batch_size if kept else 0)
-        self.summary = Summary(options.backend, computed)
-        self.summary.kept = kept.names if kept else frozenset()
+    logs: Sequence["LogFiles"]
+    config: Config
+    log_options: "LogOptions"
+    options: RunOptions
+    observers: Mapping[str, Observer]
+    progress: ProgressCallback | None
+    say: Callable[[str], None]
+    work: Workspace
+    store: PartStore | None
+
+    def __post_init__(self) -> None:
+        """Nothing is done yet."""
+        self.kept = kept = self.work.kept
+        self.summary = Summary(self.options.backend, self.options.batch_size or 0)
+        if kept:
+            self.logs, self.summary.kept = kept.logs, kept.names
+            self.summary.batch_size = self.options.batch_size or kept.batch_size
         self.files: dict[str, Path] = {}
         """Of the results, by their names."""
         self._start = time.perf_counter()

@@ -32,6 +32,7 @@ from jaxdet.engine.record import (
     digest,
     record_of_results,
 )
+from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import ConfigError, ResultsError
 from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
@@ -127,29 +128,27 @@ class Workspace:
             self._refuse_results()
         self._refuse_blocked()
         begun = self.read("plan")
-        if begun is None:
-            reason = None
-        elif update:
-            reason = difference_but_logs(begun, self.record) or self._missing(begun)
-        else:
-            reason = difference(begun, self.record)
+        reason = begun and self._other(begun, updates=bool(update))
+        if reason and not overwrite:
+            anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
+            remedy = "repeat that run's command to go on with it, give another --output, or " + anew
+            problem = f"holds an unfinished run, but {reason}"
+            raise ConfigError(problem, path=str(self.output), remedy=remedy)
         if reason:
-            if not overwrite:
-                anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
-                raise ConfigError(
-                    f"holds an unfinished run, but {reason}",
-                    path=str(self.output),
-                    remedy="repeat that run's command to go on with it, give another --output, "
-                    f"or {anew}",
-                )
             say(f"dropped an unfinished run: {reason}")
-        if begun is None or reason:
+        if reason or not begun:
             self.clear()
         with writing(self.folder):
             shutil.rmtree(self.result, ignore_errors=True)
             self.result.mkdir()
             self.logs.mkdir(exist_ok=True)
         self.write("plan", self.record)
+
+    def _other(self, begun: Mapping[str, Any], *, updates: bool) -> str | None:
+        """Why this run can't go on with an unfinished one, for people; None: it can."""
+        if updates:
+            return difference_but_logs(begun, self.record) or self._missing(begun)
+        return difference(begun, self.record)
 
     def _missing(self, begun: Mapping[str, Any]) -> str | None:
         """What is done of a log that is not among this run's, for people; None: nothing is."""
@@ -231,16 +230,17 @@ class Workspace:
                 path.unlink()
 
     def _leave(self) -> None:
-        if self.kept:
-            self.kept.close()
-        kept = next(self.folder.glob("logs-*/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
-        if self.done is not None or not kept:
-            with suppress(OSError):
-                self.clear()
-        self._lock.release()
-        for folder in (self.folder, self.output):
-            with suppress(OSError):
-                folder.rmdir()  # where nothing is in it
+        with stops_held_back():
+            if self.kept:
+                self.kept.close()
+            parts = next(self.folder.glob("logs-*/*/*/*.part"), None)
+            if self.done is not None or not (parts or (self.folder / JOURNAL).exists()):
+                with suppress(OSError):
+                    self.clear()
+            self._lock.release()
+            for folder in (self.folder, self.output):
+                with suppress(OSError):
+                    folder.rmdir()  # where nothing is in it
 
     def _refuse_results(self) -> None:
         found = result_files(self.output)
