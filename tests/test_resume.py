@@ -563,6 +563,24 @@ def test_a_full_disk_keeps_what_is_done(many: list, tmp_path: Path) -> None:
     same_results(tmp_path / "a", tmp_path / "b")
 
 
+def test_a_disk_of_kernels_that_is_full_ends_the_run(
+    many: list, tmp_path: Path, monkeypatch
+) -> None:
+    """It is no fault of jaxdet in each of the logs."""
+
+    def compiled(*_: Any, **more: Any) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device", "/cache/cells.o")
+
+    with monkeypatch.context() as patch, pytest.raises(OutputError) as caught:
+        patch.setattr(device, "detect", compiled)
+        run(many[:2], tmp_path / "a")
+    assert str(caught.value) == (
+        "/cache/cells.o: kernels can't be compiled there (No space left on device); "
+        "make room or set JAXDET_CACHE to another folder"
+    )
+    assert not (tmp_path / "a").exists()
+
+
 def test_the_manifest_knows_every_file(many: list, tmp_path: Path) -> None:
     run(many[:2], tmp_path, pictures=2)
     manifest = json.loads((tmp_path / "manifest.json").read_text(encoding="utf-8"))

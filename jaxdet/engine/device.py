@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.signals import stops_held_back
 from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Slots, attached
+from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, joined_inputs, row_inputs, to_host
 from jaxdet.types import Detections, Frames, GroundPlane
@@ -100,13 +100,11 @@ class OwnDevice:
         return Found(row_inputs(found), found if whole else None)
 
     def _detect(self, frames: Frames) -> Detections:
-        # Kernels are called back by XLA in this thread: an exception there would leave a batch
-        # half computed.
-        with stops_held_back():
+        with computing():
             return detect(frames, self._config, backend=self._backend)
 
     def _on_host(self, found: Detections) -> Detections:
-        with stops_held_back():
+        with computing():
             return to_host(found)
 
     def _in_halves(self, frames: Frames) -> Detections:

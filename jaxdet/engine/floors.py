@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine.signals import stops_held_back
+from jaxdet.engine.startup import computing
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import (
     flagged_plane,
@@ -214,7 +214,7 @@ def _look(
         frames = log.read(sample[first : first + size].tolist()).frames
         if frames.valid.any():
             frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            with stops_held_back():  # XLA calls kernels back in this thread, see OwnDevice
+            with computing():
                 fit = find_floors(frames, config, backend=backend)
                 shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
                 own.append(np.asarray(fit.own)[frames.valid])

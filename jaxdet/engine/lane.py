@@ -20,6 +20,7 @@ from jaxdet.engine.slots import (
     SharedMemory,
     Slots,
 )
+from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
 from jaxdet.results.rows import map_leaves, row_inputs, to_host
@@ -248,7 +249,8 @@ class Lane:
         known = nothing, nothing, nothing, nothing > 0
         color, depth = copied.images
         frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
-        found = detect(frames, log.served.config)
+        with computing():
+            found = detect(frames, log.served.config)
         with _packing:
             pack = _pack()
         packed = pack(_without_prior(found))
