@@ -23,7 +23,7 @@ import pytest
 
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_run, pool
+from jaxdet.engine import device, log_run, pool, workspace
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import (
@@ -36,6 +36,7 @@ from jaxdet.errors import (
 )
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
+from jaxdet.results.commit import commit
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import fingerprint, result_files, sha256
 from jaxdet.results.writer import ResultWriter
@@ -147,6 +148,27 @@ def test_signals_keep_what_is_done(many: list, tmp_path: Path, number: int, code
     assert opened == ["02", "03"]
     run(many[:4], tmp_path / "b")
     same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_log_that_failed_is_not_done(many: list, tmp_path: Path, monkeypatch) -> None:
+    def torn(files: LogFiles, options: LogOptions, memory: Any) -> Any:
+        if files.name == "00":
+            raise InputError("is torn", path=files.name)
+        return opened(files, options, memory)
+
+    monkeypatch.setattr(log_run, "open_log", torn)
+    with pytest.raises(Interrupted, match=r"; 0 of 2 logs and 1 of 2 units of 01 are done"):
+        run(many[:2], tmp_path, progress=stop_at("01", interrupt))
+
+
+def test_a_signal_while_results_move_comes_too_late(many: list, tmp_path: Path, monkeypatch):
+    def moved(*given: Any) -> None:
+        interrupt()
+        commit(*given)
+
+    monkeypatch.setattr(workspace, "commit", moved)
+    assert run(many[:1], tmp_path).frames == 10
+    assert not verify(tmp_path, sample=0).findings
 
 
 def test_the_summary_is_the_same_but_for_its_times(many: list, tmp_path: Path) -> None:
