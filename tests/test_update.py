@@ -446,6 +446,19 @@ def test_a_recording_that_goes_on(logs: Logs, tmp_path: Path) -> None:
         assert logs.opened == rows(output)[:1] == ["rec_0"]
 
 
+def test_a_recording_that_goes_on_in_a_file_that_can_not_be_read(
+    logs: Logs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its rows are of the files that it had, and so is what is told of it."""
+    output = tmp_path / "out"
+    logs.go([split(logs, 0, 1)], output)
+    monkeypatch.setattr(record, "fingerprint", unreadable(logs.folder / "rec_2.mcap"))
+    logs.go([split(logs, 0, 1, 2), logs.all[0]], output, update=True)
+    assert rows(output) == ["a"] * 10 + ["rec"] * 10
+    assert len(read_manifest(output)["inputs"]["rec"]) == 2
+    assert [len(log["paths"]) for log in summary(output)["logs"]] == [1, 2]
+
+
 def test_some_files_of_a_recording(logs: Logs, tmp_path: Path) -> None:
     output = tmp_path / "out"
     logs.go([split(logs, 0, 1, 2)], output)

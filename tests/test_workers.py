@@ -425,13 +425,14 @@ class RingLane:
         done.set_result(self.copied(pieces))
         return done
 
-    def start(self, pieces: list[int], copied: int) -> list[int]:
+    def start(self, pieces: list[int], copied: int) -> Any:
         if len(pieces) > 4:
             raise MemoryError
-        return self.ring[copied::3][-1]  # the last that was copied to this buffer
+        last = self.ring[copied::3][-1]  # that was copied to this buffer
+        return SimpleNamespace(lane=self, found=last)
 
-    def finish(self, pieces: list[int], started: list[int]) -> list[int]:
-        return started
+    def finish(self, pieces: list[int], started: Any) -> list[int]:
+        return started.found
 
     def close(self) -> None:
         pass

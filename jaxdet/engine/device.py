@@ -79,23 +79,12 @@ class OwnDevice:
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
         """Starts a batch."""
         frames = batch.frames._replace(plane=plane)
-        try:
-            found = self._detect(frames)
-        except Exception as error:
-            if not out_of_memory(error):
-                raise
-            found = None
-        return _Started(frames, found, whole)
+        return _Started(frames, _if_it_fits(self._detect, frames), whole)
 
     def finish(self, started: "_Started") -> Found:
         """Waits for a batch; one that takes too much memory is worked on in halves."""
         frames, found, whole = started
-        try:
-            found = found and self._on_host(found)
-        except Exception as error:
-            if not out_of_memory(error):
-                raise
-            found = None
+        found = found and _if_it_fits(self._on_host, found)
         found = found or self._in_halves(frames)
         return Found(row_inputs(found), found if whole else None)
 
@@ -115,12 +104,8 @@ class OwnDevice:
         found = []
         for rows in (slice(0, count // 2), slice(count // 2, count)):
             half = _rows(frames, rows)
-            try:
-                found.append(self._on_host(self._detect(half)))
-            except Exception as error:
-                if not out_of_memory(error):
-                    raise
-                found.append(self._in_halves(half))
+            whole = _if_it_fits(lambda half=half: self._on_host(self._detect(half)))
+            found.append(whole or self._in_halves(half))
         return joined_inputs(found)
 
 
@@ -131,6 +116,16 @@ class _Started(NamedTuple):
     found: Detections | None
     """None: there was not enough memory for all of it."""
     whole: bool
+
+
+def _if_it_fits(function: Callable[..., Detections], *args: Any) -> Detections | None:
+    """What a function returns; None: there is not enough memory for it."""
+    try:
+        return function(*args)
+    except Exception as error:
+        if not out_of_memory(error):
+            raise
+        return None
 
 
 def out_of_memory(error: Exception) -> bool:

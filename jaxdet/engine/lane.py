@@ -136,21 +136,21 @@ class FittingLane:
             return None
         return _Copying(lane, self._divided, lane.copy(pieces))
 
-    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Computing | None":
+    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Started | None":
         """Waits until a batch is copied and starts to compute it; None: it is not on the device."""
         if copying is None or copying[:2] != (self._lane, self._divided):
             return None
         try:
-            return _Computing(copying.lane, copying.lane.start(pieces, copying.copied.result()))
+            return copying.lane.start(pieces, copying.copied.result())
         except Exception as error:
             self._halve(error)
             return None
 
-    def finish(self, pieces: list[Piece], computing: "_Computing | None") -> list[Reply]:
+    def finish(self, pieces: list[Piece], started: "_Started | None") -> list[Reply]:
         """Waits for a batch; one that was not started is copied again, and computed in parts."""
-        if computing:
+        if started:
             try:
-                return computing.lane.finish(pieces, computing.started)
+                return started.lane.finish(pieces, started)
             except Exception as error:
                 self._halve(error)
         replies: list[Reply] = []
@@ -177,8 +177,9 @@ class _Copied(NamedTuple):
 
 
 class _Started(NamedTuple):
-    """A batch on a device."""
+    """A batch that a lane's device computes."""
 
+    lane: "Lane"
     found: Detections
     packed: Any
     begin: float
@@ -196,13 +197,6 @@ class _Copying(NamedTuple):
     divided: int
     """See :class:`FittingLane`."""
     copied: "Future[_Copied]"
-
-
-class _Computing(NamedTuple):
-    """A batch that a lane's device computes."""
-
-    lane: "Lane"
-    started: _Started
 
 
 class Lane:
@@ -255,7 +249,7 @@ class Lane:
             pack = _pack()
         packed = pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(found, packed, begin, copied.seconds, ready)
+        return _Started(self, found, packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Waits for the results and copies them to the slots."""

@@ -29,9 +29,9 @@ from jaxdet.engine.record import inputs_of
 from jaxdet.engine.sharing import SIZES, SharedLog, send
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import start_up
-from jaxdet.engine.unit import LogWork, save_work
-from jaxdet.engine.watch import Watch
-from jaxdet.engine.worker import decide_floors
+from jaxdet.engine.unit import LogWork
+from jaxdet.engine.watch import watched
+from jaxdet.engine.worker import decide_floors, save_work
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
 from jaxdet.io import RescanError, open_log
@@ -310,7 +310,7 @@ class LogRun:
                 device = OwnDevice(self.config, self.options.backend, ahead=1)
                 own = LogWork(log, plan, device)
                 late = partial(self._say_late, log.label)
-                own.batch_done = ends.enter_context(Watch(pool.NO_PROGRESS_S, late)).alive
+                own.batch_done = ends.enter_context(watched(pool.NO_PROGRESS_S, late))
                 work = own.work_through(units, self.allotment.read_ahead)
             else:
                 work = self.pool.work_through(plan, units, partial(self._save, log))

@@ -17,9 +17,8 @@ from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
-from jaxdet.engine.unit import lose_unit
 from jaxdet.engine.unit_queue import UnitQueue
-from jaxdet.engine.worker import Failure, Worker, work_on
+from jaxdet.engine.worker import Failure, Worker, lose_unit, run_unit
 from jaxdet.errors import FrameStatus, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.results.summary import Counts
@@ -76,16 +75,8 @@ def _start_server(loaded: list[str]) -> None:
 
 
 SaveWork = Callable[[LogPlan], Path]
-"""Writes what workers need for a plan as things are now, see :func:`jaxdet.engine.unit.save_work`,
+"""Writes what workers need for a plan as things are now (:func:`jaxdet.engine.worker.save_work`),
 and returns the new file."""
-
-
-class _Lost(NamedTuple):
-    """A unit on which a worker failed."""
-
-    unit: Unit
-    status: FrameStatus
-    reason: str
 
 
 class Pool:
@@ -200,17 +191,17 @@ class Pool:
 
         Raises:
             WorkerError: A worker failed in a way that nobody foresaw.
-            JaxdetError: As :func:`jaxdet.engine.unit.run_unit` raises it.
+            JaxdetError: As :func:`jaxdet.engine.worker.run_unit` raises it.
         """
         todo = UnitQueue(units, self.count)
         while todo:
             lost = yield from self._until_one_is_lost(plan, todo, save(plan))
             if lost:
-                yield self._once_more(plan, lost, save)
+                yield self._once_more(plan, *lost, save)
 
     def _until_one_is_lost(
         self, plan: LogPlan, todo: UnitQueue, path: Path
-    ) -> Generator[Counts, None, _Lost | None]:
+    ) -> "Generator[Counts, None, tuple[Unit, _Problem] | None]":
         """Takes units from ``todo`` until none is left, or a worker failed; then all have ended."""
         self.start()
         self._awake.wait()
@@ -218,10 +209,10 @@ class Pool:
             while self._give(todo, path):
                 for worker, told in self._look():
                     if isinstance(told, _Problem):
-                        lost = _Lost(worker.given[0], *told)
-                        left = {unit for one in self._workers for unit in one.given} - {lost.unit}
-                        todo.put_back(left)
-                        return lost
+                        lost = worker.given[0]
+                        given = {unit for one in self._workers for unit in one.given}
+                        todo.put_back(given - {lost})
+                        return lost, told
                     for unit, counts in told:
                         if isinstance(counts, Failure):
                             self._drain()
@@ -237,7 +228,7 @@ class Pool:
         for most in range(1, WAITING + 1):
             for number, worker in enumerate(self._workers):
                 if len(worker.given) < most and (unit := todo.take(number)):
-                    worker.give(unit, work_on, path, unit)
+                    worker.give(unit, run_unit, path, unit)
         return any(worker.given for worker in self._workers)
 
     def _drain(self) -> None:
@@ -246,16 +237,16 @@ class Pool:
             if any(isinstance(told, _Problem) for _, told in self._look()):
                 return
 
-    def _once_more(self, plan: LogPlan, lost: _Lost, save: SaveWork) -> Counts:
+    def _once_more(self, plan: LogPlan, unit: Unit, problem: "_Problem", save: SaveWork) -> Counts:
         """A lost unit, alone; its frames get a status where that fails too."""
-        unit = lost.unit
         smaller = plan if self.devices else plan._replace(batch_size=max(1, plan.batch_size // 2))
         try:
-            return self._call(plan.where(unit), work_on, save(smaller), unit)
+            return self._call(plan.where(unit), run_unit, save(smaller), unit)
         except _WorkerLostError as again:
             self.close()
-            reason = f"{again.reason}, twice" if again.reason == lost.reason else again.reason
-            given = save(plan), unit, again.status, reason
+            status, reason = again.problem
+            reason += ", twice" * (reason == problem.reason)
+            given = save(plan), unit, status, reason
             return self._call(plan.where(unit), lose_unit, *given)
 
     def _call(self, where: str, function: Callable[..., Value], *args: Any) -> Value:
@@ -266,7 +257,7 @@ class Pool:
             for _, told in self._look():
                 if isinstance(told, _Problem):
                     self.close()
-                    raise _WorkerLostError(where, *told)
+                    raise _WorkerLostError(where, told)
                 for _, found in told:
                     if isinstance(found, Failure):
                         raise found.as_raised(where)
@@ -325,10 +316,10 @@ class _Problem(NamedTuple):
 class _WorkerLostError(WorkerError):
     """A worker died, hangs or ran out of memory."""
 
-    def __init__(self, where: str, status: FrameStatus, reason: str) -> None:
+    def __init__(self, where: str, problem: _Problem) -> None:
         remedy = "if memory ran out, take fewer workers (--workers) or smaller batches"
-        super().__init__(f"{where}: {reason}", remedy=remedy)
-        self.status, self.reason = status, reason
+        super().__init__(f"{where}: {problem.reason}", remedy=remedy)
+        self.problem = problem
 
 
 def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:

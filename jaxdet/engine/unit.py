@@ -1,20 +1,17 @@
 """A unit of work: a range of a log's frames in, a part of the results out."""
 
-import pickle
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, suppress
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from jaxdet.engine.device import Device, Found, OwnDevice, SharedDevice
+from jaxdet.engine.device import Device, Found
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.sharing import send
-from jaxdet.engine.slots import Piped, Slots
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
@@ -81,6 +78,32 @@ class LogWork:
             for one in in_flight:
                 with suppress(Exception):
                     self.device.finish(one.started)
+
+    def lose(self, unit: Unit, status: FrameStatus, reason: str) -> Counts:
+        """Leaves a part for a unit that can't be worked on: rows with a status and no results.
+
+        No image is read.
+
+        Args:
+            unit: Which.
+            status: Of its frames.
+            reason: Why, for people.
+
+        Returns:
+            Its counts.
+        """
+        plan, building = self.plan, _NewPart(self.plan)
+        numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
+        for first in range(0, len(numbers), plan.batch_size):
+            some = numbers[first : first + plan.batch_size]
+            batch = self.log.without_images(some, status, reason)
+            plane = plan.planes.of(batch.frames.stamp_ns)
+            nothing = Found(no_inputs(len(some)), None)
+            building.add(_InFlight(unit, some, batch, plane, None), nothing)
+        lost = f"{plan.where(unit)}: {status} ({reason})"
+        part = building.whole()._replace(errors=[], lost=lost)
+        part.save(plan.folder, unit)
+        return part.counts
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
         given = {"images": self.device.images} if self.device.images else {}
@@ -195,88 +218,6 @@ class _NewPart:
                     path.parent.mkdir(exist_ok=True)
                     write_png(path, picture)
                     yield name, sha256(path)
-
-
-def save_work(path: Path, log: "Log", plan: LogPlan, slots: Slots | None) -> None:
-    """Writes what :func:`run_unit` needs in another process; the log's files are not in it."""
-    with writing(path):
-        path.write_bytes(pickle.dumps((log, plan, slots), 5))
-
-
-_open: dict[Path, LogWork] = {}
-
-
-def run_unit(
-    path: Path,
-    unit: Unit,
-    piped: Piped | None = None,
-    batch_done: Callable[[], None] = lambda: None,
-) -> Counts:
-    """Leaves the part of a unit in the log's folder: a function of its arguments alone.
-
-    Where the plan has a :class:`jaxdet.engine.part_store.PartStore`, be it a bucket of objects, it
-    leaves it there too.
-
-    Args:
-        path: What :func:`save_work` wrote; the log of the last call stays open.
-        unit: One of the plan's.
-        piped: The way to the process that computes; None: this one does.
-        batch_done: Called after each batch.
-
-    Returns:
-        Its counts.
-
-    Raises:
-        JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
-        OutputError: The disk is full or broken, or the store can't be reached.
-    """
-    work = _opened(path, piped)
-    work.batch_done = batch_done
-    (counts,) = work.work_through([unit])
-    return counts
-
-
-def lose_unit(path: Path, unit: Unit, status: FrameStatus, reason: str) -> Counts:
-    """Leaves a part for a unit that can't be worked on: rows with a status and no results.
-
-    No image is read.
-
-    Args:
-        path: As of :func:`run_unit`.
-        unit: The unit.
-        status: Of its frames.
-        reason: Why, for people.
-
-    Returns:
-        Its counts.
-
-    Raises:
-        As :func:`run_unit`.
-    """
-    work = _opened(path, None)
-    plan, building = work.plan, _NewPart(work.plan)
-    numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
-    for first in range(0, len(numbers), plan.batch_size):
-        some = numbers[first : first + plan.batch_size]
-        batch = work.log.without_images(some, status, reason)
-        plane = plan.planes.of(batch.frames.stamp_ns)
-        building.add(_InFlight(unit, some, batch, plane, None), Found(no_inputs(len(some)), None))
-    part = building.whole()._replace(errors=[], lost=f"{plan.where(unit)}: {status} ({reason})")
-    part.save(plan.folder, unit)
-    return part.counts
-
-
-def _opened(path: Path, piped: Piped | None) -> LogWork:
-    """The log and plan of a file that :func:`save_work` wrote."""
-    if path not in _open:
-        for work in _open.values():
-            work.log.close()
-        _open.clear()
-        log, plan, slots = pickle.loads(path.read_bytes())
-        own = OwnDevice(plan.config, plan.backend, ahead=0)
-        shared = SharedDevice(slots, piped) if slots and piped else None
-        _open[path] = LogWork(log, plan, shared or own)
-    return _open[path]
 
 
 def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:
