@@ -249,6 +249,16 @@ def test_floors_of_many_time_windows_are_progress(monkeypatch):
     assert len(planes.windows) == 32
 
 
+def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
+    times = iter((0.0, 5000.0))
+    monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=lambda: next(times)))
+    monkeypatch.setattr(pool, "wait", lambda pipes, seconds: [])
+    worker: Any = SimpleNamespace(pipe=None, given=["a unit"], still=0.0)
+    found = pool.Pool(1, "reference")
+    found._workers = [worker]
+    assert not list(found._look()) and 0 < worker.still <= 2
+
+
 def test_workers_that_are_killed_while_they_start_far_apart():
     with pool.Pool(1, "reference") as workers:
         for _ in range(3):

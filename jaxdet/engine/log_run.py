@@ -164,22 +164,21 @@ class LogRun:
             work.empty(self.folder)
         elif plan.scan:
             options = replace(options, scan=True)
-        try:
-            self._in_memory(options)
-        except RescanError:
-            if options.scan:
-                raise
-            work.empty(self.folder)
-            self._in_memory(replace(options, scan=True))
+        self._run_with_retries(options)
         if not self.options.share:
             work.write(self.folder / WHOLE, (self.about, self.workers, self.batch))
 
-    def _in_memory(self, options: "LogOptions") -> None:
-        """Opens the log and works it through, with fewer workers where its chunks are large."""
+    def _run_with_retries(self, options: "LogOptions") -> None:
+        """Scans it where its index is wrong, and takes fewer workers where its chunks are large."""
         while True:
             try:
                 self._open_and_run(self.run.work.read(self.folder / PLAN), options)
                 return
+            except RescanError:
+                if options.scan:
+                    raise
+                self.run.work.empty(self.folder)
+                options = replace(options, scan=True)
             except ChunkMemoryError:
                 fewer = self.memory.with_fewer_workers()
                 if fewer is None:
