@@ -5,7 +5,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,14 +17,18 @@ from jaxdet.engine.slots import (
     Packing,
     Piece,
     Reply,
+    Sample,
     SharedMemory,
     Slots,
 )
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.pipeline import detect
+from jaxdet.pipeline import detect, find_floors
 from jaxdet.results.rows import map_leaves, row_inputs, to_host
 from jaxdet.types import Calibration, Detections, Frames
+
+if TYPE_CHECKING:
+    from jaxdet.floor.units import FloorFit
 
 
 class Served(NamedTuple):
@@ -73,6 +77,17 @@ class LogMemory:
         with self._lock:
             if memory.path not in self._page_locks:
                 self._page_locks[memory.path] = PageLock(memory.map, device, block)
+
+    def find_floors(self, sample: Sample) -> "FloorFit":
+        """The floors of a sample, on whatever JAX computes on."""
+        color, depth = self.views[sample.slot]
+        count = len(sample.plane.valid)
+        nothing = np.zeros(count, np.int64)
+        known = nothing, nothing, nothing, nothing == 0
+        given = color[:count], depth[:count], self.served.calibration
+        frames = Frames(*given, *known, plane=sample.plane)
+        with computing():
+            return find_floors(frames, self.served.config)
 
     def results(self, found: Detections) -> "_Results":
         """The memory of the results, made when the first are there."""

@@ -4,7 +4,8 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
@@ -25,14 +26,19 @@ from jaxdet.results.summary import Counts
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
+    from jaxdet.types import Calibration
 
 Value = TypeVar("Value")
+Label = TypeVar("Label")
+
+LOST = "lost"
+"""Instead of an answer."""
 
 WAITING = 2
 """Units that a worker has been given: the one it works on, and the next."""
 NO_PROGRESS_S = 600.0
 """A worker that finishes no batch for so long hangs; the first one may have to be compiled."""
-LOADED = ["jaxdet.engine.pool", "jaxdet.io.log", "numpy.ma", "jaxdet_kernels.decode"]
+LOADED = ["jaxdet.engine.whole_logs", "jaxdet.io.log", "numpy.ma", "jaxdet_kernels.decode"]
 LOADED_TO_COMPUTE = ["jaxdet.stages"]
 """What the fork server loads once for all workers, with what pyarrow and decoders would load in
 each of them; none of it may start a thread, or Warp."""
@@ -151,6 +157,11 @@ class Pool:
         assert self._station is not None
         return self._station.enter(log, config, batch_size, piece_frames)
 
+    @property
+    def entered(self) -> "tuple[Slots, Calibration] | None":
+        """What workers are served in, see :attr:`Station.entered`."""
+        return self._station and self._station.entered
+
     def close(self) -> None:
         """Ends the processes."""
         with stops_held_back():
@@ -175,6 +186,41 @@ class Pool:
             return self._call(where, function, *args)
         except _WorkerLostError:
             return self._call(where, function, *args)
+
+    def each(
+        self, function: Callable[..., Any], tasks: Mapping[Label, tuple]
+    ) -> Generator[tuple[Label, Any], None, None]:
+        """What workers' calls of a function return, as they come.
+
+        When a worker dies, hangs or runs out of memory all have ended, and nothing comes after.
+
+        Args:
+            function: Of the module level.
+            tasks: Its arguments, in the order in which they are given out.
+
+        Returns:
+            The task's key, and what was returned; :data:`LOST` for what the lost worker was at.
+        """
+        todo = deque(tasks.items())
+        self.start()
+        self._awake.wait()
+        try:
+            while True:
+                for most in range(1, WAITING + 1 if len(todo) > len(self._workers) else 2):
+                    for worker in self._workers:
+                        if len(worker.given) < most and todo:
+                            label, args = todo.popleft()
+                            worker.give(label, function, *args)
+                if not any(worker.given for worker in self._workers):
+                    return
+                for worker, told in self._look():
+                    if isinstance(told, _Problem):
+                        yield worker.given[0], LOST
+                        return
+                    yield from told
+        finally:
+            if any(worker.given for worker in self._workers):
+                self.close()
 
     def work_through(
         self, plan: LogPlan, units: Iterable[Unit], save: SaveWork

@@ -48,7 +48,7 @@ class LogWork:
 
     def __init__(self, log: "Log", plan: LogPlan, device: Device) -> None:
         self.log, self.plan, self.device = log, plan, device
-        self.batch_done: Callable[[], None] = lambda: None
+        self.batch_done: Callable[[], object] = lambda: None
         """Called after each batch."""
         self._busy: Counter[str] = Counter()
 

@@ -10,6 +10,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import lru_cache
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -149,6 +150,18 @@ _progress: Callable[[], Any] = int
 """In a worker: tells its parent that it is alive."""
 
 
+def tell_alive() -> None:
+    """In a worker: tells its parent that there is progress."""
+    _progress()
+
+
+@lru_cache(maxsize=1)
+def shared_device(slots: Slots) -> SharedDevice:
+    """In a worker: the process that computes for it."""
+    assert _piped is not None
+    return SharedDevice(slots, _piped)
+
+
 _open: dict[Path, LogWork] = {}
 """Likewise: the log of the last unit, by the file of :func:`save_work`."""
 
@@ -189,15 +202,14 @@ def _opened(path: Path) -> LogWork:
         _open.clear()
         log, plan, slots = pickle.loads(path.read_bytes())
         own = OwnDevice(plan.config, plan.backend, ahead=0)
-        shared = SharedDevice(slots, _piped) if slots and _piped else None
-        _open[path] = work = LogWork(log, plan, shared or own)
-        work.batch_done = _progress
+        _open[path] = work = LogWork(log, plan, shared_device(slots) if slots else own)
+        work.batch_done = tell_alive
     return _open[path]
 
 
 def decide_floors(*args: Any) -> Planes:
     """In a worker: :func:`jaxdet.engine.floors.decide_planes`."""
-    return decide_planes(*args, alive=_progress)
+    return decide_planes(*args, alive=tell_alive)
 
 
 def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:

@@ -53,7 +53,37 @@ if TYPE_CHECKING:
 Say = Callable[[str], None]
 
 
-class Workspace:
+class WorkFolder:
+    """A working folder, and what decides the results of the run that works there.
+
+    Args:
+        folder: The working folder.
+        record: See :func:`jaxdet.engine.record.make_record`.
+    """
+
+    def __init__(self, folder: Path, record: Mapping[str, Any]) -> None:
+        self.folder, self.record = folder, record
+
+    def write(self, place: str | Path, value: Any) -> None:
+        """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
+
+        What a power cut takes of it is done again.
+        """
+        write_checked(self.folder / place, pickle.dumps(value, 5), wait=False)
+
+    def read(self, place: str | Path) -> Any:
+        """What :meth:`write` kept; None: it isn't there, or damaged."""
+        content = read_checked(self.folder / place)
+        return None if content is None else pickle.loads(content)
+
+    def empty(self, folder: Path) -> None:
+        """Makes the folder of a camera, with nothing in it."""
+        shutil.rmtree(folder, ignore_errors=True)
+        with writing(folder):
+            (folder / "pictures").mkdir(parents=True, exist_ok=True)
+
+
+class Workspace(WorkFolder):
     """A working folder that this run has locked; a context manager that unlocks it.
 
     It ends with the folder removed, unless parts are in it that the next run can use.
@@ -82,8 +112,8 @@ class Workspace:
         update: Callable[[], "KeptLogs"] | None = None,
         say: Say,
     ) -> None:
-        self.output, self.record = output, record
-        self.folder = output.absolute() / WORKING
+        super().__init__(output.absolute() / WORKING, record)
+        self.output = output
         if output.exists() and not output.is_dir():
             raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
         if not self.folder.exists() and not (overwrite or update):
@@ -178,24 +208,6 @@ class Workspace:
             file_name: What the names of its files begin with.
         """
         return self.logs / _folder_name(self.record, log, file_name)
-
-    def write(self, place: str | Path, value: Any) -> None:
-        """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
-
-        What a power cut takes of it is done again.
-        """
-        write_checked(self.folder / place, pickle.dumps(value, 5), wait=False)
-
-    def read(self, place: str | Path) -> Any:
-        """What :meth:`write` kept; None: it isn't there, or damaged."""
-        content = read_checked(self.folder / place)
-        return None if content is None else pickle.loads(content)
-
-    def empty(self, folder: Path) -> None:
-        """Makes the folder of a camera, with nothing in it."""
-        shutil.rmtree(folder, ignore_errors=True)
-        with writing(folder):
-            (folder / "pictures").mkdir(parents=True, exist_ok=True)
 
     def drop(self, files: Mapping[str, Path]) -> None:
         """Nothing is of use but files that people may want to read; those move out."""
