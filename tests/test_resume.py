@@ -354,6 +354,12 @@ def test_another_run_is_refused_with_the_reason(many: list, tmp_path: Path, monk
     with monkeypatch.context() as patch:
         patch.setattr("jaxdet.__version__", "0.2.0")
         refused('jaxdet was "0.1.0" and is "0.2.0" now', logs)
+    moved = path.with_name("moved.mcap")
+    moved.write_bytes(b"first")
+    refused(
+        rf"moved.mcap was {re.escape(str(path))}", [logs[0]._replace(paths=(moved,)), *logs[1:]]
+    )
+    refused("00 had 1 files and has 2 now", [logs[0]._replace(paths=(path, moved)), *logs[1:]])
     path.write_bytes(b"other")
     refused(f"{re.escape(str(path))} has changed", logs)
     said: list[str] = []
@@ -484,6 +490,22 @@ def test_a_damaged_picture_is_drawn_again(many: list, tmp_path: Path, *, whole: 
     run(many[:2], tmp_path / "a", pictures=2)
     run(many[:2], tmp_path / "b", pictures=2)
     same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_what_is_done_of_a_log_is_on_the_disk_before_the_next(many, tmp_path, monkeypatch) -> None:
+    flushed = set[str]()
+    fsync = os.fsync
+
+    def kept(handle: int) -> None:
+        flushed.add(os.readlink(f"/proc/self/fd/{handle}"))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", kept)
+    with pytest.raises(Interrupted):
+        run(many[:2], tmp_path, pictures=2, progress=stop_at("01", interrupt))
+    (folder,) = tmp_path.glob(".jaxdet/logs-*/00-*/0")
+    done = {str(path) for way in ("*.part", "pictures/*") for path in folder.glob(way)}
+    assert len(done) == 3 and done <= flushed
 
 
 def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:

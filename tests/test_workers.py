@@ -23,7 +23,7 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import lane, log_run, pool, station
+from jaxdet.engine import lane, log_run, pool, station, worker
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.pooled_run import PooledLogRun
 from jaxdet.engine.signals import stops_raised
@@ -254,10 +254,20 @@ def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
     times = iter((0.0, 5000.0))
     monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=lambda: next(times)))
     monkeypatch.setattr(pool, "wait", lambda pipes, seconds: [])
-    worker: Any = SimpleNamespace(pipe=None, given=["a unit"], still=0.0)
+    one: Any = SimpleNamespace(pipe=None, given=["a unit"], still=0.0)
     found = pool.Pool(1, "reference")
-    found._workers = [worker]
-    assert not list(found._look()) and 0 < worker.still <= 2
+    found._workers = [one]
+    assert not list(found._look()) and 0 < one.still <= 2
+
+
+def test_a_worker_that_is_heard_of_does_not_hang():
+    process: Any = SimpleNamespace(Process=lambda **given: None)
+    found = worker.Worker(process, "reference", None)
+    found.given.append("a unit")
+    found.still = 599.0
+    found._theirs.send("alive")
+    assert found.receive() == [] and found.still == 0 and found.ready
+    assert list(found.given) == ["a unit"]
 
 
 def test_workers_that_are_killed_while_they_start_far_apart():
