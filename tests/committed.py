@@ -12,7 +12,7 @@ NAMES = ("config.json", "frames.parquet", "obstacles.parquet", "pictures/a.png",
 def commit(output: Path, text: str) -> None:
     """A run that writes ``text`` into each of its files."""
     with Workspace(output, {"of": text}, overwrite=True, say=lambda line: None) as work:
-        if work.done:
+        if work.done is not None:
             return
         names = (*NAMES, f"map_{text}.png")
         files = {name: work.result / name for name in names}
@@ -20,4 +20,4 @@ def commit(output: Path, text: str) -> None:
             path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
         files |= write_json(work.result / "manifest.json", make_manifest({}, files))
-        work.commit(files, None)
+        work.commit(files, text)

@@ -17,7 +17,7 @@ from jaxdet import engine
 from jaxdet.cli.main import main
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import RunOptions
-from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Memory, Needs, Share
+from jaxdet.engine.memory import ALONE, BATCH, MIB, PARENT, TABLES, WORKER, Allotment, Memory, Needs
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.io import LogOptions, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
@@ -85,12 +85,12 @@ def test_control_groups_count(tmp_path, monkeypatch, groups, files, expected):
     assert machine_memory() == min(expected or 1 << 60, int(without) << 10)
 
 
-def used(memory: Memory, share: Share, needs: Needs) -> int:
+def used(memory: Memory, allotted: Allotment, needs: Needs) -> int:
     """By the figures that the module gives, but in its own words."""
-    processes = ALONE if share.workers == 1 else PARENT + share.workers * WORKER
-    images = (5 + share.read_ahead) * share.batch * needs.frame
-    all_images = share.workers * (images + memory.chunks)
-    return processes + all_images + needs.known * (1 + share.workers) + needs.rows
+    processes = ALONE if allotted.workers == 1 else PARENT + allotted.workers * WORKER
+    images = (5 + allotted.read_ahead) * allotted.batch * needs.frame
+    all_images = allotted.workers * (images + memory.chunks)
+    return processes + all_images + needs.known * (1 + allotted.workers) + needs.rows
 
 
 @given(
@@ -105,34 +105,34 @@ def test_what_is_given_out_is_never_more_than_there_is(total, needs, batch, work
     memory = Memory(f"{total}MiB", workers)
     assert 1 <= memory.workers <= workers
     try:
-        share = memory.share(needs, batch, workers, "a")
+        allotted = memory.allot(needs, batch, workers, "a")
     except InputError as error:
         least = re.search(r"give --memory (\d+MiB) or more", str(error))
         assert least
         more = Memory(least[1], workers)
         assert more.total > memory.total
-        assert more.share(needs, batch, workers, "a").batch
+        assert more.allot(needs, batch, workers, "a").batch
         return
-    assert 1 <= share.workers <= memory.workers and 1 <= share.batch <= batch
-    assert used(memory, share, needs) <= memory.total
+    assert 1 <= allotted.workers <= memory.workers and 1 <= allotted.batch <= batch
+    assert used(memory, allotted, needs) <= memory.total
 
 
 def test_enough_memory_changes_nothing():
     memory = Memory("64GiB", 16)
     needs = Needs(FRAME, 10 * MIB, TABLES)
-    assert memory.share(needs, BATCH, 16, "a") == (16, BATCH, 0)
-    assert memory.share(needs, BATCH, 1, "a") == (1, BATCH, 2)
+    assert memory.allot(needs, BATCH, 16, "a") == (16, BATCH, 0)
+    assert memory.allot(needs, BATCH, 1, "a") == (1, BATCH, 2)
     assert memory.reading.chunk == 256 * MIB
 
 
 def test_less_memory_is_fewer_processes_then_smaller_batches():
-    shares = []
+    found = []
     for size in ("8GiB", "4GiB", "2GiB", "1GiB", "800MiB"):
         memory = Memory(size, 8)
-        share = memory.share(Needs(FRAME, 0, 0), BATCH, memory.workers, "a")
-        shares.append((share.workers, share.batch))
-    assert shares == sorted(shares, reverse=True) and len(set(shares)) > 3
-    assert shares[0][0] == 8 and shares[-1][0] == 1
+        allotted = memory.allot(Needs(FRAME, 0, 0), BATCH, memory.workers, "a")
+        found.append((allotted.workers, allotted.batch))
+    assert found == sorted(found, reverse=True) and len(set(found)) > 3
+    assert found[0][0] == 8 and found[-1][0] == 1
 
 
 def test_larger_chunks_take_fewer_workers():

@@ -23,12 +23,20 @@ import pytest
 
 from jaxdet import engine
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device, log_run, pool
+from jaxdet.engine import device, log_run, pool, workspace
 from jaxdet.engine.part import Part
 from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import ConfigError, InputError, Interrupted, JaxdetError, OutputError
+from jaxdet.errors import (
+    ConfigError,
+    InputError,
+    Interrupted,
+    JaxdetError,
+    OutputError,
+    ResultsError,
+)
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.pipeline import detect
+from jaxdet.results.commit import commit
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import fingerprint, result_files, sha256
 from jaxdet.results.writer import ResultWriter
@@ -140,6 +148,27 @@ def test_signals_keep_what_is_done(many: list, tmp_path: Path, number: int, code
     assert opened == ["02", "03"]
     run(many[:4], tmp_path / "b")
     same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_log_that_failed_is_not_done(many: list, tmp_path: Path, monkeypatch) -> None:
+    def torn(files: LogFiles, options: LogOptions, memory: Any) -> Any:
+        if files.name == "00":
+            raise InputError("is torn", path=files.name)
+        return opened(files, options, memory)
+
+    monkeypatch.setattr(log_run, "open_log", torn)
+    with pytest.raises(Interrupted, match=r"; 0 of 2 logs and 1 of 2 units of 01 are done"):
+        run(many[:2], tmp_path, progress=stop_at("01", interrupt))
+
+
+def test_a_signal_while_results_move_comes_too_late(many: list, tmp_path: Path, monkeypatch):
+    def moved(*given: Any) -> None:
+        interrupt()
+        commit(*given)
+
+    monkeypatch.setattr(workspace, "commit", moved)
+    assert run(many[:1], tmp_path).frames == 10
+    assert not verify(tmp_path, sample=0).findings
 
 
 def test_the_summary_is_the_same_but_for_its_times(many: list, tmp_path: Path) -> None:
@@ -325,11 +354,35 @@ def test_another_run_is_refused_with_the_reason(many: list, tmp_path: Path, monk
     with monkeypatch.context() as patch:
         patch.setattr("jaxdet.__version__", "0.2.0")
         refused('jaxdet was "0.1.0" and is "0.2.0" now', logs)
+    moved = path.with_name("moved.mcap")
+    moved.write_bytes(b"first")
+    refused(
+        rf"moved.mcap was {re.escape(str(path))}", [logs[0]._replace(paths=(moved,)), *logs[1:]]
+    )
+    refused("00 had 1 files and has 2 now", [logs[0]._replace(paths=(path, moved)), *logs[1:]])
     path.write_bytes(b"other")
     refused(f"{re.escape(str(path))} has changed", logs)
     said: list[str] = []
     run(logs, output, overwrite=True, say=said.append)
     assert said == [f"dropped an unfinished run: {path} has changed"]
+
+
+def test_another_version_ends_the_move_of_whole_results(many, tmp_path, monkeypatch) -> None:
+    """It may not know the classes of the one that was killed."""
+
+    def killed(working: Path) -> None:
+        raise OutputError("is gone", path=str(working))
+
+    with monkeypatch.context() as patch, pytest.raises(OutputError):
+        patch.setattr("jaxdet.results.commit.settle", killed)
+        run(many[:1], tmp_path)
+    assert not result_files(tmp_path)
+    with monkeypatch.context() as patch, pytest.raises(ResultsError, match=r"is \"0\.2\.0\" now"):
+        patch.setattr("jaxdet.__version__", "0.2.0")
+        patch.delattr("jaxdet.results.summary.Summary")
+        run(many[:1], tmp_path)
+    assert not verify(tmp_path, sample=0).findings
+    assert not (tmp_path / ".jaxdet").exists()
 
 
 def test_overwrite_keeps_the_old_results_until_the_new_are_whole(many, tmp_path) -> None:
@@ -422,6 +475,39 @@ def test_a_damaged_part_of_a_whole_log_is_done_again(many: list, tmp_path: Path)
     same_results(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_damaged_picture_is_drawn_again(many: list, tmp_path: Path, *, whole: bool) -> None:
+    """A power cut leaves what the system had not put on the disk yet empty, or away."""
+    with pytest.raises(Interrupted):
+        run(many[:2], tmp_path / "a", pictures=2, progress=stop_at("01", interrupt))
+    log = "00" if whole else "01"
+    (picture,) = (tmp_path / "a").glob(f".jaxdet/logs-*/{log}-*/0/pictures/{log}_000000.png")
+    picture.write_bytes(b"")
+    if whole:
+        with pytest.raises(OutputError, match="was changed or removed; run the command again"):
+            run(many[:2], tmp_path / "a", pictures=2)
+        picture.unlink()
+    run(many[:2], tmp_path / "a", pictures=2)
+    run(many[:2], tmp_path / "b", pictures=2)
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_what_is_done_of_a_log_is_on_the_disk_before_the_next(many, tmp_path, monkeypatch) -> None:
+    flushed = set[str]()
+    fsync = os.fsync
+
+    def kept(handle: int) -> None:
+        flushed.add(os.readlink(f"/proc/self/fd/{handle}"))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", kept)
+    with pytest.raises(Interrupted):
+        run(many[:2], tmp_path, pictures=2, progress=stop_at("01", interrupt))
+    (folder,) = tmp_path.glob(".jaxdet/logs-*/00-*/0")
+    done = {str(path) for way in ("*.part", "pictures/*") for path in folder.glob(way)}
+    assert len(done) == 3 and done <= flushed
+
+
 def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:
     def second() -> None:
         with pytest.raises(ConfigError, match="another run works here") as caught:
@@ -431,6 +517,15 @@ def test_two_runs_never_share_a_folder(many: list, tmp_path: Path) -> None:
 
     run(many[:1], tmp_path, progress=stop_at("00", second))
     assert not (tmp_path / ".jaxdet").exists()
+
+
+def test_control_c_while_a_folder_is_left(many: list, tmp_path: Path, monkeypatch) -> None:
+    """Its lock would be this process's for good, as a notebook's."""
+    release = Lock.release
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Lock, "release", lambda self: (interrupt(), release(self)))
+        run(many[:1], tmp_path / "a")
+    run(many[:1], tmp_path / "a", overwrite=True)
 
 
 def test_the_lock_of_a_dead_run_is_taken_over(many: list, tmp_path: Path) -> None:
@@ -510,6 +605,24 @@ def test_a_full_disk_keeps_what_is_done(many: list, tmp_path: Path) -> None:
     run(many[:3], tmp_path / "a")
     run(many[:3], tmp_path / "b")
     same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_disk_of_kernels_that_is_full_ends_the_run(
+    many: list, tmp_path: Path, monkeypatch
+) -> None:
+    """It is no fault of jaxdet in each of the logs."""
+
+    def compiled(*_: Any, **more: Any) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device", "/cache/cells.o")
+
+    with monkeypatch.context() as patch, pytest.raises(OutputError) as caught:
+        patch.setattr(device, "detect", compiled)
+        run(many[:2], tmp_path / "a")
+    assert str(caught.value) == (
+        "/cache/cells.o: kernels can't be compiled there (No space left on device); "
+        "make room or set JAXDET_CACHE to another folder"
+    )
+    assert not (tmp_path / "a").exists()
 
 
 def test_the_manifest_knows_every_file(many: list, tmp_path: Path) -> None:

@@ -446,6 +446,19 @@ def test_a_recording_that_goes_on(logs: Logs, tmp_path: Path) -> None:
         assert logs.opened == rows(output)[:1] == ["rec_0"]
 
 
+def test_a_recording_that_goes_on_in_a_file_that_can_not_be_read(
+    logs: Logs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its rows are of the files that it had, and so is what is told of it."""
+    output = tmp_path / "out"
+    logs.go([split(logs, 0, 1)], output)
+    monkeypatch.setattr(record, "fingerprint", unreadable(logs.folder / "rec_2.mcap"))
+    logs.go([split(logs, 0, 1, 2), logs.all[0]], output, update=True)
+    assert rows(output) == ["a"] * 10 + ["rec"] * 10
+    assert len(read_manifest(output)["inputs"]["rec"]) == 2
+    assert [len(log["paths"]) for log in summary(output)["logs"]] == [1, 2]
+
+
 def test_some_files_of_a_recording(logs: Logs, tmp_path: Path) -> None:
     output = tmp_path / "out"
     logs.go([split(logs, 0, 1, 2)], output)
@@ -468,10 +481,23 @@ def test_some_files_of_a_recording(logs: Logs, tmp_path: Path) -> None:
 def test_some_files_of_a_recording_that_failed(logs: Logs, tmp_path: Path) -> None:
     output = tmp_path / "out"
     logs.broken = {"rec"}
-    logs.go([split(logs, 0, 1)], output)
+    logs.go([split(logs, 0, 1), logs.all[0]], output)
     logs.broken.clear()
     logs.go([split(logs, 1)], output, update=True)
-    assert rows(output) == ["rec"] * 10
+    assert rows(output) == ["a"] * 10 + ["rec"] * 10
+
+
+def test_a_recording_that_failed_is_there_in_another_format(logs: Logs, tmp_path: Path) -> None:
+    """As far as it could be converted: it has no rows to be lost."""
+    output = tmp_path / "out"
+    logs.broken = {"rec"}
+    made = [logs.add(f"rec_{number}").paths[0] for number in (0, 1)]
+    paths = tuple(path.rename(path.with_suffix(".db3")) for path in made)
+    logs.go([LogFiles("rec", paths), logs.all[0]], output)
+    logs.broken.clear()
+    converted = LogFiles("rec", logs.add("rec_0", "converted").paths)
+    logs.go([converted], output, update=True)
+    assert rows(output) == ["a"] * 10 + ["rec"] * 10
 
 
 def test_a_recording_that_is_there_in_another_format(logs: Logs, tmp_path: Path) -> None:

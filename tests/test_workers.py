@@ -13,28 +13,29 @@ import time
 from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import warp as wp
 
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import lane, local, log_run, pool, station
+from jaxdet.engine import lane, log_run, pool, station, worker
 from jaxdet.engine.plan import LogPlan
+from jaxdet.engine.pooled_run import PooledLogRun
 from jaxdet.engine.signals import stops_raised
 from jaxdet.engine.slots import SLOTS, attached
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
+from jaxdet.results.summary import Summary
 from jaxdet.sim import SimConfig, write_log
-from jaxdet.stages import _upload
 from jaxdet.verify import verify
+from tests.pools import on_this_machine, same_results
 
 FRAMES = 23
 START_METHODS = multiprocessing.get_all_start_methods()
@@ -249,6 +250,26 @@ def test_floors_of_many_time_windows_are_progress(monkeypatch):
     assert len(planes.windows) == 32
 
 
+def test_time_in_which_the_machine_was_asleep_is_no_hang(monkeypatch):
+    times = iter((0.0, 5000.0))
+    monkeypatch.setattr(pool, "time", SimpleNamespace(monotonic=lambda: next(times)))
+    monkeypatch.setattr(pool, "wait", lambda pipes, seconds: [])
+    one: Any = SimpleNamespace(pipe=None, given=["a unit"], still=0.0)
+    found = pool.Pool(1, "reference")
+    found._workers = [one]
+    assert not list(found._look()) and 0 < one.still <= 2
+
+
+def test_a_worker_that_is_heard_of_does_not_hang():
+    process: Any = SimpleNamespace(Process=lambda **given: None)
+    found = worker.Worker(process, "reference", None)
+    found.given.append("a unit")
+    found.still = 599.0
+    found._theirs.send("alive")
+    assert found.receive() == [] and found.still == 0 and found.ready
+    assert list(found.given) == ["a unit"]
+
+
 def test_workers_that_are_killed_while_they_start_far_apart():
     with pool.Pool(1, "reference") as workers:
         for _ in range(3):
@@ -259,22 +280,15 @@ def test_workers_that_are_killed_while_they_start_far_apart():
             workers.close()
 
 
-def same_results(one: Path, other: Path) -> None:
-    """All files but the summary, with its times, and the checksum of that."""
-    names = [path.relative_to(one) for path in sorted(one.rglob("*")) if path.is_file()]
-    assert names == [p.relative_to(other) for p in sorted(other.rglob("*")) if p.is_file()]
-    for name in names:
-        if name.name not in ("summary.json", "manifest.json"):
-            assert (one / name).read_bytes() == (other / name).read_bytes(), name
-
-
 def test_short_logs_need_no_workers(tmp_path):
     def alone(count: int, devices: Any = (), **options: Any) -> list[bool]:
         how = engine.RunOptions(tmp_path, **options)
         pool = SimpleNamespace(devices=devices, started=False)
         memory = SimpleNamespace(workers=count, apart=False)
-        given: Any = SimpleNamespace(config=Config(), options=how, memory=memory, pool=pool)
-        one = log_run.LogRun(given, LogFiles("a", ()), "a", lambda *_: None)
+        given: Any = SimpleNamespace(config=Config(), options=how, memory=memory)
+        results: Any = SimpleNamespace(summary=Summary("jax", 0))
+        logs = LogFiles("a", ())
+        one = PooledLogRun(given, cast(Any, pool), results, logs, "a", lambda *_: None)
         return [one._alone(frames) for frames in (1, 499, 500)]
 
     assert alone(4) == [True, True, False]
@@ -301,32 +315,6 @@ def test_units_hold_each_frame_once(frames, workers):
     if len(units) > 4 * workers > 4:
         small = [unit for unit in units if len(range(*unit[1:], frames.step)) <= sizes.end_size]
         assert len(small) >= workers and units[-len(small) :] == small
-
-
-def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The way of a GPU, with the CPU in its place; the sizes of what is copied."""
-    copies = []
-
-    def copy(
-        to: wp.array, source: wp.array, dest_offset: int = 0, src_offset: int = 0, **more: Any
-    ) -> None:
-        copies.append(more["count"])
-        part = source.numpy().reshape(-1)[src_offset : src_offset + more["count"]]
-        to.numpy().reshape(-1)[dest_offset : dest_offset + more["count"]] = part
-
-    def device_from_jax(device: Any) -> wp.Device:
-        return wp.get_device("cpu")
-
-    same = {name: getattr(wp, name) for name in ("array", "zeros", "to_jax", "from_jax")}
-    names = ("Stream", "synchronize_device", "synchronize_stream")
-    nothing = dict.fromkeys(names, lambda device: None)
-    stand_in = SimpleNamespace(copy=copy, device_from_jax=device_from_jax, **same, **nothing)
-    monkeypatch.setattr(_upload, "wp", stand_in)
-    lock = SimpleNamespace(unlock=lambda: None)
-    monkeypatch.setattr(_upload, "PageLock", lambda memory, device, block: lock)
-    monkeypatch.setattr(_upload, "wait_asleep", lambda device: None)
-    monkeypatch.setattr(local, "gpus", lambda: (jax.devices("cpu")[0],))
-    return copies
 
 
 @pytest.mark.parametrize(("preset", "workers", "size"), [("wheeled", 3, 4), ("paper", 1, 5)])
@@ -425,13 +413,14 @@ class RingLane:
         done.set_result(self.copied(pieces))
         return done
 
-    def start(self, pieces: list[int], copied: int) -> list[int]:
+    def start(self, pieces: list[int], copied: int) -> Any:
         if len(pieces) > 4:
             raise MemoryError
-        return self.ring[copied::3][-1]  # the last that was copied to this buffer
+        last = self.ring[copied::3][-1]  # that was copied to this buffer
+        return SimpleNamespace(lane=self, found=last)
 
-    def finish(self, pieces: list[int], started: list[int]) -> list[int]:
-        return started
+    def finish(self, pieces: list[int], started: Any) -> list[int]:
+        return started.found
 
     def close(self) -> None:
         pass

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.signals import stops_held_back
-from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Slots, attached
-from jaxdet.pipeline import BackendName, detect
+from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Sample, Slots, attached
+from jaxdet.engine.startup import computing
+from jaxdet.pipeline import BackendName, detect, find_floors
 from jaxdet.results.rows import RowInputs, joined_inputs, row_inputs, to_host
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
+    from jaxdet.floor.units import FloorFit
     from jaxdet.io import Batch
 
 ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
@@ -58,6 +59,10 @@ class Device(Protocol):
         """Waits for what :meth:`start` returned."""
         ...
 
+    def find_floors(self, frames: Frames) -> "FloorFit":
+        """The floors of frames, see :func:`jaxdet.pipeline.find_floors`; no batch is started."""
+        ...
+
 
 class OwnDevice:
     """This process: NumPy, or JAX on whatever it computes on here.
@@ -79,34 +84,26 @@ class OwnDevice:
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
         """Starts a batch."""
         frames = batch.frames._replace(plane=plane)
-        try:
-            found = self._detect(frames)
-        except Exception as error:
-            if not out_of_memory(error):
-                raise
-            found = None
-        return _Started(frames, found, whole)
+        return _Started(frames, _if_it_fits(self._detect, frames), whole)
 
     def finish(self, started: "_Started") -> Found:
         """Waits for a batch; one that takes too much memory is worked on in halves."""
         frames, found, whole = started
-        try:
-            found = found and self._on_host(found)
-        except Exception as error:
-            if not out_of_memory(error):
-                raise
-            found = None
+        found = found and _if_it_fits(self._on_host, found)
         found = found or self._in_halves(frames)
         return Found(row_inputs(found), found if whole else None)
 
+    def find_floors(self, frames: Frames) -> "FloorFit":
+        """The floors of frames."""
+        with computing():
+            return find_floors(frames, self._config, backend=self._backend)
+
     def _detect(self, frames: Frames) -> Detections:
-        # Kernels are called back by XLA in this thread: an exception there would leave a batch
-        # half computed.
-        with stops_held_back():
+        with computing():
             return detect(frames, self._config, backend=self._backend)
 
     def _on_host(self, found: Detections) -> Detections:
-        with stops_held_back():
+        with computing():
             return to_host(found)
 
     def _in_halves(self, frames: Frames) -> Detections:
@@ -117,12 +114,8 @@ class OwnDevice:
         found = []
         for rows in (slice(0, count // 2), slice(count // 2, count)):
             half = _rows(frames, rows)
-            try:
-                found.append(self._on_host(self._detect(half)))
-            except Exception as error:
-                if not out_of_memory(error):
-                    raise
-                found.append(self._in_halves(half))
+            whole = _if_it_fits(lambda half=half: self._on_host(self._detect(half)))
+            found.append(whole or self._in_halves(half))
         return joined_inputs(found)
 
 
@@ -133,6 +126,16 @@ class _Started(NamedTuple):
     found: Detections | None
     """None: there was not enough memory for all of it."""
     whole: bool
+
+
+def _if_it_fits(function: Callable[..., Detections], *args: Any) -> Detections | None:
+    """What a function returns; None: there is not enough memory for it."""
+    try:
+        return function(*args)
+    except Exception as error:
+        if not out_of_memory(error):
+            raise
+        return None
 
 
 def out_of_memory(error: Exception) -> bool:
@@ -178,14 +181,29 @@ class SharedDevice:
 
     def finish(self, started: int) -> Found:
         """Waits for a batch; its results are valid until its slot is started again."""
-        while started not in self._replies:
-            reply: Reply = self._piped.pipe.recv()
-            self._replies[reply.slot] = reply
-        _, told, whole, error, busy_s = self._replies.pop(started)
-        if error:
-            raise error
+        _, told, whole, _, busy_s, _ = self._reply(started)
         if self._results is None or self._results[0] != told:
             packing: Packing = pickle.loads(told)
             self._results = told, packing, packing.view(attached(packing.path), self._slots)
         _, packing, rows = self._results
         return Found(packing.unpacked(rows[started]), whole, busy_s)
+
+    def find_floors(self, frames: Frames) -> "FloorFit":
+        """The floors of at most as many frames as a slot has."""
+        count, slot = len(frames.valid), self._first + self._turn
+        self._views[slot][1][:count] = frames.depth
+        assert frames.plane is not None
+        self._piped.pipe.send(Sample(self._piped.number, slot, frames.plane))
+        floors = self._reply(slot).floors
+        assert floors is not None
+        return floors
+
+    def _reply(self, slot: int) -> Reply:
+        """The station's reply to what was sent in a slot; raises its error."""
+        while slot not in self._replies:
+            reply: Reply = self._piped.pipe.recv()
+            self._replies[reply.slot] = reply
+        reply = self._replies.pop(slot)
+        if reply.error:
+            raise reply.error
+        return reply

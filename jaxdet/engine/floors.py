@@ -9,12 +9,13 @@ the floor.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine.signals import stops_held_back
+from jaxdet.engine.startup import computing
 from jaxdet.errors import InputError
 from jaxdet.floor.plane import (
     flagged_plane,
@@ -25,10 +26,13 @@ from jaxdet.floor.plane import (
 )
 from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.pipeline import BackendName, find_floors
-from jaxdet.types import GroundPlane
+from jaxdet.types import Frames, GroundPlane
 
 if TYPE_CHECKING:
+    from jaxdet.floor.units import FloorFit
     from jaxdet.io import Log
+
+FindFloors = Callable[[Frames], "FloorFit"]
 
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
 """Camera heights that a TF tree is believed for; a base frame in the camera has none."""
@@ -102,6 +106,7 @@ def decide_planes(
     frames: np.ndarray | None = None,
     at_once: int | None = None,
     alive: Callable[[], object] = lambda: None,
+    find: FindFloors | None = None,
 ) -> Planes:
     """What is known of the floor of a log's frames, in the order flags, TF, none.
 
@@ -120,6 +125,7 @@ def decide_planes(
         frames: Numbers of the frames whose planes are wanted; None: all that are read.
         at_once: Most frames of a sample that are in memory together; None: all.
         alive: Called after each part of a sample.
+        find: What finds the floors; None: the backend, in this process.
 
     Returns:
         The planes, with records and warnings for the summary.
@@ -130,12 +136,13 @@ def decide_planes(
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
+    find = find or partial(find_floors, config=config, backend=backend)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
     for number, all_frames in _windows(log, window_ns, wanted):
         sample = evenly(all_frames, config.ground.sample_frames)
-        given = known, plane, config, backend, at_once, alive
+        given = known, plane, config, find, at_once, alive
         record, windows[number] = _look(log, sample, *given)
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
@@ -203,7 +210,7 @@ def _look(
     known: GroundRecord,
     plane: GroundPlane,
     config: Config,
-    backend: BackendName,
+    find: FindFloors,
     at_once: int | None,
     alive: Callable[[], object],
 ) -> tuple[GroundRecord, GroundPlane]:
@@ -214,8 +221,8 @@ def _look(
         frames = log.read(sample[first : first + size].tolist()).frames
         if frames.valid.any():
             frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            with stops_held_back():  # XLA calls kernels back in this thread, see OwnDevice
-                fit = find_floors(frames, config, backend=backend)
+            with computing():
+                fit = find(frames)
                 shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
                 own.append(np.asarray(fit.own)[frames.valid])
         alive()

@@ -1,6 +1,6 @@
 """The parts of a log that is whole become rows, its summary, its map and what observers say."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from jaxdet.render import draw_map, write_png
 from jaxdet.results.durable import writing
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
 from jaxdet.results.summary import LogSummary
+from jaxdet.results.writer import ResultWriter, Tables
 
 if TYPE_CHECKING:
     from jaxdet.io import Notes
@@ -68,6 +69,21 @@ def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int) -> list["Notes"
         about.observed[name] = observer.summary(seen[name])
     _write_map(occupancy, plan, about, map_bytes)
     return notes
+
+
+def add_rows(writer: ResultWriter, rows: Iterable[Tables], log: str) -> None:
+    """Adds the rows of a log to the tables.
+
+    Raises:
+        OutputError: The disk is full or broken, or there is no memory for them.
+    """
+    try:
+        for some in rows:
+            writer.add(some)
+    except MemoryError as error:
+        raise OutputError(
+            "no memory for its rows", path=log, remedy="end other programs"
+        ) from error
 
 
 def map_files(about: LogSummary, folder: Path) -> dict[str, Path]:

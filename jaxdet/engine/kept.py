@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from jaxdet.engine.join import add_rows
 from jaxdet.engine.known import (
     REMEDY,
     Fingerprints,
@@ -15,7 +16,7 @@ from jaxdet.engine.known import (
     places_of,
 )
 from jaxdet.engine.record import difference_but_logs, digest, record_of_results
-from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError, printable
+from jaxdet.errors import ConfigError, InputError, JaxdetError, printable
 from jaxdet.io.files import LogFiles
 from jaxdet.results.arrow import with_schema
 from jaxdet.results.durable import sha256, writing
@@ -98,12 +99,7 @@ class KeptLogs:
             InputError: The old tables can't be read.
             OutputError: The disk is full or broken, or there is no memory for the rows.
         """
-        try:
-            for rows in self._rows(log.name):
-                writer.add(rows)
-        except MemoryError as error:
-            how = {"path": log.name, "remedy": "end other programs"}
-            raise OutputError("no memory for its rows", **how) from error
+        add_rows(writer, self._rows(log.name), log.name)
         where = {"paths": tuple(str(path.absolute()) for path in log.paths)}
         return [LogSummary.from_dict(entry | where) for entry in self._entries[log.name]]
 

@@ -5,7 +5,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +17,18 @@ from jaxdet.engine.slots import (
     Packing,
     Piece,
     Reply,
+    Sample,
     SharedMemory,
     Slots,
 )
+from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.pipeline import detect
+from jaxdet.pipeline import detect, find_floors
 from jaxdet.results.rows import map_leaves, row_inputs, to_host
 from jaxdet.types import Calibration, Detections, Frames
+
+if TYPE_CHECKING:
+    from jaxdet.floor.units import FloorFit
 
 
 class Served(NamedTuple):
@@ -72,6 +77,17 @@ class LogMemory:
         with self._lock:
             if memory.path not in self._page_locks:
                 self._page_locks[memory.path] = PageLock(memory.map, device, block)
+
+    def find_floors(self, sample: Sample) -> "FloorFit":
+        """The floors of a sample, on whatever JAX computes on."""
+        color, depth = self.views[sample.slot]
+        count = len(sample.plane.valid)
+        nothing = np.zeros(count, np.int64)
+        known = nothing, nothing, nothing, nothing == 0
+        given = color[:count], depth[:count], self.served.calibration
+        frames = Frames(*given, *known, plane=sample.plane)
+        with computing():
+            return find_floors(frames, self.served.config)
 
     def results(self, found: Detections) -> "_Results":
         """The memory of the results, made when the first are there."""
@@ -135,21 +151,21 @@ class FittingLane:
             return None
         return _Copying(lane, self._divided, lane.copy(pieces))
 
-    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Computing | None":
+    def start(self, pieces: list[Piece], copying: "_Copying | None") -> "_Started | None":
         """Waits until a batch is copied and starts to compute it; None: it is not on the device."""
         if copying is None or copying[:2] != (self._lane, self._divided):
             return None
         try:
-            return _Computing(copying.lane, copying.lane.start(pieces, copying.copied.result()))
+            return copying.lane.start(pieces, copying.copied.result())
         except Exception as error:
             self._halve(error)
             return None
 
-    def finish(self, pieces: list[Piece], computing: "_Computing | None") -> list[Reply]:
+    def finish(self, pieces: list[Piece], started: "_Started | None") -> list[Reply]:
         """Waits for a batch; one that was not started is copied again, and computed in parts."""
-        if computing:
+        if started:
             try:
-                return computing.lane.finish(pieces, computing.started)
+                return started.lane.finish(pieces, started)
             except Exception as error:
                 self._halve(error)
         replies: list[Reply] = []
@@ -176,8 +192,9 @@ class _Copied(NamedTuple):
 
 
 class _Started(NamedTuple):
-    """A batch on a device."""
+    """A batch that a lane's device computes."""
 
+    lane: "Lane"
     found: Detections
     packed: Any
     begin: float
@@ -195,13 +212,6 @@ class _Copying(NamedTuple):
     divided: int
     """See :class:`FittingLane`."""
     copied: "Future[_Copied]"
-
-
-class _Computing(NamedTuple):
-    """A batch that a lane's device computes."""
-
-    lane: "Lane"
-    started: _Started
 
 
 class Lane:
@@ -248,12 +258,13 @@ class Lane:
         known = nothing, nothing, nothing, nothing > 0
         color, depth = copied.images
         frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
-        found = detect(frames, log.served.config)
+        with computing():
+            found = detect(frames, log.served.config)
         with _packing:
             pack = _pack()
         packed = pack(_without_prior(found))
         ready = self._watch.submit(_time_when_ready, packed)
-        return _Started(found, packed, begin, copied.seconds, ready)
+        return _Started(self, found, packed, begin, copied.seconds, ready)
 
     def finish(self, pieces: list[Piece], started: _Started) -> list[Reply]:
         """Waits for the results and copies them to the slots."""

@@ -4,7 +4,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,23 +13,25 @@ from jaxdet.config import Config
 from jaxdet.cores import cores
 from jaxdet.engine.join import WHOLE
 from jaxdet.engine.kept import KeptLogs
-from jaxdet.engine.log_run import PLAN, LogRun, Shared
+from jaxdet.engine.log_run import PLAN, RunContext
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part_store import PartStore
 from jaxdet.engine.plan import LogPlan, Observer
 from jaxdet.engine.pool import Pool, gpus
+from jaxdet.engine.pooled_run import PooledLogRun, Results
 from jaxdet.engine.progress import ProgressCallback, reporter
 from jaxdet.engine.record import digest, inputs_of, make_record
 from jaxdet.engine.sharing import open_store
 from jaxdet.engine.signals import stops_held_back, stops_raised
+from jaxdet.engine.whole_logs import FEW_BYTES, Task, WholeLogs, choose_whole
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, ConfigError, InputError, Interrupted, OutputError
 from jaxdet.memory import size_text
 from jaxdet.results.durable import writing
 from jaxdet.results.manifest import MANIFEST, fingerprint, make_manifest
 from jaxdet.results.names import file_names
-from jaxdet.results.summary import Summary
+from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import ResultWriter, write_json
 
 if TYPE_CHECKING:
@@ -87,10 +89,10 @@ def run(
     store = options.parts and open_store(options.parts, record, begin=options.share is not None)
     update = partial(KeptLogs, output, ordered, record) if options.update else None
     with Workspace(output, record, overwrite=options.overwrite, update=update, say=say) as work:
-        if work.done:
-            return work.done.told[1]
-        whole = _Run(ordered, config, log_options, options, seen, work)
-        whole.progress, whole.say, whole.store = progress, say, store or None
+        if work.done is not None:
+            return work.done
+        given = ordered, config, log_options, options, seen, progress, say
+        whole = _Run(*given, work, store or None)
         if there := whole.standing():
             say(f"continuing: {there} there")
         try:
@@ -116,28 +118,27 @@ def _check_outside(output: Path, logs: Sequence["LogFiles"]) -> None:
             raise ConfigError(problem, path=str(output), remedy=remedy)
 
 
+@dataclass
 class _Run:
-    """The logs of a run, one after the other."""
+    """The logs of a run, one after the other; the first fields are as of :func:`run`."""
 
-    def __init__(
-        self,
-        logs: Sequence["LogFiles"],
-        config: Config,
-        log_options: "LogOptions",
-        options: RunOptions,
-        observers: Mapping[str, Observer],
-        work: Workspace,
-    ) -> None:
-        self.kept = kept = work.kept
-        self.logs = kept.logs if kept else logs
-        self.config, self.log_options = config, log_options
-        self.options, self.observers, self.work = options, observers, work
-        self.progress: ProgressCallback | None = None
-        self.say: Callable[[str], None] = print
-        self.store: PartStore | None = None
-        computed = options.batch_size or (kept.batch_size if kept else 0)
-        self.summary = Summary(options.backend, computed)
-        self.summary.kept = kept.names if kept else frozenset()
+    logs: Sequence["LogFiles"]
+    config: Config
+    log_options: "LogOptions"
+    options: RunOptions
+    observers: Mapping[str, Observer]
+    progress: ProgressCallback | None
+    say: Callable[[str], None]
+    work: Workspace
+    store: PartStore | None
+
+    def __post_init__(self) -> None:
+        """Nothing is done yet."""
+        self.kept = kept = self.work.kept
+        self.summary = Summary(self.options.backend, self.options.batch_size or 0)
+        if kept:
+            self.logs, self.summary.kept = kept.logs, kept.names
+            self.summary.batch_size = self.options.batch_size or kept.batch_size
         self.files: dict[str, Path] = {}
         """Of the results, by their names."""
         self._start = time.perf_counter()
@@ -205,8 +206,10 @@ class _Run:
         return Pool(workers, self.options.backend, devices)
 
     def _run_logs(self, pool: Pool, writer: ResultWriter) -> None:
-        given = self.config, self.options, self.observers, self.work, self.summary, self.files
-        shared = Shared(*given, self.memory, pool, writer, self.store, self.say)
+        given = self.config, self.options, self.observers, self.work
+        context = RunContext(*given, self.memory, self.store, self.say)
+        results = Results(self.work, self.summary, self.files, writer)
+        whole = WholeLogs(pool, context, self.log_options, self._whole_tasks(pool))
         fetched = 0
         for number, files in enumerate(self.logs):
             if self.kept and files.name in self.kept.names:
@@ -214,8 +217,11 @@ class _Run:
                 self.files |= self.kept.link_files(files, self.work.result / "kept")
                 continue
             report = reporter(self.progress, number, len(self.logs))
-            one = LogRun(shared, files, self._names[files.name], report, number)
             folder, options = self._folder(files), self.log_options
+            tell = partial(report, LogSummary(files.name, ()), files.name, 0)
+            by_worker = whole.wait_for(files.name, self.summary.batch_size, tell)
+            given = context, pool, results, files, self._names[files.name]
+            one = PooledLogRun(*given, report, number)
             try:
                 found = [one.take(folder / "0", options)]
             except CamerasError as error:
@@ -227,6 +233,8 @@ class _Run:
                 for about in (about for about in found if about.description):
                     about.cameras_left_out = list(about.description.cameras_left_out)
             self.summary.logs += found
+            if by_worker:
+                report(found[0], files.name, found[0].frames, "")
             fetched += one.fetched
             if not (self.options.share or any(about.error for about in found)):
                 self.work.write(folder / WHOLE, None)
@@ -239,6 +247,23 @@ class _Run:
         elif self.store:
             units = "1 unit was" if fetched == 1 else f"{fetched} units were"
             self.say(f"{units} in {self.store}")
+
+    def _whole_tasks(self, pool: Pool) -> dict[str, Task]:
+        """Logs that workers should do whole, the largest first."""
+        if self.memory.workers == 1 or self.options.share or self.store:
+            return {}
+        tasks, sizes = {}, {}
+        for number, files in enumerate(self.logs):
+            folder = self._folder(files)
+            if files.name not in self.summary.kept and not (folder / WHOLE).exists():
+                known = inputs_of(self.work.record, files)
+                sizes[files.name] = sum(was.get("size", 0) for _, was in known)
+                file_name = self._names[files.name]
+                tasks[files.name] = Task(files, file_name, number, folder / "0")
+        few = sum(sizes.values()) < FEW_BYTES and not (self.options.workers or pool.devices)
+        chosen = set() if few else choose_whole(sizes, self.memory.workers)
+        largest_first = sorted(chosen, key=lambda name: -sizes[name])
+        return {name: tasks[name] for name in largest_first}
 
     def _check_there(self, failed: "LogFiles") -> None:
         """Makes sure that the disk of a log that failed is still there.

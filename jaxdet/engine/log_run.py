@@ -1,12 +1,10 @@
-"""One log of a run: opened, planned, and its units worked through."""
+"""One log of a run made whole: opened, planned, its units worked through and its parts joined."""
 
-import itertools
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import replace
-from functools import partial
+from functools import cached_property
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,41 +12,33 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine import pool
-from jaxdet.engine.device import OwnDevice
+from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
-from jaxdet.engine.join import WHOLE, join_parts, map_files, parts_of
-from jaxdet.engine.memory import BATCH, Memory, Needs, Share
+from jaxdet.engine.join import WHOLE, join_parts, map_files
+from jaxdet.engine.memory import BATCH, Allotment, Memory, Needs
 from jaxdet.engine.options import RunOptions
-from jaxdet.engine.part import Part, part_path
+from jaxdet.engine.part import load_parts, part_path
 from jaxdet.engine.part_store import PartStore
 from jaxdet.engine.plan import LogPlan, Observer, Unit, UnitSizes
-from jaxdet.engine.pool import Pool
 from jaxdet.engine.progress import Clock, Report
 from jaxdet.engine.record import inputs_of
 from jaxdet.engine.sharing import SIZES, SharedLog, send
-from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import start_up
-from jaxdet.engine.unit import LogWork, save_work
-from jaxdet.engine.watch import Watch
-from jaxdet.engine.worker import decide_floors
-from jaxdet.engine.workspace import Workspace
-from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
+from jaxdet.engine.unit import LogWork
+from jaxdet.engine.workspace import WorkFolder
+from jaxdet.errors import ChunkMemoryError, InputError
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.pipeline import BackendName
-from jaxdet.results.durable import flush, read_checked, writing
-from jaxdet.results.fault import fault_text
+from jaxdet.results.durable import flush, writing
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.names import camera_file_name
-from jaxdet.results.summary import LogSummary, Summary
-from jaxdet.results.writer import ROWS_PER_GROUP, ResultWriter
+from jaxdet.results.summary import Counts, LogSummary
+from jaxdet.results.writer import ROWS_PER_GROUP
 
 if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
 
-FRAMES_WORTH_WORKERS = 500
-"""Fewer are done sooner by this process than workers have started."""
 UNIT_FRAMES = 256
 """Most frames of a unit; neighbouring frames share chunks of the log."""
 _ROW_BYTES, _COLUMN_BYTES = 4096, 9
@@ -57,23 +47,15 @@ memory twice."""
 PLAN = "plan"
 """In the folder of a log: how it is worked through."""
 
-_numbers = itertools.count()
-"""Of the files that workers are given."""
 
-
-class Shared(NamedTuple):
+class RunContext(NamedTuple):
     """What the logs of a run have in common."""
 
     config: Config
     options: RunOptions
     observers: Mapping[str, Observer]
-    work: Workspace
-    summary: Summary
-    files: dict[str, Path]
-    """Of the results, by their names there."""
+    work: WorkFolder
     memory: Memory
-    pool: Pool
-    writer: ResultWriter
     store: PartStore | None
     """Parts that other machines leave, or are left by this one for them."""
     say: Callable[[str], None]
@@ -81,112 +63,98 @@ class Shared(NamedTuple):
 
 
 class LogRun:
-    """One log of a run, or one camera of it after the other."""
+    """One log of a run, or one camera of it after the other, worked through by this process.
+
+    Args:
+        run: What it has in common with others.
+        files: Of the log.
+        file_name: What the names of its files begin with.
+        report: Gets where it stands.
+        number: Of the log, among all of the run.
+        waiting: Frames of other logs whose rows wait in this process.
+    """
 
     def __init__(
-        self, run: Shared, files: "LogFiles", file_name: str, report: Report, number: int = 0
+        self,
+        run: RunContext,
+        files: "LogFiles",
+        file_name: str,
+        report: Report,
+        number: int = 0,
+        waiting: int = 0,
     ) -> None:
         self.run, self.files, self.file_name, self.report = run, files, file_name, report
-        self.number = number
+        self.number, self.waiting = number, waiting
         self.shared: SharedLog | None = None
         """Where its parts are shared with other machines, as the run's are."""
         self.fetched = 0
         """Units that another machine had done."""
-        self.config, self.options, self.pool = run.config, run.options, run.pool
+        self.config, self.options = run.config, run.options
         self.memory = run.memory
         """Fewer workers have it where the log's chunks are large."""
         self.workers = 1
         """Processes that shared the frames."""
         self.batch = 0
         """Frames computed together."""
+        self.allotment = Allotment(1, 0, 0)
+        self.batch_done: Callable[[], object] = lambda: None
+        """Called after each batch."""
 
-    def take(self, folder: Path, log_options: "LogOptions") -> LogSummary:
-        """The rows, pictures and map are in the results, or there is an error.
+    def make_whole(self, folder: Path, options: "LogOptions") -> LogSummary:
+        """All parts of the log are on the disk, and its summary.
 
         Args:
             folder: What is done lies here.
-            log_options: How to read.
+            options: How to read.
 
         Raises:
             CamerasError: There are several cameras, and the options choose none.
-            OutputError: The disk is full or broken, or there is no memory for the rows.
+            JaxdetError: Something else is wrong with the log or the disk.
         """
-        self.folder, self.about, summary = folder, self._new(), self.run.summary
-        try:
-            self._make_whole(log_options)
-        except (OutputError, CamerasError):
-            raise
-        except Exception as error:
-            self.about.error = str(error)
-            if not isinstance(error, JaxdetError):
-                self.about.error = f"{self.files.name}: {type(error).__name__}: {error}"
-            if not isinstance(error, JaxdetError) or hasattr(error, "__notes__"):
-                report = f"report_{self.about.file_name or self.file_name}.txt"
-                self.about.error += f"; a fault of jaxdet: please send its developers {report}"
-                self.run.files[report] = path = self.run.work.result / report
-                with writing(path):
-                    path.write_text(fault_text(error, self.files.paths), encoding="utf-8")
-        # What fails from here on ends the run: rows that are once in a table stay there.
-        if not (self.about.error or self.options.share):
-            self._add_results()
-        summary.workers = max(summary.workers, self.workers)
-        summary.batch_size = max(summary.batch_size, self.batch)
-        return self.about
-
-    def _add_results(self) -> None:
-        """Rows, pictures and map of a log that is whole go into the results."""
-        plan: LogPlan = self.run.work.read(self.folder / PLAN)
-        try:
-            for part in parts_of(plan._replace(folder=self.folder)):
-                self.run.writer.add(part.rows)
-        except MemoryError as error:
-            how = {"path": self.files.name, "remedy": "end other programs"}
-            raise OutputError("no memory for its rows", **how) from error
-        self.run.files.update({name: self.folder / name for name in self.about.pictures})
-        self.run.files.update(map_files(self.about, self.folder))
-
-    def _new(self) -> LogSummary:
-        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
-        return LogSummary(self.files.name, tuple(paths))
-
-    def _make_whole(self, options: "LogOptions") -> None:
-        """All parts are on the disk, and the summary."""
+        self.folder, self.about = folder, self._new()
         work = self.run.work
-        plan: LogPlan | None = work.read(self.folder / PLAN)
-        found = None if self.options.share else work.read(self.folder / WHOLE)
+        plan: LogPlan | None = work.read(folder / PLAN)
+        found = None if self.options.share else work.read(folder / WHOLE)
         if found and plan is not None:
             self.about, self.workers, self.batch = found
-            return
+            return self.about
         if plan and self.run.store and plan.sizes != SIZES:
             text = "is done again: parts that machines share are of other frames"
             self.run.say(f"{plan.label} {text}")
             plan = None
         if plan is None:
-            work.empty(self.folder)
+            work.empty(folder)
         elif plan.scan:
             options = replace(options, scan=True)
-        try:
-            self._in_memory(options)
-        except RescanError:
-            if options.scan:
-                raise
-            work.empty(self.folder)
-            self._in_memory(replace(options, scan=True))
+        self._run_with_retries(options)
         if not self.options.share:
-            work.write(self.folder / WHOLE, (self.about, self.workers, self.batch))
+            work.write(folder / WHOLE, (self.about, self.workers, self.batch))
+        return self.about
 
-    def _in_memory(self, options: "LogOptions") -> None:
-        """Opens the log and works it through, with fewer workers where its chunks are large."""
+    def _new(self) -> LogSummary:
+        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
+        return LogSummary(self.files.name, tuple(paths))
+
+    def _run_with_retries(self, options: "LogOptions") -> None:
+        """Scans it where its index is wrong, and takes fewer workers where its chunks are large."""
         while True:
             try:
                 self._open_and_run(self.run.work.read(self.folder / PLAN), options)
                 return
+            except RescanError:
+                if options.scan:
+                    raise
+                self.run.work.empty(self.folder)
+                options = replace(options, scan=True)
             except ChunkMemoryError:
                 fewer = self.memory.with_fewer_workers()
                 if fewer is None:
                     raise
-                self.memory = fewer
-                self.pool.resize(fewer.workers)
+                self._use_fewer(fewer)
+
+    def _use_fewer(self, memory: Memory) -> None:
+        """The memory for fewer workers."""
+        self.memory = memory
 
     def _open_and_run(self, plan: LogPlan | None, options: "LogOptions") -> None:
         self.about = about = self._new()
@@ -214,87 +182,82 @@ class LogRun:
                 raise InputError(problem, path=str(path), remedy=remedy)
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
-        about, frames = self.about, len(log.frames)
+        about = self.about
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
-        alone = self._alone(frames)
-        share = self._share(log, 1 if alone else self.memory.workers)
-        alone = alone or (share.workers == 1 and not self._kept_apart)
-        self.pool.resize(share.workers)
-        self.workers = about.workers = share.workers
-        about.devices = len(self.pool.devices)
-        self.batch = share.batch
-        plan = self._begin(log, begun, share, alone=alone, scan=scan)
+        self._decide_how(log)
+        plan = self._begin(log, begun, scan=scan)
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
-        parts = self._work_through(log, plan, share, alone=alone)
-        with ThreadPoolExecutor(1) as disk:  # units did not wait for it
-            flushed = disk.submit(flush, *parts)
-            if self.options.share:
-                left = self._left(log)
-                about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in left]
-                notes = None
-            else:
-                notes = join_parts(plan, about, self.memory.room)
-            with writing(self.folder):
-                flushed.result()
-        if notes is None:
-            return
-        about.description = log.described(total(notes))
-        about.warnings += about.description.warnings[len(log.description.warnings) :]
-        about.warnings += filter(
-            None,
-            (about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning),
-        )
+        parts = self._work_through(log, plan)
+        if self.options.share:
+            about.lost += [f"{plan.where(unit)}: not in {plan.store}" for unit in self._left(log)]
+        else:
+            self._join(log, plan, parts)
 
-    def _begin(
-        self, log: "Log", begun: LogPlan | None, share: Share, *, alone: bool, scan: bool
-    ) -> LogPlan:
+    def _decide_how(self, log: "Log") -> None:
+        """Who works on the log, and on how much of it at a time."""
+        self.allotment = self._allot(log, 1)
+        self.workers, self.batch, _ = self.allotment
+        self.about.workers = self.workers
+
+    def _allot(self, log: "Log", workers: int) -> Allotment:
+        """What so many workers on the log get of the memory."""
+        color, depth = log.image_shapes
+        batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
+        waiting = min(ROWS_PER_GROUP, self.waiting + len(log.frames))
+        row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
+        needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
+        return self.memory.allot(needs, batch, workers, log.name)
+
+    def _begin(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> LogPlan:
         """The plan, and whatever works on it started; with the parts that others have left."""
         shared, shares = self.shared, self.options.share is not None
         if begun is None and shared and (planes := shared.floors()):
             begun = self._plan(log, self.batch, planes, scan=scan)
         if begun is None:
             self.report(self.about, log.label, len(log.frames), "looking for the floor")
-            together = self._start(log, share, alone=alone)
-            here = alone or bool(self.pool.devices)  # else this process has no need of JAX
-            decide = decide_planes if here else partial(self.pool.call, decide_floors)
-            planes = decide(log, self.config, self.options.backend, None, self.batch)
+            together = self._start(log)
+            planes = self._find_planes(log, together)
             begun = self._plan(log, together, planes, scan=scan)
             if shared and shares:
                 shared.keep_floors(planes)
         begun = begun._replace(folder=self.folder)
         if shared and not shares:
             self.fetched += shared.fetch(begun)
-            if all(read_checked(part_path(self.folder, unit)) for unit in begun.units()):
+            if all(part for _, part in load_parts(self.folder, begun.units())):
                 return begun
-        together = self._start(log, share, alone=alone)
+        together = self._start(log)
         store = shared.store if shared and shares else None
         return begun._replace(batch_size=together, store=store)
 
-    def _start(self, log: "Log", share: Share, *, alone: bool) -> int:
+    def _start(self, log: "Log") -> int:
         """Starts what computes, if it isn't there; returns how many frames are read together."""
-        if not alone:
-            self.pool.start()
-        elif self.options.backend == "jax":
+        if self.options.backend == "jax":
             start_up()
-        if self.pool.devices:
-            slots, self.batch = self._serve(log, share)
-            return slots.frames
         return min(self.batch, max(1, len(log.frames)))
+
+    @cached_property
+    def device(self) -> Device:
+        """What this process computes on."""
+        return OwnDevice(self.config, self.options.backend, ahead=1)
+
+    def _find_planes(self, log: "Log", at_once: int) -> Planes:
+        """What is known of the floor of its frames before they are looked at."""
+        given = log, self.config, self.options.backend, None, at_once
+        return decide_planes(*given, alive=self.batch_done, find=self.device.find_floors)
 
     def _left(self, log: "Log") -> list[Unit]:
         """The units of this run's share that are not in the place for them."""
         assert self.shared is not None
         return self.shared.left(log.frames)
 
-    def _work_through(self, log: "Log", plan: LogPlan, share: Share, *, alone: bool) -> list[Path]:
+    def _work_through(self, log: "Log", plan: LogPlan) -> list[Path]:
         """Leaves the parts that are not there yet; these may not be on the disk so far."""
-        about, clock = self.about, Clock(self.about, self.workers)
+        about, clock = self.about, Clock(self.about, self.about.workers)
         units, mine = [], self._left(log) if plan.store else list(plan.units())
-        for unit in mine:
-            part = Part.load(plan.folder, unit)
+        for unit, part in load_parts(plan.folder, mine):
             if part is None:
                 units.append(unit)
             else:
@@ -304,16 +267,7 @@ class LogRun:
         clock.before = about.frames
         total = sum(len(range(unit.start, unit.stop, log.frames.step)) for unit in mine)
         self.report(about, log.label, total, "starting")
-        with ExitStack() as ends:
-            if alone:
-                device = OwnDevice(self.config, self.options.backend, ahead=1)
-                own = LogWork(log, plan, device)
-                late = partial(self._say_late, log.label)
-                own.batch_done = ends.enter_context(Watch(pool.NO_PROGRESS_S, late)).alive
-                work = own.work_through(units, share.read_ahead)
-            else:
-                work = self.pool.work_through(plan, units, partial(self._save, log, share))
-            ends.enter_context(closing(work))
+        with closing(self._counts(log, plan, units)) as work:
             for counts in work:
                 about.add(counts)
                 clock.tick()
@@ -321,34 +275,29 @@ class LogRun:
         about.seconds = clock.seconds
         return [part_path(self.folder, unit) for unit in units]
 
-    def _say_late(self, label: str) -> None:
-        """What a user can do whose run hangs, but wait."""
-        self.run.say(
-            f"{label}: no frame was finished for {pool.NO_PROGRESS_S:g} s; if that is not the "
-            f"disk, kill this process (kill -9 {os.getpid()}) and repeat the command: workers, "
-            "which have a time limit, do the log then"
-        )
+    def _counts(
+        self, log: "Log", plan: LogPlan, units: list[Unit]
+    ) -> Generator[Counts, None, None]:
+        """The counts of units, each as its part is there."""
+        work = LogWork(log, plan, self.device)
+        work.batch_done = self.batch_done
+        return work.work_through(units, self.allotment.read_ahead)
 
-    def _save(self, log: "Log", share: Share, plan: LogPlan) -> Path:
-        """What workers need, in a file of its own."""
-        slots = None
-        if self.pool.devices:
-            slots, _ = self._serve(log, share)
-        path = self.folder / f"{os.getpid()}-{next(_numbers)}.work"
-        save_work(path, log, plan, slots)
-        return path
-
-    def _share(self, log: "Log", workers: int) -> Share:
-        """How many work on the log, and on how much of it at a time."""
-        color, depth = log.image_shapes
-        batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
-        waiting = min(ROWS_PER_GROUP, self.run.summary.frames + len(log.frames))
-        row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
-        needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
-        return self.memory.share(needs, batch, workers, log.name)
-
-    def _serve(self, log: "Log", share: Share) -> tuple[Slots, int]:
-        return self.pool.serve(log, self.config, self.options.batch_size, share.batch)
+    def _join(self, log: "Log", plan: LogPlan, parts: list[Path]) -> None:
+        """The parts become the summary and the map, and are on the disk as these are."""
+        about = self.about
+        with ThreadPoolExecutor(1) as disk:  # units did not wait for it
+            flushed = disk.submit(flush, *parts)
+            notes = join_parts(plan, about, self.memory.room)
+            files = (self.folder / name for name in about.pictures)
+            with writing(self.folder):
+                flush(*files, *map_files(about, self.folder).values())
+                flushed.result()
+        before = len(log.description.warnings)
+        about.description = log.described(total(notes))
+        about.warnings += about.description.warnings[before:]
+        own = about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning
+        about.warnings += filter(None, own)
 
     def _stem(self, log: "Log") -> str:
         one = log.label == log.name
@@ -358,7 +307,8 @@ class LogRun:
         """How a log is worked through; ``batch`` frames at a time."""
         count, config, sizes = self.options.pictures, self.config, SIZES
         if self.shared is None:
-            sizes = _unit_sizes(len(log.frames), batch, self.workers, self.options.backend)
+            workers = self.about.workers
+            sizes = _unit_sizes(len(log.frames), batch, workers, self.options.backend)
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
         plan = LogPlan(
             self.files.name,
@@ -378,23 +328,6 @@ class LogRun:
         )
         self.run.work.write(self.folder / PLAN, plan)
         return plan
-
-    @property
-    def _kept_apart(self) -> bool:
-        """Whether this process leaves logs to others, whatever their size.
-
-        So after a run that ended without a word: what ended it may be in the log.
-        """
-        return bool(self.pool.devices) or self.memory.apart
-
-    def _alone(self, frames: int) -> bool:
-        """Whether this process does a log itself, as it has few frames."""
-        if self._kept_apart:
-            return False
-        one = self.memory.workers == 1
-        return one or not (
-            self.options.workers or self.pool.started or frames >= FRAMES_WORTH_WORKERS
-        )
 
 
 def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> UnitSizes:

@@ -55,8 +55,8 @@ class Needs(NamedTuple):
     """Rows of the tables that wait in this process."""
 
 
-class Share(NamedTuple):
-    """How a log is worked on."""
+class Allotment(NamedTuple):
+    """How a log is worked on, so that the memory is enough."""
 
     workers: int
     """Processes; 1: this one alone."""
@@ -123,7 +123,7 @@ class Memory:
         given = self._asked, self.workers // 2, self._devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
-    def share(self, needs: Needs, batch: int, workers: int, where: str) -> Share:
+    def allot(self, needs: Needs, batch: int, workers: int, where: str) -> Allotment:
         """How a log is worked on, with the most of everything that there is room for.
 
         Args:
@@ -143,7 +143,7 @@ class Memory:
             while size:
                 for waiting in range(ahead, -1, -1):
                     if (_IN_HAND + waiting) * size * needs.frame <= left:
-                        return Share(count, size, waiting)
+                        return Allotment(count, size, waiting)
                 size //= 2
         rest = _IN_HAND * needs.frame + 2 * needs.known + needs.rows
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # which get half of what is left

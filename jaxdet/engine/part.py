@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxdet.engine.plan import Unit
-from jaxdet.results.durable import read_checked, write_checked
+from jaxdet.results.durable import read_checked, sha256, write_checked
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.summary import Counts
 from jaxdet.results.writer import Tables
@@ -28,8 +28,8 @@ class Part(NamedTuple):
     map: OccupancyMap
     errors: list[str]
     """Frames that could not be used, with the reason."""
-    pictures: list[str]
-    """Names of the pictures drawn."""
+    pictures: dict[str, str]
+    """Names of the pictures drawn, with their SHA-256."""
     seen: dict[str, list[Any]]
     """What each observer made of the batches."""
     notes: list["Notes"]
@@ -39,9 +39,16 @@ class Part(NamedTuple):
 
     @classmethod
     def load(cls, folder: Path, unit: Unit) -> "Part | None":
-        """Reads the part of a unit; None: it isn't there, or damaged."""
+        """Reads the part of a unit; None: it or a picture isn't there, or is damaged."""
         content = read_checked(part_path(folder, unit))
-        return None if content is None else pickle.loads(content)
+        part: Part | None = None if content is None else pickle.loads(content)
+        return part if part is not None and part._has_pictures(folder) else None
+
+    def _has_pictures(self, folder: Path) -> bool:
+        try:
+            return all(sha256(folder / name) == was for name, was in self.pictures.items())
+        except OSError:
+            return False
 
     def save(self, folder: Path, unit: Unit) -> None:
         """Writes it; whoever counts on it waits for the disk.

@@ -4,7 +4,8 @@ import multiprocessing
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
@@ -17,23 +18,27 @@ from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
-from jaxdet.engine.unit import lose_unit
 from jaxdet.engine.unit_queue import UnitQueue
-from jaxdet.engine.worker import Failure, Worker, work_on
+from jaxdet.engine.worker import Failure, Worker, lose_unit, run_unit
 from jaxdet.errors import FrameStatus, WorkerError
 from jaxdet.pipeline import BackendName
 from jaxdet.results.summary import Counts
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
+    from jaxdet.types import Calibration
 
 Value = TypeVar("Value")
+Label = TypeVar("Label")
+
+LOST = "lost"
+"""Instead of an answer."""
 
 WAITING = 2
 """Units that a worker has been given: the one it works on, and the next."""
 NO_PROGRESS_S = 600.0
 """A worker that finishes no batch for so long hangs; the first one may have to be compiled."""
-LOADED = ["jaxdet.engine.pool", "jaxdet.io.log", "numpy.ma", "jaxdet_kernels.decode"]
+LOADED = ["jaxdet.engine.whole_logs", "jaxdet.io.log", "numpy.ma", "jaxdet_kernels.decode"]
 LOADED_TO_COMPUTE = ["jaxdet.stages"]
 """What the fork server loads once for all workers, with what pyarrow and decoders would load in
 each of them; none of it may start a thread, or Warp."""
@@ -76,16 +81,8 @@ def _start_server(loaded: list[str]) -> None:
 
 
 SaveWork = Callable[[LogPlan], Path]
-"""Writes what workers need for a plan as things are now, see :func:`jaxdet.engine.unit.save_work`,
+"""Writes what workers need for a plan as things are now (:func:`jaxdet.engine.worker.save_work`),
 and returns the new file."""
-
-
-class _Lost(NamedTuple):
-    """A unit on which a worker failed."""
-
-    unit: Unit
-    status: FrameStatus
-    reason: str
 
 
 class Pool:
@@ -160,6 +157,11 @@ class Pool:
         assert self._station is not None
         return self._station.enter(log, config, batch_size, piece_frames)
 
+    @property
+    def entered(self) -> "tuple[Slots, Calibration] | None":
+        """What workers are served in, see :attr:`Station.entered`."""
+        return self._station and self._station.entered
+
     def close(self) -> None:
         """Ends the processes."""
         with stops_held_back():
@@ -185,6 +187,41 @@ class Pool:
         except _WorkerLostError:
             return self._call(where, function, *args)
 
+    def each(
+        self, function: Callable[..., Any], tasks: Mapping[Label, tuple]
+    ) -> Generator[tuple[Label, Any], None, None]:
+        """What workers' calls of a function return, as they come.
+
+        When a worker dies, hangs or runs out of memory all have ended, and nothing comes after.
+
+        Args:
+            function: Of the module level.
+            tasks: Its arguments, in the order in which they are given out.
+
+        Returns:
+            The task's key, and what was returned; :data:`LOST` for what the lost worker was at.
+        """
+        todo = deque(tasks.items())
+        self.start()
+        self._awake.wait()
+        try:
+            while True:
+                for most in range(1, WAITING + 1 if len(todo) > len(self._workers) else 2):
+                    for worker in self._workers:
+                        if len(worker.given) < most and todo:
+                            label, args = todo.popleft()
+                            worker.give(label, function, *args)
+                if not any(worker.given for worker in self._workers):
+                    return
+                for worker, told in self._look():
+                    if isinstance(told, _Problem):
+                        yield worker.given[0], LOST
+                        return
+                    yield from told
+        finally:
+            if any(worker.given for worker in self._workers):
+                self.close()
+
     def work_through(
         self, plan: LogPlan, units: Iterable[Unit], save: SaveWork
     ) -> Generator[Counts, None, None]:
@@ -200,17 +237,17 @@ class Pool:
 
         Raises:
             WorkerError: A worker failed in a way that nobody foresaw.
-            JaxdetError: As :func:`jaxdet.engine.unit.run_unit` raises it.
+            JaxdetError: As :func:`jaxdet.engine.worker.run_unit` raises it.
         """
         todo = UnitQueue(units, self.count)
         while todo:
             lost = yield from self._until_one_is_lost(plan, todo, save(plan))
             if lost:
-                yield self._once_more(plan, lost, save)
+                yield self._once_more(plan, *lost, save)
 
     def _until_one_is_lost(
         self, plan: LogPlan, todo: UnitQueue, path: Path
-    ) -> Generator[Counts, None, _Lost | None]:
+    ) -> "Generator[Counts, None, tuple[Unit, _Problem] | None]":
         """Takes units from ``todo`` until none is left, or a worker failed; then all have ended."""
         self.start()
         self._awake.wait()
@@ -218,10 +255,10 @@ class Pool:
             while self._give(todo, path):
                 for worker, told in self._look():
                     if isinstance(told, _Problem):
-                        lost = _Lost(worker.given[0], *told)
-                        left = {unit for one in self._workers for unit in one.given} - {lost.unit}
-                        todo.put_back(left)
-                        return lost
+                        lost = worker.given[0]
+                        given = {unit for one in self._workers for unit in one.given}
+                        todo.put_back(given - {lost})
+                        return lost, told
                     for unit, counts in told:
                         if isinstance(counts, Failure):
                             self._drain()
@@ -237,7 +274,7 @@ class Pool:
         for most in range(1, WAITING + 1):
             for number, worker in enumerate(self._workers):
                 if len(worker.given) < most and (unit := todo.take(number)):
-                    worker.give(unit, work_on, path, unit)
+                    worker.give(unit, run_unit, path, unit)
         return any(worker.given for worker in self._workers)
 
     def _drain(self) -> None:
@@ -246,16 +283,16 @@ class Pool:
             if any(isinstance(told, _Problem) for _, told in self._look()):
                 return
 
-    def _once_more(self, plan: LogPlan, lost: _Lost, save: SaveWork) -> Counts:
+    def _once_more(self, plan: LogPlan, unit: Unit, problem: "_Problem", save: SaveWork) -> Counts:
         """A lost unit, alone; its frames get a status where that fails too."""
-        unit = lost.unit
         smaller = plan if self.devices else plan._replace(batch_size=max(1, plan.batch_size // 2))
         try:
-            return self._call(plan.where(unit), work_on, save(smaller), unit)
+            return self._call(plan.where(unit), run_unit, save(smaller), unit)
         except _WorkerLostError as again:
             self.close()
-            reason = f"{again.reason}, twice" if again.reason == lost.reason else again.reason
-            given = save(plan), unit, again.status, reason
+            status, reason = again.problem
+            reason += ", twice" * (reason == problem.reason)
+            given = save(plan), unit, status, reason
             return self._call(plan.where(unit), lose_unit, *given)
 
     def _call(self, where: str, function: Callable[..., Value], *args: Any) -> Value:
@@ -266,7 +303,7 @@ class Pool:
             for _, told in self._look():
                 if isinstance(told, _Problem):
                     self.close()
-                    raise _WorkerLostError(where, *told)
+                    raise _WorkerLostError(where, told)
                 for _, found in told:
                     if isinstance(found, Failure):
                         raise found.as_raised(where)
@@ -325,10 +362,10 @@ class _Problem(NamedTuple):
 class _WorkerLostError(WorkerError):
     """A worker died, hangs or ran out of memory."""
 
-    def __init__(self, where: str, status: FrameStatus, reason: str) -> None:
+    def __init__(self, where: str, problem: _Problem) -> None:
         remedy = "if memory ran out, take fewer workers (--workers) or smaller batches"
-        super().__init__(f"{where}: {reason}", remedy=remedy)
-        self.status, self.reason = status, reason
+        super().__init__(f"{where}: {problem.reason}", remedy=remedy)
+        self.problem = problem
 
 
 def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:

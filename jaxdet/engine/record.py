@@ -130,5 +130,5 @@ def _of_inputs(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
                 return f"{is_now['path']} {'has changed' if changed else 'was ' + was['path']}"
         if len(before[log]) != len(files):
             return f"{log} had {len(before[log])} files and has {len(files)} now"
-    missing = next(iter(before.keys() - now.keys()), "")
-    return f"the log {missing} was among its logs" if missing else "its logs had another order"
+    missing = next(log for log in before if log not in now)
+    return f"the log {missing} was among its logs"

@@ -8,13 +8,16 @@ import mmap
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import WorkerError
 from jaxdet.results.rows import RowInputs, map_leaves
 from jaxdet.types import Detections, GroundPlane
+
+if TYPE_CHECKING:
+    from jaxdet.floor.units import FloorFit
 
 SLOTS = 4
 """Of each worker: one that it decodes to, and three that are copied, computed, sent back or wait
@@ -116,6 +119,16 @@ class Piece(NamedTuple):
     whole: bool
 
 
+class Sample(NamedTuple):
+    """A slot that a worker has filled with depth images, whose floors are wanted."""
+
+    worker: int
+    slot: int
+    """Among all slots."""
+    plane: GroundPlane
+    """The prior of each; as many as there are images."""
+
+
 class Reply(NamedTuple):
     """Its results are there, or why not."""
 
@@ -126,6 +139,8 @@ class Reply(NamedTuple):
     error: Exception | None
     busy_s: Mapping[str, float]
     """Its share of the times of its batch."""
+    floors: "FloorFit | None" = None
+    """To a :class:`Sample`."""
 
 
 class Piped(NamedTuple):

@@ -7,12 +7,14 @@ import platform
 import threading
 import warnings
 import zlib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdet.errors import ConfigError
+from jaxdet.engine.signals import stops_held_back
+from jaxdet.errors import ConfigError, OutputError
 from jaxdet.quiet import quiet_warp
 
 ENVIRONMENT = "JAXDET_CACHE"
@@ -84,6 +86,26 @@ def start_up() -> None:
     _check_platforms()
     use_caches()
     quiet_warp()
+
+
+@contextmanager
+def computing() -> Iterator[None]:
+    """Around each call of the method.
+
+    XLA calls kernels back in this thread, where an exception would leave a batch half computed, so
+    signals wait. The first call compiles.
+
+    Raises:
+        OutputError: What is compiled can't be written to its cache.
+    """
+    try:
+        with stops_held_back():
+            yield
+    except OSError as error:
+        path = error.filename or os.environ.get("WARP_CACHE_PATH", "")
+        problem = f"kernels can't be compiled there ({error.strerror or error})"
+        remedy = f"make room or set {ENVIRONMENT} to another folder"
+        raise OutputError(problem, path=str(path), remedy=remedy) from error
 
 
 def _check_platforms() -> None:

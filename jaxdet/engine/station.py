@@ -17,10 +17,11 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.lane import FittingLane, LogMemory, Served
-from jaxdet.engine.slots import Piece, Piped, Reply, Slots
+from jaxdet.engine.slots import Piece, Piped, Reply, Sample, Slots
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
+    from jaxdet.types import Calibration
 
 PIECE_FRAMES, PIECE_BYTES = 16, 24 << 20
 """Frames of a slot: so many, or as many as take so much memory, but one."""
@@ -57,6 +58,12 @@ class Station:
         if self._log:
             self._log.close()
         self._log = None
+
+    @property
+    def entered(self) -> "tuple[Slots, Calibration] | None":
+        """The slots that workers are served in, and of what camera."""
+        log = self._log
+        return log and (log.memory.slots, log.served.calibration)
 
     def enter(
         self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
@@ -102,11 +109,13 @@ class _LogStation:
         self.served, self.pipes, self.devices = served, pipes, devices
         self.memory = LogMemory(served)
         self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
+        self.samples: queue.SimpleQueue[Sample | None] = queue.SimpleQueue()
         self.sending = threading.Lock()
-        """Two devices may have results for one worker."""
+        """Two threads may have results for one worker."""
         self.threads: list[threading.Thread] = []
         self.woken, self.waker = Pipe(duplex=False)
         self._run(self._receive)
+        self._run(self._find_floors)
         for device in devices:
             self._run(self._compute, device)
 
@@ -133,13 +142,28 @@ class _LogStation:
                 for key, _ in ends.select():
                     end: Any = key.fileobj
                     if end is self.woken:
+                        self.samples.put(None)
                         for _ in self.devices:
                             self.waiting.put(None)
                         return
                     try:
-                        self.waiting.put(end.recv())
+                        told: Piece | Sample = end.recv()
                     except (EOFError, OSError):  # the worker has died, which its pool says
                         ends.unregister(end)
+                        continue
+                    if isinstance(told, Sample):
+                        self.samples.put(told)
+                    else:
+                        self.waiting.put(told)
+
+    def _find_floors(self) -> None:
+        """Finds the floors of samples, beside the batches."""
+        while (sample := self.samples.get()) is not None:
+            try:
+                reply = Reply(sample.slot, b"", None, None, {}, self.memory.find_floors(sample))
+            except Exception as error:
+                reply = Reply(sample.slot, b"", None, error, {})
+            self._send(sample, reply)
 
     def _compute(self, device: Any) -> None:
         """Computes batches on one device, while the next one is copied to it."""
@@ -185,6 +209,6 @@ class _LogStation:
             found.append(piece)
         return found, True
 
-    def _send(self, piece: Piece, reply: Reply) -> None:
+    def _send(self, to: Piece | Sample, reply: Reply) -> None:
         with self.sending, suppress(OSError):  # the worker has died, which its pool says
-            self.pipes[piece.worker].send(reply)
+            self.pipes[to.worker].send(reply)

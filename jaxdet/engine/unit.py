@@ -1,24 +1,21 @@
 """A unit of work: a range of a log's frames in, a part of the results out."""
 
-import pickle
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, suppress
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from jaxdet.engine.device import Device, Found, OwnDevice, SharedDevice
+from jaxdet.engine.device import Device, Found
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.sharing import send
-from jaxdet.engine.slots import Piped, Slots
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.render import draw_frame, write_png
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import sha256, writing
 from jaxdet.results.metric import rectangles
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.rows import (
@@ -51,7 +48,7 @@ class LogWork:
 
     def __init__(self, log: "Log", plan: LogPlan, device: Device) -> None:
         self.log, self.plan, self.device = log, plan, device
-        self.batch_done: Callable[[], None] = lambda: None
+        self.batch_done: Callable[[], object] = lambda: None
         """Called after each batch."""
         self._busy: Counter[str] = Counter()
 
@@ -67,20 +64,46 @@ class LogWork:
         Returns:
             The counts of each part.
         """
-        pieces: deque[_Piece] = deque()
+        in_flight: deque[_InFlight] = deque()
         building: list[_NewPart] = []
         try:
             with closing(_ahead(self._batches(units), read_ahead)) as batches:
                 for unit, batch in batches:
-                    pieces.append(self._start(unit, batch))
-                    if len(pieces) > self.device.ahead:
-                        yield from self._finish(pieces.popleft(), building)
-                while pieces:
-                    yield from self._finish(pieces.popleft(), building)
+                    in_flight.append(self._start(unit, batch))
+                    if len(in_flight) > self.device.ahead:
+                        yield from self._finish(in_flight.popleft(), building)
+                while in_flight:
+                    yield from self._finish(in_flight.popleft(), building)
         finally:
-            for piece in pieces:
+            for one in in_flight:
                 with suppress(Exception):
-                    self.device.finish(piece.started)
+                    self.device.finish(one.started)
+
+    def lose(self, unit: Unit, status: FrameStatus, reason: str) -> Counts:
+        """Leaves a part for a unit that can't be worked on: rows with a status and no results.
+
+        No image is read.
+
+        Args:
+            unit: Which.
+            status: Of its frames.
+            reason: Why, for people.
+
+        Returns:
+            Its counts.
+        """
+        plan, building = self.plan, _NewPart(self.plan)
+        numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
+        for first in range(0, len(numbers), plan.batch_size):
+            some = numbers[first : first + plan.batch_size]
+            batch = self.log.without_images(some, status, reason)
+            plane = plan.planes.of(batch.frames.stamp_ns)
+            nothing = Found(no_inputs(len(some)), None)
+            building.add(_InFlight(unit, some, batch, plane, None), nothing)
+        lost = f"{plan.where(unit)}: {status} ({reason})"
+        part = building.whole()._replace(errors=[], lost=lost)
+        part.save(plan.folder, unit)
+        return part.counts
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
         given = {"images": self.device.images} if self.device.images else {}
@@ -91,32 +114,32 @@ class LogWork:
                 self._busy["read"] -= batch.decoding_s
                 yield unit, batch
 
-    def _start(self, unit: Unit, batch: "Batch") -> "_Piece":
+    def _start(self, unit: Unit, batch: "Batch") -> "_InFlight":
         numbers = batch.frames.number[: len(batch.status)].tolist()
         plane = self.plan.planes.of(batch.frames.stamp_ns)
         whole = bool(self.plan.observers) or not self.plan.drawn.isdisjoint(numbers)
         started = self._timed(
             self.device.doing, partial(self.device.start, batch, plane, whole=whole)
         )
-        return _Piece(unit, numbers, batch, plane, started)
+        return _InFlight(unit, numbers, batch, plane, started)
 
-    def _finish(self, piece: "_Piece", building: list["_NewPart"]) -> Iterator[Counts]:
+    def _finish(self, one: "_InFlight", building: list["_NewPart"]) -> Iterator[Counts]:
         """Waits for a batch; with the last one of a unit its part is whole."""
         if not building:
             building.append(_NewPart(self.plan))
-        found = self._timed(self.device.doing, self.device.finish, piece.started)
+        found = self._timed(self.device.doing, self.device.finish, one.started)
         self._busy.update(found.busy_s)
-        self._timed("write", building[0].add, piece, found)
+        self._timed("write", building[0].add, one, found)
         self.batch_done()
-        if piece.numbers[-1] + 1 == piece.unit.stop:
+        if one.numbers[-1] + 1 == one.unit.stop:
             part: Part = self._timed("write", building.pop().whole)
             # With the file, as who goes on with the run counts its frames; the time that it takes
             # to write it is the next one's.
             busy, self._busy = self._busy, Counter()
             part.counts.busy_s.update(busy)
-            self._timed("write", part.save, self.plan.folder, piece.unit)
+            self._timed("write", part.save, self.plan.folder, one.unit)
             if self.plan.store:
-                self._timed("write", send, self.plan.store, self.plan, piece.unit)
+                self._timed("write", send, self.plan.store, self.plan, one.unit)
             yield part.counts
 
     def _timed(self, what: str, function: Callable[..., Any], *args: Any) -> Any:
@@ -127,7 +150,7 @@ class LogWork:
             self._busy[what] += time.perf_counter() - start  # pyright: ignore
 
 
-class _Piece(NamedTuple):
+class _InFlight(NamedTuple):
     """A batch of a unit that has been started."""
 
     unit: Unit
@@ -149,20 +172,20 @@ class _NewPart:
         """What rows need of each batch."""
         seen = {name: [] for name in plan.observers}
         none = Tables.joined(())
-        self.part = Part(Counts(), none, OccupancyMap(), [], [], seen, [])
+        self.part = Part(Counts(), none, OccupancyMap(), [], {}, seen, [])
 
-    def add(self, piece: _Piece, found: Found) -> None:
+    def add(self, one: _InFlight, found: Found) -> None:
         """Uses what was found in a batch."""
-        plan, part, batch = self.plan, self.part, piece.batch
+        plan, part, batch = self.plan, self.part, one.batch
         count = len(batch.status)
-        plane = GroundPlane(*(known[:count] for known in piece.plane))
+        plane = GroundPlane(*(known[:count] for known in one.plane))
         self.held.append((batch.without_images(), plane, used_slots(found.inputs, count)))
-        errors = zip(piece.numbers, batch.errors, strict=True)
+        errors = zip(one.numbers, batch.errors, strict=True)
         part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
         if found.whole is not None:
             unit = batch.frames.calibration.depth_unit
-            shown = shown_planes(found.inputs, piece.plane, unit)
-            part.pictures.extend(self._draw(piece, found.whole, shown))
+            shown = shown_planes(found.inputs, one.plane, unit)
+            part.pictures.update(self._draw(one, found.whole, shown))
             for name, observer in plan.observers.items():
                 part.seen[name].append(observer(batch, found.whole))
 
@@ -180,100 +203,21 @@ class _NewPart:
         part.map.add_free(rows.free_world)
         return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
 
-    def _draw(self, piece: _Piece, found: Detections, plane: GroundPlane) -> Iterator[str]:
-        plan, frames = self.plan, piece.batch.frames._replace(plane=plane)
+    def _draw(
+        self, one: _InFlight, found: Detections, plane: GroundPlane
+    ) -> Iterator[tuple[str, str]]:
+        plan, frames = self.plan, one.batch.frames._replace(plane=plane)
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
-        for row, number in enumerate(piece.numbers):
+        for row, number in enumerate(one.numbers):
             if number in plan.drawn and frames.valid[row]:
                 name = f"pictures/{plan.file_name}_{number:06d}.png"
                 title = f"{plan.label}   frame {number}"
                 picture = draw_frame(frames, found, corners, row, plan.config, title)
-                with writing(plan.folder / name):
-                    (plan.folder / name).parent.mkdir(exist_ok=True)
-                    write_png(plan.folder / name, picture)
-                yield name
-
-
-def save_work(path: Path, log: "Log", plan: LogPlan, slots: Slots | None) -> None:
-    """Writes what :func:`run_unit` needs in another process; the log's files are not in it."""
-    with writing(path):
-        path.write_bytes(pickle.dumps((log, plan, slots), 5))
-
-
-_open: dict[Path, LogWork] = {}
-
-
-def run_unit(
-    path: Path,
-    unit: Unit,
-    piped: Piped | None = None,
-    batch_done: Callable[[], None] = lambda: None,
-) -> Counts:
-    """Leaves the part of a unit in the log's folder: a function of its arguments alone.
-
-    Where the plan has a :class:`jaxdet.engine.part_store.PartStore`, be it a bucket of objects, it
-    leaves it there too.
-
-    Args:
-        path: What :func:`save_work` wrote; the log of the last call stays open.
-        unit: One of the plan's.
-        piped: The way to the process that computes; None: this one does.
-        batch_done: Called after each batch.
-
-    Returns:
-        Its counts.
-
-    Raises:
-        JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
-        OutputError: The disk is full or broken, or the store can't be reached.
-    """
-    work = _opened(path, piped)
-    work.batch_done = batch_done
-    (counts,) = work.work_through([unit])
-    return counts
-
-
-def lose_unit(path: Path, unit: Unit, status: FrameStatus, reason: str) -> Counts:
-    """Leaves a part for a unit that can't be worked on: rows with a status and no results.
-
-    No image is read.
-
-    Args:
-        path: As of :func:`run_unit`.
-        unit: The unit.
-        status: Of its frames.
-        reason: Why, for people.
-
-    Returns:
-        Its counts.
-
-    Raises:
-        As :func:`run_unit`.
-    """
-    work = _opened(path, None)
-    plan, building = work.plan, _NewPart(work.plan)
-    numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
-    for first in range(0, len(numbers), plan.batch_size):
-        some = numbers[first : first + plan.batch_size]
-        batch = work.log.without_images(some, status, reason)
-        plane = plan.planes.of(batch.frames.stamp_ns)
-        building.add(_Piece(unit, some, batch, plane, None), Found(no_inputs(len(some)), None))
-    part = building.whole()._replace(errors=[], lost=f"{plan.where(unit)}: {status} ({reason})")
-    part.save(plan.folder, unit)
-    return part.counts
-
-
-def _opened(path: Path, piped: Piped | None) -> LogWork:
-    """The log and plan of a file that :func:`save_work` wrote."""
-    if path not in _open:
-        for work in _open.values():
-            work.log.close()
-        _open.clear()
-        log, plan, slots = pickle.loads(path.read_bytes())
-        own = OwnDevice(plan.config, plan.backend, ahead=0)
-        shared = SharedDevice(slots, piped) if slots and piped else None
-        _open[path] = LogWork(log, plan, shared or own)
-    return _open[path]
+                path = plan.folder / name
+                with writing(path):
+                    path.parent.mkdir(exist_ok=True)
+                    write_png(path, picture)
+                    yield name, sha256(path)
 
 
 def _ahead(items: Iterator[Item], depth: int) -> Generator[Item, None, None]:

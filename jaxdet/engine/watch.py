@@ -1,43 +1,38 @@
 """Says that a process which works alone makes no progress; workers are ended then, see the pool."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 _LOOKS = 20
 """So many in the time that is allowed."""
 
 
-class Watch:
+@contextmanager
+def watched(limit_s: float, late: Callable[[], None]) -> Iterator[Callable[[], None]]:
     """Calls a function, in a thread, once for each time that nothing is heard for long.
 
-    A context manager. Time in which this process was stopped, or the machine asleep, is not
-    counted.
+    Time in which this process was stopped, or the machine asleep, is not counted.
 
     Args:
         limit_s: How long [s].
         late: The function.
+
+    Returns:
+        What is to be called when there is progress.
     """
+    heard, ended = threading.Event(), threading.Event()
 
-    def __init__(self, limit_s: float, late: Callable[[], None]) -> None:
-        self._look_s, self._late = limit_s / _LOOKS, late
-        self._looks = 0
-        """Since something was heard."""
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="jaxdet-watch", daemon=True)
+    def watch() -> None:
+        looks = 0  # since something was heard
+        while not ended.wait(limit_s / _LOOKS):
+            looks = 0 if heard.is_set() else looks + 1
+            heard.clear()
+            if looks == _LOOKS:
+                late()
 
-    def alive(self) -> None:
-        """There is progress."""
-        self._looks = 0
-
-    def __enter__(self) -> "Watch":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(self._look_s):
-            self._looks += 1
-            if self._looks == _LOOKS:
-                self._late()
+    threading.Thread(target=watch, name="jaxdet-watch", daemon=True).start()
+    try:
+        yield heard.set
+    finally:
+        ended.set()

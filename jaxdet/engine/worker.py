@@ -10,20 +10,25 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import lru_cache
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.device import OwnDevice, SharedDevice, out_of_memory
 from jaxdet.engine.floors import Planes, decide_planes
-from jaxdet.engine.plan import Unit
+from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.signals import ignore_stops
-from jaxdet.engine.slots import Piped
+from jaxdet.engine.slots import Piped, Slots
 from jaxdet.engine.startup import start_reading, start_up
-from jaxdet.engine.unit import run_unit
-from jaxdet.errors import JaxdetError, WorkerError
+from jaxdet.engine.unit import LogWork
+from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
+from jaxdet.results.durable import writing
 from jaxdet.results.summary import Counts
+
+if TYPE_CHECKING:
+    from jaxdet.io import Log
 
 _ALIVE, _ALIVE_S = "alive", 1.0
 """What a worker says, and how often at most."""
@@ -145,14 +150,66 @@ _progress: Callable[[], Any] = int
 """In a worker: tells its parent that it is alive."""
 
 
-def work_on(path: Path, unit: Unit) -> Counts:
-    """In a worker: :func:`jaxdet.engine.unit.run_unit`."""
-    return run_unit(path, unit, _piped, _progress)
+def tell_alive() -> None:
+    """In a worker: tells its parent that there is progress."""
+    _progress()
+
+
+@lru_cache(maxsize=1)
+def shared_device(slots: Slots) -> SharedDevice:
+    """In a worker: the process that computes for it."""
+    assert _piped is not None
+    return SharedDevice(slots, _piped)
+
+
+_open: dict[Path, LogWork] = {}
+"""Likewise: the log of the last unit, by the file of :func:`save_work`."""
+
+
+def save_work(path: Path, log: "Log", plan: LogPlan, slots: Slots | None) -> None:
+    """Writes what :func:`run_unit` needs in another process; the log's files are not in it."""
+    with writing(path):
+        path.write_bytes(pickle.dumps((log, plan, slots), 5))
+
+
+def run_unit(path: Path, unit: Unit) -> Counts:
+    """In a worker: leaves the part of a unit, which depends on nothing but the arguments.
+
+    Args:
+        path: What :func:`save_work` wrote.
+        unit: One of the plan's.
+
+    Returns:
+        Its counts.
+
+    Raises:
+        JaxdetError: The log can't be read any more, or needs to be scanned as a whole.
+        OutputError: The disk is full or broken, or the plan's store can't be reached.
+    """
+    (counts,) = _opened(path).work_through([unit])
+    return counts
+
+
+def lose_unit(path: Path, unit: Unit, status: FrameStatus, reason: str) -> Counts:
+    """In a worker: leaves a part of rows without results, see :meth:`LogWork.lose`."""
+    return _opened(path).lose(unit, status, reason)
+
+
+def _opened(path: Path) -> LogWork:
+    if path not in _open:
+        for work in _open.values():
+            work.log.close()
+        _open.clear()
+        log, plan, slots = pickle.loads(path.read_bytes())
+        own = OwnDevice(plan.config, plan.backend, ahead=0)
+        _open[path] = work = LogWork(log, plan, shared_device(slots) if slots else own)
+        work.batch_done = tell_alive
+    return _open[path]
 
 
 def decide_floors(*args: Any) -> Planes:
     """In a worker: :func:`jaxdet.engine.floors.decide_planes`."""
-    return decide_planes(*args, alive=_progress)
+    return decide_planes(*args, alive=tell_alive)
 
 
 def _work(backend: BackendName, pipe: Any, piped: Piped | None) -> None:

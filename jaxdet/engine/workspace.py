@@ -32,8 +32,9 @@ from jaxdet.engine.record import (
     digest,
     record_of_results,
 )
+from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import ConfigError, ResultsError
-from jaxdet.results.commit import JOURNAL, Journal, commit, settle
+from jaxdet.results.commit import JOURNAL, commit, settle
 from jaxdet.results.durable import read_checked, write_checked, writing
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import (
@@ -52,7 +53,37 @@ if TYPE_CHECKING:
 Say = Callable[[str], None]
 
 
-class Workspace:
+class WorkFolder:
+    """A working folder, and what decides the results of the run that works there.
+
+    Args:
+        folder: The working folder.
+        record: See :func:`jaxdet.engine.record.make_record`.
+    """
+
+    def __init__(self, folder: Path, record: Mapping[str, Any]) -> None:
+        self.folder, self.record = folder, record
+
+    def write(self, place: str | Path, value: Any) -> None:
+        """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
+
+        What a power cut takes of it is done again.
+        """
+        write_checked(self.folder / place, pickle.dumps(value, 5), wait=False)
+
+    def read(self, place: str | Path) -> Any:
+        """What :meth:`write` kept; None: it isn't there, or damaged."""
+        content = read_checked(self.folder / place)
+        return None if content is None else pickle.loads(content)
+
+    def empty(self, folder: Path) -> None:
+        """Makes the folder of a camera, with nothing in it."""
+        shutil.rmtree(folder, ignore_errors=True)
+        with writing(folder):
+            (folder / "pictures").mkdir(parents=True, exist_ok=True)
+
+
+class Workspace(WorkFolder):
     """A working folder that this run has locked; a context manager that unlocks it.
 
     It ends with the folder removed, unless parts are in it that the next run can use.
@@ -81,15 +112,15 @@ class Workspace:
         update: Callable[[], "KeptLogs"] | None = None,
         say: Say,
     ) -> None:
-        self.output, self.record = output, record
-        self.folder = output.absolute() / WORKING
+        super().__init__(output.absolute() / WORKING, record)
+        self.output = output
         if output.exists() and not output.is_dir():
             raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
         if not self.folder.exists() and not (overwrite or update):
             self._refuse_results()
         self._lock = Lock(self.folder / "lock")
-        self.done: Journal | None = None
-        """The results were whole already, and are in their place now."""
+        self.done: Any = None
+        """What :meth:`commit` was told of these results: a stopped run had made them whole."""
         self.kept: KeptLogs | None = None
         """What stays of results that are brought up to date; their record is that of all logs."""
         self.taken_over = self._lock.before is not None
@@ -114,8 +145,9 @@ class Workspace:
         if journal := settle(self.folder):
             what = "results of the last run" if journal.told else "tracks of the last jaxdet track"
             say(f"the {what} were whole and are in their place now")
-            if journal.told and difference(journal.told[0], self.record) is None:
-                self.done = journal
+            record, told = journal.told or (None, b"")
+            if record and difference(record, self.record) is None:
+                self.done = pickle.loads(told)
                 return
         if update and (self.output / MANIFEST).exists():
             self.kept = update()
@@ -126,29 +158,27 @@ class Workspace:
             self._refuse_results()
         self._refuse_blocked()
         begun = self.read("plan")
-        if begun is None:
-            reason = None
-        elif update:
-            reason = difference_but_logs(begun, self.record) or self._missing(begun)
-        else:
-            reason = difference(begun, self.record)
+        reason = begun and self._other(begun, updates=bool(update))
+        if reason and not overwrite:
+            anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
+            remedy = "repeat that run's command to go on with it, give another --output, or " + anew
+            problem = f"holds an unfinished run, but {reason}"
+            raise ConfigError(problem, path=str(self.output), remedy=remedy)
         if reason:
-            if not overwrite:
-                anew = f"remove {self.folder}" if update else "--overwrite to begin anew"
-                raise ConfigError(
-                    f"holds an unfinished run, but {reason}",
-                    path=str(self.output),
-                    remedy="repeat that run's command to go on with it, give another --output, "
-                    f"or {anew}",
-                )
             say(f"dropped an unfinished run: {reason}")
-        if begun is None or reason:
+        if reason or not begun:
             self.clear()
         with writing(self.folder):
             shutil.rmtree(self.result, ignore_errors=True)
             self.result.mkdir()
             self.logs.mkdir(exist_ok=True)
         self.write("plan", self.record)
+
+    def _other(self, begun: Mapping[str, Any], *, updates: bool) -> str | None:
+        """Why this run can't go on with an unfinished one, for people; None: it can."""
+        if updates:
+            return difference_but_logs(begun, self.record) or self._missing(begun)
+        return difference(begun, self.record)
 
     def _missing(self, begun: Mapping[str, Any]) -> str | None:
         """What is done of a log that is not among this run's, for people; None: nothing is."""
@@ -179,24 +209,6 @@ class Workspace:
         """
         return self.logs / _folder_name(self.record, log, file_name)
 
-    def write(self, place: str | Path, value: Any) -> None:
-        """Keeps a value in a file of the folder; it is on the disk when the system sees fit.
-
-        What a power cut takes of it is done again.
-        """
-        write_checked(self.folder / place, pickle.dumps(value, 5), wait=False)
-
-    def read(self, place: str | Path) -> Any:
-        """What :meth:`write` kept; None: it isn't there, or damaged."""
-        content = read_checked(self.folder / place)
-        return None if content is None else pickle.loads(content)
-
-    def empty(self, folder: Path) -> None:
-        """Makes the folder of a camera, with nothing in it."""
-        shutil.rmtree(folder, ignore_errors=True)
-        with writing(folder):
-            (folder / "pictures").mkdir(parents=True, exist_ok=True)
-
     def drop(self, files: Mapping[str, Path]) -> None:
         """Nothing is of use but files that people may want to read; those move out."""
         with writing(self.output):
@@ -210,13 +222,15 @@ class Workspace:
 
         Args:
             files: By their names there.
-            told: Is given to a next run that finds them whole, as ``done.told[1]``.
+            told: Is given to a next run that finds them whole, as ``done``.
 
         Raises:
             OutputError: The disk is full or broken.
         """
         rest = self.logs.name, "result", "tracks", "plan"
-        commit(self.folder, files, result_files(self.output), rest, (self.record, told))
+        # Of another version nothing but the record can be read, see done.
+        about = self.record, pickle.dumps(told, 5)
+        commit(self.folder, files, result_files(self.output), rest, about)
         self.clear()
 
     def clear(self) -> None:
@@ -228,16 +242,17 @@ class Workspace:
                 path.unlink()
 
     def _leave(self) -> None:
-        if self.kept:
-            self.kept.close()
-        kept = next(self.folder.glob("logs-*/*/*/*.part"), None) or (self.folder / JOURNAL).exists()
-        if self.done or not kept:
-            with suppress(OSError):
-                self.clear()
-        self._lock.release()
-        for folder in (self.folder, self.output):
-            with suppress(OSError):
-                folder.rmdir()  # where nothing is in it
+        with stops_held_back():
+            if self.kept:
+                self.kept.close()
+            parts = next(self.folder.glob("logs-*/*/*/*.part"), None)
+            if self.done is not None or not (parts or (self.folder / JOURNAL).exists()):
+                with suppress(OSError):
+                    self.clear()
+            self._lock.release()
+            for folder in (self.folder, self.output):
+                with suppress(OSError):
+                    folder.rmdir()  # where nothing is in it
 
     def _refuse_results(self) -> None:
         found = result_files(self.output)

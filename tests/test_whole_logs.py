@@ -1,0 +1,159 @@
+"""Logs that workers do whole: the same bytes, whatever happens to the workers."""
+
+import os
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+
+from jaxdet import engine
+from jaxdet.config import Config
+from jaxdet.engine import local, pooled_run, whole_logs
+from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
+from jaxdet.errors import Interrupted
+from jaxdet.io import Batch, LogOptions, find_logs
+from jaxdet.sim import SimConfig, write_log
+from tests.pools import on_this_machine, same_results
+
+FRAMES = 11
+
+
+class Killer:
+    """An observer that ends its process in the second batch of a log, once."""
+
+    def __init__(self, once: Path) -> None:
+        self._once = once
+
+    def __call__(self, batch: Batch, found: Any) -> Any:
+        if batch.frames.number[0] and not self._once.exists():
+            self._once.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def summary(self, seen: Any) -> Any:
+        return len(seen)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five logs, of two cameras."""
+    folder = tmp_path_factory.mktemp("whole")
+    for seed, width in enumerate((96, 96, 128, 96, 128)):
+        config = SimConfig(frames=FRAMES + seed, width=width, height=width * 3 // 4, seed=seed)
+        write_log(folder / f"log_{'abcde'[seed]}.mcap", config)
+    return folder
+
+
+def run(folder: Path, output: Path, **options: Any) -> engine.Summary:
+    observers = options.pop("observers", None)
+    how = engine.RunOptions(output, **{"pictures": 2, "batch_size": 4, **options})
+    config = options.pop("config", Config())
+    return engine.run(find_logs([str(folder)]), config, LogOptions(), how, observers=observers)
+
+
+@pytest.fixture
+def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The logs that are shared out, in order."""
+    names = []
+
+    def decide(one: pooled_run.PooledLogRun, log: Any) -> None:
+        names.append(one.files.name)
+        real(one, log)
+
+    real = pooled_run.PooledLogRun._decide_how
+    monkeypatch.setattr(pooled_run.PooledLogRun, "_decide_how", decide)
+    return names
+
+
+@pytest.fixture(scope="module")
+def alone(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("alone")
+    assert not run(folder, output, workers=1).failed
+    return output
+
+
+def test_workers_do_logs_whole(folder, alone, shared, tmp_path):
+    summary = run(folder, tmp_path / "a", workers=2)
+    assert not summary.failed and summary.workers == 2
+    assert len(shared) <= 1  # of five, which two workers can't do in equal times
+    same_results(alone, tmp_path / "a")
+
+
+def test_a_gpu_computes_for_workers_that_do_logs_whole(
+    folder, alone, shared, tmp_path, monkeypatch
+):
+    with jax.default_device(jax.devices("cpu")[0]):
+        on_this_machine(monkeypatch)
+        monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        summary = run(folder, tmp_path / "a", workers=2)
+    assert not summary.failed and summary.workers == 2
+    assert shared == ["log_a", "log_c"]  # the first of each camera: the station begins to serve it
+    same_results(alone, tmp_path / "a")
+
+
+def test_a_worker_that_dies_costs_no_log(folder, alone, shared, tmp_path):
+    observers = {"odd": Killer(tmp_path / "once")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        summary = run(folder, tmp_path / "a", workers=2, observers=observers)
+    assert (tmp_path / "once").exists()
+    assert not summary.failed and not any(log.lost for log in summary.logs)
+    assert len(shared) == 1  # the one that it died at
+    same_results(alone, tmp_path / "a")
+
+
+def test_what_workers_cannot_do_is_said_by_this_process(folder, shared, tmp_path):
+    broken = shutil.copytree(folder, tmp_path / "logs")
+    (broken / "log_b.mcap").write_bytes(b"not a log")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        summary = run(broken, tmp_path / "a", workers=2)
+    assert [log.log for log in summary.failed] == ["log_b"] and shared == []
+    plain = run(broken, tmp_path / "b", workers=1)
+    assert plain.failed[0].error == summary.failed[0].error
+    same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_stopped_run_goes_on_with_what_workers_did(folder, alone, shared, tmp_path):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        done = []
+
+        def take(whole: Any, name: str, answer: Any) -> None:
+            real(whole, name, answer)
+            done.append(name)
+            if len(done) == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        real = whole_logs.WholeLogs._take
+        patch.setattr(whole_logs.WholeLogs, "_take", take)
+        with pytest.raises(Interrupted):
+            run(folder, tmp_path / "a", workers=2)
+    assert not shared
+    summary = run(folder, tmp_path / "a", workers=1)
+    assert not summary.failed and not {*done} & {*shared} and len(shared) <= 3
+    same_results(alone, tmp_path / "a")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "workers", "count"),
+    [
+        ([], 4, 0),
+        ([10**9], 4, 0),
+        ([10**9] * 4, 4, 4),
+        ([10**9] * 20, 16, 16),
+        ([10**9] * 64, 16, 64),
+        ([1] * 3, 16, 3),
+    ],
+)
+def test_as_many_logs_are_done_whole_as_keep_all_workers_busy(sizes, workers, count):
+    chosen = choose_whole({str(i): size for i, size in enumerate(sizes)}, workers)
+    assert len(chosen) == count
+
+
+def test_large_logs_are_shared_out():
+    sizes = {"large": 100 * OPENING_BYTES, **{str(i): OPENING_BYTES for i in range(50)}}
+    chosen = choose_whole(sizes, 16)
+    assert "large" not in chosen and 48 <= len(chosen) <= 50
