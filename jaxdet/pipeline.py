@@ -92,12 +92,14 @@ def detect(
     return load_backend(backend).detect(frames, plane, _searching(config), with_cells)
 
 
-def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax") -> "FloorFit":
+def find_floors(
+    frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
+) -> "FloorFit":
     """Finds the floor in each frame's own depth, as :func:`detect` does.
 
     Args:
         frames: ``B`` frames; where ``plane`` is None, the prior is the configuration's.
-        config: The method's parameters.
+        config: The method's parameters; by default the preset ``wheeled``.
         backend: Either; the results are equal.
 
     Returns:

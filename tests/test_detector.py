@@ -120,6 +120,10 @@ def test_a_detector_is_of_its_log(sim_log, tmp_path):
             next(detector.run(other))
         with jaxdet.open_log(sim_log) as again:
             assert next(detector.run(again, 1)).number == 0
+            assert [one.number for one in detector.run(again, 1 << 40)] == list(range(7))
+            for size in (0, -1):
+                with pytest.raises(InputError, match="batch_size: .* give 1 or more"):
+                    next(detector.run(again, size))
 
 
 def test_time_windows_have_their_floors(sim_log, tmp_path):
@@ -208,6 +212,26 @@ def told(found: FrameResult) -> list[dict[str, Any]]:
     return rows_of(found)
 
 
+class Exchanged:
+    """An array of a library that knows DLPack and nothing of NumPy."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values = values
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.values.__dlpack_device__()
+
+
+class OnGpu:
+    """A tensor of torch that NumPy can't read."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")
+
+
 def test_frames_come_as_people_have_them():
     plain = detector()
     want = [told(found) for found in plain.batch(COLOR, DEPTH)]
@@ -224,6 +248,9 @@ def test_frames_come_as_people_have_them():
             np.repeat(COLOR, 2, axis=1)[:, ::2], np.repeat(DEPTH, 2, axis=2)[..., ::2]
         ),
         "fx fy cx cy": detector(K=CALIBRATION.color[2:6]).batch(COLOR, DEPTH),
+        "high byte first": plain.batch(COLOR, DEPTH.astype(">u2")),
+        "DLPack alone": plain.batch(Exchanged(COLOR), Exchanged(DEPTH)),
+        "masked": plain.batch(COLOR, np.ma.masked_array(np.maximum(DEPTH, 7), DEPTH == 0)),
         "another unit": detector(depth_unit_m=0.0005).batch(COLOR, DEPTH / 1000.0),
     }
     for name, found in forms.items():
@@ -255,6 +282,13 @@ def test_matrices_of_other_libraries_are_taken():
     assert Intrinsics.from_matrix(Tensor(K), 96, 60) == Intrinsics.from_matrix(K, 96, 60)
     motion = np.eye(4)
     assert Extrinsics.from_matrix(Tensor(motion)) == Extrinsics.from_matrix(motion)
+    plain = Intrinsics.from_matrix(K, 96, 60)
+    assert Intrinsics.from_matrix(K, 96, 60, None) == plain  # as OpenCV's functions take it
+    eight = [0.4, -2.5, 0.0, 0.0, 1.4, 0.3, -2.3, 1.3]
+    rational = Intrinsics.from_matrix(K, 96, 60, eight)
+    assert Intrinsics.from_matrix(K, 96, 60, np.array([[*eight, *[0.0] * 6]])) == rational
+    with pytest.raises(CalibrationError, match="14 distortion coefficients, but at most 8"):
+        Intrinsics.from_matrix(K, 96, 60, [*eight, 0.1, *[0.0] * 5])
 
 
 def test_aligned_depth_and_lenses():
@@ -380,6 +414,14 @@ REFUSED_ARGUMENTS = {
     "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
     "a file name": ({"K": "camera.json"}, "K: str is no matrix; give a"),
     "K of text": ({"K": "600"}, "K: "),
+    "size in floats": (
+        {"K": CALIBRATION.color._replace(width=160.0)},
+        "K: width of the colour camera: float is no whole number",
+    ),
+    "another lens": (
+        {"K": CALIBRATION.color._replace(distortion="fisheye")},
+        "K: the colour camera's lens model 'fisheye' is unknown; it can be: none",
+    ),
     "unit of text": ({"depth_unit_m": "mm"}, "depth_unit_m: str is no array of numbers"),
     "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),
     "unit in mm": ({"depth_unit_m": 1.0}, "depth_unit_m: "),
@@ -411,6 +453,9 @@ REFUSED_IMAGES = {
     "no frames": ("batch", COLOR[:0], DEPTH[:0], "color: there are no frames"),
     "an empty list": ("batch", [], [], "color: there are no frames"),
     "frames of two sizes": ("batch", [COLOR[0], COLOR[0][:60]], DEPTH[:2], "color: frames of sev"),
+    "a generator": ("batch", (c for c in COLOR), DEPTH, "color: generator is no array; .* a list"),
+    "a tensor on a GPU": ("call", OnGpu(), DEPTH[0], "color: OnGpu is no array; .*Tensor.cpu"),
+    "swapped": ("call", DEPTH[0], COLOR[0], r"depth: one frame .* not \(120, 160, 3\); give an im"),
     "None": ("call", None, DEPTH[0], "color: one frame"),
     "text": ("call", "image.png", DEPTH[0], "color: one frame"),
 }
@@ -421,6 +466,8 @@ REFUSED_IMAGES = {
     [
         ({"stamp_ns": "now"}, "stamps_ns: .*numbers"),
         ({"stamp_ns": 1 << 70}, "stamps_ns: .*numbers"),
+        ({"stamp_ns": (1 << 64) - 1}, "stamps_ns: .*numbers"),
+        ({"stamp_ns": 1714557600.25}, "stamps_ns: float64 are no whole numbers .* nanoseconds"),
         ({"T_world_camera": np.eye(3)}, "T_world_camera: shape"),
         ({"T_world_camera": "T"}, "T_world_camera: .*numbers"),
         ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera: is no rigid motion"),
@@ -458,6 +505,18 @@ def test_the_calibration_is_of_the_first_images():
         next(given.run([]))
 
 
+@pytest.mark.parametrize("name", ["K", "depth_K"])
+def test_a_lens_that_can_not_be_inverted_names_its_argument(name):
+    lens = Intrinsics.from_matrix(CALIBRATION.color.K, 160, 120, [50.0, 0, 0, 0])
+    wide = Intrinsics(160, 120, 19.0, 19.0, 80.0, 60.0)
+    for camera, said in ((lens, "can't be inverted"), (wide, "too wide")):
+        given = detector(**{"backend": "reference", "depth_K": CALIBRATION.color, name: camera})
+        depth = smooth_depth(1, CALIBRATION.color)[0]
+        with pytest.raises(CalibrationError, match=f"^{name}: .*{said}") as caught:
+            given(COLOR[0], depth)
+        assert "--" not in str(caught.value)
+
+
 def test_mounts_that_no_camera_has():
     for wrong, said in (
         ({"height_m": 300}, "height_m: .*metres"),
@@ -472,6 +531,23 @@ def test_mounts_that_no_camera_has():
     for gravity in ([0, 0, 0], [1, 2], [np.nan, 0, 1]):
         with pytest.raises(ConfigError, match="gravity"):
             Mount.from_gravity(0.3, gravity)
+    for T in (np.eye(3), np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan)):
+        with pytest.raises(InputError, match=r"T_base_camera: .*give a \(4, 4\) matrix of one"):
+            Mount.from_transform(T)
+
+
+def test_a_mount_may_be_known_of_some_frames():
+    """As from an IMU that is slower than the camera; others have the detector's own, or none."""
+    both = [Mount(0.4), Mount(0.9, 0.3)]
+    for own in (None, Mount(0.4)):
+        given = detector(mount=own)
+        want = [given(COLOR[0], DEPTH[0], mount=mount) for mount in (both[1], None)]
+        found = given.batch(COLOR[[0, 0]], DEPTH[[0, 0]], mounts=[both[1], None])
+        assert [one.floor for one in found] == [one.floor for one in want]
+        assert [one.floor_source for one in found] == [one.floor_source for one in want]
+        assert [len(one) for one in found] == [len(one) for one in want]
+    with pytest.raises(ConfigError, match=r"mount: 0\.3 is none"):
+        detector().batch(COLOR[:2], DEPTH[:2], mounts=[Mount(0.4), 0.3])
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
@@ -487,6 +563,12 @@ def test_low_level_calls_say_what_is_wrong():
     with pytest.raises(ConfigError, match=r"config is 'wheeled'; .*jaxdet.preset"):
         jaxdet.detect(given, "wheeled")
     assert jaxdet.flat_plane(0.63, 0.34, 0.18).height.tolist() == [0.63]
+    with pytest.raises(InputError, match=r"of shapes \(2,\), \(1,\), \(1,\), \(2,\); give \(B,\)"):
+        jaxdet.flat_plane([0.3, 0.4], 0.1, 0.0)
+    with pytest.raises(InputError, match="of shapes"):
+        jaxdet.flat_plane([0.3, 0.4], [0.1, 0.1], [0.0, 0.0], np.ones(1, bool))
+    fit = jaxdet.find_floors(given, backend="reference")
+    assert len(fit.own) == 3
     motion = Extrinsics.from_matrix(T)
     assert np.array_equal(motion.T, T) and hash(motion)
     with pytest.raises(CalibrationError, match="model can be none, plumb_bob"):
