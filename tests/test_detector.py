@@ -122,7 +122,7 @@ def test_a_detector_is_of_its_log(sim_log, tmp_path):
             assert next(detector.run(again, 1)).number == 0
             assert [one.number for one in detector.run(again, 1 << 40)] == list(range(7))
             for size in (0, -1):
-                with pytest.raises(InputError, match="batch_size: .* give 1 or more"):
+                with pytest.raises(InputError, match=r"batch_size: .* give 1 or more"):
                     next(detector.run(again, size))
 
 

@@ -49,7 +49,7 @@ def _of_command(command: str, last: str, begun: str) -> list[str]:
     for option in options:
         if last == option.flag and not option.switches:
             return list(map(str, _values(option)))
-    flags = [flag for option in options for flag in option.switches or [option.flag]]
+    flags = [f for option in options for f in (*(option.switches or [option.flag]), option.letter)]
     return [*filter(None, flags), "--help", "--help-all"] if begun.startswith("-") else []
 
 
