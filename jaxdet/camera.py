@@ -117,6 +117,9 @@ def pixel_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         ``x`` and ``y`` over z, each ``(H, W)`` float64, read-only.
+
+    Raises:
+        CalibrationError: The lens model can't be inverted over the image.
     """
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
@@ -131,7 +134,7 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         ``x`` and ``y`` over z, each ``(H, W)`` int32, read-only.
 
     Raises:
-        CalibrationError: A ray is steeper than ``MAX_RAY``.
+        CalibrationError: A ray is steeper than ``MAX_RAY``, or see :func:`pixel_rays`.
     """
     x, y = pixel_rays(camera)
     for ray in (x, y):
@@ -208,6 +211,9 @@ def corner_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         ``x`` and ``y`` over z, each ``(Hd + 1, Wd + 1)`` float32, read-only.
+
+    Raises:
+        CalibrationError: The lens model can't be inverted over the image.
     """
     f32 = np.float32
     u = np.arange(camera.width + 1, dtype=f32) - f32(0.5)

@@ -50,8 +50,9 @@ def test_help_names_every_command(capsys: Captured) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "info", "sim", "doctor"])
-def test_each_command_has_help(command: str, capsys: Captured) -> None:
-    assert main([command, "--help"]) == 0
+@pytest.mark.parametrize("flag", ["-h", "--help", "--help-all"])
+def test_each_command_has_help(command: str, flag: str, capsys: Captured) -> None:
+    assert main([command, flag]) == 0
     assert f"usage: jaxdet {command}" in capsys.readouterr().out
 
 
@@ -153,6 +154,8 @@ def test_help_shows_a_command_as_well_as_a_page(capsys: Captured) -> None:
         ("jaxdet in", {"info"}),
         ("jaxdet export results --to f", {"foxglove"}),
         ("jaxdet run drive.mcap --preset ", {"wheeled", "d435", "zed"}),
+        ("jaxdet run drive.mcap --preset=d4", {"d435", "d455"}),
+        ("jaxdet export results --to=", {"foxglove", "html"}),
         ("jaxdet run drive.mcap --ground.camera-p", {"--ground.camera-pitch"}),
         ("jaxdet run drive.mcap -", {"-o", "-q", "--output", "--quiet"}),
         ("jaxdet run drive.mcap --output ", set()),
@@ -169,7 +172,7 @@ def test_a_shell_is_told_what_a_word_may_become(
     assert main(["complete", "jaxdet", "", ""]) == 0
     found = capsys.readouterr().out.splitlines()
     assert offered <= set(found) and bool(found) == bool(offered)
-    assert all(word.startswith(line.rpartition(" ")[2]) for word in found)
+    assert all(word.startswith(re.split("[ =]", line)[-1]) for word in found)
 
 
 @pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])

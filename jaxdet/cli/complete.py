@@ -5,6 +5,7 @@ in ``COMP_POINT``, and read a candidate a line.
 """
 
 import os
+import re
 import typing
 from importlib import import_module
 
@@ -17,7 +18,8 @@ from jaxdet.presets import PRESETS
 def main(args: list[str]) -> int:
     """Prints the candidates; returns 0."""
     line = os.environ.get("COMP_LINE", "")
-    *before, begun = line[: int(os.environ.get("COMP_POINT", len(line)))].split(" ")
+    line = line[: int(os.environ.get("COMP_POINT", len(line)))]
+    *before, begun = re.split("[ =]", line)  # shells begin a word after = too
     for word in candidates([word for word in before if word], begun):
         print(word)
     return 0

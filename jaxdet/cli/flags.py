@@ -44,7 +44,7 @@ def parse_flags(
         prog: The command's name in the help.
         description: What it does.
         common: What ``--help`` shows of its sections (:func:`jaxdet.cli.usage.usage`), where
-            ``--help-all`` shows all; None: ``--help`` shows all.
+            ``--help-all`` shows all; None: both show all.
         defaults: Values of fields, in place of their own defaults.
 
     Raises:
@@ -54,8 +54,7 @@ def parse_flags(
     defaults = defaults or {}
     options = list(options_of(kind, defaults))
     words = args[: args.index("--")] if "--" in args else args
-    helps = {"-h", "--help"} | ({"--help-all"} if common is not None else set())
-    asked = [word for word in words if word in helps]
+    asked = [word for word in words if word in ("-h", "--help", "--help-all")]
     if asked:
         print(usage(options, prog, description, common, whole="--help-all" in asked), end="")
         raise SystemExit(0)
