@@ -291,6 +291,28 @@ def test_unusual_cameras_pass(camera):
     check_calibration(Calibration(camera))
 
 
+@pytest.mark.parametrize("axis", ["cx", "cy"])
+def test_optical_centres_may_be_an_image_away(axis):
+    """And no farther: of a part of an image that is a third of it, at a side."""
+    camera = Intrinsics(200, 480, 613.0, 613.0, 100.0, 240.0)
+    size = camera.width if axis == "cx" else camera.height
+    for center, off in ((-size, -1), (2 * size, 1)):
+        check_calibration(Calibration(camera._replace(**{axis: float(center)})))
+        with pytest.raises(CalibrationError, match="far outside of the colour images of 200x480"):
+            check_calibration(Calibration(camera._replace(**{axis: float(center + off)})))
+
+
+def test_a_view_is_that_of_the_part_that_is_seen():
+    part = Intrinsics(100, 100, 1.0, 1.0, 200.0, 200.0)  # of a view of 180°, at its edge
+    with pytest.raises(CalibrationError, match=r"sees 0\.286°"):
+        check_calibration(Calibration(part))
+    check_calibration(Calibration(part._replace(cx=50.0)))
+    squeezed = Intrinsics(640, 480, 600.0, 150.0, 320.0, 240.0)
+    check_calibration(Calibration(squeezed))  # a factor of 4, as with four rows in one
+    with pytest.raises(CalibrationError, match="factor of 4"):
+        check_calibration(Calibration(squeezed._replace(fy=149.0)))
+
+
 def test_motions_and_units_that_no_cameras_have():
     given = made(1)
     motion = given.calibration.color_from_depth

@@ -1,6 +1,7 @@
 """Detector: the rows of ``jaxdet run``, whatever frames come as; what can't be meant is refused."""
 
 import inspect
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -573,6 +574,33 @@ def test_low_level_calls_say_what_is_wrong():
     assert np.array_equal(motion.T, T) and hash(motion)
     with pytest.raises(CalibrationError, match="model can be none, plumb_bob"):
         Intrinsics.from_matrix(K, 160, 120, [0.1, 0.2, 0.3])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_says_that_it_can_not_compute():
+    """It would wait for threads that it lacks, for ever."""
+    code = """
+import os, numpy as np, jaxdet
+images = np.zeros((120, 160), "u1"), np.full((120, 160), 2.0)
+used = {name: jaxdet.Detector([120, 120, 80, 60], backend=name) for name in ("jax", "reference")}
+for number in (1, 2):
+    if not (child := os.fork()):
+        for name, detector in used.items():
+            try:
+                print(number, name, len(detector(*images)), flush=True)
+            except jaxdet.JaxdetError as error:
+                print(number, name, error, flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+    used["jax"](*images)
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True
+    )
+    first, *others, last = done.stdout.splitlines()
+    assert (first, others[0], last) == ("1 jax 1", "1 reference 1", "2 reference 1")
+    assert others[1].startswith("2 jax this process was forked from one that computed with JAX")
+    assert others[1].endswith("start processes with spawn, or use the backend reference")
 
 
 def test_nothing_is_written_to_standard_output(tmp_path):
