@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxdet import detect, find_floors, stages
-from jaxdet.checks import check_calibration
+from jaxdet.checks import check_calibration, check_frames
 from jaxdet.config import (
     ClusterConfig,
     Config,
@@ -194,6 +194,35 @@ def test_planes_that_are_no_number(value):
     assert_equal(found.labels, want.labels)
 
 
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        *((part, value) for part in ("pitch", "roll", "ramp_slope") for value in (np.nan, -np.inf)),
+        ("ramp_start", np.nan),  # infinity: no ramp
+    ],
+)
+def test_parts_of_planes_that_are_no_number(part, value):
+    given, plane = made(), level(2)
+    wrong = plane._replace(**{part: np.array([0.0, value])})
+    with pytest.raises(InputError, match="a height, pitch, roll or ramp that is no number"):
+        check_frames(given._replace(plane=wrong))
+    check_frames(given._replace(plane=wrong._replace(valid=np.array([True, False]))))
+    check_frames(given._replace(plane=plane))
+
+
+def test_a_batch_has_at_most_65536_frames():
+    one = made(1)
+
+    def many(count: int) -> Frames:
+        images = one.color, one.depth
+        color, depth = (np.broadcast_to(a, (count, *a.shape[1:])) for a in images)
+        return one._replace(color=color, depth=depth, valid=np.ones(count, bool), plane=None)
+
+    check_frames(many(1 << 16))
+    with pytest.raises(InputError, match=r"65537 frames, but at most 65536 .* in parts"):
+        check_frames(many((1 << 16) + 1))
+
+
 ANY = math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-45, 1e39, 1e308, -1e9, 1e5, 3.0
 """Numbers that damaged calibrations hold."""
 
@@ -256,6 +285,7 @@ def test_damaged_calibrations_are_refused_or_used_alike():
         ("cy", -1e4, "optical centre.*far outside of the colour.*--log.color-intrinsics"),
         ("fx", 1e5, "fx 100000 and fy .* a factor of 4; give --log.color-intrinsics"),
         ("coefficients", (math.inf,), "not those of a lens"),
+        ("coefficients", (0.0, -1e5), "coefficients 0 -100000 are not those of a lens"),
         ("coefficients", (0.1,) * 9, "not those of a lens"),
         ("distortion", "thin_prism", "'thin_prism' is unknown; it can be"),
     ],
