@@ -132,6 +132,48 @@ def test_lengths_in_millimetres(settings, given):
             settings(**{name: float(value)})
 
 
+@pytest.mark.parametrize(
+    ("settings", "name", "least", "largest"),
+    [
+        (FeaturesConfig, "max_corners", 1, 8192),
+        (FeaturesConfig, "quality_level", 5e-324, 1.0),
+        (FloorConfig, "max_turn_deg", 0.0, 10.0),
+        (FloorConfig, "max_cells", 100, None),
+        (GroundConfig, "min_depth_m", 0.0, math.nextafter(4.0, 0)),
+        (GroundConfig, "max_depth_m", math.nextafter(0.15, 1), 65.535),
+        (GroundConfig, "max_height_m", math.nextafter(0.05, 1), 10.0),
+        (GroundConfig, "noise_per_m", 0.0, math.nextafter(1.0, 0)),
+        (GroundConfig, "sample_frames", 1, None),
+        (GroundConfig, "window_s", 0.0, 1e9),
+        (SurfaceConfig, "beyond", 1.0, 4.0),
+        (SurfaceConfig, "cell_rad", 1e-4, 0.1),
+        (SurfaceConfig, "crease_cells", 1, 16),
+        (SurfaceConfig, "crease_margin", 0, 16),
+        (SurfaceConfig, "min_cells", 1, 8192),
+        (ObstacleConfig, "min_cells", 1, 8192),
+        (ClusterConfig, "min_points", 0, 8192),
+        (FootprintConfig, "trim", 0, 8192),
+        (FootprintConfig, "extension_m", 5e-324, 5.0),
+    ],
+)
+def test_settings_hold_at_their_bounds_and_not_beyond(settings, name, least, largest):
+    for bound, side in ((least, -1), (largest, 1)):
+        if bound is None:
+            continue
+        settings(**{name: bound})
+        beyond = bound + side if isinstance(bound, int) else math.nextafter(bound, side * math.inf)
+        with pytest.raises(ConfigError):
+            settings(**{name: beyond})
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "bounds"),
+    [(50.0, 100.0, (50, 100)), (100.9, 50.9, (50, 100)), (-math.inf, math.inf, (-1, 2047))],
+)
+def test_bounds_of_canny_are_whole_and_in_order(low, high, bounds):
+    assert FeaturesConfig(canny_low=low, canny_high=high).canny_bounds == bounds
+
+
 def test_the_largest_numbers_work():
     """For points and for surfaces."""
     config = Config(
