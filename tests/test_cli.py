@@ -94,6 +94,7 @@ def test_some_flags_have_a_letter(tmp_path: Path, capsys: Captured) -> None:
     command = parse(["-q", "a", "-o", "x", "-y", "b", "--", "-o", "--c_d"])
     assert command.logs == ("a", "b", "-o", "--c_d")
     assert (command.run.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
+    assert parse(["a", "-o=x"]).run.output == Path("x")
     main(["run", "--help"])
     text = capsys.readouterr().out
     assert "\n  -o, --output DIR  " in text and "\n  -y, --overwrite  " in text

@@ -101,7 +101,7 @@ class _Parser(argparse.ArgumentParser):
     def read(self, args: Sequence[str]) -> dict[str, Any]:
         """What is given, by the path of its option."""
         end = args.index("--") if "--" in args else len(args)
-        words = [_for_argparse(self.letters.get(word, word)) for word in args[:end]]
+        words = [_for_argparse(word, self.letters) for word in args[:end]]
         found, unknown = self.parse_known_intermixed_args([*words, *args[end:]])
         if unknown:
             name = unknown[0].partition("=")[0]
@@ -128,10 +128,11 @@ class _Parser(argparse.ArgumentParser):
         return f"did you mean {' or '.join((own or near)[:3])}? " if near else ""
 
 
-def _for_argparse(word: str) -> str:
-    """Flags with ``-`` for ``_``; with a space before it ``-10deg`` or ``-1e-3`` is no flag."""
+def _for_argparse(word: str, letters: Mapping[str, str]) -> str:
+    """Whole flags with ``-`` for ``_``; with a space before it ``-10deg`` or ``-1e-3`` is none."""
     flag, equals, value = word.partition("=")
-    if word.startswith("--"):
+    flag = letters.get(flag, flag)
+    if flag.startswith("--"):
         return flag.replace("_", "-") + equals + value
     return f" {word}" if re.match(r"-[.\d]", word) else word
 

@@ -152,11 +152,12 @@ class Detector:
         Args:
             color: ``(H, W, 3)`` or grey ``(H, W)``, uint8; anything that NumPy takes as an array.
             depth: ``(Hd, Wd)``, uint16 in units of ``depth_unit_m``, 0 = no measurement, or floats
-                in metres, where NaN, infinity and what is not above 0 are no measurement.
+                in metres, where NaN, infinity and what is not above 0 are no measurement; nor is
+                what an array of :mod:`numpy.ma` masks.
             mount: What is known of this frame's floor, for instance from an IMU
                 (:meth:`Mount.from_gravity`); None: the detector's own.
-            stamp_ns: Time of the frame, which the result repeats; a detector of a log with
-                ``ground.window_s`` has a floor for each time window.
+            stamp_ns: Time of the frame, a whole number [ns], which the result repeats; a detector
+                of a log with ``ground.window_s`` has a floor for each time window.
             T_world_camera: ``(4, 4)``, takes points of the colour optical frame to the world [m],
                 for :attr:`Obstacle.corners_world`.
 
@@ -189,7 +190,7 @@ class Detector:
             color: ``(B, H, W, 3)`` or grey ``(B, H, W)``, uint8; or a sequence of frames.
             depth: ``(B, Hd, Wd)``, uint16 or floats in metres; or a sequence of frames.
             mounts: What is known of the floor of each; None, of one or of all: the detector's own.
-            stamps_ns: ``(B,)`` integers [ns]; None: 0.
+            stamps_ns: ``(B,)`` integers [ns] or datetime64; None: 0.
             T_world_camera: ``(B, 4, 4)``, NaN where unknown; None: not known.
 
         Returns:
