@@ -228,6 +228,7 @@ def test_a_run_can_be_repeated_from_its_results(
     config = str(first / "config.json")
     args = ["run", str(sim_log), "--output", str(again), "--config", config]
     assert parse(args[1:]).log.pair_tolerance_s == 0.2
+    assert parse(args[1:]).preset == "d455"  # what results say they were made with
     assert main([*args, "--pictures", "0"]) == 0
     for name in ("frames.parquet", "obstacles.parquet"):
         assert (first / name).read_bytes() == (again / name).read_bytes()
