@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from jaxdet.cli import main
+from jaxdet.cli.help import pages
 from jaxdet.cli.progress import reporting
 from jaxdet.cli.run import RunCommand, first_time, parse
 from jaxdet.cli.settings import defaults
@@ -174,6 +175,14 @@ def test_a_shell_is_told_what_a_word_may_become(
     found = capsys.readouterr().out.splitlines()
     assert offered <= set(found) and bool(found) == bool(offered)
     assert all(word.startswith(re.split("[ =]", line)[-1]) for word in found)
+
+
+def test_the_page_on_tuning_has_the_ranges_of_cameras() -> None:
+    told = re.findall(r"([a-z][\w-]+) ([\d.]+) to ([\d.]+)(?=,| \|)", pages()["tuning"])
+    assert len(told) == 6
+    for name, nearest, farthest in told:
+        ground = PRESETS[name].ground
+        assert (ground.min_depth_m, ground.max_depth_m) == (float(nearest), float(farthest))
 
 
 @pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])
