@@ -282,6 +282,8 @@ def test_version(capsys: Captured) -> None:
         (["run", "a", "--output", "x", "--batch-size", "0"], 2, "give --batch-size 1 or more"),
         (["run", "a", "--output", "x", "--pictures", "-1"], 2, "give --pictures 0 or more"),
         (["run", "a", "--output", "x", *PITCH, "10rad"], 2, "within 90°, not 573°"),
+        (["run", "a", "--output", "x", *PITCH, "1e999deg"], 2, "'1e999deg': give an angle with"),
+        (["run", "a", "--output", "x", *PITCH, "1.2.3deg"], 2, "'1.2.3deg': give an angle with"),
         (["run", "a", "--output", "x", *PITCH[2:], "0.1rad"], 2, "camera-height-m must be given"),
         (["run", "a", "--output", "x", *PITCH[:2]], 2, "camera-pitch must be given with camera-h"),
         (["run", "--output", "x"], 2, "no log given"),
