@@ -559,6 +559,20 @@ def test_transformations_of_jax_are_refused(transform):
         transform(lambda one: given(COLOR[0], one)[0].distance_m)(depth)
 
 
+@pytest.mark.parametrize(("config", "frames"), [("wheeled", 1), ("wheeled", 3), ("paper", 1)])
+def test_a_caller_that_jax_traces_is_refused(config, frames):
+    """Its images are NumPy's, but what is computed of them is traced too."""
+    given = detector(mount=None, config=config)
+
+    def scaled(scale: jax.Array) -> jax.Array:
+        return scale * len(given.batch(COLOR[:frames], DEPTH[:frames])[0])
+
+    with pytest.raises(InputError, match=r"under jax\.jit, .*; call it outside") as caught:
+        jax.jit(scaled)(2)
+    assert "\n" not in str(caught.value)
+    assert scaled(2) > 0
+
+
 def test_low_level_calls_say_what_is_wrong():
     given = frames(CALIBRATION, COLOR, DEPTH)
     with pytest.raises(ConfigError, match=r"config is 'wheeled'; .*jaxdet.preset"):

@@ -43,6 +43,22 @@ def named(argument: str, remedy: str = "") -> Iterator[None]:
         raise type(error)(part + error.problem, topic=argument, remedy=said) from None
 
 
+@contextmanager
+def untraced() -> Iterator[None]:
+    """Says in a line that JAX traces the caller: what is computed then has no values.
+
+    Raises:
+        InputError: It does.
+    """
+    try:
+        yield
+    except TypeError as error:  # of NumPy, which is given a tracer
+        if not type(error).__module__.startswith("jax."):
+            raise
+        problem = "a Detector can't be called under jax.jit, jax.vmap or jax.grad"
+        raise InputError(problem, remedy="call it outside, and give what it finds") from None
+
+
 class Cameras:
     """The calibration of a detector: complete as soon as the first images tell their sizes.
 

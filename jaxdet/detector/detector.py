@@ -22,6 +22,7 @@ from jaxdet.detector.arguments import (
     one_frame,
     one_of,
     times,
+    untraced,
     world_poses,
 )
 from jaxdet.detector.result import BatchResult, FrameResult
@@ -217,11 +218,11 @@ class Detector:
         calibration = self._cameras.calibration(images[0].shape, images[1].shape)
         number, valid = np.arange(count, dtype=np.int64), np.ones(count, bool)
         frames = Frames(*images, calibration, number, stamps, stamps, valid, poses)
-        plane, sources = self._known(frames, mounts)
         from jaxdet.io.batch import Batch
 
         batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
-        return self._found(batch, plane, sources)
+        with untraced():
+            return self._found(batch, *self._known(frames, mounts))
 
     def run(self, log: Log, batch_size: int = RUN_BATCH) -> Iterator[FrameResult]:
         """Finds the obstacles in every frame of the log that the detector was made from.
@@ -250,8 +251,7 @@ class Detector:
             problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
         for batch in log.batches(min(size, max(len(log.frames), 1), MAX_FRAMES)):
-            plane, sources = self._known(batch.frames, None)
-            yield from self._found(batch, plane, sources)
+            yield from self._found(batch, *self._known(batch.frames, None))
 
     def _known(
         self, frames: Frames, mounts: Sequence[Mount | None] | None
