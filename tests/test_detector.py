@@ -243,6 +243,7 @@ def test_frames_come_as_people_have_them():
         "lists of frames": plain.batch(list(COLOR), list(DEPTH)),
         "arrays of JAX": plain.batch(jnp.asarray(COLOR), jnp.asarray(DEPTH)),
         "metres": plain.batch(COLOR, np.where(DEPTH, DEPTH / 1000.0, np.nan)),
+        "a far sky": plain.batch(COLOR, np.where(DEPTH, DEPTH / 1000.0, 1000.0)),
         "metres in float32": plain.batch(COLOR, DEPTH * np.float32(0.001)),
         "BGR": detector(color_order="bgr").batch(COLOR[..., ::-1], DEPTH),
         "every second row": plain.batch(
@@ -451,6 +452,12 @@ REFUSED_IMAGES = {
     "millimetres in floats": ("call", COLOR[0], DEPTH[0] * 1.0, "depth: the nearest .* metres"),
     "other depth": ("call", COLOR[0], DEPTH[0][:60], "depth: images of 160x60 .* 160x120"),
     "fewer depths": ("batch", COLOR, DEPTH[:2], "depth: 2 for 3 colour images"),
+    "too large": (
+        "call",
+        np.broadcast_to(np.uint8(0), (1 << 13, (1 << 12) + 1, 3)),
+        DEPTH[0],
+        "color: an image of shape .* at most 33554432 pixels are taken; scale it",
+    ),
     "no frames": ("batch", COLOR[:0], DEPTH[:0], "color: there are no frames"),
     "an empty list": ("batch", [], [], "color: there are no frames"),
     "frames of two sizes": ("batch", [COLOR[0], COLOR[0][:60]], DEPTH[:2], "color: frames of sev"),
