@@ -317,11 +317,8 @@ def _stacked(name: str, images: Any) -> np.ndarray:
         images = np.stack(frames) if frames else np.zeros(0)
     array = _array(name, images)
     if not array.ndim:
-        problem, remedy = (
-            f"{type(images).__name__} is no array",
-            "give an array or a list of frames",
-        )
-        raise InputError(problem, topic=name, remedy=remedy)
+        problem = f"{type(images).__name__} is no array"
+        raise InputError(problem, topic=name, remedy="give an array or a list of frames")
     if not array.size:
         raise InputError("there are no frames", topic=name, remedy="give at least one")
     if len(array) > MAX_FRAMES:
