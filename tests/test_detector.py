@@ -154,6 +154,7 @@ def test_frames_one_by_one_are_those_of_a_run(sim_log):
     )
     found = own(frame.color, frame.depth)
     assert len(found) == len(want) and found.floor_source == "frame"
+    assert found.floor_refused is None
     assert found.nearest_m == min(obstacle.distance_m for obstacle in found)
     assert found.floor.pitch_rad == pytest.approx(0.1745, abs=0.01)
 
@@ -554,6 +555,7 @@ def test_a_mount_may_be_known_of_some_frames():
         assert [one.floor for one in found] == [one.floor for one in want]
         assert [one.floor_source for one in found] == [one.floor_source for one in want]
         assert [len(one) for one in found] == [len(one) for one in want]
+        assert [one.floor_refused for one in found] == [one.floor_refused for one in want]
     with pytest.raises(ConfigError, match=r"mount: 0\.3 is none"):
         detector().batch(COLOR[:2], DEPTH[:2], mounts=[Mount(0.4), 0.3])
 
