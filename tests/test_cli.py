@@ -159,6 +159,7 @@ def test_help_shows_a_command_as_well_as_a_page(capsys: Captured) -> None:
         ("jaxdet run drive.mcap --preset=d4", {"d435", "d455"}),
         ("jaxdet export results --to=", {"foxglove", "html"}),
         ("jaxdet run drive.mcap --ground.camera-p", {"--ground.camera-pitch"}),
+        ("jaxdet run drive.mcap --quiet --outp", {"--output"}),
         ("jaxdet run drive.mcap -", {"-o", "-q", "--output", "--quiet"}),
         ("jaxdet run drive.mcap --output ", set()),
         ("jaxdet run ", set()),
