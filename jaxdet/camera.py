@@ -11,15 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import CalibrationError
-from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics
+from jaxdet.types import NUM_COEFFICIENTS, Calibration, Distortion, Extrinsics, Intrinsics
 
 RAY_BITS = 20
 """Fraction bits of a fixed-point ray: x in depth units is ``(ray * z) >> RAY_BITS``, rounded."""
 
 MAX_RAY = 4.0
 """Steepest ray that the 32-bit integer rule holds for (a half field of view of 76 degrees)."""
-
-NUM_COEFFICIENTS = 8
 
 
 def distort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
@@ -119,6 +117,9 @@ def pixel_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         ``x`` and ``y`` over z, each ``(H, W)`` float64, read-only.
+
+    Raises:
+        CalibrationError: The lens model can't be inverted over the image.
     """
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
     x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
@@ -133,17 +134,21 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         ``x`` and ``y`` over z, each ``(H, W)`` int32, read-only.
 
     Raises:
-        CalibrationError: A ray is steeper than ``MAX_RAY``.
+        CalibrationError: A ray is steeper than ``MAX_RAY``, or see :func:`pixel_rays`.
     """
     x, y = pixel_rays(camera)
     for ray in (x, y):
-        _check_steepness(ray, "--log.color-intrinsics")
+        check_steepness(ray, "--log.color-intrinsics")
     one = 1 << RAY_BITS
     return _frozen(np.rint(x * one).astype(np.int32)), _frozen(np.rint(y * one).astype(np.int32))
 
 
-def _check_steepness(rays: np.ndarray, flag: str) -> None:
-    """Refuses rays that are steeper than ``MAX_RAY``."""
+def check_steepness(rays: np.ndarray, flag: str) -> None:
+    """Refuses rays that are steeper than ``MAX_RAY``.
+
+    Raises:
+        CalibrationError: One is.
+    """
     if np.abs(rays).max(initial=0.0) > MAX_RAY:
         raise CalibrationError(
             "the field of view is too wide for the pinhole geometry",
@@ -189,7 +194,7 @@ def cell_rays(calibration: Calibration, side: int) -> tuple[np.ndarray, np.ndarr
     v, u = (np.mgrid[0:rows, 0:columns] * side + (side - 1) / 2).astype(np.float64)
     x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
     rays = np.stack([x, y, np.ones_like(x)])
-    _check_steepness(rays, "--log.depth-intrinsics")
+    check_steepness(rays, "--log.depth-intrinsics")
     turned = np.tensordot(T[:3, :3], rays, axes=1)
     fixed = np.rint(turned * (1 << RAY_BITS)).astype(np.int64)
     return _frozen(fixed), _frozen(np.rint(T[:3, 3] / calibration.depth_unit).astype(np.int64))
@@ -206,6 +211,9 @@ def corner_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         ``x`` and ``y`` over z, each ``(Hd + 1, Wd + 1)`` float32, read-only.
+
+    Raises:
+        CalibrationError: The lens model can't be inverted over the image.
     """
     f32 = np.float32
     u = np.arange(camera.width + 1, dtype=f32) - f32(0.5)

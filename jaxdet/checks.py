@@ -5,7 +5,6 @@ All that comes from a log, a flag or a caller passes here once; kernels check no
 
 import math
 import sys
-from collections.abc import Sequence
 from functools import lru_cache
 from numbers import Integral, Real
 from typing import Any
@@ -13,17 +12,19 @@ from typing import Any
 import numpy as np
 
 from jaxdet.arguments import of_type
-from jaxdet.camera import NUM_COEFFICIENTS, cell_side
+from jaxdet.camera import cell_side
 from jaxdet.config import DEPTH_UNITS_M, MAX_POINTS, SurfaceConfig
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import (
     MAX_CONTOUR,
+    NUM_COEFFICIENTS,
     Calibration,
     Distortion,
     Extrinsics,
     Frames,
     GroundPlane,
     Intrinsics,
+    is_rotation,
 )
 
 MAX_CELL_SIDE = 128
@@ -44,8 +45,6 @@ MAX_COEFFICIENT = 1e4
 MAX_BASELINE_M = 10.0
 """Farthest that the depth camera may be from the colour camera; and no farther than depth reaches,
 so that sums of products have 32 bits."""
-MAX_SKEW = 1e-3
-"""How far the product of a rotation and its transpose may be from the unit matrix."""
 
 
 def check_calibration(calibration: Calibration) -> None:
@@ -152,15 +151,6 @@ def check_depth_unit(unit: float) -> None:
             f"a depth unit of {unit:g} m, but cameras have {smallest:g} to {largest:g}",
             remedy="give --log.depth-unit-m",
         )
-
-
-def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
-    """Whether numbers, row by row, are those of a rotation matrix."""
-    found = np.array(values, np.float64).ravel()
-    if found.size != 9 or not np.isfinite(found).all() or np.abs(found).max() >= 2:
-        return False
-    R = found.reshape(3, 3)
-    return bool(np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0)
 
 
 def _check_view(name: str, camera: Intrinsics) -> None:

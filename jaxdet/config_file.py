@@ -53,7 +53,8 @@ def find_config(source: str | PathLike[str]) -> Config:
     if name in PRESETS:
         return preset(name)
     path = Path(name)
-    if isinstance(source, str) and not (path.suffix in (".toml", ".json") or path.exists()):
+    named = path.suffix.lower() in (".toml", ".json") or path.exists()
+    if isinstance(source, str) and not (name and named):
         preset(name)  # which says what presets there are
     return read_settings(path).config
 
@@ -70,9 +71,13 @@ def read_settings(path: Path | None, preset_name: str | None = None) -> Settings
         ConfigError: The preset or a key of the file is unknown, or a value doesn't fit.
     """
     table = read_table(path) if path else {}
-    named = table.pop("preset", None)
-    name = preset_name or named or DEFAULT_PRESET
-    config, log = preset(name), LogOptions()
+    named = table.pop("preset", DEFAULT_PRESET)
+    name = named if preset_name is None else preset_name
+    try:
+        config, log = preset(name), LogOptions()
+    except ConfigError as error:
+        where = str(path) if preset_name is None else ""
+        raise ConfigError(error.problem, path=where, remedy=error.remedy) from None
     for section, values in table.items():
         if section == "log":
             log = changed(log, values, section, str(path))
@@ -95,7 +100,7 @@ def read_table(path: Path) -> dict[str, Any]:
         raise ConfigError(f"can't be read ({error.strerror})", path=where) from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"is no text: {error}", path=where) from error
-    if path.suffix == ".json":
+    if path.suffix.lower() == ".json":
         return _of_results(text, where)
     try:
         table = tomllib.loads(text)
@@ -104,11 +109,29 @@ def read_table(path: Path) -> dict[str, Any]:
     for key, value in table.items():
         if key == "preset" and isinstance(value, str):
             continue
-        if key not in SECTIONS or not isinstance(value, dict):
+        if key == "preset":
+            problem, remedy = (
+                f"preset = {value!r} is not text in quotes",
+                f'preset = "{DEFAULT_PRESET}"',
+            )
+            raise ConfigError(problem, path=where, remedy=f"write {remedy}")
+        if not isinstance(value, dict):
+            raise ConfigError(f"{key} = {value!r} is in no section", path=where, remedy=_place(key))
+        if key not in SECTIONS:
             known = ", ".join(f"[{name}]" for name in SECTIONS)
             remedy = f"{meant(key, SECTIONS)}use {known}"
             raise ConfigError(f"no section [{key}]", path=where, remedy=remedy)
     return table
+
+
+def _place(key: str) -> str:
+    """What to do about a key before the first section: write it in those that have it."""
+    if key in SECTIONS:
+        return f"write [{key}] and its keys below"
+    parts = vars(Config()) | {"log": LogOptions()}
+    having = [name for name, part in parts.items() if key in vars(part)]
+    where = " or ".join(f"[{name}]" for name in having or SECTIONS)
+    return f"write it below {where}"
 
 
 def _of_results(text: str, where: str) -> dict[str, Any]:

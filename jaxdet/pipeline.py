@@ -1,6 +1,8 @@
 """``detect``: floor, surfaces, obstacles and outlines of a batch of frames, on either backend."""
 
+import os
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Literal, Protocol, cast
 
@@ -37,15 +39,27 @@ def load_backend(name: BackendName) -> Backend:
     """The module that implements a backend.
 
     Raises:
-        ConfigError: There is no such backend.
+        ConfigError: There is no such backend, or it is JAX in a process that can't use it.
     """
     modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
     if not isinstance(name, str) or name not in modules:
         remedy = f"use one of {', '.join(modules)}"
         raise ConfigError(f"no backend {named_type(name)}", remedy=remedy)
     if name == "jax":
+        if _process_of_jax() != os.getpid():
+            problem = (
+                "this process was forked from one that computed with JAX, and lacks its threads"
+            )
+            remedy = "start processes with spawn, or use the backend reference"
+            raise ConfigError(problem, remedy=remedy)
         quiet_warp()  # standard output is the caller's
     return cast(Backend, import_module(modules[name]))
+
+
+@cache
+def _process_of_jax() -> int:
+    """The first process that computes; where it is forked, the child has it too."""
+    return os.getpid()
 
 
 def detect(
@@ -92,12 +106,14 @@ def detect(
     return load_backend(backend).detect(frames, plane, _searching(config), with_cells)
 
 
-def find_floors(frames: Frames, config: Config, *, backend: BackendName = "jax") -> "FloorFit":
+def find_floors(
+    frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
+) -> "FloorFit":
     """Finds the floor in each frame's own depth, as :func:`detect` does.
 
     Args:
         frames: ``B`` frames; where ``plane`` is None, the prior is the configuration's.
-        config: The method's parameters.
+        config: The method's parameters; by default the preset ``wheeled``.
         backend: Either; the results are equal.
 
     Returns:

@@ -47,6 +47,28 @@ SAMPLED_CELLS = (slice(None), slice(1, None, 2), slice(1, None, 2))
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
 
+NUM_COEFFICIENTS = 8
+"""Most distortion coefficients of a lens."""
+
+MAX_SKEW = 1e-3
+"""How far the product of a rotation and its transpose may be from the unit matrix."""
+
+
+def is_rotation(values: Sequence[float] | np.ndarray) -> bool:
+    """Whether numbers, row by row, are those of a rotation matrix."""
+    found = np.array(values, np.float64).ravel()
+    if found.size != 9 or not np.isfinite(found).all() or np.abs(found).max() >= 2:
+        return False
+    R = found.reshape(3, 3)
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0)
+
+
+def is_rigid(T: np.ndarray) -> bool:
+    """Whether a matrix ``(4, 4)`` is that of a rigid motion."""
+    last, translation = T[3].tolist(), T[:3, 3]
+    flat = last == [0.0, 0.0, 0.0, 1.0] and bool(np.isfinite(translation).all())
+    return flat and is_rotation(T[:3, :3])
+
 
 class Distortion(StrEnum):
     """Lens distortion models; the values are the names ROS and Foxglove use."""
@@ -107,7 +129,7 @@ class Intrinsics(NamedTuple):
         K: ArrayLike,
         width: int,
         height: int,
-        distortion: Sequence[float] | np.ndarray = (),
+        distortion: Sequence[float] | np.ndarray | None = None,
         model: str | None = None,
     ) -> Self:
         """From a camera matrix and lens coefficients as OpenCV and ROS have them.
@@ -116,19 +138,28 @@ class Intrinsics(NamedTuple):
             K: ``(3, 3)``, pixels.
             width: Of the images [pixel].
             height: Of the images [pixel].
-            distortion: The lens coefficients; none: images without distortion.
+            distortion: The lens coefficients, at most 8 (of OpenCV's 12 or 14 the others must be
+                zero); None: images without distortion.
             model: A :class:`Distortion`; by default ``plumb_bob`` for 4 or 5 coefficients and
                 ``rational_polynomial`` for 8.
 
         Raises:
-            CalibrationError: ``K`` is no camera matrix, or the model is unknown.
+            CalibrationError: ``K`` is no camera matrix, the model is unknown, or there are too
+                many coefficients.
 
         Example:
             >>> Intrinsics.from_matrix([[600, 0, 320], [0, 610, 240], [0, 0, 1]], 640, 480).fy
             610.0
         """
-        given = numbers("distortion", distortion, np.float64)
+        given = numbers("distortion", () if distortion is None else distortion, np.float64)
         values = tuple(float(value) for value in given.ravel())
+        values, further = values[:NUM_COEFFICIENTS], values[NUM_COEFFICIENTS:]
+        if any(further):
+            raise CalibrationError(
+                f"{len(values + further)} distortion coefficients, but at most {NUM_COEFFICIENTS} "
+                "are taken",
+                remedy="calibrate without thin prism and tilt, or undistort the images",
+            )
         if model is None:
             defaults = {0: "none", 4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
             model = defaults.get(len(values))
@@ -174,8 +205,9 @@ class Extrinsics(NamedTuple):
         except InputError:
             matrix = np.zeros(0)
         if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+            row = f" and last row {matrix[3].tolist()}" if matrix.shape == (4, 4) else ""
             raise CalibrationError(
-                f"a transform of shape {matrix.shape}",
+                f"a transform of shape {matrix.shape}{row}",
                 remedy="give a (4, 4) array whose last row is 0 0 0 1",
             )
         x, y, z = matrix[:3, 3].tolist()

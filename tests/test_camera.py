@@ -4,7 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxdet.camera import corner_rays, fixed_rays, pixel_rays, splat_parameters, undistort
+from jaxdet.camera import (
+    cell_rays,
+    corner_rays,
+    fixed_rays,
+    pixel_rays,
+    splat_parameters,
+    undistort,
+)
 from jaxdet.errors import CalibrationError
 from jaxdet.types import Calibration, Distortion, Intrinsics
 from tests.scenes import D435, D435_COLOR, LENSES, with_lens
@@ -42,6 +49,41 @@ def test_corners_lie_between_pixel_centres(lens):
     assert corner.shape == (481, 641)
     assert np.all(corner[:-1, :-1] < center)
     assert np.all(corner[1:, 1:] > center)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_corners_are_half_a_pixel_from_the_centres(lens):
+    camera = with_lens(D435_COLOR, lens)
+    v, u = np.mgrid[: camera.height + 1, : camera.width + 1] - 0.5
+    want = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
+    assert max(np.abs(a - b).max() for a, b in zip(corner_rays(camera), want, strict=True)) < 1e-6
+
+
+def test_the_ray_of_a_cell_goes_through_its_middle():
+    """Of 4 x 4 pixels that is between the second and the third."""
+    camera = Intrinsics(9, 8, 64.0, 32.0, 4.0, 4.0)
+    rays, offset = cell_rays(Calibration(camera), 4)
+    assert rays.shape == (3, 2, 2) and offset.tolist() == [0, 0, 0]
+    assert (rays[0, 0] / 2**20 * 64).tolist() == [-2.5, 1.5]
+    assert (rays[1, :, 0] / 2**20 * 32).tolist() == [-2.5, 1.5]
+    assert (rays[2] == 2**20).all()
+
+
+@pytest.mark.parametrize(
+    ("depth", "color", "fills"),
+    [
+        ((640, 480, 400.0, 400.0), (640, 480, 400.0, 400.0), False),
+        ((640, 480, 400.0, 400.0), (1280, 960, 800.0, 800.0), True),
+        ((640, 480, 400.0, 400.0), (640, 480, 350.0, 500.0), True),  # finer in rows alone
+        ((640, 480, 800.0, 800.0), (320, 240, 200.0, 200.0), False),
+        ((640, 480, 800.0, 800.0), (640, 360, 300.0, 300.0), True),  # librealsense's exceptions
+        ((640, 240, 800.0, 800.0), (320, 180, 150.0, 150.0), True),
+    ],
+)
+def test_where_a_depth_pixel_covers_all_between_its_corners(depth, color, fills):
+    cameras = [Intrinsics(w, h, fx, fy, w / 2, h / 2) for w, h, fx, fy in (color, depth)]
+    calibration = Calibration(*cameras, D435.color_from_depth)
+    assert splat_parameters(calibration).fills_corners is fills
 
 
 def test_fixed_rays_are_rounded():

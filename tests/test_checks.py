@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxdet import detect, find_floors, stages
-from jaxdet.checks import check_calibration
+from jaxdet.checks import check_calibration, check_frames
 from jaxdet.config import (
     ClusterConfig,
     Config,
@@ -132,6 +132,46 @@ def test_lengths_in_millimetres(settings, given):
             settings(**{name: float(value)})
 
 
+@pytest.mark.parametrize(
+    ("settings", "name", "least", "largest"),
+    [
+        (FeaturesConfig, "max_corners", 1, 8192),
+        (FeaturesConfig, "quality_level", 5e-324, 1.0),
+        (FloorConfig, "max_turn_deg", 0.0, 10.0),
+        (FloorConfig, "max_cells", 100, (1 << 63) - 1),
+        (GroundConfig, "min_depth_m", 0.0, math.nextafter(4.0, 0)),
+        (GroundConfig, "max_depth_m", math.nextafter(0.15, 1), 65.535),
+        (GroundConfig, "max_height_m", math.nextafter(0.05, 1), 10.0),
+        (GroundConfig, "noise_per_m", 0.0, math.nextafter(1.0, 0)),
+        (GroundConfig, "sample_frames", 1, (1 << 63) - 1),
+        (GroundConfig, "window_s", 0.0, 1e9),
+        (SurfaceConfig, "beyond", 1.0, 4.0),
+        (SurfaceConfig, "cell_rad", 1e-4, 0.1),
+        (SurfaceConfig, "crease_cells", 1, 16),
+        (SurfaceConfig, "crease_margin", 0, 16),
+        (SurfaceConfig, "min_cells", 1, 8192),
+        (ObstacleConfig, "min_cells", 1, 8192),
+        (ClusterConfig, "min_points", 0, 8192),
+        (FootprintConfig, "trim", 0, 8192),
+        (FootprintConfig, "extension_m", 5e-324, 5.0),
+    ],
+)
+def test_settings_hold_at_their_bounds_and_not_beyond(settings, name, least, largest):
+    for bound, side in ((least, -1), (largest, 1)):
+        settings(**{name: bound})
+        beyond = bound + side if isinstance(bound, int) else math.nextafter(bound, side * math.inf)
+        with pytest.raises(ConfigError):
+            settings(**{name: beyond})
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "bounds"),
+    [(50.0, 100.0, (50, 100)), (100.9, 50.9, (50, 100)), (-math.inf, math.inf, (-1, 2047))],
+)
+def test_bounds_of_canny_are_whole_and_in_order(low, high, bounds):
+    assert FeaturesConfig(canny_low=low, canny_high=high).canny_bounds == bounds
+
+
 def test_the_largest_numbers_work():
     """For points and for surfaces."""
     config = Config(
@@ -192,6 +232,35 @@ def test_planes_that_are_no_number(value):
     found, want = (detect(given, backend=name) for name in ("jax", "reference"))
     assert_equal(found.obstacles, want.obstacles)
     assert_equal(found.labels, want.labels)
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        *((part, value) for part in ("pitch", "roll", "ramp_slope") for value in (np.nan, -np.inf)),
+        ("ramp_start", np.nan),  # infinity: no ramp
+    ],
+)
+def test_parts_of_planes_that_are_no_number(part, value):
+    given, plane = made(), level(2)
+    wrong = plane._replace(**{part: np.array([0.0, value])})
+    with pytest.raises(InputError, match="a height, pitch, roll or ramp that is no number"):
+        check_frames(given._replace(plane=wrong))
+    check_frames(given._replace(plane=wrong._replace(valid=np.array([True, False]))))
+    check_frames(given._replace(plane=plane))
+
+
+def test_a_batch_has_at_most_65536_frames():
+    one = made(1)
+
+    def many(count: int) -> Frames:
+        images = one.color, one.depth
+        color, depth = (np.broadcast_to(a, (count, *a.shape[1:])) for a in images)
+        return one._replace(color=color, depth=depth, valid=np.ones(count, bool), plane=None)
+
+    check_frames(many(1 << 16))
+    with pytest.raises(InputError, match=r"65537 frames, but at most 65536 .* in parts"):
+        check_frames(many((1 << 16) + 1))
 
 
 ANY = math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-45, 1e39, 1e308, -1e9, 1e5, 3.0
@@ -256,6 +325,7 @@ def test_damaged_calibrations_are_refused_or_used_alike():
         ("cy", -1e4, "optical centre.*far outside of the colour.*--log.color-intrinsics"),
         ("fx", 1e5, "fx 100000 and fy .* a factor of 4; give --log.color-intrinsics"),
         ("coefficients", (math.inf,), "not those of a lens"),
+        ("coefficients", (0.0, -1e5), "coefficients 0 -100000 are not those of a lens"),
         ("coefficients", (0.1,) * 9, "not those of a lens"),
         ("distortion", "thin_prism", "'thin_prism' is unknown; it can be"),
     ],
@@ -289,6 +359,28 @@ def test_views_that_no_camera_has(focal, view):
 )
 def test_unusual_cameras_pass(camera):
     check_calibration(Calibration(camera))
+
+
+@pytest.mark.parametrize("axis", ["cx", "cy"])
+def test_optical_centres_may_be_an_image_away(axis):
+    """And no farther: of a part of an image that is a third of it, at a side."""
+    camera = Intrinsics(200, 480, 613.0, 613.0, 100.0, 240.0)
+    size = camera.width if axis == "cx" else camera.height
+    for center, off in ((-size, -1), (2 * size, 1)):
+        check_calibration(Calibration(camera._replace(**{axis: float(center)})))
+        with pytest.raises(CalibrationError, match="far outside of the colour images of 200x480"):
+            check_calibration(Calibration(camera._replace(**{axis: float(center + off)})))
+
+
+def test_a_view_is_that_of_the_part_that_is_seen():
+    part = Intrinsics(100, 100, 1.0, 1.0, 200.0, 200.0)  # of a view of 180°, at its edge
+    with pytest.raises(CalibrationError, match=r"sees 0\.286°"):
+        check_calibration(Calibration(part))
+    check_calibration(Calibration(part._replace(cx=50.0)))
+    squeezed = Intrinsics(640, 480, 600.0, 150.0, 320.0, 240.0)
+    check_calibration(Calibration(squeezed))  # a factor of 4, as with four rows in one
+    with pytest.raises(CalibrationError, match="factor of 4"):
+        check_calibration(Calibration(squeezed._replace(fy=149.0)))
 
 
 def test_motions_and_units_that_no_cameras_have():

@@ -18,8 +18,11 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from jaxdet.cli import main
+from jaxdet.cli.help import pages
+from jaxdet.cli.progress import reporting
 from jaxdet.cli.run import RunCommand, first_time, parse
 from jaxdet.cli.settings import defaults
+from jaxdet.cli.tell import on_terminal
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
 from jaxdet.engine.startup import Caches
@@ -48,8 +51,9 @@ def test_help_names_every_command(capsys: Captured) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "info", "sim", "doctor"])
-def test_each_command_has_help(command: str, capsys: Captured) -> None:
-    assert main([command, "--help"]) == 0
+@pytest.mark.parametrize("flag", ["-h", "--help", "--help-all"])
+def test_each_command_has_help(command: str, flag: str, capsys: Captured) -> None:
+    assert main([command, flag]) == 0
     assert f"usage: jaxdet {command}" in capsys.readouterr().out
 
 
@@ -72,6 +76,50 @@ def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
         flags = set(re.findall(r"^  (--[\w.-]+)", brief, re.M)) - {"--help-all"}
         assert len(flags) > 5
         assert [flag for flag in flags if flag not in whole] == []
+
+
+@pytest.mark.parametrize("columns", [1, 40, 80, 200])
+def test_help_is_as_wide_as_the_terminal(
+    columns: int, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    main(["sim", "--help-all"])
+    text = capsys.readouterr().out
+    said = [line for line in text.splitlines() if "{" not in line and not line.startswith("  -")]
+    wide = max(map(len, said))
+    assert wide <= max(min(columns, 100), 50) and wide > min(columns, 100) - 12
+    assert "Number of colour frames" in text and text.startswith("usage: jaxdet sim PATH [OPTIONS]")
+
+
+def test_some_flags_have_a_letter(tmp_path: Path, capsys: Captured) -> None:
+    command = parse(["-q", "a", "-o", "x", "-y", "b", "--", "-o", "--c_d"])
+    assert command.logs == ("a", "b", "-o", "--c_d")
+    assert (command.run.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
+    assert parse(["a", "-o=x"]).run.output == Path("x")
+    main(["run", "--help"])
+    text = capsys.readouterr().out
+    assert "\n  -o, --output DIR  " in text and "\n  -y, --overwrite  " in text
+    assert "\n  -q, --quiet  " in text
+    for name in ("track", "sim", "export"):
+        main([name, "--help"])
+        assert ("-q, --quiet  " in (said := capsys.readouterr().out)) == (name != "export")
+        assert ("-o, --output PATH  " in said) == (name == "export")
+    log = tmp_path / "a.mcap"
+    for args in (["-q"], ["-qy"], ["-q", "-y"]):
+        code = main(["sim", str(log), "--frames", "1", "--width", "64", "--height", "48", *args])
+        assert code == (2 if args == ["-qy"] else 0)
+    assert "no flag -qy; see" in capsys.readouterr().err
+
+
+def test_a_dumb_terminal_gets_whole_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of Emacs' shell: nothing there can be written anew."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    assert on_terminal()
+    monkeypatch.setenv("TERM", "dumb")
+    assert not on_terminal()
+    with reporting(False) as progress:
+        assert type(progress).__name__ == "_Lines"
 
 
 def test_short_help_of_sim_says_where_the_other_scenes_are(capsys: Captured) -> None:
@@ -108,7 +156,11 @@ def test_help_shows_a_command_as_well_as_a_page(capsys: Captured) -> None:
         ("jaxdet in", {"info"}),
         ("jaxdet export results --to f", {"foxglove"}),
         ("jaxdet run drive.mcap --preset ", {"wheeled", "d435", "zed"}),
+        ("jaxdet run drive.mcap --preset=d4", {"d435", "d455"}),
+        ("jaxdet export results --to=", {"foxglove", "html"}),
         ("jaxdet run drive.mcap --ground.camera-p", {"--ground.camera-pitch"}),
+        ("jaxdet run drive.mcap --quiet --outp", {"--output"}),
+        ("jaxdet run drive.mcap -", {"-o", "-q", "--output", "--quiet"}),
         ("jaxdet run drive.mcap --output ", set()),
         ("jaxdet run ", set()),
         ("jaxdet help cal", {"calibration"}),
@@ -123,7 +175,16 @@ def test_a_shell_is_told_what_a_word_may_become(
     assert main(["complete", "jaxdet", "", ""]) == 0
     found = capsys.readouterr().out.splitlines()
     assert offered <= set(found) and bool(found) == bool(offered)
-    assert all(word.startswith(line.rpartition(" ")[2]) for word in found)
+    assert all(word.startswith(re.split("[ =]", line)[-1]) for word in found)
+
+
+def test_the_page_on_tuning_has_the_ranges_of_cameras() -> None:
+    rows = re.findall(r"(?m)^\| (`.*?) \| .* \| ([\d.]+) to ([\d.]+) \|$", pages()["tuning"])
+    told = {name: row[1:] for row in rows for name in re.findall(r"`(\S+)`", row[0])}
+    assert set(told) == set(PRESETS)
+    for name, (nearest, farthest) in told.items():
+        ground = PRESETS[name].ground
+        assert (ground.min_depth_m, ground.max_depth_m) == (float(nearest), float(farthest))
 
 
 @pytest.mark.parametrize("flag", ["--ground.camera-pitch", "--ground.camera-pitch-rad"])
@@ -178,6 +239,7 @@ def test_a_run_can_be_repeated_from_its_results(
     config = str(first / "config.json")
     args = ["run", str(sim_log), "--output", str(again), "--config", config]
     assert parse(args[1:]).log.pair_tolerance_s == 0.2
+    assert parse(args[1:]).preset == "d455"  # what results say they were made with
     assert main([*args, "--pictures", "0"]) == 0
     for name in ("frames.parquet", "obstacles.parquet"):
         assert (first / name).read_bytes() == (again / name).read_bytes()
@@ -222,6 +284,8 @@ def test_version(capsys: Captured) -> None:
         (["run", "a", "--output", "x", "--batch-size", "0"], 2, "give --batch-size 1 or more"),
         (["run", "a", "--output", "x", "--pictures", "-1"], 2, "give --pictures 0 or more"),
         (["run", "a", "--output", "x", *PITCH, "10rad"], 2, "within 90°, not 573°"),
+        (["run", "a", "--output", "x", *PITCH, "1e999deg"], 2, "'1e999deg': give an angle with"),
+        (["run", "a", "--output", "x", *PITCH, "1.2.3deg"], 2, "'1.2.3deg': give an angle with"),
         (["run", "a", "--output", "x", *PITCH[2:], "0.1rad"], 2, "camera-height-m must be given"),
         (["run", "a", "--output", "x", *PITCH[:2]], 2, "camera-pitch must be given with camera-h"),
         (["run", "--output", "x"], 2, "no log given"),
@@ -243,7 +307,19 @@ def test_version(capsys: Captured) -> None:
             2,
             "--quiet: ignored explicit argument 'yes'",
         ),
-        (["run", "a", "-o", "x"], 2, "no flag -o; did you mean --output or --overwrite?"),
+        (["run", "a", "-output", "x"], 2, "no flag -output; did you mean --output?"),
+        (["run", "a", "-o"], 2, "--output: expected one argument; see jaxdet run --help"),
+        (["run", "a", "-o", "-q"], 2, "--output: expected one argument; see jaxdet run --help"),
+        (["run", "a", "-ox"], 2, "no flag -ox; see jaxdet run --help"),
+        (["verify", "a", "-q"], 2, "no flag -q; see jaxdet verify --help"),
+        (["run", "a", "--output", ""], 2, "--output: '' is no path; see jaxdet run --help"),
+        (["run", "a", "-o", "x", "--config", ""], 2, "--config: '' is no file; see --help"),
+        (["run", "a", "-o", "x", "--config"], 2, "error: --config: expected one argument"),
+        (["run", "a", "-o", "x", "--preset", ""], 2, "no preset ''; use one of wheeled"),
+        (["run", "a", "-o", "x", "--end", "3"], 2, "no flag --end; did you mean --stop? see"),
+        (["run", "a", "-o", "x", "--force"], 2, "no flag --force; did you mean --overwrite? see"),
+        (["run", "a", "-o", "x", "--verbose"], 2, "no flag --verbose; see jaxdet run --help"),
+        (["version"], 2, "no command 'version'; did you mean --version?"),
         (["run", "a", "--output", "x", "--batchsize", "4"], 2, "did you mean --batch-size?"),
         (["run", "a", "--camera-height", "1"], 2, "did you mean --ground.camera-height-m?"),
         (["run", "a", "--ground.max-depth", "1"], 2, "did you mean --ground.max-depth-m?"),
@@ -328,7 +404,15 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
         ("[ground]\nmax_depth = 1\n", r"no key 'max_depth' in .*; did you mean max_depth_m\?"),
         ("[ground]\ncamera_pitch = 1\n", r"camera_pitch = 1: give an angle with its unit"),
         ("[clusters]\n", r"bad.toml: no section \[clusters\]; did you mean cluster\?"),
-        ("cluster = 1\n", r"no section \[cluster\]"),
+        ("cluster = 1\n", r"bad.toml: cluster = 1 is in no section; write \[cluster\] and its"),
+        (
+            "max_depth_m = 1\n",
+            r"max_depth_m = 1 is in no section; .* below \[ground\] or \[floor\]",
+        ),
+        ("every = 2\n", r"every = 2 is in no section; write it below \[log\]$"),
+        ("boat = 2\n", r"boat = 2 is in no section; write it below \[ground\] or \[features\] or"),
+        ("preset = 3\n", r'preset = 3 is not text in quotes; write preset = "wheeled"'),
+        ("preset = 'boat'\n", r"bad.toml: no preset 'boat'; use one of wheeled"),
         ("[cluster]\nmin_points = 1.5\n", "min_points = 1.5 is not a whole number"),
         ("[cluster]\nmin_points = true\n", "min_points = True is not a whole number"),
         ("[log]\nstart = 5\n", "start = 5 is not text in quotes"),

@@ -1,6 +1,7 @@
 """Detector: the rows of ``jaxdet run``, whatever frames come as; what can't be meant is refused."""
 
 import inspect
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -120,6 +121,10 @@ def test_a_detector_is_of_its_log(sim_log, tmp_path):
             next(detector.run(other))
         with jaxdet.open_log(sim_log) as again:
             assert next(detector.run(again, 1)).number == 0
+            assert [one.number for one in detector.run(again, 1 << 40)] == list(range(7))
+            for size in (0, -1):
+                with pytest.raises(InputError, match=r"batch_size: .* give 1 or more"):
+                    next(detector.run(again, size))
 
 
 def test_time_windows_have_their_floors(sim_log, tmp_path):
@@ -149,6 +154,7 @@ def test_frames_one_by_one_are_those_of_a_run(sim_log):
     )
     found = own(frame.color, frame.depth)
     assert len(found) == len(want) and found.floor_source == "frame"
+    assert found.floor_refused is None
     assert found.nearest_m == min(obstacle.distance_m for obstacle in found)
     assert found.floor.pitch_rad == pytest.approx(0.1745, abs=0.01)
 
@@ -208,6 +214,26 @@ def told(found: FrameResult) -> list[dict[str, Any]]:
     return rows_of(found)
 
 
+class Exchanged:
+    """An array of a library that knows DLPack and nothing of NumPy."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values = values
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.values.__dlpack_device__()
+
+
+class OnGpu:
+    """A tensor of torch that NumPy can't read."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")
+
+
 def test_frames_come_as_people_have_them():
     plain = detector()
     want = [told(found) for found in plain.batch(COLOR, DEPTH)]
@@ -224,6 +250,9 @@ def test_frames_come_as_people_have_them():
             np.repeat(COLOR, 2, axis=1)[:, ::2], np.repeat(DEPTH, 2, axis=2)[..., ::2]
         ),
         "fx fy cx cy": detector(K=CALIBRATION.color[2:6]).batch(COLOR, DEPTH),
+        "high byte first": plain.batch(COLOR, DEPTH.astype(">u2")),
+        "DLPack alone": plain.batch(Exchanged(COLOR), Exchanged(DEPTH)),
+        "masked": plain.batch(COLOR, np.ma.masked_array(np.maximum(DEPTH, 7), DEPTH == 0)),
         "another unit": detector(depth_unit_m=0.0005).batch(COLOR, DEPTH / 1000.0),
     }
     for name, found in forms.items():
@@ -232,6 +261,9 @@ def test_frames_come_as_people_have_them():
     assert forms["another unit"][0][0].distance_m == pytest.approx(
         want[0][0]["distance_m"], abs=0.01
     )
+    sky, hole = DEPTH[0] / 1000.0, DEPTH[0].copy()
+    sky[:20], hole[:20] = 1000.0, 0  # farther than 16 bits reach
+    assert rows_of(plain(COLOR[0], sky)) == rows_of(plain(COLOR[0], hole))
     grey = np.asarray(COLOR[..., 1])
     of_grey = rows_of(plain(grey[0], DEPTH[0]))
     assert of_grey == rows_of(plain(np.repeat(grey[0, ..., None], 3, axis=2), DEPTH[0]))
@@ -255,6 +287,13 @@ def test_matrices_of_other_libraries_are_taken():
     assert Intrinsics.from_matrix(Tensor(K), 96, 60) == Intrinsics.from_matrix(K, 96, 60)
     motion = np.eye(4)
     assert Extrinsics.from_matrix(Tensor(motion)) == Extrinsics.from_matrix(motion)
+    plain = Intrinsics.from_matrix(K, 96, 60)
+    assert Intrinsics.from_matrix(K, 96, 60, None) == plain  # as OpenCV's functions take it
+    eight = [0.4, -2.5, 0.0, 0.0, 1.4, 0.3, -2.3, 1.3]
+    rational = Intrinsics.from_matrix(K, 96, 60, eight)
+    assert Intrinsics.from_matrix(K, 96, 60, np.array([[*eight, *[0.0] * 6]])) == rational
+    with pytest.raises(CalibrationError, match="14 distortion coefficients, but at most 8"):
+        Intrinsics.from_matrix(K, 96, 60, [*eight, 0.1, *[0.0] * 5])
 
 
 def test_aligned_depth_and_lenses():
@@ -380,6 +419,14 @@ REFUSED_ARGUMENTS = {
     "three numbers": ({"K": [600, 80, 60]}, r"K: a camera matrix of shape \(3,\)"),
     "a file name": ({"K": "camera.json"}, "K: str is no matrix; give a"),
     "K of text": ({"K": "600"}, "K: "),
+    "size in floats": (
+        {"K": CALIBRATION.color._replace(width=160.0)},
+        "K: width of the colour camera: float is no whole number",
+    ),
+    "another lens": (
+        {"K": CALIBRATION.color._replace(distortion="fisheye")},
+        "K: the colour camera's lens model 'fisheye' is unknown; it can be: none",
+    ),
     "unit of text": ({"depth_unit_m": "mm"}, "depth_unit_m: str is no array of numbers"),
     "unit 0": ({"depth_unit_m": 0.0}, "depth_unit_m: .* 0.001 for millimetres"),
     "unit in mm": ({"depth_unit_m": 1.0}, "depth_unit_m: "),
@@ -408,9 +455,18 @@ REFUSED_IMAGES = {
     "millimetres in floats": ("call", COLOR[0], DEPTH[0] * 1.0, "depth: the nearest .* metres"),
     "other depth": ("call", COLOR[0], DEPTH[0][:60], "depth: images of 160x60 .* 160x120"),
     "fewer depths": ("batch", COLOR, DEPTH[:2], "depth: 2 for 3 colour images"),
+    "too large": (
+        "call",
+        np.broadcast_to(np.uint8(0), (1 << 13, (1 << 12) + 1, 3)),
+        DEPTH[0],
+        "color: an image of shape .* at most 33554432 pixels are taken; scale it",
+    ),
     "no frames": ("batch", COLOR[:0], DEPTH[:0], "color: there are no frames"),
     "an empty list": ("batch", [], [], "color: there are no frames"),
     "frames of two sizes": ("batch", [COLOR[0], COLOR[0][:60]], DEPTH[:2], "color: frames of sev"),
+    "a generator": ("batch", (c for c in COLOR), DEPTH, "color: generator is no array; .* a list"),
+    "a tensor on a GPU": ("call", OnGpu(), DEPTH[0], "color: OnGpu is no array; .*Tensor.cpu"),
+    "swapped": ("call", DEPTH[0], COLOR[0], r"depth: one frame .* not \(120, 160, 3\); give an im"),
     "None": ("call", None, DEPTH[0], "color: one frame"),
     "text": ("call", "image.png", DEPTH[0], "color: one frame"),
 }
@@ -421,6 +477,8 @@ REFUSED_IMAGES = {
     [
         ({"stamp_ns": "now"}, "stamps_ns: .*numbers"),
         ({"stamp_ns": 1 << 70}, "stamps_ns: .*numbers"),
+        ({"stamp_ns": (1 << 64) - 1}, "stamps_ns: .*numbers"),
+        ({"stamp_ns": 1714557600.25}, "stamps_ns: float64 are no whole numbers .* nanoseconds"),
         ({"T_world_camera": np.eye(3)}, "T_world_camera: shape"),
         ({"T_world_camera": "T"}, "T_world_camera: .*numbers"),
         ({"T_world_camera": 2 * np.eye(4)}, "T_world_camera: is no rigid motion"),
@@ -458,6 +516,18 @@ def test_the_calibration_is_of_the_first_images():
         next(given.run([]))
 
 
+@pytest.mark.parametrize("name", ["K", "depth_K"])
+def test_a_lens_that_can_not_be_inverted_names_its_argument(name):
+    lens = Intrinsics.from_matrix(CALIBRATION.color.K, 160, 120, [50.0, 0, 0, 0])
+    wide = Intrinsics(160, 120, 19.0, 19.0, 80.0, 60.0)
+    for camera, said in ((lens, "can't be inverted"), (wide, "too wide")):
+        given = detector(**{"backend": "reference", "depth_K": CALIBRATION.color, name: camera})
+        depth = smooth_depth(1, CALIBRATION.color)[0]
+        with pytest.raises(CalibrationError, match=f"^{name}: .*{said}") as caught:
+            given(COLOR[0], depth)
+        assert "--" not in str(caught.value)
+
+
 def test_mounts_that_no_camera_has():
     for wrong, said in (
         ({"height_m": 300}, "height_m: .*metres"),
@@ -472,6 +542,24 @@ def test_mounts_that_no_camera_has():
     for gravity in ([0, 0, 0], [1, 2], [np.nan, 0, 1]):
         with pytest.raises(ConfigError, match="gravity"):
             Mount.from_gravity(0.3, gravity)
+    for T in (np.eye(3), np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan)):
+        with pytest.raises(InputError, match=r"T_base_camera: .*give a \(4, 4\) matrix of one"):
+            Mount.from_transform(T)
+
+
+def test_a_mount_may_be_known_of_some_frames():
+    """As from an IMU that is slower than the camera; others have the detector's own, or none."""
+    both = [Mount(0.4), Mount(0.9, 0.3)]
+    for own in (None, Mount(0.4)):
+        given = detector(mount=own)
+        want = [given(COLOR[0], DEPTH[0], mount=mount) for mount in (both[1], None)]
+        found = given.batch(COLOR[[0, 0]], DEPTH[[0, 0]], mounts=[both[1], None])
+        assert [one.floor for one in found] == [one.floor for one in want]
+        assert [one.floor_source for one in found] == [one.floor_source for one in want]
+        assert [len(one) for one in found] == [len(one) for one in want]
+        assert [one.floor_refused for one in found] == [one.floor_refused for one in want]
+    with pytest.raises(ConfigError, match=r"mount: 0\.3 is none"):
+        detector().batch(COLOR[:2], DEPTH[:2], mounts=[Mount(0.4), 0.3])
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
@@ -482,15 +570,62 @@ def test_transformations_of_jax_are_refused(transform):
         transform(lambda one: given(COLOR[0], one)[0].distance_m)(depth)
 
 
+@pytest.mark.parametrize(("config", "frames"), [("wheeled", 1), ("wheeled", 3), ("paper", 1)])
+def test_a_caller_that_jax_traces_is_refused(config, frames):
+    """Its images are NumPy's, but what is computed of them is traced too."""
+    given = detector(mount=None, config=config)
+
+    def scaled(scale: jax.Array) -> jax.Array:
+        return scale * len(given.batch(COLOR[:frames], DEPTH[:frames])[0])
+
+    with pytest.raises(InputError, match=r"under jax\.jit, .*; call it outside") as caught:
+        jax.jit(scaled)(2)
+    assert "\n" not in str(caught.value)
+    assert scaled(2) > 0
+
+
 def test_low_level_calls_say_what_is_wrong():
     given = frames(CALIBRATION, COLOR, DEPTH)
     with pytest.raises(ConfigError, match=r"config is 'wheeled'; .*jaxdet.preset"):
         jaxdet.detect(given, "wheeled")
     assert jaxdet.flat_plane(0.63, 0.34, 0.18).height.tolist() == [0.63]
+    with pytest.raises(InputError, match=r"of shapes \(2,\), \(1,\), \(1,\), \(2,\); give \(B,\)"):
+        jaxdet.flat_plane([0.3, 0.4], 0.1, 0.0)
+    with pytest.raises(InputError, match="of shapes"):
+        jaxdet.flat_plane([0.3, 0.4], [0.1, 0.1], [0.0, 0.0], np.ones(1, bool))
+    fit = jaxdet.find_floors(given, backend="reference")
+    assert len(fit.own) == 3
     motion = Extrinsics.from_matrix(T)
     assert np.array_equal(motion.T, T) and hash(motion)
     with pytest.raises(CalibrationError, match="model can be none, plumb_bob"):
         Intrinsics.from_matrix(K, 160, 120, [0.1, 0.2, 0.3])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_says_that_it_can_not_compute():
+    """It would wait for threads that it lacks, for ever."""
+    code = """
+import os, numpy as np, jaxdet
+images = np.zeros((120, 160), "u1"), np.full((120, 160), 2.0)
+used = {name: jaxdet.Detector([120, 120, 80, 60], backend=name) for name in ("jax", "reference")}
+for number in (1, 2):
+    if not (child := os.fork()):
+        for name, detector in used.items():
+            try:
+                print(number, name, len(detector(*images)), flush=True)
+            except jaxdet.JaxdetError as error:
+                print(number, name, error, flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+    used["jax"](*images)
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True
+    )
+    first, *others, last = done.stdout.splitlines()
+    assert (first, others[0], last) == ("1 jax 1", "1 reference 1", "2 reference 1")
+    assert others[1].startswith("2 jax this process was forked from one that computed with JAX")
+    assert others[1].endswith("start processes with spawn, or use the backend reference")
 
 
 def test_nothing_is_written_to_standard_output(tmp_path):

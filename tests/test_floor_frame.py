@@ -4,8 +4,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxdet.floor.frame import ANGLES, FRAME_BITS, UNKNOWN_HEIGHT, floor_frames, on_floor
+from jaxdet.floor.frame import (
+    ANGLES,
+    FRAME_BITS,
+    STEEPEST_SLOPE,
+    UNKNOWN_HEIGHT,
+    floor_frames,
+    on_floor,
+)
 from jaxdet.floor.plane import down_vector, flat_plane, ground_axes, unknown_plane
+from jaxdet.floor.units import Scale, prior_units
 
 UNIT = 0.001
 
@@ -59,6 +67,19 @@ def test_without_a_floor() -> None:
     frame = floor_frames(unknown_plane(1), UNIT)[0]
     right, forward, height = on_floor(frame, np.array([[5], [700], [900]]))
     assert (right.tolist(), forward.tolist(), height.tolist()) == ([5], [900], [UNKNOWN_HEIGHT])
+
+
+def test_ramps_are_at_most_as_steep_as_integers_hold() -> None:
+    plane = flat_plane(np.ones(2), np.zeros(2), np.zeros(2))
+    plane = plane._replace(ramp_start=np.ones(2), ramp_slope=np.array([1e9, -1e9]))
+    steepest = STEEPEST_SLOPE << FRAME_BITS
+    assert floor_frames(plane, UNIT)[:, -1].tolist() == [steepest, -steepest]
+
+
+def test_rolls_that_are_a_turn_apart_are_one() -> None:
+    roll = np.radians([190.0, -170.0, 180.0, -180.0, 359.0, -1.0])
+    given = prior_units(flat_plane(np.full(6, 0.5), np.zeros(6), roll), Scale(UNIT, 0.004))
+    assert given[:, 1].tolist() == [ANGLES * deg for deg in (-170, -170, -180, -180, -1, -1)]
 
 
 def test_ramps_raise_the_floor() -> None:

@@ -10,8 +10,10 @@ from jaxdet import reference, stages
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import ConfigError
 from jaxdet.floor.plane import (
+    depth_range,
     down_vector,
     floor_limits,
+    forward_vector,
     ground_axes,
     plane_from_down,
     plane_from_transform,
@@ -107,6 +109,41 @@ def test_tilted_floor_is_dropped_and_higher_points_are_kept(pitch, roll):
     assert not keep.mask[0][seen].any()
     assert not keep.mask[1][seen].any()
     assert keep.mask[2][seen].all()
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.4, -0.1, -0.4])
+@pytest.mark.parametrize(("pitch", "roll"), [(0.1, 0.0), (0.3, -0.1), (0.7, 0.05)])
+def test_a_ramp_begins_where_rays_meet_it(pitch, roll, slope):
+    """The first of all depths at which a pixel lies at most a step above the plane or the ramp."""
+    start, step = 0.9, 0.05
+    ramp = {"ramp_start": np.array([start]), "ramp_slope": np.array([slope])}
+    (limits,), _ = floor_limits(
+        CAMERA, level(1, 0.6, pitch, roll)._replace(**ramp), WIDE.ground, 0.001
+    )
+    v, u = np.mgrid[:48:3, :64:5]
+    rays = np.stack([(u - 31.5) / 60.0, (v - 20.0) / 60.0, np.ones(u.shape)], axis=-1)
+    down = down_vector(np.array([pitch]), np.array([roll]))
+    falls, ahead = rays @ down[0], rays @ forward_vector(down)[0]
+    z = np.arange(1, 9000) * 0.001
+    rise = slope * np.maximum(z * ahead[..., None] - start, 0.0)
+    is_floor = 0.6 - z * falls[..., None] - rise <= step
+    found, none = limits[::3, ::5].astype(int), ~is_floor.any(axis=-1)
+    crest = np.abs(0.6 * ahead - start * falls) < 0.15  # falling ramps: the step counts there
+    clear = ~crest if slope < 0 else np.ones_like(crest)
+    assert clear.mean() > 0.6 and (~none & clear).any()
+    assert (found[none & clear] >= 8999).all()
+    assert np.array_equal(found[~none & clear], is_floor.argmax(axis=-1)[~none & clear])
+
+
+def test_a_camera_that_looks_straight_down_has_the_top_of_its_image_ahead():
+    down = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    assert forward_vector(down).tolist() == [[0, -1, 0], [0, -1, 0], [0, 0, 1]]
+
+
+def test_a_range_has_no_depth_that_is_none():
+    assert depth_range(0.0, 65.535, 0.001) == (1, 65535)
+    assert depth_range(0.0004, 70.0, 0.001) == (1, 65535)
+    assert depth_range(0.15, 4.0, 0.00025) == (600, 16000)
 
 
 def test_pitch_and_roll_signs():

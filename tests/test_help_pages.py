@@ -4,6 +4,7 @@
 example in Python.
 """
 
+import io
 import os
 import pty
 import re
@@ -17,9 +18,10 @@ from pathlib import Path
 import duckdb
 import pyarrow as pa
 import pytest
+from rich.console import Console
 
 from jaxdet.cli import main
-from jaxdet.cli.help import FIRST, pages, title_of
+from jaxdet.cli.help import FIRST, laid_out, pages, title_of
 from jaxdet.engine import log_run
 from jaxdet.errors import FrameStatus
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
@@ -34,6 +36,15 @@ CONSOLE = ("pip ", "complete ", "python", "rosbags-convert ", "scripts/", ".venv
 """What a block that is not run may hold: installing, and other programs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 """Flags of other programs."""
+
+
+@pytest.mark.parametrize("columns", [40, 80, 100])
+def test_a_terminal_cuts_nothing_off(columns):
+    """Flags in tables go on in the next line, where they were cut."""
+    for name, text in pages().items():
+        shown = io.StringIO()
+        Console(file=shown, width=columns).print(laid_out(text))
+        assert shown.getvalue().count("…") == text.count("…"), name
 
 
 UNLESS_THERE = "test -e drive.mcap || "

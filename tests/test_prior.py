@@ -48,6 +48,17 @@ class _Frames(SimpleNamespace):
         return _Frames(self.number, self.valid, plane)
 
 
+def test_a_camera_keeps_its_place_where_heights_and_angles_are_alike():
+    own, level = np.ones(4, bool), np.zeros(4)
+    for heights, pitches, agrees in (
+        ([0.3, 0.31, 0.3, 0.29], level, True),
+        ([0.3, 0.4, 0.3, 0.2], level, False),
+        ([0.3] * 4, np.radians([10.0, 20.0, 10.0, 0.0]), False),
+    ):
+        assert sampled_floor(flat_plane(heights, pitches, level), own).agrees == agrees
+        assert sampled_floor(flat_plane(heights, level, pitches), own).agrees == agrees
+
+
 @pytest.fixture
 def decide(monkeypatch: pytest.MonkeyPatch) -> Any:
     def decided(

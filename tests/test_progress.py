@@ -86,7 +86,7 @@ def test_many_logs_have_a_line_each_and_their_warnings_once() -> None:
     logs = [LogSummary(f"drive_{number:03}", ()) for number in range(300)]
     for number, log in enumerate(logs):
         log.frames, log.obstacles, log.status = 10, number, Counter(ok=9, unpaired=1)
-        log.warnings = ["no frame has depth", *[f"of {number} alone"] * (number < 40)]
+        log.warnings = [*[f"of {number} alone"] * (number < 40), "no frame has depth"]
         log.notes = ["no map: no frame has a pose"]
     logs[7].error = "drive_007: torn"
     lines = summary_lines(Summary("jax", 16, logs, 20.0), Path("out"))

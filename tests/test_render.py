@@ -1,6 +1,9 @@
 """Pictures: what must be seen is there, at the right place; edges do not break them."""
 
+from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -9,7 +12,7 @@ import pytest
 from jaxdet.config import Config
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.render import canvas, draw_frame, draw_map, write_png
+from jaxdet.render import camera, canvas, draw_frame, draw_map, topview, write_png
 from jaxdet.render.topview import View, ground_points
 from jaxdet.results.metric import floors, rectangles
 from jaxdet.results.occupancy import MapImage
@@ -99,6 +102,37 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
     free = np.rint(0.7 * np.array((44, 54, 68)) + 0.3 * np.array(canvas.FREE))
     rows, columns = np.nonzero((np.abs(above - free) < 16).all(axis=2))
     assert len(rows) > 2000 and abs(columns.mean() - 270) < 20
+
+
+def test_free_floor_is_drawn_between_neighbours_alone() -> None:
+    """Columns that show none part it."""
+    free = np.zeros((1, 5, 2, 2), np.int32)
+    for column in (0, 2, 3):
+        free[0, column] = [[400 * column - 800, 500], [400 * column - 800, 2000]]
+    image = np.zeros((200, 200, 3), np.uint8)
+    scene: Any = SimpleNamespace(free=free)
+    topview._draw_free(image, View(center=100, bottom=190, scale=80), scene, 0, 0.001)
+    first, last = np.flatnonzero(image.any(axis=(0, 2)))[[0, -1]].tolist()
+    assert abs(first - 100) <= 1 and abs(last - 132) <= 1  # from column 2 to 3
+
+
+def test_labels_of_boxes_stay_in_the_picture() -> None:
+    boxes = [(590.0, 5.0, 638.0, 90.0), (-3.0, -3.0, 20.0, 20.0), (592.0, 6.0, 636.0, 80.0)]
+    chips = camera._chips(boxes, ["0   1.00 m", "1   2.00 m", "2   3.00 m"], 640, 480)
+    for chip in chips:
+        left, top, right, bottom = chip.box
+        assert 0 <= left < right <= 640 and 0 <= top < bottom <= 480
+    assert not any(camera._overlap(a.box, b.box) for a, b in combinations(chips, 2))
+
+
+@pytest.mark.parametrize("far", [1e7, -1e12])
+def test_what_lies_far_outside_is_drawn_towards_there(far: float) -> None:
+    image = np.zeros((20, 40, 3), np.uint8)
+    canvas.line(image, np.array([[20.0, 10.0], [far, 10.0]]), (255, 0, 0))
+    half, other = image[9:12, 22:], image[9:12, :18]
+    if far < 0:
+        half, other = other, half
+    assert half[..., 0].max(axis=0).all() and not other.any()
 
 
 def test_map_shows_where_it_was_free() -> None:

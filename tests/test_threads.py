@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 
+import jaxdet.cores
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
 from jaxdet.engine.signals import stops_held_back
@@ -107,6 +108,19 @@ def test_threads_of_a_process_are_its_cores_or_as_many_as_xla_has(monkeypatch):
     assert _threads.threads() == cores()
     monkeypatch.setenv("PJRT_NPROC", "3")
     assert _threads.threads() == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "most"),
+    [("150000 100000", 2), ("20000 100000", 1), ("100000000 100000", 64), ("max 100000", 64)],
+)
+def test_a_control_group_leaves_whole_cores(tmp_path, monkeypatch, text, most):
+    """One and a half are two: a core more is idle at times, a core less is lost."""
+    monkeypatch.setattr(jaxdet.cores, "_QUOTA", tmp_path / "cpu.max")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)), raising=False)
+    assert cores() == 64  # no such file
+    (tmp_path / "cpu.max").write_text(f"{text}\n")
+    assert cores() == most
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="threads have no affinity")

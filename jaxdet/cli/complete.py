@@ -5,6 +5,7 @@ in ``COMP_POINT``, and read a candidate a line.
 """
 
 import os
+import re
 import typing
 from importlib import import_module
 
@@ -17,7 +18,8 @@ from jaxdet.presets import PRESETS
 def main(args: list[str]) -> int:
     """Prints the candidates; returns 0."""
     line = os.environ.get("COMP_LINE", "")
-    *before, begun = line[: int(os.environ.get("COMP_POINT", len(line)))].split(" ")
+    line = line[: int(os.environ.get("COMP_POINT", len(line)))]
+    *before, begun = re.split("[ =]", line)  # shells begin a word after = too
     for word in candidates([word for word in before if word], begun):
         print(word)
     return 0
@@ -49,7 +51,7 @@ def _of_command(command: str, last: str, begun: str) -> list[str]:
     for option in options:
         if last == option.flag and not option.switches:
             return list(map(str, _values(option)))
-    flags = [flag for option in options for flag in option.switches or [option.flag]]
+    flags = [f for option in options for f in (*(option.switches or [option.flag]), option.letter)]
     return [*filter(None, flags), "--help", "--help-all"] if begun.startswith("-") else []
 
 

@@ -17,6 +17,9 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+LETTERS = {"--output": "-o", "--quiet": "-q", "--overwrite": "-y"}
+"""Short forms, in every command that has the flag: as in ffmpeg, ``rosbag`` and ``mcap``."""
+
 
 class Option(NamedTuple):
     """A field that the command line can set."""
@@ -42,6 +45,11 @@ class Option(NamedTuple):
     def name(self) -> str:
         """Of the field."""
         return self.path[-1]
+
+    @property
+    def letter(self) -> str:
+        """The short form of its flag; mostly empty."""
+        return LETTERS.get(self.flag, "")
 
     @property
     def text(self) -> str:

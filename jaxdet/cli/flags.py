@@ -17,6 +17,10 @@ from jaxdet.errors import ConfigError, meant
 
 Command = TypeVar("Command")
 _KINDS = {int: "a whole number", float: "a number"}
+_ALIKE = 0.75
+"""Of two words, as :mod:`difflib` has it: of shorter ones fewer letters may differ."""
+_ELSEWHERE = {"duration": "stop", "end": "stop", "force": "overwrite", "jobs": "workers"}
+"""Flags of other programs, and ours for it."""
 
 
 def parse_flags(
@@ -29,10 +33,10 @@ def parse_flags(
 ) -> Command:
     """The dataclass that the flags say, see :mod:`jaxdet.cli.fields`.
 
-    A flag may be given as ``--flag value`` or ``--flag=value``, with ``_`` for ``-``; the last one
-    counts. Angles take a number with its unit, ``10deg`` or ``0.17rad``; their flags with ``-rad``
-    at the end take plain radians as well. ``None`` unsets what may be unset. After ``--`` nothing
-    is a flag.
+    A flag may be given as ``--flag value`` or ``--flag=value``, with ``_`` for ``-``, some as a
+    letter (``-o value``); the last one counts. Angles take a number with its unit, ``10deg`` or
+    ``0.17rad``; their flags with ``-rad`` at the end take plain radians as well. ``None`` unsets
+    what may be unset. After ``--`` nothing is a flag.
 
     Args:
         kind: The command's dataclass.
@@ -40,7 +44,7 @@ def parse_flags(
         prog: The command's name in the help.
         description: What it does.
         common: What ``--help`` shows of its sections (:func:`jaxdet.cli.usage.usage`), where
-            ``--help-all`` shows all; None: ``--help`` shows all.
+            ``--help-all`` shows all; None: both show all.
         defaults: Values of fields, in place of their own defaults.
 
     Raises:
@@ -50,8 +54,7 @@ def parse_flags(
     defaults = defaults or {}
     options = list(options_of(kind, defaults))
     words = args[: args.index("--")] if "--" in args else args
-    helps = {"-h", "--help"} | ({"--help-all"} if common is not None else set())
-    asked = [word for word in words if word in helps]
+    asked = [word for word in words if word in ("-h", "--help", "--help-all")]
     if asked:
         print(usage(options, prog, description, common, whole="--help-all" in asked), end="")
         raise SystemExit(0)
@@ -93,10 +96,13 @@ class _Parser(argparse.ArgumentParser):
             if option.angle:
                 self.add_argument(f"{option.flag}-rad", type=_reader(option, plain=True), **how)
         self.flags = [flag for option in options for flag in option.switches or [option.flag]]
+        self.letters = {option.letter: option.flag for option in options if option.letter}
 
     def read(self, args: Sequence[str]) -> dict[str, Any]:
         """What is given, by the path of its option."""
-        found, unknown = self.parse_known_intermixed_args([_for_argparse(word) for word in args])
+        end = args.index("--") if "--" in args else len(args)
+        words = [_for_argparse(word, self.letters) for word in args[:end]]
+        found, unknown = self.parse_known_intermixed_args([*words, *args[end:]])
         if unknown:
             name = unknown[0].partition("=")[0]
             if name.startswith("-"):
@@ -111,19 +117,22 @@ class _Parser(argparse.ArgumentParser):
     def _meant(self, name: str) -> str:
         """``did you mean X or Y? `` where known flags are near."""
         section, _, word = name.lstrip("-").rpartition(".")
+        word = _ELSEWHERE.get(word, word)
         tails = {flag: flag.lstrip("-").rpartition(".") for flag in filter(None, self.flags)}
         near = [flag for flag, (_, _, tail) in tails.items() if tail.startswith(word)]
         if not near:
-            close = difflib.get_close_matches(word, [tail for _, _, tail in tails.values()])
+            known = [tail for _, _, tail in tails.values()]
+            close = difflib.get_close_matches(word, known, cutoff=_ALIKE)
             near = [flag for flag, (_, _, tail) in tails.items() if tail in close[:1]]
         own = [flag for flag in near if tails[flag][0] == section]
         return f"did you mean {' or '.join((own or near)[:3])}? " if near else ""
 
 
-def _for_argparse(word: str) -> str:
-    """Flags with ``-`` for ``_``; with a space before it ``-10deg`` or ``-1e-3`` is no flag."""
+def _for_argparse(word: str, letters: Mapping[str, str]) -> str:
+    """Whole flags with ``-`` for ``_``; with a space before it ``-10deg`` or ``-1e-3`` is none."""
     flag, equals, value = word.partition("=")
-    if word.startswith("--"):
+    flag = letters.get(flag, flag)
+    if flag.startswith("--"):
         return flag.replace("_", "-") + equals + value
     return f" {word}" if re.match(r"-[.\d]", word) else word
 
@@ -153,6 +162,8 @@ def _reader(option: Option, *, plain: bool = False) -> Callable[[str], Any]:
         if choices and word not in choices:
             known = f"{meant(word, choices)}it takes {', '.join(choices)}"
             raise argparse.ArgumentTypeError(f"{word!r} is unknown; {known}")
+        if kind is Path and not word:
+            raise argparse.ArgumentTypeError("'' is no path")
         try:
             if option.angle and not (plain and _is_number(word)):
                 return parse_angle(word)

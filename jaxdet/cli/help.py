@@ -2,12 +2,16 @@
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.resources import files
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from jaxdet.cli.main import COMMANDS
 from jaxdet.errors import ConfigError, meant
+
+if TYPE_CHECKING:
+    from rich.markdown import Markdown
 
 FIRST = (
     *("logs", "calibration", "tuning", "tables", "queries", "exports", "tracks", "runs", "recipes"),
@@ -63,9 +67,25 @@ def show(text: str) -> None:
         print(text, end="")
         return
     from rich.console import Console
-    from rich.markdown import Markdown
 
     console = Console(width=min(100, Console().width))
     os.environ.setdefault("LESS", "-FRX")  # as git does: colours, and no paging of a short page
     with console.pager(styles=True):
-        console.print(Markdown(text))
+        console.print(laid_out(text))
+
+
+def laid_out(text: str) -> "Markdown":
+    """A page for a terminal; in tables words that are too long go on in the next line."""
+    from rich.markdown import Markdown, TableElement
+
+    class Table(TableElement):
+        def __rich_console__(self, *where: Any) -> Iterator[Any]:
+            for table in super().__rich_console__(*where):
+                for column in getattr(table, "columns", ()):
+                    column.overflow = "fold"
+                yield table
+
+    class Page(Markdown):
+        elements: ClassVar[dict] = Markdown.elements | {"table_open": Table}
+
+    return Page(text)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags
@@ -50,7 +51,7 @@ class InfoCommand:
     """MCAP, .bag or .db3 files, folders of them or of images, or globs."""
     preset: str = DEFAULT_PRESET
     """Configuration to start from, as for jaxdet run."""
-    config: str | None = field(default=None, metadata={"takes": "FILE"})
+    config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file or config.json, as for jaxdet run."""
     json: bool = False
     """Print JSON."""

@@ -82,9 +82,11 @@ def _do(args: list[str]) -> int:
         print(f"jaxdet {jaxdet.__version__}")
         return 0
     if args[0] not in (*COMMANDS, "complete"):
-        remedy = f"{meant(args[0], COMMANDS)}use one of {', '.join(COMMANDS)}, see jaxdet --help"
+        near = meant(args[0], [*COMMANDS, "--version"])
+        remedy = f"{near}use one of {', '.join(COMMANDS)}, see jaxdet --help"
         return _fail(f"no command {args[0]!r}; {remedy}", 2)
-    if args[0] == "run" and not {"-h", "--help", "--help-all", "--quiet", "--json"} & set(args):
+    silent = {"-h", "--help", "--help-all", "-q", "--quiet", "--json"}
+    if args[0] == "run" and not silent & set(args):
         SPINNER.start("loading")
     command: Callable[[list[str]], int] = import_module(f"jaxdet.cli.{args[0]}").main
     return command(args[1:])

@@ -1,13 +1,12 @@
 """Progress while a run goes on: a bar on a terminal, plain lines elsewhere."""
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.tell import on_terminal, tell
 
 if TYPE_CHECKING:
     from jaxdet.engine import Progress, ProgressCallback
@@ -24,7 +23,7 @@ def reporting(silent: bool) -> Iterator["ProgressCallback | None"]:
     """The callback for a run's progress, on standard error; None when silent."""
     if silent:
         yield None
-    elif sys.stderr.isatty():
+    elif on_terminal():
         with _bars() as callback:
             yield callback
     else:

@@ -23,7 +23,9 @@ def defaults(args: Sequence[str]) -> Settings:
     try:
         found = parser.parse_known_args(list(args))[0]
     except argparse.ArgumentError as error:
-        raise ConfigError(str(error), remedy="see --help") from error
+        raise ConfigError(str(error).removeprefix("argument "), remedy="see --help") from error
+    if found.config == "":
+        raise ConfigError("--config: '' is no file", remedy="see --help")
     return read_settings(Path(found.config) if found.config else None, found.preset)
 
 

@@ -5,6 +5,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from jaxdet.cli.tell import on_terminal
+
 _FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 _EVERY_S = 0.1
 _ERASE = "\r\x1b[2K"
@@ -23,7 +25,7 @@ class Spinner:
         """Shows the text."""
         self.stop()
         self.text = text
-        if sys.stderr.isatty():
+        if on_terminal():
             self._stopped.clear()
             self._thread = threading.Thread(target=self._turn, daemon=True)
             self._thread.start()

@@ -1,7 +1,13 @@
 """Lines for people, on standard error; loads nothing."""
 
+import os
 import sys
 from contextlib import suppress
+
+
+def on_terminal() -> bool:
+    """Whether standard error is a terminal on which lines can be written anew."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def tell(text: str) -> None:

@@ -2,14 +2,18 @@
 
 import math
 import re
+import shutil
 import textwrap
 import typing
 from collections.abc import Sequence
 from dataclasses import MISSING
+from typing import Any
 
 from jaxdet.cli.fields import Option
 
 WIDTH, INDENT = 100, 31
+NARROW, NARROWEST, NARROW_INDENT = 72, 32, 8
+"""Where fewer columns are shown, what is said of a flag is below it."""
 _UNITS = {"_m": "M", "_s": "S", "_hz": "HZ", "_mib": "MIB"}
 
 
@@ -32,14 +36,15 @@ def usage(
         whole: Show all, with all that is said of them.
 
     Returns:
-        Lines of at most ``WIDTH`` columns.
+        Lines of at most ``WIDTH`` columns, fewer where a terminal or ``COLUMNS`` has fewer.
     """
     shown = [option.section for option in options] if common is None else common
     own = [o for o in options if o.flag and (not o.section or o.section in shown)]
     rest = [o for o in options if o.flag and o not in own]
     words = [*(o for o in options if not o.flag), *(o for o in own if o.default is MISSING)]
     needed = [f"{o.flag} {takes(o)}".strip() for o in words]
-    lines = [f"usage: {' '.join([prog, *needed, '[OPTIONS]'])}", "", description.rstrip(), ""]
+    head = _wrapped(f"usage: {' '.join([prog, *needed, '[OPTIONS]'])}", "       ")
+    lines = [head, "", _about(description), ""]
     positional = [o for o in words if not o.flag]
     if whole or common is None:
         if positional:
@@ -49,7 +54,7 @@ def usage(
         for name in dict.fromkeys(o.section for o in rest):
             members = [o for o in rest if o.section == name]
             about = " ".join((members[0].owner.__doc__ or "").split("\n\n")[0].split())
-            lines += ["", f"{name}: {about}"]
+            lines += ["", _wrapped(f"{name}: {about}", "  ")]
             lines += [_row(_flags(o), _said(o, whole=True)) for o in members]
         return "\n".join(lines) + "\n"
     chosen = [o for name in common for o in rest if f"{o.section}.{o.name}" == name]
@@ -81,7 +86,8 @@ def takes(option: Option) -> str:
 def _flags(option: Option) -> str:
     """The flag, or where it is on by default the one that turns it off as well."""
     names = list(option.switches) if option.default is not False else []
-    return ", ".join(names) or f"{option.flag} {takes(option)}".strip()
+    names = names or [f"{option.flag} {takes(option)}".strip()]
+    return ", ".join(filter(None, [option.letter, *names]))
 
 
 def _said(option: Option, *, whole: bool = False) -> str:
@@ -101,9 +107,31 @@ def _said(option: Option, *, whole: bool = False) -> str:
 
 
 def _row(flag: str, text: str, most: int | None = None) -> str:
-    """A flag, and beside it what is said of it in at most so many lines."""
-    flag, start = f"  {flag}", " " * INDENT
-    lines = textwrap.wrap(text, WIDTH - INDENT, max_lines=most, placeholder=" ...") or [""]
-    if len(flag) > INDENT - 2:
+    """A flag, and beside it what is said of it in at most so many lines of ``WIDTH`` columns."""
+    columns = _columns()
+    indent = INDENT if columns >= NARROW else NARROW_INDENT
+    flag, start = f"  {flag}", " " * indent
+    most = most and (most if columns == WIDTH else 2 * most)
+    lines = _lines(text, columns - indent, max_lines=most, placeholder=" ...") or [""]
+    if len(flag) > indent - 2:
         return "\n".join([flag, *(start + line for line in lines)])
-    return f"{flag:<{INDENT}}" + f"\n{start}".join(lines)
+    return f"{flag:<{indent}}" + f"\n{start}".join(lines)
+
+
+def _about(description: str) -> str:
+    """What a command does, its paragraphs as wide as there is room; lists stay as they are."""
+    parts = description.rstrip().split("\n\n")
+    return "\n\n".join(part if "\n  " in f"\n{part}" else _wrapped(part) for part in parts)
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    return "\n".join(_lines(text, _columns(), subsequent_indent=indent))
+
+
+def _lines(text: str, columns: int, **how: Any) -> list[str]:
+    return textwrap.wrap(text, columns, break_on_hyphens=False, break_long_words=False, **how)
+
+
+def _columns() -> int:
+    """How many are shown, or taken to be."""
+    return min(WIDTH, max(NARROWEST, shutil.get_terminal_size((WIDTH, 24)).columns))

@@ -12,9 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.arguments import named_type, numbers
-from jaxdet.checks import MAX_FRAMES, check_calibration, check_numbers, is_rotation
+from jaxdet.camera import check_steepness, corner_rays, fixed_rays
+from jaxdet.checks import MAX_FRAMES, check_calibration, check_numbers
 from jaxdet.errors import CalibrationError, ConfigError, InputError, JaxdetError
-from jaxdet.types import Calibration, Distortion, Extrinsics, Intrinsics, focal_and_center
+from jaxdet.types import (
+    Calibration,
+    Distortion,
+    Extrinsics,
+    Intrinsics,
+    focal_and_center,
+    is_rigid,
+)
 
 ColorOrder = Literal["rgb", "bgr"]
 Pinhole = tuple[float, float, float, float]
@@ -30,8 +38,25 @@ def named(argument: str, remedy: str = "") -> Iterator[None]:
     try:
         yield
     except JaxdetError as error:
-        said = remedy or error.remedy
-        raise type(error)(error.problem, topic=argument, remedy=said) from None
+        said = remedy if remedy and "--" in error.remedy else error.remedy
+        part = "" if error.topic in ("", argument) else f"{error.topic}: "
+        raise type(error)(part + error.problem, topic=argument, remedy=said) from None
+
+
+@contextmanager
+def untraced() -> Iterator[None]:
+    """Says in a line that JAX traces the caller: what is computed then has no values.
+
+    Raises:
+        InputError: It does.
+    """
+    try:
+        yield
+    except TypeError as error:  # of NumPy, which is given a tracer
+        if not type(error).__module__.startswith("jax."):
+            raise
+        problem = "a Detector can't be called under jax.jit, jax.vmap or jax.grad"
+        raise InputError(problem, remedy="call it outside, and give what it finds") from None
 
 
 class Cameras:
@@ -139,6 +164,12 @@ class Cameras:
             self.depth_unit_m,
         )
         self._check(whole, check_calibration)
+        with named("K", _LENS):
+            fixed_rays(whole.color)
+        if whole.depth is not None:
+            with named("depth_K", _LENS):
+                for rays in corner_rays(whole.depth):
+                    check_steepness(rays, "--log.depth-intrinsics")
         return whole
 
     def _check(self, whole: Calibration, check: Callable[[Calibration], None]) -> None:
@@ -156,6 +187,7 @@ class Cameras:
 
 
 _NOTHING = Intrinsics(0, 0, 0.0, 0.0, 0.0, 0.0)
+_LENS = "give the focal length and lens of these images"
 
 
 def _camera(name: str, value: ArrayLike | Intrinsics) -> Intrinsics | Pinhole:
@@ -213,7 +245,8 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
 
     Args:
         images: ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres, where NaN, infinity and 0
-            are no measurement; or a sequence of such frames.
+            are no measurement, nor is what an array of :mod:`numpy.ma` masks; or a sequence of such
+            frames.
         unit_m: Metres in a unit.
 
     Raises:
@@ -228,8 +261,8 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
             topic="depth",
             remedy="give (Hd, Wd), and to batch one axis more",
         )
-    if array.dtype == np.uint16:
-        return np.ascontiguousarray(array)
+    if array.dtype.newbyteorder("=") == np.uint16:  # some cameras send the high byte first
+        return np.ascontiguousarray(array, np.uint16)
     if not np.issubdtype(array.dtype, np.floating):
         raise InputError(
             f"images are {array.dtype}",
@@ -265,11 +298,11 @@ def one_frame(name: str, image: Any) -> np.ndarray:
     array = _array(name, image)
     if array.ndim not in (2, 3) or (name == "depth" and array.ndim == 3 and array.shape[2] != 1):
         wanted = "(H, W, 3) or (H, W)" if name == "color" else "(Hd, Wd)"
-        raise InputError(
-            f"one frame has shape {wanted}, not {array.shape}",
-            topic=name,
-            remedy="give several frames to Detector.batch",
-        )
+        color = array.ndim == 3 and array.shape[2] in (3, 4)
+        several = array.ndim > 2 and not color
+        remedy = "give several frames to Detector.batch" if several else "give an image"
+        problem = f"one frame has shape {wanted}, not {array.shape}"
+        raise InputError(problem, topic=name, remedy=remedy)
     return array[None]
 
 
@@ -283,7 +316,10 @@ def _stacked(name: str, images: Any) -> np.ndarray:
             )
         images = np.stack(frames) if frames else np.zeros(0)
     array = _array(name, images)
-    if not array.size or not array.ndim:
+    if not array.ndim:
+        problem = f"{type(images).__name__} is no array"
+        raise InputError(problem, topic=name, remedy="give an array or a list of frames")
+    if not array.size:
         raise InputError("there are no frames", topic=name, remedy="give at least one")
     if len(array) > MAX_FRAMES:
         problem = f"{len(array)} frames, but at most {MAX_FRAMES} are taken"
@@ -295,15 +331,21 @@ def _stacked(name: str, images: Any) -> np.ndarray:
 
 
 def _array(name: str, images: Any) -> np.ndarray:
+    """An array of NumPy's; of a masked one the masked depths are 0."""
+    kind = type(images)
     try:
+        if isinstance(images, np.ma.MaskedArray):
+            return images.filled(0) if name == "depth" else images.data
+        if hasattr(kind, "__dlpack__") and not hasattr(kind, "__array__"):
+            return np.from_dlpack(images)
         return np.asarray(images)
-    except Exception as error:  # what JAX traces is no array
-        raise InputError(
-            f"{type(images).__name__} is no array of numbers",
-            topic=name,
-            remedy="give NumPy arrays; a Detector can't be called under jax.jit, jax.vmap or "
-            "jax.grad",
-        ) from error
+    except Exception as error:  # what JAX traces is no array, and that of a GPU none of NumPy's
+        remedy = "give NumPy arrays"
+        if kind.__module__.startswith("jax"):
+            remedy += "; a Detector can't be called under jax.jit, jax.vmap or jax.grad"
+        elif said := str(error).partition("\n")[0]:
+            remedy += f" ({said})"
+        raise InputError(f"{kind.__name__} is no array", topic=name, remedy=remedy) from error
 
 
 def world_poses(values: Any, count: int) -> np.ndarray:
@@ -317,11 +359,28 @@ def world_poses(values: Any, count: int) -> np.ndarray:
         problem, remedy = f"shape {poses.shape}", "give a (4, 4) matrix for each frame"
         raise InputError(problem, topic="T_world_camera", remedy=remedy)
     for T in poses[~np.isnan(poses).any(axis=(1, 2))]:
-        last = T[3].tolist() == [0.0, 0.0, 0.0, 1.0]
-        if not last or not is_rotation(T[:3, :3]) or not np.isfinite(T[:3, 3]).all():
+        if not is_rigid(T):
             remedy = "give (4, 4) matrices of rigid motions, in metres, NaN where unknown"
             raise InputError("is no rigid motion", topic="T_world_camera", remedy=remedy)
     return poses
+
+
+def times(name: str, values: Any) -> np.ndarray:
+    """Times ``(B,)`` int64 [ns].
+
+    Raises:
+        InputError: They are something else, for instance seconds in floats.
+    """
+    found = _array(name, values)
+    if found.dtype.kind == "M":
+        found = found.astype("M8[ns]").astype(np.int64)
+    whole = found.dtype.kind in "iu" or not found.size
+    if not whole or found.max(initial=0) > np.iinfo(np.int64).max:
+        problem = f"{found.dtype} are no whole numbers of 64 bits"
+        raise InputError(problem, topic=name, remedy="give nanoseconds")
+    if found.ndim != 1:
+        raise InputError(f"shape {found.shape}", topic=name, remedy="give (B,)")
+    return found.astype(np.int64)
 
 
 def one_of(name: str, value: Any, literal: Any) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxdet.arguments import numbers, of_type, whole_number
+from jaxdet.checks import MAX_FRAMES
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
 from jaxdet.detector.arguments import (
@@ -20,6 +21,8 @@ from jaxdet.detector.arguments import (
     depth_images,
     one_frame,
     one_of,
+    times,
+    untraced,
     world_poses,
 )
 from jaxdet.detector.result import BatchResult, FrameResult
@@ -150,11 +153,12 @@ class Detector:
         Args:
             color: ``(H, W, 3)`` or grey ``(H, W)``, uint8; anything that NumPy takes as an array.
             depth: ``(Hd, Wd)``, uint16 in units of ``depth_unit_m``, 0 = no measurement, or floats
-                in metres, where NaN, infinity and what is not above 0 are no measurement.
+                in metres, where NaN, infinity and what is not above 0 are no measurement; nor is
+                what an array of :mod:`numpy.ma` masks.
             mount: What is known of this frame's floor, for instance from an IMU
                 (:meth:`Mount.from_gravity`); None: the detector's own.
-            stamp_ns: Time of the frame, which the result repeats; a detector of a log with
-                ``ground.window_s`` has a floor for each time window.
+            stamp_ns: Time of the frame, a whole number [ns], which the result repeats; a detector
+                of a log with ``ground.window_s`` has a floor for each time window.
             T_world_camera: ``(4, 4)``, takes points of the colour optical frame to the world [m],
                 for :attr:`Obstacle.corners_world`.
 
@@ -177,7 +181,7 @@ class Detector:
         color: Any,
         depth: Any,
         *,
-        mounts: Sequence[Mount] | None = None,
+        mounts: Sequence[Mount | None] | None = None,
         stamps_ns: ArrayLike | None = None,
         T_world_camera: ArrayLike | Sequence[ArrayLike] | None = None,
     ) -> BatchResult:
@@ -186,8 +190,8 @@ class Detector:
         Args:
             color: ``(B, H, W, 3)`` or grey ``(B, H, W)``, uint8; or a sequence of frames.
             depth: ``(B, Hd, Wd)``, uint16 or floats in metres; or a sequence of frames.
-            mounts: What is known of the floor of each; None: the detector's own.
-            stamps_ns: ``(B,)`` integers; None: 0.
+            mounts: What is known of the floor of each; None, of one or of all: the detector's own.
+            stamps_ns: ``(B,)`` integers [ns] or datetime64; None: 0.
             T_world_camera: ``(B, 4, 4)``, NaN where unknown; None: not known.
 
         Returns:
@@ -199,10 +203,8 @@ class Detector:
         """
         images = color_images(color, self._order), depth_images(depth, self._cameras.depth_unit_m)
         count = len(images[0])
-        stamps = numbers("stamps_ns", [0] * count if stamps_ns is None else stamps_ns, np.int64)
+        stamps = times("stamps_ns", [0] * count if stamps_ns is None else stamps_ns)
         poses = None if T_world_camera is None else world_poses(T_world_camera, count)
-        if stamps.ndim != 1:
-            raise InputError(f"shape {stamps.shape}", topic="stamps_ns", remedy="give (B,)")
         if mounts is not None and not isinstance(mounts, Sequence):
             problem = f"{type(mounts).__name__} is no sequence of them"
             raise InputError(problem, topic="mounts", remedy="give a list of jaxdet.Mount")
@@ -216,11 +218,11 @@ class Detector:
         calibration = self._cameras.calibration(images[0].shape, images[1].shape)
         number, valid = np.arange(count, dtype=np.int64), np.ones(count, bool)
         frames = Frames(*images, calibration, number, stamps, stamps, valid, poses)
-        plane, sources = self._known(frames, mounts)
         from jaxdet.io.batch import Batch
 
         batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
-        return self._found(batch, plane, sources)
+        with untraced():
+            return self._found(batch, *self._known(frames, mounts))
 
     def run(self, log: Log, batch_size: int = RUN_BATCH) -> Iterator[FrameResult]:
         """Finds the obstacles in every frame of the log that the detector was made from.
@@ -233,7 +235,7 @@ class Detector:
             batch_size: Frames computed together; changes no result.
 
         Raises:
-            InputError: The detector is of another log.
+            InputError: The detector is of another log, or a batch has no frame.
             RescanError: The log isn't as its index lets expect.
         """
         remedy = "make it with Detector.from_log"
@@ -242,25 +244,36 @@ class Detector:
         if self._log is None:
             raise InputError("the detector was not made from a log", topic="log", remedy=remedy)
         of_type("log", log, Log)
-        whole_number("batch_size", batch_size)
+        size = whole_number("batch_size", batch_size)
+        if size < 1:
+            raise InputError(f"batches of {size}", topic="batch_size", remedy="give 1 or more")
         if self._log != (log.label, log.calibration):
             problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
-        for batch in log.batches(batch_size):
-            plane, sources = self._known(batch.frames, None)
-            yield from self._found(batch, plane, sources)
+        for batch in log.batches(min(size, max(len(log.frames), 1), MAX_FRAMES)):
+            yield from self._found(batch, *self._known(batch.frames, None))
 
     def _known(
-        self, frames: Frames, mounts: Sequence[Mount] | None
+        self, frames: Frames, mounts: Sequence[Mount | None] | None
     ) -> tuple[GroundPlane, list[str]]:
         """What is known of each frame's floor, and where that comes from."""
         count = len(frames.stamp_ns)
         if self.config.ground.source == "none":
             return unknown_plane(count), ["none"] * count
-        own = mounts or ([self._mount] * count if self._mount else None)
-        if own is not None:
-            plane = join_planes([_checked(mount).plane for mount in own])
-            return plane, ["mount"] * count
+        told = [_checked(mount) or self._mount for mount in mounts or [None] * count]
+        if not any(told):
+            return self._known_without(frames)
+        nothing = unknown_plane(count), ["none"] * count
+        others, sources = nothing if all(told) else self._known_without(frames)
+        planes = [
+            mount.plane if mount else GroundPlane(*(part[row : row + 1] for part in others))
+            for row, mount in enumerate(told)
+        ]
+        pairs = zip(told, sources, strict=True)
+        return join_planes(planes), ["mount" if mount else source for mount, source in pairs]
+
+    def _known_without(self, frames: Frames) -> tuple[GroundPlane, list[str]]:
+        """The same where no mount is given."""
         if self._planes is not None:
             stamps = frames.stamp_ns
             return self._planes.of(stamps), self._planes.sources(stamps)
@@ -278,7 +291,7 @@ class Detector:
         return BatchResult(batch, found, rows, self.config, self._order)
 
 
-def _checked(mount: Mount | None) -> Any:
+def _checked(mount: Mount | None) -> Mount | None:
     if mount is not None and not isinstance(mount, Mount):
         said = f"{mount!r}" if isinstance(mount, int | float) else type(mount).__name__
         raise ConfigError(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from jaxdet.arguments import number, numbers
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.floor.plane import flat_plane, plane_from_down, plane_from_transform
-from jaxdet.types import GroundPlane
+from jaxdet.types import GroundPlane, is_rigid
 
 HIGHEST_M = 20.0
 
@@ -88,11 +88,14 @@ class Mount:
             T_base_camera: ``(4, 4)``, takes points of the colour optical frame to the base [m].
 
         Raises:
-            InputError: It is no such matrix.
+            InputError: It is no matrix of a rigid motion.
+            ConfigError: The camera is not between 0 and 20 m above the floor.
         """
         T = numbers("T_base_camera", T_base_camera, np.float64)
-        if T.shape != (4, 4):
-            raise InputError(f"shape {T.shape}", topic="T_base_camera", remedy="give (4, 4)")
+        if T.shape != (4, 4) or not is_rigid(T):
+            problem = f"shape {T.shape}" if T.shape != (4, 4) else "is no rigid motion"
+            remedy = "give a (4, 4) matrix of one, in metres"
+            raise InputError(problem, topic="T_base_camera", remedy=remedy)
         return cls._of(plane_from_transform(T))
 
     @classmethod

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from jaxdet.arguments import numbers
 from jaxdet.camera import cell_side, pixel_rays
 from jaxdet.config import ClusterConfig, Config, FootprintConfig, GroundConfig
+from jaxdet.errors import InputError
 from jaxdet.types import MAX_LATERAL, Calibration, GroundPlane, Intrinsics
 
 GROUND_BITS = 13  # fraction bits of the ground frame's axes
@@ -33,11 +34,15 @@ def flat_plane(
         valid: ``(B,)`` bool; None: all of them.
 
     Raises:
-        InputError: One of them is no array of numbers.
+        InputError: One of them is no array of numbers, or their lengths differ.
     """
     given = {"height": height, "pitch": pitch, "roll": roll}
     height, pitch, roll = (np.atleast_1d(numbers(n, a, np.float64)) for n, a in given.items())
     valid = np.ones(height.shape, bool) if valid is None else np.asarray(valid, bool)
+    if not height.shape == pitch.shape == roll.shape == valid.shape or height.ndim != 1:
+        shapes = ", ".join(str(a.shape) for a in (height, pitch, roll, valid))
+        problem = f"height, pitch, roll and valid of shapes {shapes}"
+        raise InputError(problem, remedy="give (B,) each, or a number each")
     return GroundPlane(height, pitch, roll, valid, np.full(height.shape, np.inf), 0 * height)
 
 

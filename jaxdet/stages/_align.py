@@ -51,19 +51,15 @@ def align_arrays(
 ) -> tuple[jax.Array, jax.Array]:
     """Depth and z at the colour pixels, from :func:`tables` and the colour image's size."""
     with jax.named_scope("align"):
-
-        def by_lines() -> tuple[jax.Array, jax.Array]:
-            batch = depth.shape[0]
-            found, z = _lines(
-                depth, x, y, parameters, model, fills,
-                batch=batch,
-                shapes=dict.fromkeys(_lines.outputs, (batch, *size)),
-                scratch=kernels.lines_words(*size),
-            )  # fmt: skip
-            return found, z
+        frames, rows, columns = depth.shape
+        by_lines = partial(
+            _lines, depth, x, y, parameters, model, fills,
+            batch=frames,
+            shapes=dict.fromkeys(_lines.outputs, (frames, *size)),
+            scratch=kernels.lines_words(*size),
+        )  # fmt: skip
 
         def by_tiles() -> tuple[jax.Array, jax.Array]:
-            frames, rows, columns = depth.shape
             tiles = -(-rows // kernels.TILE_ROWS) * -(-columns // kernels.TILE_COLUMNS)
             keys = jnp.full((frames, *size), _NOTHING)
             arguments = depth, x, y, parameters, model, fills, keys

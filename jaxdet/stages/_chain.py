@@ -108,16 +108,16 @@ class _Chain:
         arguments: Sequence[Any],
         frames: int,
         output_dims: Mapping[str, tuple[int, ...]],
-    ) -> list[_Value]:
+    ) -> tuple[_Value, ...]:
         given = dict(zip(kernel.inputs, arguments, strict=True))
         arrays, scalars, shapes = split_arguments(given, kernel.types, output_dims)
         sources = {name: self._source(value) for name, value in arrays.items()}
         step, self.frames = len(self.steps), frames
         self.steps.append(_Step(kernel, scalars, sources, shapes))
-        return [
+        return tuple(
             _Value(step, name, shapes[name], wp.dtype_to_jax(kernel.types[name].dtype))
             for name in kernel.outputs
-        ]
+        )
 
     def _source(self, value: Any) -> int | tuple[int, str]:
         if isinstance(value, _Value):

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -59,11 +60,6 @@ def strongest_corners(
     batch, height, width, _ = color.shape
     found = {"u_out": (batch, slots), "v_out": (batch, slots), "found_out": (batch,)}
 
-    def by_frames() -> tuple[jax.Array, jax.Array, jax.Array]:
-        scratch = kernels.features_scratch(height, width)
-        u, v, count = _frames(color, mask, settings, batch=batch, shapes=found, scratch=scratch)
-        return u, v, count
-
     def by_steps() -> tuple[jax.Array, jax.Array, jax.Array]:
         tiles = -(-height // kernels.MAXIMA_ROWS) * -(-width // kernels.MAXIMA_COLUMNS)
         strongest, maxima, strength = _maxima(
@@ -94,6 +90,8 @@ def strongest_corners(
         )
         return u, v, count
 
+    scratch = kernels.features_scratch(height, width)
+    by_frames = partial(_frames, color, mask, settings, batch=batch, shapes=found, scratch=scratch)
     return by_device(by_frames, by_steps)
 
 

@@ -42,7 +42,7 @@ class BatchKernel:
         *arguments: Any,
         launch_dims: tuple[int, ...],
         output_dims: Mapping[str, tuple[int, ...]] | None = None,
-    ) -> Sequence[jax.Array]:
+    ) -> tuple[jax.Array, ...]:
         """The kernel's outputs.
 
         Args:

@@ -3,7 +3,8 @@
 One source serves both, see ``kernels/jaxdet_kernels/native/team.h``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import jax
@@ -61,7 +62,7 @@ class TeamKernel:
         shapes: Mapping[str, tuple[int, ...]],
         scratch: int,
         **others: Any,
-    ) -> Sequence[jax.Array]:
+    ) -> tuple[jax.Array, ...]:
         """The kernel's outputs but for the scratch memory.
 
         Args:
@@ -73,18 +74,14 @@ class TeamKernel:
         """
         arguments = *first, *(others[name] for name in self._by_cores.inputs[len(first) :])
 
-        def by_cores() -> Sequence[jax.Array]:
-            found = self._by_cores(*arguments, batch=batch, shapes=shapes, scratch=scratch)
-            return tuple(found)
-
-        def by_blocks() -> Sequence[jax.Array]:
+        def by_blocks() -> tuple[jax.Array, ...]:
             fitting = max(_scratch_bytes() // (4 * max(scratch, 1)), 1)
             teams = min(batch, self._most_teams, fitting)
             size = (teams * self._width,)
             dims = {**shapes, "scratch_out": (teams, words(scratch))}
-            found = self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims)
-            return tuple(found)[:-1]
+            return self._by_blocks(0, teams, *arguments, launch_dims=size, output_dims=dims)[:-1]
 
+        by_cores = partial(self._by_cores, *arguments, batch=batch, shapes=shapes, scratch=scratch)
         return by_device(by_cores, by_blocks)
 
 

@@ -147,7 +147,7 @@ def called(
     arguments: Sequence[Any],
     results: Sequence[jax.ShapeDtypeStruct],
     changed: Mapping[int, int] | None = None,
-) -> Sequence[jax.Array]:
+) -> tuple[jax.Array, ...]:
     """The results of a custom call, under ``jax.jit``.
 
     Args:
@@ -158,4 +158,4 @@ def called(
         changed: Arguments that are changed in place, each with the result that it becomes.
     """
     call = jax.ffi.ffi_call(name, results, input_output_aliases=dict(changed or {}))
-    return call(*arguments, number=np.int64(number))
+    return tuple(call(*arguments, number=np.int64(number)))
