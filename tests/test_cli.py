@@ -65,6 +65,12 @@ def test_help_of_run_names_presets_and_every_field(capsys: Captured) -> None:
         assert flag in text
 
 
+@pytest.fixture(autouse=True)
+def wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal in which help has its full width."""
+    monkeypatch.setenv("COLUMNS", "120")
+
+
 def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
     for command, most in (("run", 48), ("info", 30), ("sim", 30)):
         main([command, "--help"])

@@ -282,13 +282,13 @@ def test_no_memory_for_the_rows_of_a_log(many: list, tmp_path: Path, monkeypatch
     real = ResultWriter.add
     with monkeypatch.context() as patch:
         patch.setattr(ResultWriter, "add", add)
-        text = "01: no memory for its rows; end other programs; the same command goes on: 1 of 3"
+        text = "01: no memory for its rows; end other programs; the same command goes on: 2 of 3"
         with pytest.raises(OutputError, match=text):
             run(many[:3], tmp_path / "a")
     assert not (tmp_path / "a" / "frames.parquet").exists()
     said: list[str] = []
     run(many[:3], tmp_path / "a", say=said.append)
-    assert said == ["continuing: 1 of 3 logs are there"]
+    assert said == ["continuing: 2 of 3 logs are there"]
     run(many[:3], tmp_path / "b")
     same_results(tmp_path / "a", tmp_path / "b")
 

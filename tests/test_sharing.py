@@ -144,8 +144,8 @@ def test_parts_of_other_floors_are_not_taken(sim_logs, whole, tmp_path, monkeypa
     with monkeypatch.context() as patch:
         decide = log_run.decide_planes
 
-        def other(*given: Any) -> engine.Planes:
-            planes = decide(*given)
+        def other(*given: Any, **how: Any) -> engine.Planes:
+            planes = decide(*given, **how)
             return replace(planes, records=(replace(planes.records[0], height_m=0.3),))
 
         patch.setattr(log_run, "decide_planes", other)

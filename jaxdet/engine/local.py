@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from jaxdet.io import LogFiles, LogOptions
 
 
+_WHOLE = WHOLE, f"0/{WHOLE}"
+"""In a log's folder: it is done, or its only camera is."""
+
+
 def run(
     logs: Sequence["LogFiles"],
     config: Config,
@@ -174,15 +178,20 @@ class _Run:
     def standing(self) -> str:
         """How much is on the disk, for people; empty: nothing."""
         logs = [self._folder(log) for log in self._to_do]
-        done = sum((log / WHOLE).exists() for log in logs)
+        left = [log for log in logs if not any((log / where).exists() for where in _WHOLE)]
+        begun: list[tuple[str, int, int]] = []
+        for folder in (camera for log in left for camera in sorted(log.glob("*/"))):
+            parts = 0 if (folder / WHOLE).exists() else len(list(folder.glob("*.part")))
+            plan: LogPlan | None = self.work.read(folder / PLAN) if parts else None
+            if plan:
+                begun.append((plan.label, parts, len(list(plan.units()))))
+        done = len(logs) - len(left)
         text = f"{done} of {len(logs)} logs"
-        for folder in (camera for log in reversed(logs) for camera in sorted(log.glob("*/"))):
-            parts = len(list(folder.glob("*.part")))
-            plan: LogPlan | None = self.work.read(folder / PLAN)
-            if parts and plan and not (folder / WHOLE).exists():
-                text += f" and {parts} of {len(list(plan.units()))} units of {plan.label}"
-                return f"{text} are"
-        return f"{text} are" if done else ""
+        if begun:
+            labels, parts, units = zip(*begun, strict=True)
+            which = labels[0] if len(begun) == 1 else f"{len(begun)} others"
+            text += f" and {sum(parts)} of {sum(units)} units of {which}"
+        return f"{text} are" if done or begun else ""
 
     @property
     def _to_do(self) -> list["LogFiles"]:
