@@ -29,7 +29,7 @@ from jaxdet.types import Calibration
 if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
 
-OPENING_BYTES = 64 << 20
+OPENING_BYTES = 128 << 20
 """What a log takes beside its frames, as bytes of a log that a worker reads and works on in that
 time."""
 FEW_BYTES = 256 << 20
