@@ -157,3 +157,18 @@ def test_large_logs_are_shared_out():
     sizes = {"large": 100 * OPENING_BYTES, **{str(i): OPENING_BYTES for i in range(50)}}
     chosen = choose_whole(sizes, 16)
     assert "large" not in chosen and 48 <= len(chosen) <= 50
+
+
+def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
+    """Though images are of one size, and the memory of one camera lies where another's was."""
+    (folder := tmp_path / "logs").mkdir()
+    cameras = {"depth_form": "aligned"}, {"extrinsics": "topic"}, {"extrinsics": "tf"}
+    for seed in range(6):
+        config = SimConfig(frames=FRAMES, width=96, height=72, seed=seed, **cameras[seed // 2])
+        write_log(folder / f"log_{'abcdef'[seed]}.mcap", config)
+    run(folder, tmp_path / "a", workers=1)
+    with jax.default_device(jax.devices("cpu")[0]):
+        on_this_machine(monkeypatch)
+        monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        assert not run(folder, tmp_path / "b", workers=2).failed
+    same_results(tmp_path / "a", tmp_path / "b")

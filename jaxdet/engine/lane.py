@@ -54,7 +54,8 @@ class LogMemory:
 
     def __init__(self, served: Served) -> None:
         self.served, self.images = served, SharedMemory(served.slots.nbytes)
-        self.slots = served.slots._replace(path=self.images.path)
+        where = {"path": self.images.path, "number": self.images.number}
+        self.slots = served.slots._replace(**where)
         self.views = self.slots.views(self.images.map)
         self._results: _Results | None = None
         self._lock = threading.Lock()

@@ -4,6 +4,7 @@ Each worker has a few slots of it: it decodes a piece of its unit into one while
 others are computed, and finds their results in memory that is divided alike.
 """
 
+import itertools
 import mmap
 import os
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ SLOTS = 4
 """Of each worker: one that it decodes to, and three that are copied, computed, sent back or wait
 for it."""
 _PAGE = 4096
+_numbers = itertools.count(1)
 
 
 class Slots(NamedTuple):
@@ -37,6 +39,8 @@ class Slots(NamedTuple):
     depth: tuple[int, ...]
     """Shape of a depth image, ``(Hd, Wd)`` uint16."""
     workers: int
+    number: int = 0
+    """Of the memory: what has been freed leaves its path to the next one."""
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -164,6 +168,7 @@ class SharedMemory:
             problem = f"no shared memory of {nbytes >> 20} MiB ({error.strerror})"
             raise WorkerError(problem, remedy="take fewer --workers") from error
         self.path = f"/proc/{os.getpid()}/fd/{self._file}"
+        self.number = next(_numbers)
 
     def close(self) -> None:
         """Frees this process' part."""
