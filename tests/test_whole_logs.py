@@ -172,3 +172,21 @@ def test_each_camera_of_a_gpu_has_images_of_its_own(tmp_path, monkeypatch):
         monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2).failed
     same_results(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
+    folder, alone, shared, tmp_path, monkeypatch
+):
+    def allot(one: pooled_run.PooledLogRun, log: Any, workers: int) -> Any:
+        found = real(one, log, workers)
+        return found._replace(workers=1) if log.name == "log_a" else found
+
+    real = pooled_run.PooledLogRun._allot
+    monkeypatch.setattr(pooled_run.PooledLogRun, "_allot", allot)
+    with jax.default_device(jax.devices("cpu")[0]):
+        on_this_machine(monkeypatch)
+        monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+        summary = run(folder, tmp_path / "a", workers=2)
+    assert not summary.failed and [log.workers for log in summary.logs] == [1, 2, 2, 1, 1]
+    assert shared == ["log_a", "log_b", "log_c"]  # the pool that served the first has ended
+    same_results(alone, tmp_path / "a")

@@ -209,8 +209,8 @@ class WholeLogs:
         """Logs that workers could do as things are."""
         if not self._pool.devices:
             return self._todo
-        if self._pool.entered is None:
-            return {}
+        if self._pool.entered is None or self._pool.count != self._run.memory.workers:
+            return {}  # the next log that is shared out makes all workers be served
         served = self._pool.entered[1]
         known = self._cameras
         return {
