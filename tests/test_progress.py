@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.cli.progress import _bars, _slowest, _steps, _text, _thousands, reporting
+from jaxdet.cli.progress import _bars, _Lines, _slowest, _steps, _text, _thousands, reporting
 from jaxdet.cli.report import MANY_LOGS, ground_text, summary_lines
 from jaxdet.cli.tell import tell
 from jaxdet.engine import GroundRecord, LogSummary, Progress
@@ -62,6 +62,14 @@ def test_a_terminal_of_80_columns_shows_all_of_a_bar(monkeypatch, capsys) -> Non
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
         assert f"[2/12] {name[:7]}" in plain
         assert "1200/4000 frames, 11k/s, slowest: decode, 17 not ok" in plain
+
+
+def test_what_goes_on_for_long_has_a_line(monkeypatch, capsys) -> None:
+    lines = _Lines()
+    for number in range(3):
+        lines(Progress("a", 0, 40, 0, 0, 0, None, doing=f"{number} of 39 logs are done"))
+        monkeypatch.setattr("jaxdet.cli.progress.LINE_EVERY_S", 0 if number == 0 else 99)
+    assert capsys.readouterr().err == "[1/40] a: 1 of 39 logs are done\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals on this system")

@@ -280,6 +280,12 @@ def test_workers_that_are_killed_while_they_start_far_apart():
             workers.close()
 
 
+def test_nothing_waits_for_a_worker_while_another_has_nothing_to_do():
+    with pool.Pool(2, "reference") as workers:
+        tasks = {"long": (1.5,), "short": (0.01,), "last": (0.01,)}
+        assert [name for name, _ in workers.each(time.sleep, tasks)] == ["short", "last", "long"]
+
+
 def test_short_logs_need_no_workers(tmp_path):
     def alone(count: int, devices: Any = (), **options: Any) -> list[bool]:
         how = engine.RunOptions(tmp_path, **options)

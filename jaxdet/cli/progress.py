@@ -82,7 +82,8 @@ class _Lines:
         self.last = time.monotonic()
 
     def __call__(self, now: "Progress") -> None:
-        if now.doing or (now.done < now.total and time.monotonic() - self.last < LINE_EVERY_S):
+        unfinished = now.doing or now.done < now.total
+        if unfinished and time.monotonic() - self.last < LINE_EVERY_S:
             return
         self.last = time.monotonic()
         tell(f"{_which(now)}{now.log}: {_text(now, _steps)}")

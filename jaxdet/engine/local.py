@@ -38,10 +38,6 @@ if TYPE_CHECKING:
     from jaxdet.io import LogFiles, LogOptions
 
 
-_WHOLE = WHOLE, f"0/{WHOLE}"
-"""In a log's folder: it is done, or its only camera is."""
-
-
 def run(
     logs: Sequence["LogFiles"],
     config: Config,
@@ -122,6 +118,11 @@ def _check_outside(output: Path, logs: Sequence["LogFiles"]) -> None:
             raise ConfigError(problem, path=str(output), remedy=remedy)
 
 
+def _is_whole(log: Path) -> bool:
+    """Whether a log, by its folder, is done, or its only camera is."""
+    return any((log / where).exists() for where in (WHOLE, f"0/{WHOLE}"))
+
+
 @dataclass
 class _Run:
     """The logs of a run, one after the other; the first fields are as of :func:`run`."""
@@ -178,7 +179,7 @@ class _Run:
     def standing(self) -> str:
         """How much is on the disk, for people; empty: nothing."""
         logs = [self._folder(log) for log in self._to_do]
-        left = [log for log in logs if not any((log / where).exists() for where in _WHOLE)]
+        left = [log for log in logs if not _is_whole(log)]
         begun: list[tuple[str, int, int]] = []
         for folder in (camera for log in left for camera in sorted(log.glob("*/"))):
             parts = 0 if (folder / WHOLE).exists() else len(list(folder.glob("*.part")))
@@ -264,7 +265,7 @@ class _Run:
         tasks, sizes = {}, {}
         for number, files in enumerate(self.logs):
             folder = self._folder(files)
-            if files.name not in self.summary.kept and not (folder / WHOLE).exists():
+            if files.name not in self.summary.kept and not _is_whole(folder):
                 known = inputs_of(self.work.record, files)
                 sizes[files.name] = sum(was.get("size", 0) for _, was in known)
                 file_name = self._names[files.name]

@@ -206,9 +206,11 @@ class Pool:
         self._awake.wait()
         try:
             while True:
-                for most in range(1, WAITING + 1 if len(todo) > len(self._workers) else 2):
+                for most in range(1, WAITING + 1):
                     for worker in self._workers:
-                        if len(worker.given) < most and todo:
+                        # The last ones wait here for whoever is done first.
+                        spare = len(todo) > len(self._workers) * (most > 1)
+                        if len(worker.given) < most and spare:
                             label, args = todo.popleft()
                             worker.give(label, function, *args)
                 if not any(worker.given for worker in self._workers):

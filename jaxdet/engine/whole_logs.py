@@ -200,11 +200,6 @@ class WholeLogs:
                 self._round = None
         return True
 
-    def close(self) -> None:
-        """Ends what workers are at."""
-        if self._round:
-            self._round.close()
-
     def _ready(self) -> dict[str, Task]:
         """Logs that workers could do as things are."""
         if not self._pool.devices:
