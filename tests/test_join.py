@@ -15,7 +15,9 @@ from jaxdet.results.summary import Counts, LogSummary
 from jaxdet.results.writer import Tables
 
 
-def joined(folder: Path, maps: list[OccupancyMap], map_bytes: int = 1 << 30) -> LogSummary:
+def joined(
+    folder: Path, maps: list[OccupancyMap], map_bytes: int = 1 << 30, others: int = 0
+) -> LogSummary:
     """The summary of a log whose parts have these maps, and 15 bad frames each."""
     units = [Unit(number, number, number + 1) for number in range(len(maps))]
     for unit, one in zip(units, maps, strict=True):
@@ -25,7 +27,7 @@ def joined(folder: Path, maps: list[OccupancyMap], map_bytes: int = 1 << 30) -> 
         folder=folder, observers={}, file_name="a", label="a", units=lambda: units
     )
     about = LogSummary("a", (), frames=99)  # as counted so far
-    join_parts(plan, about, map_bytes)
+    join_parts(plan, about, map_bytes, others)
     return about
 
 
@@ -66,3 +68,13 @@ def test_why_there_is_no_map(
     made = {path.name for path in tmp_path.glob("map.*")}
     assert made == ({"map.npz", "map.png"} if about.map else set())
     assert bool(about.map) == (not any(text.startswith("no map") for text in warnings))
+
+
+def test_processes_share_the_memory_for_maps(tmp_path: Path) -> None:
+    some = seen(0.0, 2.0)
+    room = 28 * some.cells
+    assert joined(tmp_path, [some], room).map
+    assert joined(tmp_path, [some], 3 * room, 2).map
+    assert not joined(tmp_path, [seen(0.0, 1e6)], room, 2).map  # too wide for any memory
+    with pytest.raises(MemoryError):
+        joined(tmp_path, [some], 2 * room, 2)

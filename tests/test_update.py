@@ -196,8 +196,8 @@ def test_logs_with_lost_frames_are_done_again(logs: Logs, tmp_path: Path, monkey
     output = tmp_path / "out"
     join = log_run.join_parts
 
-    def losing(plan: Any, about: LogSummary, room: int) -> Any:
-        notes = join(plan, about, room)
+    def losing(plan: Any, about: LogSummary, *room: int) -> Any:
+        notes = join(plan, about, *room)
         about.lost.append("frames 0 to 4: a worker ended")
         return notes
 

@@ -39,7 +39,7 @@ def parts_of(plan: LogPlan) -> Iterator[Part]:
         yield part
 
 
-def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int) -> list["Notes"]:
+def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int, others: int = 0) -> list["Notes"]:
     """All that the parts of a log say beside their rows goes into its summary and its map.
 
     The rows are left for :func:`parts_of` when nothing can fail any more: what is once in a table
@@ -48,10 +48,14 @@ def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int) -> list["Notes"
     Args:
         plan: The log's.
         about: Its summary.
-        map_bytes: Memory for the map.
+        map_bytes: Memory for maps.
+        others: Processes that may make maps at the same time.
 
     Returns:
         What reading told beside the frames.
+
+    Raises:
+        MemoryError: The map takes more than this process's share.
     """
     occupancy, notes = OccupancyMap(), []
     seen: dict[str, list[Any]] = {name: [] for name in plan.observers}
@@ -67,6 +71,9 @@ def join_parts(plan: LogPlan, about: LogSummary, map_bytes: int) -> list["Notes"
             seen[name] += made
     for name, observer in plan.observers.items():
         about.observed[name] = observer.summary(seen[name])
+    share = map_bytes // (others + 1)
+    if others and share // _CELL_BYTES < occupancy.cells <= MAX_CELLS:
+        raise MemoryError("not enough for as many maps at a time")
     _write_map(occupancy, plan, about, map_bytes)
     return notes
 

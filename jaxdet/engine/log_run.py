@@ -94,6 +94,8 @@ class LogRun:
         """Fewer workers have it where the log's chunks are large."""
         self.workers = 1
         """Processes that shared the frames."""
+        self.others = 0
+        """Processes that do others in the same memory."""
         self.batch = 0
         """Frames computed together."""
         self.allotment = Allotment(1, 0, 0)
@@ -288,7 +290,7 @@ class LogRun:
         about = self.about
         with ThreadPoolExecutor(1) as disk:  # units did not wait for it
             flushed = disk.submit(flush, *parts)
-            notes = join_parts(plan, about, self.memory.room)
+            notes = join_parts(plan, about, self.memory.room, self.others)
             files = (self.folder / name for name in about.pictures)
             with writing(self.folder):
                 flush(*files, *map_files(about, self.folder).values())

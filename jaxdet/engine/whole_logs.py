@@ -104,6 +104,7 @@ class _WholeLogRun(LogRun):
     def __init__(self, given: Given, task: Task) -> None:
         super().__init__(given.run, task.files, task.file_name, _no_report, task.number)
         self.given, self.batch_done = given, tell_alive
+        self.others = self.memory.workers - 1
 
     def _decide_how(self, log: "Log") -> None:
         entered, workers = self.given.entered, self.memory.workers
