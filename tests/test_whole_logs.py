@@ -16,6 +16,7 @@ from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
 from jaxdet.errors import Interrupted
 from jaxdet.io import Batch, LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
+from tests.camera_logs import join_cameras
 from tests.pools import on_this_machine, same_results
 
 FRAMES = 11
@@ -189,4 +190,30 @@ def test_a_gpu_computes_after_a_log_that_fewer_workers_share(
         summary = run(folder, tmp_path / "a", workers=2)
     assert not summary.failed and [log.workers for log in summary.logs] == [1, 2, 2, 1, 1]
     assert shared == ["log_a", "log_b", "log_c"]  # the pool that served the first has ended
+    same_results(alone, tmp_path / "a")
+
+
+def test_logs_of_several_cameras_are_among_others(folder, shared, tmp_path, monkeypatch):
+    logs = shutil.copytree(folder, tmp_path / "logs")
+    cameras = {"rear": folder / "log_a.mcap", "front": folder / "log_c.mcap"}
+    join_cameras(cameras, logs / "log_bb.mcap")
+    run(logs, tmp_path / "alone", workers=1)
+    shared.clear()
+    monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+    summary = run(logs, tmp_path / "a", workers=2)
+    assert not summary.failed and len(summary.logs) == 7
+    assert shared == ["log_bb", "log_bb"]
+    same_results(tmp_path / "alone", tmp_path / "a")
+
+
+def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monkeypatch):
+    logs = shutil.copytree(folder, tmp_path / "logs")
+    (logs / "log_b.mcap").write_bytes(b"not a log")
+    (logs / "log_d.mcap").unlink()
+    monkeypatch.setattr(local, "choose_whole", lambda sizes, _: set(sizes))
+    assert len(run(logs, tmp_path / "a", workers=2).failed) == 1
+    for name in "bd":
+        shutil.copy2(folder / f"log_{name}.mcap", logs)
+    summary = run(logs, tmp_path / "a", workers=2, update=True)
+    assert not summary.failed and summary.kept == {"log_a", "log_c", "log_e"} and not shared
     same_results(alone, tmp_path / "a")
