@@ -11,6 +11,7 @@
                     done its summary in "whole"; several cameras are in 1/, 2/, ...
     result/         tables, maps, configuration, summary, manifest
     tracks/         what jaxdet track makes (jaxdet.tracks.folder)
+    5120-0.work     what workers are given that do logs whole
     commit          the results are whole, and move to the output folder (jaxdet.results.commit)
 
 It is there while a run goes on and after one that was stopped, with what is done. Whatever is in it
