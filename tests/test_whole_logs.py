@@ -3,7 +3,9 @@
 import os
 import shutil
 import signal
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -12,9 +14,10 @@ import pytest
 from jaxdet import engine
 from jaxdet.config import Config
 from jaxdet.engine import local, pooled_run, whole_logs
+from jaxdet.engine.memory import Memory
 from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
-from jaxdet.errors import Interrupted
-from jaxdet.io import Batch, LogOptions, find_logs
+from jaxdet.errors import InputError, Interrupted
+from jaxdet.io import Batch, LogFiles, LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 from tests.pools import on_this_machine, same_results
@@ -217,3 +220,19 @@ def test_whole_logs_are_brought_up_to_date(folder, alone, shared, tmp_path, monk
     summary = run(logs, tmp_path / "a", workers=2, update=True)
     assert not summary.failed and summary.kept == {"log_a", "log_c", "log_e"} and not shared
     same_results(alone, tmp_path / "a")
+
+
+@pytest.mark.parametrize(("logs", "fits"), [(1, True), (100, False)])
+def test_rows_of_all_logs_wait_in_the_same_memory(tmp_path, logs, fits):
+    """Of 640x480 a thousand frames have rows of 10 MB, and a batch of a worker takes 120."""
+    how = engine.RunOptions(tmp_path)
+    context: Any = SimpleNamespace(config=Config(), options=how, memory=Memory("1200M", 2))
+    given: Any = SimpleNamespace(run=context, devices=0, entered=None, batch=0, logs=logs)
+    task: Any = SimpleNamespace(files=LogFiles("a", ()), file_name="a", number=0)
+    log: Any = SimpleNamespace(
+        name="a", frames=range(1000), image_shapes=((480, 640, 3), (480, 640)), index_bytes=0
+    )
+    one = whole_logs._WholeLogRun(given, task)
+    one.about = one._new()
+    with nullcontext() if fits else pytest.raises((MemoryError, InputError)):
+        one._decide_how(log)

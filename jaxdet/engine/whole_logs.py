@@ -62,6 +62,8 @@ class Given(NamedTuple):
     """With GPUs: what workers are served in, and of what camera."""
     batch: int
     """With GPUs: frames computed together."""
+    logs: int
+    """Of the round."""
 
 
 class OtherCamera(NamedTuple):
@@ -110,6 +112,8 @@ class _WholeLogRun(LogRun):
         entered, workers = self.given.entered, self.memory.workers
         if entered and log.calibration != entered[1]:
             raise _OtherCameraError(log.calibration)
+        # The rows of all wait in the first process; no one knows how many, so as many as of this.
+        self.waiting = (self.given.logs - 1) * len(log.frames)
         self.allotment = self._allot(log, workers)
         together = entered[0].frames if entered else 1
         if self.allotment.workers < workers or self.allotment.batch < together:
@@ -219,11 +223,13 @@ class WholeLogs:
         entered, devices = pool.entered, len(pool.devices)
         work = WorkFolder(run.work.folder, run.work.record)
         run = run._replace(work=work, say=_no_report)
-        given = Given(run, self._options, devices, entered, batch if devices else 0)
+        tasks = self._ready()
+        batch = batch if devices else 0
+        given = Given(run, self._options, devices, entered, batch, len(tasks))
         path = run.work.folder / f"{os.getpid()}-{next(_numbers)}.work"
         with writing(path):
             path.write_bytes(pickle.dumps(given, 5))
-        return pool.each(do_log, {name: (path, task) for name, task in self._ready().items()})
+        return pool.each(do_log, {name: (path, task) for name, task in tasks.items()})
 
     def _take(self, name: str, answer: Any) -> None:
         if isinstance(answer, OtherCamera):
