@@ -267,6 +267,9 @@ def test_files_of_different_logs_and_cameras_have_different_names() -> None:
     logs = ["a b", "a/b", "a_b", "...", "", "é" * 200, "é" * 201, "x" * 300]
     names = list(file_names(logs).values())
     assert names[:5] == ["a_b", "a_b_2", "a_b_3", "log", "log_2"] and len(set(names)) == len(logs)
+    assert [*file_names(["Drive", "drive", "DRIVE", "drive_2"]).values()] == [
+        *("Drive", "drive_2", "DRIVE_3", "drive_2_2"),
+    ], "some disks take letters of either case for the same"
     assert camera_file_name("log", "front/left") == "log@front-left"
     cameras = ["front left", "front_left", "front-left", "front/left", "x" * 300, "x" * 301]
     files = {camera_file_name("log", camera) for camera in cameras}
