@@ -20,7 +20,7 @@ from jaxdet.io import LogOptions, find_logs
 from jaxdet.results import reading, writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_file_name, file_names
-from jaxdet.results.reading import Chunk, Results
+from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
 from tests.made_results import make_results
@@ -276,6 +276,23 @@ def test_files_of_different_logs_and_cameras_have_different_names() -> None:
     assert len(files) == len(cameras)
     for name in (*names, *files):
         assert set(name.encode()).isdisjoint(b"/ ") and len(name.encode()) < 110
+
+
+@pytest.mark.parametrize(
+    ("path", "described", "expected"),
+    [
+        ("/a/kitchen", {"is_folder": True}, False),
+        ("/a/drive", {"is_folder": False}, True),
+        ("/a/kitchen", {}, False),
+        ("/a/drive.MCAP", {}, True),
+    ],
+)
+def test_results_of_older_versions_do_not_say_that_a_log_is_a_folder_of_images(
+    path: str, described: dict[str, bool], expected: bool
+) -> None:
+    about = {"pose_source": "poses: TF from map", **described}
+    log = ResultLog("a", "c", "a", "a", {"paths": [path], "description": about}, 0, 0)
+    assert log.poses_from_tf is expected
 
 
 def test_obstacles_of_other_frames_are_refused():
