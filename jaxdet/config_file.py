@@ -129,7 +129,8 @@ def _place(key: str) -> str:
     if key in SECTIONS:
         return f"write [{key}] and its keys below"
     parts = vars(Config()) | {"log": LogOptions()}
-    having = [name for name, part in parts.items() if key in vars(part)]
+    keys = {key, f"{key}_rad"}  # of an angle with its unit
+    having = [name for name, part in parts.items() if keys & vars(part).keys()]
     where = " or ".join(f"[{name}]" for name in having or SECTIONS)
     return f"write it below {where}"
 

@@ -415,6 +415,7 @@ def test_flags_go_before_the_file_before_the_preset(tmp_path: Path) -> None:
             "max_depth_m = 1\n",
             r"max_depth_m = 1 is in no section; .* below \[ground\] or \[floor\]",
         ),
+        ("camera_pitch = '9deg'\n", r"is in no section; write it below \[ground\]$"),
         ("every = 2\n", r"every = 2 is in no section; write it below \[log\]$"),
         ("boat = 2\n", r"boat = 2 is in no section; write it below \[ground\] or \[features\] or"),
         ("preset = 3\n", r'preset = 3 is not text in quotes; write preset = "wheeled"'),

@@ -67,6 +67,12 @@ def test_folders_whose_names_say_nothing_are_called_by_the_folders_they_are_in(t
     assert [log.name for log in find_logs([str(tmp_path / "attic" / "data")])] == ["attic/data"]
 
 
+def test_a_folder_called_as_a_file_beside_it_does_not_change_its_name(tmp_path):
+    touch(tmp_path, "a/data.mcap", "a/data/note.txt", "b/images_0.bag", "b/images_1.bag")
+    (tmp_path / "b" / "images").mkdir()
+    assert [log.name for log in find_logs([str(tmp_path)])] == ["data", "images"]
+
+
 def test_many_logs_get_their_names_at_once(tmp_path):
     """Whoever counts each name in all of them takes minutes."""
     stems = [tmp_path / f"drive_{number // 4}" / f"run_{number % 4}" for number in range(60_000)]

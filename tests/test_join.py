@@ -1,5 +1,6 @@
 """The parts of a log become its summary and its map."""
 
+from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import Unit
 from jaxdet.engine.join import MAX_FRAME_ERRORS, join_parts
 from jaxdet.engine.part import Part
@@ -16,16 +18,21 @@ from jaxdet.results.writer import Tables
 
 
 def joined(
-    folder: Path, maps: list[OccupancyMap], map_bytes: int = 1 << 30, others: int = 0
+    folder: Path,
+    maps: list[OccupancyMap],
+    map_bytes: int = 1 << 30,
+    config: Config | None = None,
+    floor: str = "frame",
+    others: int = 0,
 ) -> LogSummary:
-    """The summary of a log whose parts have these maps, and 15 bad frames each."""
+    """The summary of a log whose parts have these maps, 15 bad frames and one floor each."""
     units = [Unit(number, number, number + 1) for number in range(len(maps))]
     for unit, one in zip(units, maps, strict=True):
         bad = [f"frame {unit.number}.{number}" for number in range(15)]
-        Part(Counts(frames=15), Tables.joined(()), one, bad, {}, {}, []).save(folder, unit)
-    plan: Any = SimpleNamespace(
-        folder=folder, observers={}, file_name="a", label="a", units=lambda: units
-    )
+        counts = Counts(frames=15, floor_sources=Counter({floor: 1}))
+        Part(counts, Tables.joined(()), one, bad, {}, {}, []).save(folder, unit)
+    about = {"config": config or Config(), "file_name": "a", "label": "a"}
+    plan: Any = SimpleNamespace(folder=folder, observers={}, units=lambda: units, **about)
     about = LogSummary("a", (), frames=99)  # as counted so far
     join_parts(plan, about, map_bytes, others)
     return about
@@ -51,8 +58,8 @@ def test_the_first_bad_frames_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("places", "map_bytes", "warnings"),
     [
-        ([], 1 << 30, ["no map: nothing seen in the world, or too wide an area"]),
-        ([0.0, 1e6], 1 << 10, ["no map: nothing seen in the world, or too wide an area"]),
+        ([], 1 << 30, ["no map: nothing was seen in the world"]),
+        ([0.0, 1e6], 1 << 10, ["no map: what was seen is too far apart for one"]),
         ([0.0, 2.0], 1 << 10, ["no map: it takes "]),
         ([0.0, 1e12], 1 << 30, ["1 outlines or views have no place on the map"]),
         ([0.0, 2.0], 1 << 30, []),
@@ -74,7 +81,16 @@ def test_processes_share_the_memory_for_maps(tmp_path: Path) -> None:
     some = seen(0.0, 2.0)
     room = 28 * some.cells
     assert joined(tmp_path, [some], room).map
-    assert joined(tmp_path, [some], 3 * room, 2).map
-    assert not joined(tmp_path, [seen(0.0, 1e6)], room, 2).map  # too wide for any memory
+    assert joined(tmp_path, [some], 3 * room, others=2).map
+    assert not joined(tmp_path, [seen(0.0, 1e6)], room, others=2).map  # too wide for any memory
     with pytest.raises(MemoryError):
-        joined(tmp_path, [some], 2 * room, 2)
+        joined(tmp_path, [some], 2 * room, others=2)
+
+
+def test_a_map_lacks_floors(tmp_path: Path) -> None:
+    about = joined(tmp_path, [seen()], floor="none")
+    assert about.warnings == ["no map: no frame's floor is known"] and not about.notes
+    none = Config(GroundConfig(source="none"))
+    about = joined(tmp_path, [seen()], config=none, floor="none")
+    assert about.notes == ["no map: no floor was looked for (--ground.source none)"]
+    assert not about.warnings and about.map is None

@@ -20,7 +20,7 @@ from jaxdet.io import LogOptions, find_logs
 from jaxdet.results import reading, writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_file_name, file_names
-from jaxdet.results.reading import Chunk, Results
+from jaxdet.results.reading import Chunk, ResultLog, Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
 from tests.made_results import make_results
@@ -267,12 +267,32 @@ def test_files_of_different_logs_and_cameras_have_different_names() -> None:
     logs = ["a b", "a/b", "a_b", "...", "", "é" * 200, "é" * 201, "x" * 300]
     names = list(file_names(logs).values())
     assert names[:5] == ["a_b", "a_b_2", "a_b_3", "log", "log_2"] and len(set(names)) == len(logs)
+    assert [*file_names(["Drive", "drive", "DRIVE", "drive_2"]).values()] == [
+        *("Drive", "drive_2", "DRIVE_3", "drive_2_2"),
+    ], "some disks take letters of either case for the same"
     assert camera_file_name("log", "front/left") == "log@front-left"
     cameras = ["front left", "front_left", "front-left", "front/left", "x" * 300, "x" * 301]
     files = {camera_file_name("log", camera) for camera in cameras}
     assert len(files) == len(cameras)
     for name in (*names, *files):
         assert set(name.encode()).isdisjoint(b"/ ") and len(name.encode()) < 110
+
+
+@pytest.mark.parametrize(
+    ("path", "described", "expected"),
+    [
+        ("/a/kitchen", {"is_folder": True}, False),
+        ("/a/drive", {"is_folder": False}, True),
+        ("/a/kitchen", {}, False),
+        ("/a/drive.MCAP", {}, True),
+    ],
+)
+def test_results_of_older_versions_do_not_say_that_a_log_is_a_folder_of_images(
+    path: str, described: dict[str, bool], expected: bool
+) -> None:
+    about = {"pose_source": "poses: TF from map", **described}
+    log = ResultLog("a", "c", "a", "a", {"paths": [path], "description": about}, 0, 0)
+    assert log.poses_from_tf is expected
 
 
 def test_obstacles_of_other_frames_are_refused():

@@ -377,7 +377,7 @@ def times(name: str, values: Any) -> np.ndarray:
     whole = found.dtype.kind in "iu" or not found.size
     if not whole or found.max(initial=0) > np.iinfo(np.int64).max:
         problem = f"{found.dtype} are no whole numbers of 64 bits"
-        raise InputError(problem, topic=name, remedy="give nanoseconds")
+        raise InputError(problem, topic=name, remedy="give integers, in nanoseconds")
     if found.ndim != 1:
         raise InputError(f"shape {found.shape}", topic=name, remedy="give (B,)")
     return found.astype(np.int64)

@@ -109,9 +109,22 @@ def _write_map(occupancy: OccupancyMap, plan: LogPlan, about: LogSummary, map_by
         return
     image = occupancy.image()
     if image is None:
-        about.warnings.append("no map: nothing seen in the world, or too wide an area")
+        _say_why(occupancy, plan, about)
         return
     about.map = f"map_{plan.file_name}"
     with writing(plan.folder):
         save_map(plan.folder / "map.npz", image)
         write_png(plan.folder / "map.png", draw_map(image, plan.label))
+
+
+def _say_why(occupancy: OccupancyMap, plan: LogPlan, about: LogSummary) -> None:
+    """Why there is no map, though frames have poses."""
+    floors = about.floor_sources
+    if occupancy.cells:
+        about.warnings.append("no map: what was seen is too far apart for one")
+    elif plan.config.ground.source == "none":
+        about.notes.append("no map: no floor was looked for (--ground.source none)")
+    elif floors and floors.total() == floors["none"]:
+        about.warnings.append("no map: no frame's floor is known")
+    else:
+        about.warnings.append("no map: nothing was seen in the world")

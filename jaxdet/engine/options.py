@@ -25,8 +25,8 @@ class RunOptions:
     """Frames computed together; changes no result. By default 16 on the CPU; 256 on a GPU, fewer
     where images are large."""
     workers: int | None = None
-    """Processes to share the logs, or the frames of a log; changes no result. By default one a core;
-    on the CPU one for a few short logs."""
+    """Processes to share the logs, or the frames of a log; changes no result. By default one a
+    core; on the CPU one for a few short logs."""
     memory: str | None = field(default=None, metadata={"takes": "SIZE"})
     """Most memory of all processes together, 4GiB for instance. Fewer workers, smaller batches and
     less read ahead take less; changes no result. By default three quarters of the machine's, or of

@@ -96,7 +96,7 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
     for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
         key = path.parent, path.name if number < 0 else stem, path.suffix
         groups.setdefault(key, []).append(path)
-    stems, members = [], []
+    stems, members, vague = [], [], set()
     for (_, stem, _), group in groups.items():
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
@@ -105,9 +105,11 @@ def find_logs(inputs: Sequence[str | PathLike[str]] | str | PathLike[str]) -> li
             alone = len(part.paths) == 1 or len(parts) > 1
             first = part.paths[0]
             alone_name = first if first.is_dir() else first.with_suffix("")
+            if first.is_dir() and first.name.lower() in VAGUE and first.parent.name:
+                vague.add(len(stems))
             stems.append(alone_name if alone else first.with_name(stem))
         members += parts
-    names = _unique_names(stems, {stem for stem in stems if _is_vague(stem)})
+    names = _unique_names(stems, vague)
     return [
         LogFiles(
             name,
@@ -413,13 +415,12 @@ def _order(path: Path) -> tuple[str, str, int, str]:
     return (str(path.parent), *_split(path), path.name)
 
 
-def _is_vague(stem: Path) -> bool:
-    """Whether a log's name says nothing and its folder's may."""
-    return stem.name.lower() in VAGUE and bool(stem.parent.name) and stem.is_dir()
-
-
-def _unique_names(stems: Sequence[Path], vague: Container[Path] = ()) -> list[str]:
-    names = [printable("/".join(stem.parts[-2:]) if stem in vague else stem.name) for stem in stems]
+def _unique_names(stems: Sequence[Path], vague: Container[int] = ()) -> list[str]:
+    """Each log's name; ``vague`` has the places of those that say nothing without a folder's."""
+    names = [
+        printable("/".join(stem.parts[-2:]) if number in vague else stem.name)
+        for number, stem in enumerate(stems)
+    ]
     for depth in range(2, 1 + max((len(stem.parts) for stem in stems), default=0)):
         counts = Counter(names)
         if len(counts) == len(names):

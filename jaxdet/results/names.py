@@ -9,14 +9,17 @@ MOST_BYTES = 80
 
 
 def file_names(logs: Iterable[str]) -> dict[str, str]:
-    """What the files of each log are called: nothing that they shouldn't be, each different."""
+    """What the files of each log are called: nothing that they shouldn't be, each different.
+
+    Also where the case of letters makes no difference, as on disks of macOS and Windows.
+    """
     names, used = dict[str, str](), set[str]()
     for log in logs:
         name = stem = _plain(log).strip(".") or "log"
         number = 2
-        while name in used:
+        while name.casefold() in used:
             name, number = f"{stem}_{number}", number + 1
-        used.add(name)
+        used.add(name.casefold())
         names[log] = name
     return names
 

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 from jaxdet.config import Config
 from jaxdet.errors import InputError
+from jaxdet.io.files import SUFFIXES
 from jaxdet.io.options import LogOptions
 from jaxdet.results.arrow import open_file
 from jaxdet.results.manifest import MANIFEST
@@ -72,7 +73,9 @@ class ResultLog(NamedTuple):
         Those of a folder of images are made of ``groundtruth.txt``: no other program sees any.
         """
         about = self.summary["description"] or {}
-        return about.get("pose_source", "").startswith("poses: TF") and not about.get("is_folder")
+        known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
+        is_folder = about.get("is_folder", not known)  # older versions did not say
+        return about.get("pose_source", "").startswith("poses: TF") and not is_folder
 
     def topic(self, role: str) -> str:
         """The topic of the ``color`` or the ``depth`` images; empty where it isn't known."""
