@@ -236,3 +236,11 @@ def test_rows_of_all_logs_wait_in_the_same_memory(tmp_path, logs, fits):
     one.about = one._new()
     with nullcontext() if fits else pytest.raises((MemoryError, InputError)):
         one._decide_how(log)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_observers_that_cannot_go_to_workers_are_refused(folder, tmp_path, workers):
+    odd = SimpleNamespace(summary=lambda seen: seen)
+    with pytest.raises(ConfigError, match="observers can't go to other processes"):
+        run(folder, tmp_path / "a", workers=workers, observers={"odd": odd})
+    assert not (tmp_path / "a").exists()

@@ -136,7 +136,7 @@ def decide_planes(
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
-    find = find or partial(find_floors, config=config, backend=backend)
+    find = find or partial(_find_here, config, backend)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
@@ -159,6 +159,11 @@ def decide_planes(
         plane,
         known.source,
     )
+
+
+def _find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit":
+    with computing():
+        return find_floors(frames, config, backend=backend)
 
 
 def evenly(values: np.ndarray, count: int) -> np.ndarray:
@@ -221,10 +226,9 @@ def _look(
         frames = log.read(sample[first : first + size].tolist()).frames
         if frames.valid.any():
             frames = frames._replace(plane=repeat_plane(plane, len(frames.valid)))
-            with computing():
-                fit = find(frames)
-                shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
-                own.append(np.asarray(fit.own)[frames.valid])
+            fit = find(frames)
+            shown.append(GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane)))
+            own.append(np.asarray(fit.own)[frames.valid])
         alive()
     if not shown:
         return replace(known, message=_said(known, "no sampled frame could be read")), plane

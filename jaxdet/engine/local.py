@@ -1,5 +1,6 @@
 """The local loop: logs in, a results folder out."""
 
+import pickle
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -73,7 +74,8 @@ def run(
         ConfigError: It holds an unfinished run with other inputs (but for an update),
             configuration or versions;
             another run works there; it is in a log that is a folder; or the backend has no program
-            for the configuration; or there is too little memory for any log.
+            for the configuration; or there is too little memory for any log; or observers can't
+            be pickled.
         InputError: The output folder can't be written to; or the logs are gone, as their disk is;
             what is done is kept.
         OutputError: The disk is full or broken, or there is no memory for the rows of a log; what
@@ -81,6 +83,7 @@ def run(
         Interrupted: A signal ended it; what is done is kept.
     """
     Memory(options.memory, 1)  # too little is said before anything is touched
+    _check_observers(observers or {})
     ordered = sorted(logs, key=lambda log: log.name)
     seen = observers or {}
     output = options.output
@@ -107,6 +110,15 @@ def run(
             if there := whole.standing():
                 error.add_remedy(f"the same command goes on: {there} done")
             raise
+
+
+def _check_observers(observers: Mapping[str, Observer]) -> None:
+    """Makes sure that observers can go to other processes."""
+    try:
+        pickle.dumps(dict(observers))
+    except Exception as error:
+        problem = f"observers can't go to other processes ({error})"
+        raise ConfigError(problem, remedy="make them instances of a module's classes") from error
 
 
 def _check_outside(output: Path, logs: Sequence["LogFiles"]) -> None:

@@ -188,7 +188,7 @@ class WholeLogs:
 
         Args:
             name: The log's.
-            batch: With GPUs: frames that were computed together last.
+            batch: With GPUs: frames that are computed together.
             tell: Gets what goes on.
         """
         while name not in self._done:
@@ -198,9 +198,8 @@ class WholeLogs:
                 self._todo.pop(name, None)
                 return False
             tell(f"{len(self._done)} of {self._count} logs are done")
-            for log, answer in self._round:
-                self._take(log, answer)
-                break
+            if answered := next(self._round, None):
+                self._take(*answered)
             else:
                 self._round = None
         return True
