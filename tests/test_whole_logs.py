@@ -16,7 +16,7 @@ from jaxdet.config import Config
 from jaxdet.engine import local, pooled_run, whole_logs
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.whole_logs import OPENING_BYTES, choose_whole
-from jaxdet.errors import InputError, Interrupted
+from jaxdet.errors import ConfigError, InputError, Interrupted
 from jaxdet.io import Batch, LogFiles, LogOptions, find_logs
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
