@@ -477,6 +477,7 @@ REFUSED_IMAGES = {
     [
         ({"stamp_ns": "now"}, "stamps_ns: .*numbers"),
         ({"stamp_ns": 1 << 70}, "stamps_ns: .*numbers"),
+        ({"stamp_ns": np.datetime64("NaT")}, "stamps_ns: NaT is no time"),
         ({"stamp_ns": (1 << 64) - 1}, "stamps_ns: .*numbers"),
         (
             {"stamp_ns": 1714557600.25},

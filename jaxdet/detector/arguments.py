@@ -373,6 +373,8 @@ def times(name: str, values: Any) -> np.ndarray:
     """
     found = _array(name, values)
     if found.dtype.kind == "M":
+        if np.isnat(found).any():
+            raise InputError("NaT is no time", topic=name, remedy="leave the frame out")
         found = found.astype("M8[ns]").astype(np.int64)
     whole = found.dtype.kind in "iu" or not found.size
     if not whole or found.max(initial=0) > np.iinfo(np.int64).max:

@@ -27,12 +27,14 @@ def floor_positions(
     """
     x, y = pixel_rays(camera)
     z = np.where(drivable, np.asarray(depth_m, np.float64), np.nan)
-    place = np.stack([x * z, y * z, z], axis=-1)
     # The rows of the world's axes, turned by the angle of Eq. 8-9.
     sin, cos = (a[:, None] for a in world_angle(T_world_camera))
     X, Y = T_world_camera[:, 0, :3], T_world_camera[:, 1, :3]
-    axes = np.stack([X * cos - Y * sin, X * sin + Y * cos], axis=1)
-    return np.einsum("bhwi,bki->bhwk", place, axes)
+    positions = np.empty((*z.shape, 2))
+    for k, axis in enumerate((X * cos - Y * sin, X * sin + Y * cos)):
+        for b, (along_x, along_y, along_z) in enumerate(axis):
+            positions[b, ..., k] = z[b] * (x * along_x + y * along_y + along_z)
+    return positions
 
 
 def measured_floor(
@@ -117,8 +119,10 @@ def _standing(
 def _inside_any(outlines: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Which points ``(n, 2)`` lie in any of the outlines ``(L, 4, 2)``, ``(n,)`` bool."""
     found = np.zeros(len(points), bool)
+    x, y = np.ascontiguousarray(points.T)
     for outline in outlines:
-        box = (points >= outline.min(axis=0)) & (points <= outline.max(axis=0))
-        near = np.flatnonzero(box.all(axis=1) & ~found)
+        (left, first), (right, last) = outline.min(axis=0), outline.max(axis=0)
+        box = (x >= left) & (x <= right) & (y >= first) & (y <= last)
+        near = np.flatnonzero(box & ~found)
         found[near] = inside(outline, points[near])
     return found
