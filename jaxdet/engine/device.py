@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.floors import find_here
 from jaxdet.engine.slots import SLOTS, Packing, Piece, Piped, Reply, Sample, Slots, attached
 from jaxdet.engine.startup import computing
-from jaxdet.pipeline import BackendName, detect, find_floors
+from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, joined_inputs, row_inputs, to_host
 from jaxdet.types import Detections, Frames, GroundPlane
 
@@ -95,8 +96,7 @@ class OwnDevice:
 
     def find_floors(self, frames: Frames) -> "FloorFit":
         """The floors of frames."""
-        with computing():
-            return find_floors(frames, self._config, backend=self._backend)
+        return find_here(self._config, self._backend, frames)
 
     def _detect(self, frames: Frames) -> Detections:
         with computing():

@@ -136,7 +136,7 @@ def decide_planes(
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
     known, plane, warnings = _stated(log, config.ground)
-    find = find or partial(_find_here, config, backend)
+    find = find or partial(find_here, config, backend)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
@@ -161,7 +161,8 @@ def decide_planes(
     )
 
 
-def _find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit":
+def find_here(config: Config, backend: BackendName, frames: Frames) -> "FloorFit":
+    """The floors of frames, found by this process."""
     with computing():
         return find_floors(frames, config, backend=backend)
 

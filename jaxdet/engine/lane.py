@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.device import out_of_memory
+from jaxdet.engine.floors import find_here
 from jaxdet.engine.slots import (
     SLOTS,
     Leaf,
@@ -23,9 +24,9 @@ from jaxdet.engine.slots import (
 )
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.pipeline import detect, find_floors
+from jaxdet.pipeline import detect
 from jaxdet.results.rows import map_leaves, row_inputs, to_host
-from jaxdet.types import Calibration, Detections, Frames
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
     from jaxdet.floor.units import FloorFit
@@ -83,12 +84,8 @@ class LogMemory:
         """The floors of a sample, on whatever JAX computes on."""
         color, depth = self.views[sample.slot]
         count = len(sample.plane.valid)
-        nothing = np.zeros(count, np.int64)
-        known = nothing, nothing, nothing, nothing == 0
-        given = color[:count], depth[:count], self.served.calibration
-        frames = Frames(*given, *known, plane=sample.plane)
-        with computing():
-            return find_floors(frames, self.served.config)
+        frames = _frames(color[:count], depth[:count], self.served, sample.plane)
+        return find_here(self.served.config, "jax", frames)
 
     def results(self, found: Detections) -> "_Results":
         """The memory of the results, made when the first are there."""
@@ -114,6 +111,13 @@ class _Results(NamedTuple):
     """See :class:`Reply`."""
     rows: np.ndarray
     """See :meth:`Packing.view`."""
+
+
+def _frames(color: Any, depth: Any, served: Served, plane: GroundPlane) -> Frames:
+    """Frames of which nothing else is of use for the method."""
+    nothing = np.zeros(len(color), np.int64)
+    known = nothing, nothing, nothing, nothing > 0
+    return Frames(color, depth, served.calibration, *known, plane=plane)
 
 
 class FittingLane:
@@ -253,12 +257,10 @@ class Lane:
     def start(self, pieces: list[Piece], copied: _Copied) -> _Started:
         """Starts to compute the pieces."""
         log, begin = self.log, time.perf_counter()
-        nothing = np.zeros(self.rows, np.int64)
         missing = self.rows - len(pieces) * log.slots.frames
         plane = join_planes([*(piece.plane for piece in pieces), unknown_plane(missing)])
-        known = nothing, nothing, nothing, nothing > 0
         color, depth = copied.images
-        frames = Frames(color, depth, log.served.calibration, *known, plane=plane)
+        frames = _frames(color, depth, log.served, plane)
         with computing():
             found = detect(frames, log.served.config)
         with _packing:

@@ -238,6 +238,10 @@ class LogRun:
         """Starts what computes, if it isn't there; returns how many frames are read together."""
         if self.options.backend == "jax":
             start_up()
+        return self._together(log)
+
+    def _together(self, log: "Log") -> int:
+        """Frames that are read together by who computes them."""
         return min(self.batch, max(1, len(log.frames)))
 
     @cached_property

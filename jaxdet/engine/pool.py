@@ -6,7 +6,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -202,24 +203,41 @@ class Pool:
             The task's key, and what was returned; :data:`LOST` for what the lost worker was at.
         """
         todo = deque(tasks.items())
+        with closing(self._answers(partial(self._give_each, function, todo))) as answers:
+            for worker, told in answers:
+                if isinstance(told, _Problem):
+                    yield worker.given[0], LOST
+                    return
+                yield from told
+
+    def _give_each(self, function: Callable[..., Any], todo: deque[tuple[Any, tuple]]) -> None:
+        """Gives workers calls to do, one ahead while there are more than workers.
+
+        The last ones wait here for whoever is done first.
+        """
+        for most in range(1, WAITING + 1):
+            for worker in self._workers:
+                spare = len(todo) > len(self._workers) * (most > 1)
+                if len(worker.given) < most and spare:
+                    label, args = todo.popleft()
+                    worker.give(label, function, *args)
+
+    def _answers(
+        self, give: Callable[[], None]
+    ) -> "Generator[tuple[Worker, list[tuple[Any, Any]] | _Problem], None, None]":
+        """What :meth:`_look` yields until workers have nothing to do; ends those that still have.
+
+        Args:
+            give: Gives them more, if there is more.
+        """
         self.start()
         self._awake.wait()
         try:
             while True:
-                for most in range(1, WAITING + 1):
-                    for worker in self._workers:
-                        # The last ones wait here for whoever is done first.
-                        spare = len(todo) > len(self._workers) * (most > 1)
-                        if len(worker.given) < most and spare:
-                            label, args = todo.popleft()
-                            worker.give(label, function, *args)
+                give()
                 if not any(worker.given for worker in self._workers):
                     return
-                for worker, told in self._look():
-                    if isinstance(told, _Problem):
-                        yield worker.given[0], LOST
-                        return
-                    yield from told
+                yield from self._look()
         finally:
             if any(worker.given for worker in self._workers):
                 self.close()
@@ -251,33 +269,26 @@ class Pool:
         self, plan: LogPlan, todo: UnitQueue, path: Path
     ) -> "Generator[Counts, None, tuple[Unit, _Problem] | None]":
         """Takes units from ``todo`` until none is left, or a worker failed; then all have ended."""
-        self.start()
-        self._awake.wait()
-        try:
-            while self._give(todo, path):
-                for worker, told in self._look():
-                    if isinstance(told, _Problem):
-                        lost = worker.given[0]
-                        given = {unit for one in self._workers for unit in one.given}
-                        todo.put_back(given - {lost})
-                        return lost, told
-                    for unit, counts in told:
-                        if isinstance(counts, Failure):
-                            self._drain()
-                            raise counts.as_raised(plan.where(unit))
-                        yield counts
-            return None
-        finally:
-            if any(worker.given for worker in self._workers):
-                self.close()
+        with closing(self._answers(partial(self._give, todo, path))) as answers:
+            for worker, told in answers:
+                if isinstance(told, _Problem):
+                    lost = worker.given[0]
+                    given = {unit for one in self._workers for unit in one.given}
+                    todo.put_back(given - {lost})
+                    return lost, told
+                for unit, counts in told:
+                    if isinstance(counts, Failure):
+                        self._drain()
+                        raise counts.as_raised(plan.where(unit))
+                    yield counts
+        return None
 
-    def _give(self, todo: UnitQueue, path: Path) -> bool:
-        """Gives workers units to do; whether any has some."""
+    def _give(self, todo: UnitQueue, path: Path) -> None:
+        """Gives workers units to do."""
         for most in range(1, WAITING + 1):
             for number, worker in enumerate(self._workers):
                 if len(worker.given) < most and (unit := todo.take(number)):
                     worker.give(unit, run_unit, path, unit)
-        return any(worker.given for worker in self._workers)
 
     def _drain(self) -> None:
         """Waits for what has been given out, which is not wanted any more."""

@@ -1,6 +1,5 @@
 """One log of a run, its units shared out to the pool's workers, and its rows in the results."""
 
-import itertools
 import os
 from collections.abc import Generator
 from functools import partial
@@ -17,7 +16,7 @@ from jaxdet.engine.pool import Pool
 from jaxdet.engine.progress import Report
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.watch import watched
-from jaxdet.engine.worker import decide_floors, save_work
+from jaxdet.engine.worker import UnitWork, decide_floors, save_work
 from jaxdet.engine.workspace import Workspace
 from jaxdet.errors import CamerasError, JaxdetError, OutputError
 from jaxdet.results.durable import writing
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
 
 FRAMES_WORTH_WORKERS = 500
 """Fewer are done sooner by this process than workers have started."""
-
-_numbers = itertools.count()
-"""Of the files that workers are given."""
 
 
 class Results(NamedTuple):
@@ -151,7 +147,7 @@ class PooledLogRun(LogRun):
         if self.pool.devices:
             slots, self.batch = self._serve(log)
             return slots.frames
-        return min(self.batch, max(1, len(log.frames)))
+        return self._together(log)
 
     def _serve(self, log: "Log") -> tuple[Slots, int]:
         return self.pool.serve(log, self.config, self.options.batch_size, self.allotment.batch)
@@ -176,9 +172,7 @@ class PooledLogRun(LogRun):
     def _save(self, log: "Log", plan: LogPlan) -> Path:
         """What workers need, in a file of its own."""
         slots = self._serve(log)[0] if self.pool.devices else None
-        path = self.folder / f"{os.getpid()}-{next(_numbers)}.work"
-        save_work(path, log, plan, slots)
-        return path
+        return save_work(self.folder, UnitWork(log, plan, slots))
 
     def _say_late(self, label: str) -> None:
         """What a user can do whose run hangs, but wait."""

@@ -8,8 +8,6 @@ which would keep one worker at it when all others have ended. What a worker can'
 """
 
 import heapq
-import itertools
-import os
 import pickle
 from collections.abc import Callable, Generator, Mapping
 from functools import cached_property, lru_cache
@@ -21,9 +19,8 @@ from jaxdet.engine.log_run import LogRun, RunContext
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.slots import Slots
-from jaxdet.engine.worker import shared_device, tell_alive
+from jaxdet.engine.worker import save_work, shared_device, tell_alive
 from jaxdet.engine.workspace import WorkFolder
-from jaxdet.results.durable import writing
 from jaxdet.types import Calibration
 
 if TYPE_CHECKING:
@@ -35,8 +32,6 @@ time."""
 FEW_BYTES = 256 << 20
 """So much is done sooner by one process than workers have started."""
 _DONE, _LEFT = "done", "left"
-
-_numbers = itertools.count()
 
 
 class Task(NamedTuple):
@@ -126,7 +121,7 @@ class _WholeLogRun(LogRun):
 
     def _start(self, log: "Log") -> int:
         entered = self.given.entered
-        return entered[0].frames if entered else min(self.batch, max(1, len(log.frames)))
+        return entered[0].frames if entered else self._together(log)
 
     @cached_property
     def device(self) -> Device:
@@ -225,9 +220,7 @@ class WholeLogs:
         tasks = self._ready()
         batch = batch if devices else 0
         given = Given(run, self._options, devices, entered, batch, len(tasks))
-        path = run.work.folder / f"{os.getpid()}-{next(_numbers)}.work"
-        with writing(path):
-            path.write_bytes(pickle.dumps(given, 5))
+        path = save_work(run.work.folder, given)
         return pool.each(do_log, {name: (path, task) for name, task in tasks.items()})
 
     def _take(self, name: str, answer: Any) -> None:

@@ -1,5 +1,6 @@
 """A process that works on units, and this side of it."""
 
+import itertools
 import multiprocessing
 import os
 import pickle
@@ -166,17 +167,33 @@ _open: dict[Path, LogWork] = {}
 """Likewise: the log of the last unit, by the file of :func:`save_work`."""
 
 
-def save_work(path: Path, log: "Log", plan: LogPlan, slots: Slots | None) -> None:
-    """Writes what :func:`run_unit` needs in another process; the log's files are not in it."""
+_numbers = itertools.count()
+"""Of the files that workers are given."""
+
+
+def save_work(folder: Path, given: Any) -> Path:
+    """Writes what workers need of several tasks, in a new file of a folder."""
+    path = folder / f"{os.getpid()}-{next(_numbers)}.work"
     with writing(path):
-        path.write_bytes(pickle.dumps((log, plan, slots), 5))
+        path.write_bytes(pickle.dumps(given, 5))
+    return path
+
+
+class UnitWork(NamedTuple):
+    """What :func:`run_unit` needs in another process."""
+
+    log: "Log"
+    """Open; what is in its files does not go with it."""
+    plan: LogPlan
+    slots: Slots | None
+    """With GPUs: where images go."""
 
 
 def run_unit(path: Path, unit: Unit) -> Counts:
     """In a worker: leaves the part of a unit, which depends on nothing but the arguments.
 
     Args:
-        path: What :func:`save_work` wrote.
+        path: Holds :class:`UnitWork`.
         unit: One of the plan's.
 
     Returns:
@@ -200,7 +217,8 @@ def _opened(path: Path) -> LogWork:
         for work in _open.values():
             work.log.close()
         _open.clear()
-        log, plan, slots = pickle.loads(path.read_bytes())
+        given: UnitWork = pickle.loads(path.read_bytes())
+        log, plan, slots = given
         own = OwnDevice(plan.config, plan.backend, ahead=0)
         _open[path] = work = LogWork(log, plan, shared_device(slots) if slots else own)
         work.batch_done = tell_alive
