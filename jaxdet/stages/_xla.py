@@ -95,10 +95,8 @@ def _register(name: str, platform: str, run: Callable[[Any], None]) -> None:
     def handle(address: int) -> int | None:
         frame = _Frame.from_address(address)
         try:
-            if frame.extension:
-                _tell_version(frame.extension)
-                return None
-            run(frame)
+            if not _reported_version(frame.extension):
+                run(frame)
         except BaseException as error:  # of a Ctrl-C too: ctypes would drop it
             message = f"{name}: {type(error).__name__}: {error}".encode()
             made = _Error(ctypes.sizeof(_Error), None, message, _UNKNOWN)
@@ -129,11 +127,24 @@ def _addresses(of: Any) -> list[int]:
     return list((ctypes.c_size_t * of.size).from_address(of.items)) if of.size else []
 
 
-def _tell_version(address: int) -> None:
-    extension = _Extension.from_address(address)
-    if extension.type == _METADATA:
-        version = _Metadata.from_address(extension.metadata).version
-        version.major, version.minor = 0, 1
+def _reported_version(address: int | None) -> bool:
+    """Report the API version if XLA requests it with a metadata extension.
+
+    Args:
+        address: The first extension of a call frame, or None. Extensions of other types are
+            ignored: such a frame is a call, and its kernel must run.
+
+    Returns:
+        Whether the frame is such a request instead of a call.
+    """
+    while address:
+        extension = _Extension.from_address(address)
+        if extension.type == _METADATA:
+            version = _Metadata.from_address(extension.metadata).version
+            version.major, version.minor = 0, 1
+            return True
+        address = extension.next
+    return False
 
 
 def number_of(call: Any) -> int:
