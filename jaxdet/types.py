@@ -449,6 +449,9 @@ class CellLabels(NamedTuple):
 
     label: Array
     """``(B, R, C)`` int32, -1 = none."""
+    keep: Array
+    """``(B, R, C)`` bool, in range and above the floor: a cell of an obstacle or of what is too
+    small for one."""
     cells: Cells
 
 

@@ -91,7 +91,8 @@ def detect(
 
 def _cell_labels(grid: Cells, found: list[Found]) -> CellLabels:
     label = np.stack([one.label for one in found])
-    return CellLabels(np.where(label < MAX_OBSTACLES, label, -1).astype(np.int32), grid)
+    keep = np.stack([one.keep for one in found])
+    return CellLabels(np.where(label < MAX_OBSTACLES, label, -1).astype(np.int32), keep, grid)
 
 
 def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:

@@ -167,9 +167,9 @@ class _Steps(NamedTuple):
     features: CellFeatures
     outlined: _outlines.Outlined
     free: tuple[jax.Array, jax.Array]
-    cells: tuple[jax.Array, Cells] | None
-    """The obstacle of each cell ``(B, R, C)`` int32, -1 = none, and the cells, where they are asked
-    for."""
+    cells: tuple[jax.Array, jax.Array, Cells] | None
+    """The obstacle of each cell ``(B, R, C)`` int32, -1 = none, whether it is kept, and the cells;
+    None unless requested."""
 
 
 @partial(jax.jit, static_argnames="static")
@@ -185,8 +185,8 @@ def _detect(
     scene = Scene(found.floor, lost, *found.outlined[1:], *found.free)
     cells = None
     if found.cells is not None:
-        label, grid = found.cells
-        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), grid)
+        label, keep, grid = found.cells
+        cells = CellLabels(jnp.where(label < MAX_OBSTACLES, label, -1), keep, grid)
     return Detections(
         points, labels, found.outlined.obstacles, found.features.has_depth, scene, cells
     )
@@ -210,5 +210,5 @@ def _steps(
     )  # fmt: skip
     outlined = _outlines.outlines(label, count, grid, on_floor, shared.outlines)
     free = _free.free_floor(label, surfaces.low, grid.z, on_floor, frame, shared.free)
-    cells = (label, grid) if static.with_cells else None
+    cells = (label, surfaces.keep, grid) if static.with_cells else None
     return _Steps(floor, surfaces.num_surfaces, count, features, outlined, free, cells)
