@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.color import check_color
+from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files
 from jaxdet.engine.memory import BATCH, Allotment, Memory, Needs

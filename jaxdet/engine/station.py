@@ -14,7 +14,6 @@ from math import prod
 from multiprocessing import Pipe
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-
 from jaxdet.config import Config
 from jaxdet.engine.lane import FittingLane, LogMemory, Served
 from jaxdet.engine.slots import Piece, Piped, Reply, Sample, Slots
