@@ -89,8 +89,8 @@ def _add(annotations: "_Annotations", log: ResultLog, seen: Seen, config: Config
         side = cell_side(frames.calibration.depth, config.surface.cell_rad)
         labels = label_image(seen.found.cells, b, shown.calibration, side)
         name = f"images/{log.file_name}_{row['frame']:06d}.jpg"
-        annotations.of_depth += shown.depth_range_m is not None
-        annotations.add(name, shown.image, row, obstacles[first[b] : first[b + 1]], labels)
+        own, of_depth = obstacles[first[b] : first[b + 1]], shown.depth_range_m is not None
+        annotations.add(name, shown.image, row, own, labels, of_depth=of_depth)
 
 
 class _Annotations:
@@ -131,8 +131,11 @@ class _Annotations:
         row: Mapping[str, Any],
         obstacles: Sequence[Mapping[str, Any]],
         labels: np.ndarray,
+        *,
+        of_depth: bool,
     ) -> None:
-        """Adds a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
+        """Add a frame: its image ``(H, W, 3)`` RGB, and ``(H, W)`` the obstacle of each pixel."""
+        self.of_depth += of_depth
         encoded = cv2.imencode(".jpg", color[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
         self._names.append(name)
         (self.folder / name).write_bytes(encoded.tobytes())
@@ -143,11 +146,12 @@ class _Annotations:
         self._images.add({"id": self.images, "file_name": name, **size, **about})
         for obstacle in obstacles:
             seen = labels == obstacle["obstacle"]
-            if not seen.any():
-                continue  # outside of the image
+            box = _box(obstacle, seen, of_depth=of_depth)
+            if box is None:
+                continue
             self.objects += 1
             place = {"id": self.objects, "image_id": self.images, "category_id": CATEGORY["id"]}
-            self._objects.add({**place, **_annotation(obstacle, seen)})
+            self._objects.add({**place, **_annotation(obstacle, seen, box)})
 
     def finish(self, results: Results, left_out: Sequence[str]) -> None:
         """Joins the parts; ``left_out`` has a line for each log that is not in them."""
@@ -191,14 +195,28 @@ class _Lines:
             yield (",\n" if number else "") + line.rstrip("\n")
 
 
-def _annotation(obstacle: Mapping[str, Any], mask: np.ndarray) -> dict[str, Any]:
+def _box(obstacle: Mapping[str, Any], mask: np.ndarray, *, of_depth: bool) -> list[int] | None:
+    """Return left, top, width and height of an obstacle in its image; None: it is outside.
+
+    The table's box is of the colour image where there is a colour camera: in the depth image of a
+    frame without colour it is that of the mask.
+    """
+    if of_depth and obstacle["box_image"] == "color":
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        if not rows.size:
+            return None
+        left, right, top, bottom = *columns[[0, -1]].tolist(), *rows[[0, -1]].tolist()
+    else:
+        left, right, top, bottom = (obstacle[name] for name in ("u_min", "u_max", "v_min", "v_max"))
+        if left is None:
+            return None
+    return [left, top, right + 1 - left, bottom + 1 - top]
+
+
+def _annotation(obstacle: Mapping[str, Any], mask: np.ndarray, box: list[int]) -> dict[str, Any]:
     """Return box and mask of an obstacle; the mask ``(H, W)`` lies in the box."""
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    left, top, right, bottom = (
-        int(a) for a in (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1)
-    )
     return {
-        "bbox": [left, top, right - left, bottom - top],
+        "bbox": box,
         "area": int(mask.sum()),
         "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
         "iscrowd": 0,
