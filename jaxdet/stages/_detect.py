@@ -163,9 +163,7 @@ class _Steps(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="static")
-def _detect(
-    depth: jax.Array, tables: tuple[_Tables, _Given], static: _Static
-) -> Detections:
+def _detect(depth: jax.Array, tables: tuple[_Tables, _Given], static: _Static) -> Detections:
     steps = partial(_steps, depth, *tables, static)
     found = by_device(partial(frame_by_frame, steps), steps)
     overflow = (found.num_obstacles > MAX_OBSTACLES) | (found.num_surfaces > MAX_SURFACES)

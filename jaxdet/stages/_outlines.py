@@ -63,8 +63,8 @@ def tables(calibration: Calibration, config: Config) -> tuple[Tables, Static]:
     y = x
     if not calibration.is_aligned:
         x, y, parameters, model, _ = _align.tables(calibration)
-        rows, columns = (size // side for size in (calibration.depth.height, calibration.depth.width))
-        corners = tuple(slice(0, count * side + 1, side) for count in (rows, columns))
+        counts = (size // side for size in (calibration.depth.height, calibration.depth.width))
+        corners = tuple(slice(0, count * side + 1, side) for count in counts)
         x, y = x[corners], y[corners]
     found |= {"corner_x": x, "corner_y": y, "parameters": parameters}
     return found, Static(side, model, int(calibration.is_aligned))
@@ -90,6 +90,8 @@ def outlines(
         for name, shape in {**SHAPES, "contour": (columns, 2)}.items()
     }
     words = kernels.scratch_words(rows, columns, MAX_OBSTACLES)
-    named = _outlines(*inputs, **shared, **static._asdict(), batch=batch, shapes=shapes, scratch=words)
+    named = _outlines(
+        *inputs, **shared, **static._asdict(), batch=batch, shapes=shapes, scratch=words
+    )
     fields = len(Obstacles._fields)
     return Outlined(Obstacles(*named[:fields]), *named[fields:])

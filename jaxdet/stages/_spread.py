@@ -168,7 +168,9 @@ def run(
 
 
 @lru_cache(maxsize=16)
-def _spread(program: Callable[..., Any], specs: Any, among: Devices, kinds: int, static: tuple) -> Any:
+def _spread(
+    program: Callable[..., Any], specs: Any, among: Devices, kinds: int, static: tuple
+) -> Any:
     def part(*inputs: Any) -> Any:
         return program(*inputs, *static)
 

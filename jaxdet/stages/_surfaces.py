@@ -55,7 +55,11 @@ def surfaces(x: Array, y: Array, z: Array, floor: Array, shared: Tables) -> Surf
     Takes what the kernel takes, ``shared`` as of :func:`tables`.
     """
     batch, rows, columns = shape = z.shape
-    shapes = {**dict.fromkeys(_surfaces.outputs, shape), "count_out": (batch,), "has_depth_out": (batch,)}
+    shapes = {
+        **dict.fromkeys(_surfaces.outputs, shape),
+        "count_out": (batch,),
+        "has_depth_out": (batch,),
+    }
     scratch = kernels.surfaces_words(rows, columns)
     out = _surfaces(x, y, z, floor, **shared, batch=batch, shapes=shapes, scratch=scratch)
     return Surfaces(*out)
