@@ -129,7 +129,6 @@ class Runner:
 
     def __init__(
         self,
-        *,
         backend: Literal["jax", "reference"] = "jax",
         workers: int | None = None,
         memory: str | None = None,
