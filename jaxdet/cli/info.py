@@ -74,7 +74,9 @@ def main(args: list[str]) -> int:
     failed, found = 0, []
     options = replace(command.log, scan=command.log.scan or command.check)
     method = replace(config, ground=command.ground)
-    todo = [(files, options) for files in reversed(find_logs(given(command.logs), join=command.join))]
+    todo = [
+        (files, options) for files in reversed(find_logs(given(command.logs), join=command.join))
+    ]
     while todo:
         files, options = todo.pop()
         try:

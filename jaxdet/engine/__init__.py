@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxdet.engine.floors import GroundRecord, Planes, decide_planes
-    from jaxdet.engine.runner import Runner, run
+    from jaxdet.engine.one_log import run_one
     from jaxdet.engine.options import RunOptions
     from jaxdet.engine.plan import Observer, Unit
     from jaxdet.engine.progress import Progress, ProgressCallback
-    from jaxdet.engine.one_log import run_one
+    from jaxdet.engine.runner import Runner, run
     from jaxdet.engine.startup import start_up, use_caches
     from jaxdet.results.names import log_name
     from jaxdet.results.summary import LogSummary, Summary, plain

@@ -196,4 +196,3 @@ class PoolCrew:
 
     def _serve(self, log: "Log"):  # noqa: ANN202 (as Pool.serve)
         return self.pool.serve(log, self.job.config, self.job.options.batch_size, self.memory.batch)
-

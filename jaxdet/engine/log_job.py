@@ -170,9 +170,9 @@ class CameraRun:
     ) -> None:
         self.job, self.files, self.inputs, self.folder = job, files, inputs, folder
         self.memory, self.choose, self.report, self.camera = memory, choose, report, camera
-        part = camera_name(camera) if camera else ""
-        self.suffix, self.prefix = part and f"_{part}", part and f"{part}_"
-        self.scratch = folder.with_name(f"{folder.name}{self.suffix}.rows")
+        self.part = camera_name(camera) if camera else ""
+        """Part of the names of its files, where the log has several cameras."""
+        self.scratch = folder.with_name(f"{folder.name}_{self.part}.rows")
         self.batch, self.about = 0, self._new()
         self._assembly = Assembly(self.scratch, self.about)
 
@@ -206,13 +206,17 @@ class CameraRun:
         about.file_name = export_name(self.files.name, self.camera)
         return about
 
+    @property
+    def _prefix(self) -> str:
+        return self.part and f"{self.part}_"
+
     def _fail(self, error: Exception) -> None:
         """Note why the log failed; a fault of jaxdet leaves a report."""
         text = str(error)
         if not isinstance(error, JaxdetError):
             text = f"{self.files.name}: {type(error).__name__}: {error}"
         if not isinstance(error, JaxdetError) or hasattr(error, "__notes__"):
-            path = self.folder / f"{self.prefix}{REPORT}"
+            path = self.folder / f"{self._prefix}{REPORT}"
             with writing(path):
                 path.write_text(crash_report(error, self.files.paths), encoding="utf-8")
             where = f"{self.folder.name}/{path.name}"
@@ -260,6 +264,9 @@ class CameraRun:
     def _run(self, log: "Log") -> None:
         about = self.about
         about.camera = log.camera
+        if log.label != log.name:
+            self.part = camera_name(log.camera)
+            about.file_name = export_name(log.name, log.camera)
         check_color(log, self.job.config)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
@@ -310,7 +317,7 @@ class CameraRun:
             frozenset(drawn.tolist()),
             self.folder,
             self.scratch,
-            self.prefix,
+            self._prefix,
             job.options.map,
             job.observers,
         )
@@ -332,7 +339,7 @@ class CameraRun:
         if image is None:
             self._say_why(occupancy)
             return
-        about.map = f"map{self.suffix}"
+        about.map = f"map_{self.part}" if self.part else "map"
         with writing(self.folder):
             save_map(self.folder / f"{about.map}.npz", image)
             write_png(self.folder / f"{about.map}.png", draw_map(image, log.label))
@@ -360,4 +367,3 @@ def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> 
 
 def no_report(*_: object) -> None:
     """Report nothing of where a log stands."""
-

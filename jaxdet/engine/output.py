@@ -143,7 +143,9 @@ class OutputFolder:
             name = log_name(log.name)
             if name in found:
                 problem = f"has the name of {found[name].paths[0]}: {log.name}"
-                remedy = "name the folder that both are in, and they have names by their paths in it"
+                remedy = (
+                    "name the folder that both are in, and they have names by their paths in it"
+                )
                 raise ConfigError(problem, path=str(log.paths[0]), remedy=remedy)
             found[name] = log
         return {log.name: name for name, log in found.items()}

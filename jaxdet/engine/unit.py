@@ -199,9 +199,7 @@ class _PartBuilder:
             part.map.add_free(rows.free_world)
         return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])
 
-    def _draw(
-        self, one: _InFlight, found: Detections, plane: GroundPlane
-    ) -> Iterator[str]:
+    def _draw(self, one: _InFlight, found: Detections, plane: GroundPlane) -> Iterator[str]:
         plan, frames = self.plan, one.batch.frames._replace(plane=plane)
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
         for row, number in enumerate(one.numbers):

@@ -174,7 +174,9 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
         if len(paths) > 1:
             text = f"joined {len(paths)} files, {paths[0].name} to {paths[-1].name}"
             about.insert(0, f"{text}, whose topics and times follow on; --no-join keeps them apart")
-    return [Recording(tuple(one), "; ".join(about)) for one, about in zip(found, notes, strict=True)]
+    return [
+        Recording(tuple(one), "; ".join(about)) for one, about in zip(found, notes, strict=True)
+    ]
 
 
 def _why_apart(first: int, before: Sketch | None, second: int, now: Sketch | None) -> str:

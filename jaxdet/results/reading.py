@@ -265,7 +265,7 @@ class Results:
             if entry["error"]:
                 self.failed.append(LogFailure(name, str(entry["error"]), entry))
                 continue
-            several = len(entries) > 1
+            several = "@" in str(entry.get("file_name"))
             label = f"{name}, {camera}" if several else name
             yield ResultLog(name, str(camera), label, folder, several, entry, frame, obstacle)
             frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]

@@ -53,7 +53,9 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
         elif (path / FAILED).is_file():
             report.notes.append(f"{path.name} failed in the run and has no results")
         elif path.is_dir() and ({*path.glob("*.parquet")} or (path / "summary.json").exists()):
-            report.of("").add("files", path.name, "has results and no manifest: they are not complete")
+            report.of("").add(
+                "files", path.name, "has results and no manifest: they are not complete"
+            )
         else:
             report.notes.append(f"{path.name} is no log's results")
     report.of("")
@@ -79,9 +81,7 @@ def _given(folder: Path, against: Sequence[str]) -> Mapping[str, LogFiles]:
         return find(results, against)
 
 
-def _verify_log(
-    folder: Path, given: Mapping[str, LogFiles], sample: int, report: Report
-) -> None:
+def _verify_log(folder: Path, given: Mapping[str, LogFiles], sample: int, report: Report) -> None:
     """Check the folder of one log."""
     manifest = check_files(folder, report)
     try:
