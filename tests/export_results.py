@@ -12,7 +12,7 @@ from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
 from jaxdet.results.writer import Tables, TableWriter, write_json
 from jaxdet.sim import SimConfig, write_log
-from tests.runs import run_logs
+from tests.runs import run_log
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -27,7 +27,7 @@ def sim_log(path: Path, **options: Any) -> Path:
 def run(log: Path, output: Path, name: str = "wheeled", options: LogOptions | None = None) -> Path:
     """The results of a log."""
     how = {"backend": "reference", "pictures": 1, "preset": name}
-    run_logs(log, output, preset(name), log=options, **how)
+    run_log(log, output, preset(name), log=options, **how)
     return output
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device
+from jaxdet.engine import device, log_job
 from jaxdet.io import Batch, LogFiles
 from jaxdet.pipeline import detect
 from tests.runs import only_log, run_logs
