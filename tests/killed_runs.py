@@ -90,7 +90,8 @@ def main(folder: Path, every: int, way: str) -> None:
             check(output, wanted)
         if tries and way == "run":
             rewrite(output)  # a run that had ended, and only cleaned up
-        assert files(output) == want, call
+        found = files(output)
+        assert found == want, (call, [n for n in {*found, *want} if found.get(n) != want.get(n)])
         rmtree(output)
         ended, call = tries > 0, call + every
     print(f"ends at {call - every} calls")

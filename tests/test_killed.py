@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.mark.parametrize(
     ("way", "every"),
     [
-        *(("run", 3), ("overwrite", 4), ("overwrite-slow", 4)),
+        *(("run", 7), ("overwrite", 9), ("overwrite-slow", 9)),
         *(("track", 3), ("track-slow", 3)),
     ],
 )

@@ -15,7 +15,14 @@ from jaxdet.engine.memory import Memory
 from jaxdet.engine.part import Assembly
 from jaxdet.engine.plan import LogPlan, UnitSizes
 from jaxdet.engine.progress import Clock, Report
-from jaxdet.errors import CamerasError, ChunkMemoryError, InputError, JaxdetError, OutputError
+from jaxdet.errors import (
+    CamerasError,
+    ChunkMemoryError,
+    InputError,
+    JaxdetError,
+    OutputError,
+    WorkerStartError,
+)
 from jaxdet.io import RescanError, open_log
 from jaxdet.io.notes import total
 from jaxdet.memory import size_text
@@ -182,10 +189,11 @@ class CameraRun:
         Raises:
             CamerasError: There are several cameras, and the options choose none.
             OutputError: The disk is full or broken.
+            WorkerStartError: There are no workers.
         """
         try:
             self._run_with_retries(options, keep_memory=keep_memory)
-        except (OutputError, CamerasError):
+        except (OutputError, CamerasError, WorkerStartError):
             raise
         except Exception as error:
             if keep_memory:

@@ -29,7 +29,7 @@ from jaxdet.engine.worker import (
     mark_unit_failed,
     run_unit,
 )
-from jaxdet.errors import FrameStatus, WorkerError
+from jaxdet.errors import FrameStatus, WorkerError, WorkerStartError
 from jaxdet.pipeline import BackendName
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _start_server(loaded: list[str]) -> None:
                 forkserver.ensure_running()
             except OSError as error:
                 problem = f"workers can't be started ({error.strerror or error})"
-                raise WorkerError(problem, remedy=_SHORT_TMPDIR) from error
+                raise WorkerStartError(problem, remedy=_SHORT_TMPDIR) from error
 
 
 MakeContext = Callable[[], UnitContext]
@@ -370,7 +370,7 @@ class Pool:
                 if not worker.ready and (self._early > 1 or not worker.by_signal):
                     died = worker.death
                     self.close()
-                    raise WorkerError(died, remedy=_ENDED_EARLY) from None
+                    raise WorkerStartError(died, remedy=_ENDED_EARLY) from None
                 if worker.given:
                     yield worker, _Problem(FrameStatus.WORKER_CRASHED, worker.death)
                     return
