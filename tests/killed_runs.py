@@ -73,7 +73,7 @@ def main(folder: Path, every: int, way: str) -> None:
     before = folder / "old"
     if way.startswith("track"):
         track_results(before, TrackConfig(min_frames=1))
-        rewrite: Callable[[Path], Any] = lambda out: track_results(out, TrackConfig(min_frames=3))
+        rewrite: Callable[[Path], Any] = partial(track_results, config=TrackConfig(min_frames=3))
     elif way.startswith("overwrite"):
         rewrite = partial(run, logs, overwrite=True, pictures=2)
     else:
