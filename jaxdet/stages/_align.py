@@ -15,7 +15,7 @@ from jaxdet_kernels import align as kernels
 
 _NOTHING = np.uint32(0xFFFFFFFF)
 _MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion.EQUIDISTANT
-"""In the order of ``native/projection.h``."""
+"""In the order of ``include/jaxdet/projection.h``."""
 
 _lines = FrameKernel(kernels.align_lines)
 _tiles = BatchKernel(kernels.align_tiles, kernels.TILE_BLOCK)

@@ -35,7 +35,7 @@ def corner_settings(config: FeaturesConfig) -> np.ndarray:
 
 
 def mask_bits(mask: jax.Array) -> jax.Array:
-    """A mask ``(B, H, W)`` bool as bits ``(B, H, words)`` uint32; see ``native/pixel_bits.h``."""
+    """A mask ``(B, H, W)`` bool as bits ``(B, H, words)`` uint32; see ``include/jaxdet/pixel_bits.h``."""
     batch, height, width = mask.shape
     whole = jnp.pad(mask, ((0, 0), (0, 0), (0, -width % 64)))
     octets = jnp.packbits(whole, axis=-1, bitorder="little")

@@ -5,14 +5,21 @@ Compiled without fused multiply-add, so that every operation is rounded on its o
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, native_kernel, team_kernel
 
-wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "fuse_fp": False,
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("alignment.h"),
+    }
+)
 
-PARAMETERS = 26  # length of parameters, see native/projection.h
+PARAMETERS = 26  # length of parameters, see projection.h
 
 TILE_BLOCK, TILE_ROWS, TILE_COLUMNS = 256, 16, 32
-"""Threads of a block on CUDA, and its tile of the depth image; see ``native/alignment.h``."""
+"""Threads of a block on CUDA, and its tile of the depth image; see ``include/jaxdet/alignment.h``."""
 
 SPARE = 20  # keys behind each image and line on the CPU, likewise
 
@@ -23,7 +30,6 @@ def lines_words(height: int, width: int) -> int:
 
 
 @team_kernel(
-    "alignment.h",
     body="""
 #if !defined(__CUDA_ARCH__)
         const int rows = depth.shape[1], columns = depth.shape[2];
@@ -50,7 +56,6 @@ def align_lines(
 
 
 @native_kernel(
-    "alignment.h",
     body="""
 #if defined(__CUDA_ARCH__)
     const Team team(0, blockIdx.x);  // of large batches tid has more than 31 bits

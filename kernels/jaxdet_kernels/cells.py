@@ -5,13 +5,19 @@ Twin of ``jaxdet/reference/_cells.py``. Compiled without fused multiply-add, as 
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, team_kernel
 
-wp.set_module_options({"fuse_fp": False, "enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "fuse_fp": False,
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("cells.h"),
+    }
+)
 
 
 @team_kernel(
-    "cells.h",
     body="""
         const int height = depth.shape[1], width = depth.shape[2];
         const int rows = z_out.shape[1], columns = z_out.shape[2];

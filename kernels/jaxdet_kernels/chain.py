@@ -2,13 +2,18 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, native_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("frame_loop.h"),
+    }
+)
 
 
 @native_kernel(
-    "frame_loop.h",
     body="""
 #if !defined(__CUDA_ARCH__)
     typedef unsigned long long Address;
@@ -18,7 +23,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS
 """,
 )
 def frame_loop(
-    kernels: wp.array2d[wp.uint64],  # (K, 4) see native/frame_loop.h
+    kernels: wp.array2d[wp.uint64],  # (K, 4) see frame_loop.h
     words: wp.array[wp.uint64],  # the arguments of all of them
     rooms: wp.array2d[wp.uint64],  # (M, 3) memory with room for one frame, likewise
     next: wp.array[wp.int32],  # (1,) the first frame that no thread has taken

@@ -1,16 +1,22 @@
 """Features on cells: twin of the reference's ``cover`` and ``_points``.
 
-Bits are laid out as ``native/pixel_bits.h`` says: ``words`` 32-bit words a row, an even number.
+Bits are laid out as ``include/jaxdet/pixel_bits.h`` says: ``words`` 32-bit words a row, an even number.
 """
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("cover.h"),
+    }
+)
 
 
-TILE = 8  # rows and columns of a tile of native/cover.h
+TILE = 8  # rows and columns of a tile of cover.h
 
 
 def cover_scratch(height: int, width: int, slots: int) -> int:
@@ -28,7 +34,6 @@ _COVER = """
 
 
 @team_kernel(
-    "cover.h",
     body="""
         auto &num_taken = num_taken_out, &taken = taken_out;
 """
@@ -58,7 +63,6 @@ def cover_mask(
 
 
 @team_kernel(
-    "cover.h",
     body="""
         const int height = ray_x.shape[0], width = ray_x.shape[1], slots = u.shape[1];
 """

@@ -6,13 +6,18 @@ decoded side by side because a launch does not hold Python's lock. Arrays are co
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, native_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, native_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("png_depth.h", "png_lines.h", "rvl.h"),
+    }
+)
 
 
 @native_kernel(
-    "png_depth.h",
     body="PngDepth{lines.data, lines.shape[0], lines.shape[1] / 2, depth_out.data}.run();",
 )
 def png_depth(
@@ -23,7 +28,6 @@ def png_depth(
 
 
 @native_kernel(
-    "png_lines.h",
     body="""
     PngLines{lines.data, lines.shape[0], lines.shape[1] - 1, step}.color(spread, rgb_out.data);
 """,
@@ -38,7 +42,6 @@ def png_color(
 
 
 @native_kernel(
-    "rvl.h",
     body="""
     RvlDecoder decoder{{stream.data, stream.shape[0] / 4},
                        pixels_out.data,

@@ -2,15 +2,29 @@
 
 On the CPU a frame is a thread's, from its colours to its corners. On CUDA the steps are kernels of
 their own: weak and strong edges by tiles, hysteresis by frames, local maxima of the corner strength
-by tiles, and the selection by frames. Images of bits are laid out as ``native/pixel_bits.h`` says.
+by tiles, and the selection by frames. Images of bits are laid out as ``include/jaxdet/pixel_bits.h`` says.
 """
 
 import warp as wp
 
-from jaxdet_kernels.native_source import native_kernel, team_kernel
+from jaxdet_kernels.native_source import includes, native_kernel, team_kernel
 
 # With Warp's own flags for the CPU, which inline more: corners are 7 % faster.
-wp.set_module_options({"fuse_fp": False, "enable_backward": False})
+wp.set_module_options(
+    {
+        "fuse_fp": False,
+        "enable_backward": False,
+        "extra_build_options": includes(
+            "corners.h",
+            "image_tile.h",
+            "canny.h",
+            "corner_settings.h",
+            "hysteresis.h",
+            "corner_maxima.h",
+            "corner_selection.h",
+        ),
+    }
+)
 
 MAX_SIZE = 4096  # most columns and rows of a colour image
 
@@ -31,13 +45,12 @@ def row_words(width: int) -> int:
 
 
 def features_scratch(height: int, width: int) -> int:
-    """32-bit words of scratch memory of :func:`features_frames`, see ``native/corners.h``."""
+    """32-bit words of scratch memory of :func:`features_frames`, see ``include/jaxdet/corners.h``."""
     spaced = 2 * (height * (row_words(width) // 16 * 8 + 8) + 16)
     return 4 * height * width + 2 * spaced + 2 * height * row_words(width)
 
 
 @team_kernel(
-    "corners.h",
     body="""
 #if !defined(__CUDA_ARCH__)
         const int height = color.shape[1], width = color.shape[2];
@@ -53,7 +66,7 @@ def features_scratch(height: int, width: int) -> int:
 def features_frames(
     color: wp.array4d[wp.uint8],  # (B, H, W, 3) RGB
     mask: wp.array3d[wp.uint32],  # (B, H, words) where corners may be, a bit a pixel
-    settings: wp.array[wp.int32],  # (6,) see native/corner_settings.h
+    settings: wp.array[wp.int32],  # (6,) see corner_settings.h
     u_out: wp.array2d[wp.int32],  # (B, N) columns, strongest corner first; 0 where there is none
     v_out: wp.array2d[wp.int32],  # rows
     found_out: wp.array[wp.int32],  # (B,) how many corners there are, at most N + 1
@@ -62,9 +75,6 @@ def features_frames(
 
 
 @native_kernel(
-    "image_tile.h",
-    "canny.h",
-    "corner_settings.h",
     body="""
 #if defined(__CUDA_ARCH__)
     typedef CannySuppressTile Tile;
@@ -89,7 +99,6 @@ def canny_suppress(
 
 
 @native_kernel(
-    "hysteresis.h",
     body="""
 #if defined(__CUDA_ARCH__)
     const Team team(tid, 0);
@@ -111,9 +120,6 @@ def canny_hysteresis(
 
 
 @native_kernel(
-    "image_tile.h",
-    "corner_settings.h",
-    "corner_maxima.h",
     body="""
 #if defined(__CUDA_ARCH__)
     typedef CornerTile Tile;
@@ -140,8 +146,6 @@ def corners_maxima(
 
 
 @native_kernel(
-    "corner_settings.h",
-    "corner_selection.h",
     body="""
 #if defined(__CUDA_ARCH__)
     const Team team(tid, 0);

@@ -2,9 +2,15 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("floor.h", "found_frame.h"),
+    }
+)
 
 _DIRECTIONS = 30 * 21  # without a prior
 _NEAR_DIRECTIONS = 17 * 9
@@ -16,7 +22,7 @@ _LANES = 16  # directions that a vector has on the CPU
 
 
 def floor_scratch_words(rows: int, columns: int, near_bins: int, wide_bins: int, runs: int) -> int:
-    """32-bit words of scratch memory of a team, even, see ``native/floor.h``.
+    """32-bit words of scratch memory of a team, even, see ``include/jaxdet/floor.h``.
 
     ``rows`` times ``columns`` cells are used. So many heights are tried near a guess and without a
     prior. A profile of the floor has so many distances.
@@ -31,7 +37,6 @@ def floor_scratch_words(rows: int, columns: int, near_bins: int, wide_bins: int,
 
 
 @team_kernel(
-    "floor.h",
     body="""
 #if defined(__CUDA_ARCH__)
         __shared__ __align__(16) int fast[Floor::SHARED];
@@ -52,7 +57,7 @@ def floor(
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],  # 0 = no measurement
     prior: wp.array2d[wp.int32],  # (B, 4) pitch and roll [angle steps], height, valid
-    settings: wp.array[wp.int32],  # see native/floor_planes.h
+    settings: wp.array[wp.int32],  # see floor_planes.h
     sines: wp.array[wp.int32],  # from -360 degrees on, by angle steps
     found_out: wp.array2d[wp.int32],  # (B, 8)
 ):
@@ -64,7 +69,6 @@ def floor(
 
 
 @team_kernel(
-    "found_frame.h",
     body="""
         const int at = b * FloorFrame::VALUES;
         if (team.rank == 0)

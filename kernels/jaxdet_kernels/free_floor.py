@@ -2,13 +2,18 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("free_floor.h"),
+    }
+)
 
 
 @team_kernel(
-    "free_floor.h",
     body="""
         const int rows = label.shape[1], columns = label.shape[2];
         const size_t at = (size_t)b * rows * columns, column = (size_t)b * columns;
@@ -30,7 +35,7 @@ def free_floor(
     frame: wp.array2d[wp.int32],  # (B, 13) frames of floors
     bows: wp.array[wp.int32],  # (65536,) by z, how far below the plane floor still is
     drops: wp.array[wp.int32],  # (65536,) by z, how much lower what lies behind an edge is
-    settings: wp.array[wp.int32],  # (2,) see native/free_floor.h
+    settings: wp.array[wp.int32],  # (2,) see free_floor.h
     free_out: wp.array4d[wp.int32],  # (B, C, 2, 2) where the free floor begins and where it ends
     free_end_out: wp.array2d[wp.int32],  # (B, C) jaxdet.types.FreeEnd
 ):

@@ -1,7 +1,6 @@
-"""C++ and CUDA sources of kernels, from the headers in ``native/``."""
+"""Kernels in C++ and CUDA, compiled with the headers in ``include/``."""
 
 import linecache
-import re
 from collections.abc import Callable
 from inspect import get_annotations
 from pathlib import Path
@@ -9,7 +8,8 @@ from typing import Any
 
 import warp as wp
 
-FOLDER = Path(__file__).parent / "native"
+INCLUDE = Path(__file__).parent / "include"
+HEADERS = sorted(INCLUDE.glob("jaxdet/*.h"))
 CPU_FLAGS = "-march=native"
 """Clang's flags of modules: the same, so that they share a compiled header of Warp's.
 
@@ -18,41 +18,36 @@ them the floor takes four times as long to compile, and of all kernels the corne
 """
 
 
-def native(*headers: str, body: str) -> str:
-    """The body of a native function: the structs of these headers, then a few lines that use them.
+def includes(*headers: str) -> wp.ModuleBuildOptions:
+    """Value of a module's option ``extra_build_options``: these headers come before its kernels.
+
+    Warp calls the option experimental.
 
     Args:
-        headers: Names in ``native/``; what they include comes before them.
-        body: C++, with the function's arguments in scope.
+        headers: Names in ``include/jaxdet/``.
     """
-    texts: dict[str, str] = {}
-    for name in headers:
-        _read(name, texts)
-    return "".join([*texts.values(), body])
-
-
-def _read(name: str, texts: dict[str, str]) -> None:
-    """Adds the lines of what a header includes, and its own."""
-    text = (FOLDER / name).read_text("utf-8")
-    for included in re.findall(r'#include "(.*)"', text):
-        if included not in texts:
-            _read(included, texts)
-    texts[name] = re.sub(r"#(include|pragma once).*\n", "", text)
+    preamble = "".join(f'#include "jaxdet/{name}"\n' for name in headers)
+    return wp.ModuleBuildOptions(
+        extra_cpu_include_dirs=[INCLUDE],
+        extra_cuda_include_dirs=[INCLUDE],
+        extra_cpu_preamble=preamble,
+        extra_cuda_preamble=preamble,
+        extra_build_dependencies=HEADERS,
+    )
 
 
 def bit_words(rows: int, columns: int) -> int:
-    """32-bit words of the rows of bits of ``native/bits.h``: of each row a power of two."""
+    """32-bit words of the rows of bits of ``include/jaxdet/bits.h``: of each row a power of two."""
     return rows << (-(-columns // 32) - 1).bit_length()
 
 
 def native_kernel(
-    *headers: str, body: str, launch_bounds: tuple[int, int] = (256, 4)
+    *, body: str, launch_bounds: tuple[int, int] = (256, 4)
 ) -> Callable[[Callable[..., None]], Any]:
     """Makes a kernel whose threads run C++, of a function that only declares its arguments.
 
     Args:
-        headers: As for :func:`native`.
-        body: Likewise; ``tid`` is the number of the thread.
+        body: C++; ``tid`` is the number of the thread.
         launch_bounds: Threads of a block on CUDA, and how many blocks fit on a multiprocessor.
 
     Returns:
@@ -61,22 +56,21 @@ def native_kernel(
 
     def decorate(declared: Callable[..., None]) -> Any:
         types = get_annotations(declared, eval_str=True)
-        return _kernel(declared, types, native(*headers, body=body), launch_bounds)
+        return _kernel(declared, types, f"using namespace jaxdet;\n{body}", launch_bounds)
 
     return decorate
 
 
 def team_kernel(
-    *headers: str, body: str, launch_bounds: tuple[int, int] = (256, 4)
+    *, body: str, launch_bounds: tuple[int, int] = (256, 4)
 ) -> Callable[[Callable[..., None]], Any]:
-    """Makes a kernel whose teams of threads (``native/team.h``) take the frames of a batch in turn.
+    """Makes a kernel whose teams of threads (``include/jaxdet/team.h``) take the frames of a batch in turn.
 
     It has three more arguments than the function declares. With ``share`` and ``shares`` first,
     team ``t`` of a launch takes the frames ``share + t, share + t + shares, ...``; the last is
     ``scratch_out`` ``(teams, words)`` int32.
 
     Args:
-        headers: As for :func:`native`.
         body: What ``team`` does to frame ``b``; ``scratch`` is the team's memory. The function's
             first argument is an array ``(B, ...)``.
         launch_bounds: As for :func:`native_kernel`.
@@ -93,7 +87,7 @@ def team_kernel(
     for (int b = team.index; b < {next(iter(types))}.shape[0]; b += shares) {{{body}    }}
 """
         types = {"share": int, "shares": int, **types, "scratch_out": wp.array2d[wp.int32]}
-        return _kernel(declared, types, native(*headers, body=loop), launch_bounds)
+        return _kernel(declared, types, f"using namespace jaxdet;\n{loop}", launch_bounds)
 
     return decorate
 

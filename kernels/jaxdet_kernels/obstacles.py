@@ -2,13 +2,19 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, includes, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("obstacles.h"),
+    }
+)
 
 
 def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
-    """How much scratch memory a team needs, as ``allocate`` in ``native/obstacles.h`` uses it.
+    """How much scratch memory a team needs, as ``allocate`` in ``include/jaxdet/obstacles.h`` uses it.
 
     Args:
         rows: ``R``.
@@ -28,7 +34,6 @@ def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
 
 
 @team_kernel(
-    "obstacles.h",
     body="""
         const size_t at = (size_t)b * label.shape[1] * label.shape[2];
 #if defined(__CUDA_ARCH__)
@@ -60,7 +65,7 @@ def obstacles(
     feature: wp.array2d[wp.int32],  # (T, 2**D - 1) which of what is seen a node looks at
     threshold: wp.array2d[wp.int32],  # (T, 2**D - 1) what is larger goes to the second child
     value: wp.array2d[wp.int32],  # (T, 2**D) evidence of the leaves
-    settings: wp.array[wp.int32],  # (11,) see native/obstacles.h
+    settings: wp.array[wp.int32],  # (11,) see obstacles.h
     label_out: wp.array3d[wp.int32],  # (B, R, C) obstacles by distance, -1 = none
     count_out: wp.array[wp.int32],  # (B,) how many there are
 ):

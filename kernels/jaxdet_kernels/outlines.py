@@ -5,9 +5,15 @@ Twin of ``jaxdet/reference/_outlines.py`` and of ``footprint_on_floor`` beside i
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, includes, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("outlines.h"),
+    }
+)
 
 DIRECTIONS = 90
 PARTS = 4
@@ -27,7 +33,6 @@ def scratch_words(rows: int, columns: int, slots: int) -> int:
 
 
 @team_kernel(
-    "outlines.h",
     body="""
         const Warp warp(team);
         const int columns = label.shape[2], grid = label.shape[1] * columns;
@@ -68,7 +73,7 @@ def outlines(
     uv_max: wp.array4d[wp.int16],  # last
     bands: wp.array2d[wp.int32],  # (65536, 2) see jaxdet.floor.plane.band_table
     directions: wp.array2d[wp.int32],  # (90, 2) see jaxdet.floor.plane.direction_table
-    settings: wp.array[wp.int32],  # (3,) see native/outlines.h
+    settings: wp.array[wp.int32],  # (3,) see outlines.h
     num_points_out: wp.array2d[wp.int32],  # (B, M, ...) from here on as jaxdet.types.Obstacles
     uv_min_out: wp.array3d[wp.int32],
     uv_max_out: wp.array3d[wp.int32],

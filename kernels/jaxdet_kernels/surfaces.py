@@ -2,9 +2,15 @@
 
 import warp as wp
 
-from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, team_kernel
+from jaxdet_kernels.native_source import CPU_FLAGS, bit_words, includes, team_kernel
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": CPU_FLAGS})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": CPU_FLAGS,
+        "extra_build_options": includes("surfaces.h"),
+    }
+)
 
 
 def surfaces_words(rows: int, columns: int) -> int:
@@ -14,7 +20,6 @@ def surfaces_words(rows: int, columns: int) -> int:
 
 
 @team_kernel(
-    "surfaces.h",
     body="""
         const size_t at = (size_t)b * z.shape[1] * z.shape[2];
         Surfaces{z.shape[1], z.shape[2], x.data + at, y.data + at, z.data + at,
@@ -29,11 +34,11 @@ def surfaces(
     x: wp.array3d[wp.int32],  # (B, R, C) colour optical frame [depth units]; R, C at most 512
     y: wp.array3d[wp.int32],
     z: wp.array3d[wp.int32],  # 0 .. 65535, 0 = no measurement
-    floor: wp.array2d[wp.int32],  # (B, 13) see native/floor_frame.h
+    floor: wp.array2d[wp.int32],  # (B, 13) see floor_frame.h
     steps: wp.array[wp.int32],  # (65536,) by z, largest step between neighbours, at most 2^16
     limits: wp.array[wp.int32],  # (65536,) by z, deeper bends are creases, at most 2^17
     rises: wp.array[wp.int32],  # (65536,) by z, what is no higher above the floor is floor
-    settings: wp.array[wp.int32],  # (8,) see native/surfaces.h
+    settings: wp.array[wp.int32],  # (8,) see surfaces.h
     right_out: wp.array3d[wp.int32],  # (B, R, C) on the floor [depth units]
     forward_out: wp.array3d[wp.int32],
     height_out: wp.array3d[wp.int32],  # above the floor, ramps included
