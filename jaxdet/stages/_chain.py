@@ -232,7 +232,7 @@ class _Worker:
     The arguments of all launches are words of 64 bits that follow each other: a kernel's first word
     is the number of the frame and of all frames, others are addresses. To these a kernel adds the
     rows of the frames before, so the address of memory that has room for one frame is given as by
-    so much less. ``include/jaxdet/frame_loop.h`` writes both and calls the kernels.
+    so much less. ``frame_loop.h`` writes both and calls the kernels.
     """
 
     def __init__(self, program: _Program, recorded: Sequence[Any], thread: int) -> None:

@@ -26,7 +26,7 @@ def floor_settings(cells: int, config: FloorConfig, unit: float) -> np.ndarray:
 
 
 def _settings(cells: int, config: FloorConfig, unit: float) -> dict[str, Any]:
-    """The settings [depth units], in the order of ``include/jaxdet/floor_planes.h``.
+    """The settings [depth units], in the order of ``floor_planes.h``.
 
     Args:
         cells: Rows times columns.

@@ -1,6 +1,6 @@
 """Features on cells: twin of the reference's ``cover`` and ``_points``.
 
-Bits are laid out as ``include/jaxdet/pixel_bits.h`` says: ``words`` 32-bit words a row, an even number.
+Bits are laid out as ``pixel_bits.h`` says: ``words`` 32-bit words a row, an even number.
 """
 
 import warp as wp

@@ -22,7 +22,7 @@ _LANES = 16  # directions that a vector has on the CPU
 
 
 def floor_scratch_words(rows: int, columns: int, near_bins: int, wide_bins: int, runs: int) -> int:
-    """32-bit words of scratch memory of a team, even, see ``include/jaxdet/floor.h``.
+    """32-bit words of scratch memory of a team, even, see ``floor.h``.
 
     ``rows`` times ``columns`` cells are used. So many heights are tried near a guess and without a
     prior. A profile of the floor has so many distances.

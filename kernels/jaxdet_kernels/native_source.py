@@ -24,7 +24,7 @@ def includes(*headers: str) -> wp.ModuleBuildOptions:
     Warp calls the option experimental.
 
     Args:
-        headers: Names in ``include/jaxdet/``.
+        headers: Names in ````.
     """
     preamble = "".join(f'#include "jaxdet/{name}"\n' for name in headers)
     return wp.ModuleBuildOptions(
@@ -37,7 +37,7 @@ def includes(*headers: str) -> wp.ModuleBuildOptions:
 
 
 def bit_words(rows: int, columns: int) -> int:
-    """32-bit words of the rows of bits of ``include/jaxdet/bits.h``: of each row a power of two."""
+    """32-bit words of the rows of bits of ``bits.h``: of each row a power of two."""
     return rows << (-(-columns // 32) - 1).bit_length()
 
 
@@ -64,7 +64,7 @@ def native_kernel(
 def team_kernel(
     *, body: str, launch_bounds: tuple[int, int] = (256, 4)
 ) -> Callable[[Callable[..., None]], Any]:
-    """Makes a kernel whose teams of threads (``include/jaxdet/team.h``) take the frames of a batch in turn.
+    """Makes a kernel whose teams of threads (``team.h``) take the frames of a batch in turn.
 
     It has three more arguments than the function declares. With ``share`` and ``shares`` first,
     team ``t`` of a launch takes the frames ``share + t, share + t + shares, ...``; the last is

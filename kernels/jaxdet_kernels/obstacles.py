@@ -14,7 +14,7 @@ wp.set_module_options(
 
 
 def scratch_words(rows: int, columns: int, surfaces: int, labels: int) -> int:
-    """How much scratch memory a team needs, as ``allocate`` in ``include/jaxdet/obstacles.h`` uses it.
+    """How much scratch memory a team needs, as ``allocate`` in ``obstacles.h`` uses it.
 
     Args:
         rows: ``R``.

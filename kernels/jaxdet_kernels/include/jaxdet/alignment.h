@@ -22,6 +22,17 @@ struct Alignment {
     int height, width;                 // Of the colour image.
     unsigned* keys;                    // (height, width)
 
+    // `parameters` are those of the projection, then the lens and `fills`.
+    static Alignment of(
+        const float* parameters, const unsigned short* depth, int rows, int columns,
+        const float* corner_x, const float* corner_y, int height, int width, unsigned* keys
+    ) {
+        const float* const more = parameters + Projection::PARAMETERS;
+        const Projection projection{parameters, static_cast<int>(more[0])};
+        return {depth, rows, columns, corner_x, corner_y, projection, static_cast<int>(more[1]),
+                height, width, keys};
+    }
+
     // The colour pixels that a depth pixel covers, inside of the image.
     struct Box {
         int left, top, right, bottom;

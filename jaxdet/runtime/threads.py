@@ -67,7 +67,7 @@ def _on_core(thread: int, core: int | None) -> Iterator[None]:
 
 
 class _Pool:
-    """The threads beside the caller's, :func:`threads` with it."""
+    """The threads next to the caller's, :func:`threads` with it."""
 
     def __init__(self) -> None:
         allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
