@@ -273,8 +273,8 @@ def in_truth(shot: Shot, grid: Cells, b: int) -> np.ndarray:
     """The object that each cell of a simulated frame was measured on, -1 = not known."""
     middle = (grid.uv_min[b] + grid.uv_max[b]) // 2
     columns = (middle[..., 0], middle[..., 1], grid.x[b], grid.y[b], grid.z[b])
-    u, v, x, y, z = (a.reshape(1, -1) for a in columns)
-    seen, none = grid.in_view[b].reshape(1, -1), np.zeros(1, bool)
+    u, v, x, y, z = (a.ravel() for a in columns)
+    seen, none = grid.in_view[b].ravel(), np.zeros(1, bool)
     points = Features(u, v, x, y, z, seen, seen, none)
     unit = shot.calibration.depth_unit
     found = objects_of(points, shot.truth, 0, unit, eval_config(Config()))

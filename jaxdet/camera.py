@@ -157,7 +157,7 @@ def check_steepness(rays: np.ndarray, flag: str) -> None:
 
 
 def _extrinsics(calibration: Calibration) -> Extrinsics:
-    """From the depth camera to the colour camera."""
+    """Return the motion from the depth camera to the colour camera."""
     if calibration.color_from_depth is None:
         raise CalibrationError(
             "no extrinsics to align with",
@@ -172,32 +172,27 @@ def cell_side(camera: Intrinsics, cell_rad: float) -> int:
 
 
 @lru_cache(maxsize=16)
-def cell_rays(calibration: Calibration, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """The ray through the middle of each cell of the depth image, turned into the colour camera.
+def cell_rays(camera: Intrinsics, side: int) -> np.ndarray:
+    """Return the ray through the middle of each cell of the depth image.
 
-    A point at depth ``d`` of the depth camera is at ``ray d + offset`` (Eq. 1-3).
+    A cell of depth ``d`` is at ``(ray_x d, ray_y d, d)`` (Eq. 1).
 
     Args:
-        calibration: Depth that is already aligned has the colour camera's rays.
-        side: Of a cell [depth pixel].
+        camera: The depth camera.
+        side: Side of a cell [pixel].
 
     Returns:
-        ``(3, R, C)`` int64 with ``RAY_BITS`` fraction bits, and ``(3,)`` int64 [depth units];
-        read-only.
+        x and y over z, ``(2, R, C)`` int64 with ``RAY_BITS`` fraction bits, read-only.
 
     Raises:
-        CalibrationError: A ray is steeper than ``MAX_RAY``, or there are no extrinsics.
+        CalibrationError: A ray is steeper than ``MAX_RAY``.
     """
-    camera = calibration.depth or calibration.color
-    T = np.eye(4) if calibration.is_aligned else _extrinsics(calibration).T
     rows, columns = camera.height // side, camera.width // side
     v, u = (np.mgrid[0:rows, 0:columns] * side + (side - 1) / 2).astype(np.float64)
     x, y = undistort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, camera)
-    rays = np.stack([x, y, np.ones_like(x)])
+    rays = np.stack([x, y])
     check_steepness(rays, "--log.depth-intrinsics")
-    turned = np.tensordot(T[:3, :3], rays, axes=1)
-    fixed = np.rint(turned * (1 << RAY_BITS)).astype(np.int64)
-    return _frozen(fixed), _frozen(np.rint(T[:3, 3] / calibration.depth_unit).astype(np.int64))
+    return _frozen(np.rint(rays * (1 << RAY_BITS)).astype(np.int64))
 
 
 @lru_cache(maxsize=16)
@@ -241,7 +236,7 @@ def _inverse_brown_conrady_float32(
 
 
 class SplatParameters(NamedTuple):
-    """What the alignment needs beside the corner rays; all float32 scalars in arrays."""
+    """Constants of the projection into the colour image; all float32 scalars in arrays."""
 
     rotation: np.ndarray  # (9,) float32, row-major R of T_color_depth
     translation: np.ndarray  # (3,) float32 [m]
@@ -263,8 +258,7 @@ def splat_parameters(calibration: Calibration) -> SplatParameters:
     Raises:
         CalibrationError: The calibration has no extrinsics.
     """
-    motion, color, f32 = _extrinsics(calibration), calibration.color, np.float32
-    assert calibration.depth is not None
+    motion, color, f32 = _extrinsics(calibration), calibration.image, np.float32
     model = color.distortion
     if model is Distortion.INVERSE_BROWN_CONRADY:
         model = Distortion.NONE

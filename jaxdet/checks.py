@@ -1,10 +1,11 @@
-"""What arrays and calibrations must be like before kernels read them.
+"""Checks of arrays and calibrations before kernels read them.
 
-All that comes from a log, a flag or a caller passes here once; kernels check nothing again.
+Everything from a log, a flag or a caller passes here once; kernels check nothing again.
 """
 
 import math
 import sys
+from collections import deque
 from functools import lru_cache
 from numbers import Integral, Real
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from jaxdet.arguments import of_type
 from jaxdet.camera import cell_side
-from jaxdet.config import DEPTH_UNITS_M, MAX_POINTS, SurfaceConfig
+from jaxdet.config import DEPTH_UNITS_M, MAX_POINTS, Config, SurfaceConfig
 from jaxdet.errors import CalibrationError, ConfigError, InputError
 from jaxdet.types import (
     MAX_CONTOUR,
@@ -94,9 +95,9 @@ def _check_types(calibration: Calibration) -> None:
 
     check("calibration", calibration, Calibration)
     check("depth unit", calibration.depth_unit, Real)
-    cameras: dict[str, Any] = {"colour": calibration.color}
-    if calibration.depth is not None:
-        cameras["depth"] = calibration.depth
+    cameras: dict[str, Any] = {"depth": calibration.depth}
+    if calibration.color is not None:
+        cameras["colour"] = calibration.color
     for name, camera in cameras.items():
         check(f"{name} camera", camera, Intrinsics)
         for field, value in zip(camera._fields, camera, strict=True):
@@ -121,12 +122,15 @@ def _check_ranges(calibration: Calibration) -> None:
             _check_camera(name, camera)
     check_depth_unit(calibration.depth_unit)
     motion = calibration.color_from_depth
-    if motion is None:
-        return
-    if calibration.depth is None:
-        problem = "a motion from depth to colour, but no depth camera: the depth is aligned"
-        raise CalibrationError(problem, remedy="leave color_from_depth out, or give depth")
     remedy = "give --log.color-from-depth tx ty tz qx qy qz qw"
+    if motion is None:
+        if calibration.color is not None:
+            problem = "a colour camera, but no motion from the depth camera to it"
+            raise CalibrationError(problem, remedy=f"{remedy}, or leave the colour camera out")
+        return
+    if calibration.color is None:
+        problem = "a motion from depth to colour, but no colour camera"
+        raise CalibrationError(problem, remedy="leave color_from_depth out, or give color")
     if not is_rotation(motion.rotation):
         raise CalibrationError("the rotation from depth to colour is none", remedy=remedy)
     distance = math.hypot(*motion.translation)
@@ -214,34 +218,57 @@ def _check_camera(name: str, camera: Intrinsics) -> None:
         )
 
 
-def check_frames(frames: Frames) -> None:
-    """Refuses frames that kernels can't take.
+def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) -> None:
+    """Refuse frames that kernels can't take.
+
+    Args:
+        frames: The frames.
+        config: The preset ``paper`` needs colour images, others need depth cells of a fitting size.
+        floor_only: Whether only the floor is searched, which needs cells and no colour.
 
     Raises:
         CalibrationError: See :func:`check_calibration`; or a camera of the calibration has another
             size than its images.
-        InputError: Images are no arrays of uint8 and uint16; there are not as many colour images,
-            depth images and planes, or more than :data:`MAX_FRAMES`; or a plane is no number.
+        InputError: Images are not arrays of uint8 and uint16; numbers of colour images, depth
+            images and planes differ, or are more than :data:`MAX_FRAMES`; or a plane is not finite.
+        ConfigError: Depth cells have a size, or images a number of cells, that is not taken.
     """
     of_type("frames", frames, Frames)
-    _check_images("colour", frames.color, "uint8", 4)
     _check_images("depth", frames.depth, "uint16", 3)
-    check_calibration(frames.calibration)
-    color, depth = frames.calibration.color, frames.calibration.depth or frames.calibration.color
-    check_size("colour", frames.color.shape, color)
-    check_size("depth", frames.depth.shape, depth)
-    rows = {"colour images": len(frames.color), "depth images": len(frames.depth)}
+    _check_camera_once(frames.calibration)
+    check_size("depth", frames.depth.shape, frames.calibration.depth)
+    rows = {"depth images": len(frames.depth)}
+    if frames.color is not None:
+        _check_images("colour", frames.color, "uint8", 4)
+        check_size("colour", frames.color.shape, frames.calibration.image)
+        rows["colour images"] = len(frames.color)
+    elif config.cluster.points and not floor_only:
+        problem = "no colour images, but the preset paper finds corners in them"
+        raise InputError(problem, remedy="give colour images, or use another preset")
+    if floor_only or not config.cluster.points:
+        _check_cells(frames.calibration.depth, config.surface)
     if frames.plane is not None:
         rows["planes"] = _check_planes(frames.plane)
     rows["entries of valid"] = len(_column("valid", frames.valid, "b"))
     if not any(rows.values()):
-        raise InputError("there are no frames", remedy="give one at least")
-    if len(frames.color) > MAX_FRAMES:
-        problem = f"a batch of {len(frames.color)} frames, but at most {MAX_FRAMES} are taken"
+        raise InputError("there are no frames", remedy="give at least one")
+    if len(frames.depth) > MAX_FRAMES:
+        problem = f"a batch of {len(frames.depth)} frames, but at most {MAX_FRAMES} are taken"
         raise InputError(problem, remedy="give them in parts")
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {name}" for name, count in rows.items())
         raise InputError(f"a batch with {counts}", remedy="give one of each for every frame")
+
+
+_checked_calibrations: deque[Calibration] = deque(maxlen=16)
+"""Calibrations that have passed; compared by identity, as equal values may be of other types."""
+
+
+def _check_camera_once(calibration: Calibration) -> None:
+    """Refuse what :func:`check_calibration` does, once for each object."""
+    if not any(calibration is one for one in _checked_calibrations):
+        check_calibration(calibration)
+        _checked_calibrations.append(calibration)
 
 
 def _check_planes(planes: GroundPlane) -> int:
@@ -309,14 +336,13 @@ def check_size(what: str, shape: tuple[int, ...], camera: Intrinsics) -> None:
         )
 
 
-def check_cells(calibration: Calibration, config: SurfaceConfig) -> None:
-    """Refuses depth images whose cells are none, or more than contours and kernels have room for.
+def _check_cells(camera: Intrinsics, config: SurfaceConfig) -> None:
+    """Refuse depth images without a cell, or with more than contours and kernels have room for.
 
     Raises:
         ConfigError: No cell fits, a side has more than ``MAX_CONTOUR`` of them, a cell has more
             than ``MAX_CELL_SIDE`` pixels a side, or images have more than ``MAX_DEPTH_COLUMNS``.
     """
-    camera = calibration.depth or calibration.color
     side = cell_side(camera, config.cell_rad)
     rows, columns = camera.height // side, camera.width // side
     size = f"depth images of {camera.width}x{camera.height} pixels"

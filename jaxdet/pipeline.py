@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, cast
 import numpy as np
 
 from jaxdet.arguments import named_type, of_type
-from jaxdet.checks import check_cells, check_frames
+from jaxdet.checks import check_frames
 from jaxdet.config import Config
 from jaxdet.errors import ConfigError
 from jaxdet.floor.plane import flagged_plane, repeat_plane, unknown_plane
@@ -24,7 +24,7 @@ BackendName = Literal["reference", "jax"]
 
 
 class Backend(Protocol):
-    """A program for a whole batch; :mod:`jaxdet.reference` and :mod:`jaxdet.stages` both are one.
+    """A program for a batch; :mod:`jaxdet.reference` and :mod:`jaxdet.stages` both are one.
 
     Their results are equal to the bit.
     """
@@ -36,10 +36,10 @@ class Backend(Protocol):
 
 
 def load_backend(name: BackendName) -> Backend:
-    """The module that implements a backend.
+    """Return the module that implements a backend.
 
     Raises:
-        ConfigError: There is no such backend, or it is JAX in a process that can't use it.
+        ConfigError: The backend is unknown, or it is JAX in a process that can't use it.
     """
     modules = {"reference": "jaxdet.reference", "jax": "jaxdet.stages"}
     if not isinstance(name, str) or name not in modules:
@@ -69,98 +69,91 @@ def detect(
     backend: BackendName = "jax",
     with_cells: bool = False,
 ) -> Detections:
-    """Finds the obstacles in a batch of frames.
+    """Find the obstacles in a batch of frames.
 
-    What is known of each frame's floor is ``frames.plane``; where that is None, the configuration's
-    camera height, pitch and roll. Each frame's own depth corrects it, and without either is
-    searched alone; with ``config.ground.source`` ``none`` there is no floor. Clusters of points
-    (``config.cluster.points``) take one plane as it is, that of :func:`estimate_plane` where none
-    is known.
+    Only depth is read. The preset ``paper`` (``config.cluster.points``) reads colour too.
 
     Args:
-        frames: ``B`` frames, see :class:`jaxdet.types.Frames`.
-        config: The method's parameters; by default the preset ``wheeled``.
+        frames: ``B`` frames, see :class:`jaxdet.types.Frames`. Their ``plane`` is the prior of each
+            frame's floor; where it is None, the configuration's camera height, pitch and roll are.
+            The frame's own depth corrects it, and finds the floor where there is no prior; the
+            preset ``paper`` takes one plane as it is, without a prior that of
+            :func:`estimate_plane`. With ``config.ground.source`` ``none`` there is no floor.
+        config: Configuration of the method; by default the preset ``wheeled``.
         backend: ``jax`` for the compiled program or ``reference`` for plain NumPy; both return
             equal arrays.
-        with_cells: Give the depth cells with their obstacles as well
-            (:attr:`jaxdet.types.Detections.cells`), where obstacles are made of surfaces.
+        with_cells: Whether to return the depth cells with their obstacles as well
+            (:attr:`jaxdet.types.Detections.cells`); the preset ``paper`` has none.
 
     Returns:
-        Features, labels and obstacles of each frame, see :class:`jaxdet.types.Detections`; with
-        ``jax`` they are JAX arrays, perhaps still being computed, or on the CPU NumPy arrays of
-        batches that are worked on in parts, see :func:`jaxdet.stages._spread.in_parts`: larger
-        ones, and those of 9 frames or more whose number is no power of two.
+        The obstacles of each frame, see :class:`jaxdet.types.Detections`; with ``jax`` they are JAX
+        arrays, perhaps still being computed, or on the CPU NumPy arrays of batches that are
+        computed in parts, see :func:`jaxdet.stages._spread.in_parts`: larger ones, and those of 9
+        frames or more whose number is no power of two.
 
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
-        InputError: There are not as many colour images, depth images and planes.
-        ConfigError: The backend is unknown, colour images are smaller or larger than the kernels
-            take, or depth images hold no cell or too many (:func:`jaxdet.checks.check_cells`).
+        InputError: Numbers of images and planes differ, or the preset ``paper`` lacks colour.
+        ConfigError: The backend is unknown, or images have a size that the kernels don't take.
     """
-    config = _given(config)
+    config = _checked(config)
     of_type("with_cells", with_cells, bool)
-    check_frames(frames)
-    if not config.cluster.points:
-        check_cells(frames.calibration, config.surface)
-    plane = floor_of(frames, config, backend=backend)
-    return load_backend(backend).detect(frames, plane, _searching(config), with_cells)
+    check_frames(frames, config)
+    plane = floor_prior(frames, config, backend=backend)
+    return load_backend(backend).detect(frames, plane, config, with_cells)
 
 
 def find_floors(
     frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
 ) -> "FloorFit":
-    """Finds the floor in each frame's own depth, as :func:`detect` does.
+    """Find the floor in each frame's own depth, as :func:`detect` does.
 
     Args:
         frames: ``B`` frames; where ``plane`` is None, the prior is the configuration's.
-        config: The method's parameters; by default the preset ``wheeled``.
+        config: Configuration of the method; by default the preset ``wheeled``.
         backend: Either; the results are equal.
 
     Returns:
-        The planes, and why they are not the frames' own, see
+        The planes, and why a frame's own depth does not decide them, see
         :class:`jaxdet.floor.units.FloorFit`.
 
     Raises:
         CalibrationError: The calibration can't be used, or images are not of its cameras' sizes.
-        InputError: There are not as many images and planes.
+        InputError: Numbers of images and planes differ.
     """
-    config = _given(config)
-    check_frames(frames)
-    check_cells(frames.calibration, config.surface)
-    prior = known_plane(frames, config)
-    if prior is None:
-        prior = unknown_plane(len(frames.depth))
-    return load_backend(backend).find_floors(frames, prior, _searching(config))
+    config = _checked(config)
+    check_frames(frames._replace(color=None), config, floor_only=True)
+    prior = _given_plane(frames, config) or unknown_plane(len(frames.depth))
+    return load_backend(backend).find_floors(frames, prior, config)
 
 
-def _given(config: Config | None) -> Config:
-    """The configuration, or the default."""
+def _checked(config: Config | None) -> Config:
+    """Return the configuration, or the default.
+
+    With ``ground.source`` none no floor is searched: no cell is near enough to be part of it.
+    """
     if config is not None and not isinstance(config, Config):
         remedy = "give a Config, for instance jaxdet.preset('wheeled')"
         raise ConfigError(f"config is {named_type(config)}", remedy=remedy)
-    return config or Config()
-
-
-def _searching(config: Config) -> Config:
-    """With ``ground.source`` none no floor is looked for: there are no cells to see it in."""
+    config = config or Config()
     if config.ground.source != "none":
         return config
     return replace(config, floor=replace(config.floor, max_depth_m=0.0))
 
 
-def floor_of(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:
-    """What is known of each frame's floor before it is looked at, as :func:`detect` takes it."""
-    plane = known_plane(frames, config)
+def floor_prior(frames: Frames, config: Config, *, backend: BackendName = "jax") -> GroundPlane:
+    """Return the prior of each frame's floor as :func:`detect` uses it."""
+    plane = _given_plane(frames, config)
     if plane is not None:
         return plane
+    batch = len(frames.depth)
     if not config.cluster.points:
-        return unknown_plane(len(frames.depth))
-    found = estimate_plane(frames, config, backend=backend)
-    return repeat_plane(found.plane, len(frames.depth))
+        return unknown_plane(batch)
+    return repeat_plane(estimate_plane(frames, config, backend=backend).plane, batch)
 
 
-def known_plane(frames: Frames, config: Config) -> GroundPlane | None:
-    """The floor that is given or configured, or None."""
+def _given_plane(frames: Frames, config: Config) -> GroundPlane | None:
+    """Return the floor that the frames or the configuration state, or None."""
     batch = len(frames.depth)
     if config.ground.source == "none":
         return unknown_plane(batch)
@@ -174,20 +167,20 @@ def known_plane(frames: Frames, config: Config) -> GroundPlane | None:
 def estimate_plane(
     frames: Frames, config: Config | None = None, *, backend: BackendName = "jax"
 ) -> SampledFloor:
-    """Estimates the one floor that all these frames see, from their depth alone.
+    """Estimate the one floor that all these frames see, from their depth alone.
 
     Args:
         frames: ``B`` frames of one camera that keeps its place on the robot; their plane is not
             used.
-        config: How floors are looked for.
+        config: How floors are searched.
         backend: Either; the estimate is the same.
 
     Returns:
         The median of the floors that the frames show, see
         :class:`jaxdet.floor.sampled.SampledFloor`; not valid where too few do.
     """
-    check_frames(of_type("frames", frames, Frames)._replace(plane=None))
-    nothing = unknown_plane(len(frames.depth))
-    fit = find_floors(frames._replace(plane=nothing), _given(config), backend=backend)
+    of_type("frames", frames, Frames)
+    unknown = unknown_plane(len(frames.depth))
+    fit = find_floors(frames._replace(plane=unknown), config, backend=backend)
     shown = GroundPlane(*(np.asarray(a)[frames.valid] for a in fit.plane))
     return sampled_floor(shown, fit.own[frames.valid])

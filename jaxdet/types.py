@@ -1,12 +1,13 @@
 """The arrays that flow through the pipeline.
 
 Axes, used everywhere: ``B`` frames in a batch, ``H W`` colour image, ``Hd Wd`` depth image,
-``N`` feature slots a frame, ``M`` obstacle slots a frame. A variable count is a padded axis
-plus a mask or a count.
+``R C`` depth cells, ``N`` point slots per frame (preset ``paper``), ``M`` obstacle slots per frame.
+A variable count is a padded axis plus a mask or a count.
 
-Frames of reference: the *camera optical frame* has x right, y down, z forward. The *ground
-frame* of a camera is its optical centre dropped on the floor, x right, y forward. The *world*
-is the log's map or odom frame. ``T_a_b`` takes points of ``b`` to ``a``.
+Frames of reference: the *camera optical frame* has x right, y down, z forward. "The camera" is the
+depth camera; in the preset ``paper``, whose depth is aligned to colour, it is the colour camera.
+The *ground frame* of a camera is its optical centre projected onto the floor, x right, y forward.
+The *world* is the log's map or odom frame. ``T_a_b`` takes points of ``b`` to ``a``.
 
 Units: metres, radians and nanoseconds, but every *decision* is made on integers in *depth
 units* (the unit of the depth image, 1 mm by default), so that all implementations agree to
@@ -40,9 +41,6 @@ MAX_LABELS = 1024
 
 MAX_OBSTACLES = 128
 """``M`` where obstacles are made of surfaces; more set the overflow flag."""
-
-SAMPLED_CELLS = (slice(None), slice(1, None, 2), slice(1, None, 2))
-"""Of cells ``(B, R, C)``, every second one of every second row is a feature."""
 
 MAX_LATERAL = (1 << 18) - 1
 """Largest sideways distance [depth units]: four times the largest depth."""
@@ -215,24 +213,34 @@ class Extrinsics(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """What relates depth pixels to colour pixels; one for a log, hashable."""
+    """The cameras of a log and how depth pixels relate to colour pixels; hashable.
 
-    color: Intrinsics
-    depth: Intrinsics | None = None
-    """None where the depth image is already aligned to colour."""
+    ``Calibration(camera)`` describes depth images without colour, and depth that is aligned to
+    colour alike: ``color`` is None where there is no other camera than that of the depth images.
+    """
+
+    depth: Intrinsics
+    """The camera of the depth images; of aligned depth this is the colour camera."""
+    color: Intrinsics | None = None
+    """The colour camera, where it is calibrated and not the camera of the depth images."""
     color_from_depth: Extrinsics | None = None
-    """``T_color_depth``; None where the depth image is already aligned to colour."""
+    """``T_color_depth``; None where ``color`` is None."""
     depth_unit: float = 0.001
     """Metres in one depth unit."""
 
     @property
     def is_aligned(self) -> bool:
-        """Whether depth comes already aligned to colour."""
-        return self.depth is None
+        """Whether a colour image, if there is one, has the pixels of the depth image."""
+        return self.color is None
+
+    @property
+    def image(self) -> Intrinsics:
+        """The camera of the image in which boxes are: the colour camera, else the depth camera."""
+        return self.color or self.depth
 
 
 class GroundPlane(NamedTuple):
-    """The floor seen from each camera frame: a plane, and perhaps a ramp ahead.
+    """The floor seen from the camera in each frame: a plane, and perhaps a ramp ahead.
 
     ``pitch`` is the camera's downward tilt and ``roll`` its clockwise turn about the optical
     axis as seen from behind the camera (a camera rolled clockwise sees the world turned
@@ -256,30 +264,31 @@ class GroundPlane(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """A batch of paired colour and depth images on the host, with all that is known of them."""
+    """A batch of depth images on the host, with their colour images where these are used."""
 
-    color: np.ndarray
-    """``(B, H, W, 3)`` uint8, RGB."""
     depth: np.ndarray
     """``(B, Hd, Wd)`` uint16, depth units, 0 = no measurement."""
     calibration: Calibration
     number: np.ndarray
-    """``(B,)`` int64, the colour frame's 0-based number in its log."""
+    """``(B,)`` int64, 0-based number of the depth image in its log."""
     stamp_ns: np.ndarray
-    """``(B,)`` int64, colour header stamp."""
-    depth_stamp_ns: np.ndarray
-    """``(B,)`` int64, depth header stamp."""
+    """``(B,)`` int64, header stamp of the depth image."""
     valid: np.ndarray
     """``(B,)`` bool; False marks padding, whose results are dropped."""
+    color: np.ndarray | None = None
+    """``(B, H, W, 3)`` uint8, RGB, zeros where a frame has none; None: not read. The method reads
+    depth alone; pictures show colour, and the preset ``paper`` needs it."""
+    color_stamp_ns: np.ndarray | None = None
+    """``(B,)`` int64, header stamp of each frame's colour image, -1 = none; None: not read."""
     T_world_camera: np.ndarray | None = None
-    """``(B, 4, 4)`` float64, colour optical frame to world, NaN where unknown; None without."""
+    """``(B, 4, 4)`` float64, depth optical frame to world, NaN where unknown; None without."""
     plane: GroundPlane | None = None
-    """What is known of the floor of each frame, which its own depth corrects (clusters of points
-    take it as it is); None leaves it to the configuration."""
+    """Prior of the floor in each frame, seen from the depth camera, which the frame's own depth
+    corrects (the preset ``paper`` takes it as it is); None leaves it to the configuration."""
 
 
 class Cells(NamedTuple):
-    """A regular grid of depth cells, ``R`` rows and ``C`` columns, in the colour optical frame."""
+    """A regular grid of depth cells, ``R`` rows and ``C`` columns, in the depth optical frame."""
 
     x: Array
     """``(B, R, C)`` int32, to the right [depth units]."""
@@ -287,17 +296,6 @@ class Cells(NamedTuple):
     """``(B, R, C)`` int32, down in the camera [depth units]."""
     z: Array
     """``(B, R, C)`` int32, forward [depth units], 0 = no measurement."""
-    uv_min: Array
-    """``(B, R, C, 2)`` int16, the first colour column and row that the cell covers [pixel]."""
-    uv_max: Array
-    """``(B, R, C, 2)`` int16, the last."""
-    in_view: Array
-    """``(B, R, C)`` bool, measured and at least partly in the colour image."""
-
-    @property
-    def middle(self) -> Array:
-        """``(B, R, C, 2)`` int16, column and row in the middle of what a cell covers [pixel]."""
-        return (self.uv_min + self.uv_max) >> 1
 
 
 class AlignedDepth(NamedTuple):
@@ -321,9 +319,9 @@ class Keep(NamedTuple):
 
 
 class Features(NamedTuple):
-    """Points with depth (Sections 3.2, 3.3): corners, strongest first, then a sample of the cells.
+    """Corners with depth of the preset ``paper`` (Sections 3.2, 3.3), strongest first.
 
-    Empty slots of corners are zero. Of a cell that is not kept place and depth are told too.
+    Empty slots are zero.
     """
 
     u: Array
@@ -337,13 +335,11 @@ class Features(NamedTuple):
     z: Array
     """``(B, N)`` int32, along the optical axis [depth units]."""
     valid: Array
-    """``(B, N)`` bool, the slot holds a feature."""
+    """``(B, N)`` bool, the slot holds a corner."""
     kept: Array
-    """``(B, N)`` bool, above the floor, and its depth is in range or it is a cell of an obstacle,
-    which may go on beyond."""
+    """``(B, N)`` bool, the depth is in range and above the floor."""
     overflow: Array
-    """``(B,)`` bool, obstacles may be lost: there are more surfaces than ``MAX_SURFACES`` or more
-    obstacles than ``MAX_OBSTACLES``; of points, more corners qualified than there are slots."""
+    """``(B,)`` bool, more corners qualified than there are slots."""
 
 
 class Labels(NamedTuple):
@@ -361,16 +357,17 @@ class Obstacles(NamedTuple):
     Slots from ``num_obstacles`` on are zero. ``a b c`` are the points A, B, C of Eq. 7 in the
     ground frame: ``[..., 0]`` to the right, ``[..., 1]`` forward, both at most MAX_LATERAL. They
     are the outermost and the nearest points of the paper, or the medians of bands behind those, see
-    ``FootprintConfig``. Points are kept features, or of obstacles made of surfaces their cells in
-    the colour image; ``direction`` and ``span`` are of all their cells.
+    ``FootprintConfig``. Points are the cells of an obstacle; in the preset ``paper`` its corners.
     """
 
     num_points: Array
     """``(B, M)`` int32."""
     uv_min: Array
-    """``(B, M, 2)`` int32, column and row [pixel]."""
+    """``(B, M, 2)`` int32, first column and row in the image of :attr:`Calibration.image` [pixel];
+    of an obstacle outside of the colour image 0."""
     uv_max: Array
-    """``(B, M, 2)`` int32, column and row [pixel]."""
+    """``(B, M, 2)`` int32, last column and row [pixel]; of an obstacle outside of the colour image
+    -1."""
     xyz_min: Array
     """``(B, M, 3)`` int32, camera optical frame [depth units]."""
     xyz_max: Array
@@ -423,13 +420,13 @@ class Refusal(IntEnum):
 
 
 class Scene(NamedTuple):
-    """What is seen beside the obstacles themselves, where they are made of surfaces."""
+    """Floor, contours and free floor of each frame."""
 
     floor: Array
     """``(B, 8)`` int32, the floor in each frame's own depth; with the next one it gives the planes
     (:func:`jaxdet.floor.units.floor_fit`)."""
     prior: GroundPlane
-    """What was known of each frame's floor, on the host."""
+    """The prior of each frame's floor, on the host."""
     contour: Array
     """``(B, M, C, 2)`` int32, C columns of cells or 1, the visible edge of each obstacle, right and
     forward in the ground frame, from left to right [depth units]."""
@@ -449,18 +446,33 @@ class CellLabels(NamedTuple):
 
     label: Array
     """``(B, R, C)`` int32, -1 = none."""
+    keep: Array
+    """``(B, R, C)`` bool, in range and above the floor: a cell of an obstacle or of what is too
+    small for one."""
     cells: Cells
+
+
+class Points(NamedTuple):
+    """The corners that the preset ``paper`` clusters, and the obstacle of each."""
+
+    features: Features
+    labels: Labels
 
 
 class Detections(NamedTuple):
     """All that is found in a batch."""
 
-    features: Features
-    labels: Labels
-    obstacles: Obstacles
+    num_obstacles: Array
+    """``(B,)`` int32."""
+    overflow: Array
+    """``(B,)`` bool, obstacles may be lost: there are more surfaces than ``MAX_SURFACES`` or more
+    obstacles than ``MAX_OBSTACLES``; in the preset ``paper``, more corners than slots."""
     has_depth: Array
-    """``(B,)`` bool, some pixel of the frame has a depth in range."""
+    """``(B,)`` bool, some depth of the frame is in range."""
+    obstacles: Obstacles
     scene: Scene | None = None
-    """Outlines, floor and free floor; None where obstacles are clusters of points."""
+    """Outlines, floor and free floor; None in the preset ``paper``."""
     cells: CellLabels | None = None
-    """Where they are asked for and obstacles are made of surfaces."""
+    """The depth cells, where requested; None in the preset ``paper``."""
+    points: Points | None = None
+    """The corners of the preset ``paper``; None elsewhere."""

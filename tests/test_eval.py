@@ -85,7 +85,7 @@ def test_a_feature_is_of_the_object_whose_depth_it_has():
     # On it, beside it with its depth, too far beside it, on the floor beside it with a depth that
     # both have, and on it and on the floor with a depth that nothing there has.
     columns = [(10, 1000), (17, 1010), (19, 500), (18, 1050), (10, 3000), (17, 3000)]
-    u, z = (np.array([values], np.int32) for values in zip(*columns, strict=True))
+    u, z = (np.array(values, np.int32) for values in zip(*columns, strict=True))
     v, used = np.full_like(u, 20), np.ones(u.shape, bool)
     features = Features(u, v, u, v, z, used, used, np.zeros(1, bool))
     assert objects_of(features, known, 0, 0.001, EvalConfig()).tolist() == [1, 1, 0, 0, 1, 0]

@@ -13,7 +13,7 @@ from benchmarks.paper.shots import Shot, Spec
 from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by
 from benchmarks.paper.table4_distance import specs_of
 from jaxdet.eval import EvalConfig, FrameTruth, Tally, evaluate_frames
-from jaxdet.eval.frame import objects_of
+from jaxdet.eval.frame import objects_of, points_of
 from jaxdet.types import Detections
 
 NEAR_M = 2.0
@@ -103,9 +103,8 @@ def _reason(
     unit: float,
     counted: EvalConfig,
 ) -> str:
-    kept, features = found.features.kept[0], found.features
-    labels = found.labels.labels[0, kept]
-    objects = objects_of(features, truth, 0, unit, counted)[kept]
+    points, labels = points_of(found, 0)
+    objects = objects_of(points, truth, 0, unit, counted)
     mine = labels[objects == number]
     if len(mine) <= FEW_POINTS:
         return "missed: too little of it was measured above the floor"

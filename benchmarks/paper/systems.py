@@ -121,7 +121,7 @@ def found_by(system: System, prepared: Prepared) -> list[Detections]:
     config = system.config
     if system.method == OURS:
         each = [frames_of([shot]) for shot in prepared.shots]
-        return [detect(frames, config, backend="reference") for frames in each]
+        return [detect(frames, config, backend="reference", with_cells=True) for frames in each]
     frames, params = prepared.frames(config), dict(system.params)
     return [detect_with(system.baseline, frame, config, params) for frame in frames]
 

@@ -85,28 +85,28 @@ class OwnDevice:
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> "_Started":
         """Starts a batch."""
         frames = batch.frames._replace(plane=plane)
-        return _Started(frames, _if_it_fits(self._detect, frames), whole)
+        return _Started(frames, _if_it_fits(self._detect, frames, whole), whole)
 
     def finish(self, started: "_Started") -> Found:
         """Waits for a batch; one that takes too much memory is worked on in halves."""
         frames, found, whole = started
         found = found and _if_it_fits(self._on_host, found)
-        found = found or self._in_halves(frames)
+        found = found or self._in_halves(frames, whole)
         return Found(row_inputs(found), found if whole else None)
 
     def find_floors(self, frames: Frames) -> "FloorFit":
         """The floors of frames."""
         return find_here(self._config, self._backend, frames)
 
-    def _detect(self, frames: Frames) -> Detections:
+    def _detect(self, frames: Frames, whole: bool) -> Detections:
         with computing():
-            return detect(frames, self._config, backend=self._backend)
+            return detect(frames, self._config, backend=self._backend, with_cells=whole)
 
     def _on_host(self, found: Detections) -> Detections:
         with computing():
             return to_host(found)
 
-    def _in_halves(self, frames: Frames) -> Detections:
+    def _in_halves(self, frames: Frames, whole: bool) -> Detections:
         """What is found in a batch, piece by piece; no frame's results depend on another's."""
         count = len(frames.valid)
         if count == 1:
@@ -114,8 +114,8 @@ class OwnDevice:
         found = []
         for rows in (slice(0, count // 2), slice(count // 2, count)):
             half = _rows(frames, rows)
-            whole = _if_it_fits(lambda half=half: self._on_host(self._detect(half)))
-            found.append(whole or self._in_halves(half))
+            result = _if_it_fits(lambda half=half: self._on_host(self._detect(half, whole)))
+            found.append(result or self._in_halves(half, whole))
         return joined_inputs(found)
 
 

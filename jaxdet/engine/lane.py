@@ -262,7 +262,8 @@ class Lane:
         color, depth = copied.images
         frames = _frames(color, depth, log.served, plane)
         with computing():
-            found = detect(frames, log.served.config)
+            whole = any(piece.whole for piece in pieces)
+            found = detect(frames, log.served.config, with_cells=whole)
         with _packing:
             pack = _pack()
         packed = pack(_without_prior(found))

@@ -1,9 +1,10 @@
 """Comparison of detections with the truth, frame by frame.
 
-The rule. Each kept feature votes for the object it lies on, or whose depth was measured there
-(:func:`objects_of`). A detection and an obstacle are a pair when at least
-half of the detection's votes are for the obstacle; pairs are one to one, chosen for the most
-votes (:func:`jaxdet.eval.match.match`). Then
+The rule. Each kept point votes for the object it lies on, or whose depth was measured there
+(:func:`objects_of`). Points are the depth cells where the detections have them
+(``detect(..., with_cells=True)``), otherwise the features that were clustered. A detection
+and an obstacle are a pair when at least half of the detection's votes are for the obstacle; pairs
+are one to one, chosen for the most votes (:func:`jaxdet.eval.match.match`). Then
 
 - an obstacle asked for is *found* (true positive) when it has a pair, else *missed*;
 - a detection without a pair is *false*, also when it is a second one on an obstacle;
@@ -23,7 +24,7 @@ from jaxdet.eval.shapes import Shapes, count_shapes
 from jaxdet.eval.tally import Tally, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth
 from jaxdet.results.metric import distances
-from jaxdet.types import Detections, Features
+from jaxdet.types import Array, CellLabels, Detections, Features
 
 
 def evaluate(
@@ -47,7 +48,8 @@ def evaluate_frames(
     """Compares each frame of a batch with the truth.
 
     Args:
-        detections: Of ``B`` frames, from either backend or of another method. Of the obstacles
+        detections: Of ``B`` frames, from either backend or of another method; with their cells
+            where obstacles are made of surfaces. Of the obstacles
             ``c`` is used, with ``truth.ground_min`` also ``a b``, with ``truth.footprint`` also
             ``has_vertex``, and with ``truth.nearest_floor_m`` contours or ``a b``.
         truth: Of the same frames.
@@ -75,7 +77,7 @@ def evaluate_frames(
             shapes = Shapes(detections, truth, b, frame.count, depth_unit, config, distances_m)
             parts = [
                 _count_detections(frame, config),
-                _count_points(frame, _positions(detections, b, depth_unit), config),
+                _count_points(frame, config),
                 count_shapes(frame.asked, frame.pair, shapes, config),
             ]
             tallies.append(total(parts)._replace(frames=1))
@@ -94,6 +96,8 @@ class _Matched:
     """``(L, J + 1)``."""
     pair: np.ndarray
     """``(L,)`` number of the matched obstacle, 0 = none."""
+    positions: np.ndarray
+    """``(n, 2)``, x and z of the points [m]."""
     asked: np.ndarray
     """``(J + 1,)`` bool."""
     kinds: np.ndarray
@@ -104,15 +108,26 @@ class _Matched:
         return len(self.votes)
 
 
-def _used(detections: Detections, b: int) -> np.ndarray:
-    return np.asarray(detections.features.kept[b]) | (np.asarray(detections.labels.labels[b]) >= 0)
+def points_of(detections: Detections, b: int) -> tuple[Features, np.ndarray]:
+    """Return frame ``b``'s points that are kept or labelled, ``(n,)``, and their labels."""
+    if detections.cells is None:
+        points, label = detections.features, detections.labels.labels
+    else:
+        points, label = cell_points(detections.cells), detections.cells.label
+    own = Features(*(np.asarray(part[b]).ravel() for part in points))
+    label = np.asarray(label[b]).ravel()
+    used = own.kept | (label >= 0)
+    return Features(*(part[used] for part in own[:-1]), overflow=own.overflow), label[used]
 
 
-def _positions(detections: Detections, b: int, depth_unit: float) -> np.ndarray:
-    """Where frame ``b``'s points are, ``(n, 2)`` x and z [m]."""
-    used = _used(detections, b)
-    x, z = (np.asarray(a[b])[used] for a in (detections.features.x, detections.features.z))
-    return np.stack([x, z], axis=-1) * depth_unit
+def cell_points(found: CellLabels) -> Features:
+    """Return the cells in the colour image as points, ``(B, R, C)``."""
+    grid = found.cells
+    middle: Array = np.asarray(grid.middle)
+    kept = np.asarray(found.keep) & np.asarray(grid.in_view)
+    overflow = np.zeros(len(kept), bool)
+    place = grid.x, grid.y, grid.z
+    return Features(middle[..., 0], middle[..., 1], *place, grid.in_view, kept, overflow)
 
 
 def _match_frame(
@@ -123,25 +138,26 @@ def _match_frame(
     depth_unit: float,
     config: EvalConfig,
 ) -> _Matched:
-    used = _used(detections, b)
-    labels = np.asarray(detections.labels.labels[b])[used]
-    objects = objects_of(detections.features, truth, b, depth_unit, config)[used]
+    points, labels = points_of(detections, b)
+    objects = objects_of(points, truth, b, depth_unit, config)
+    positions = np.stack([points.x, points.z], axis=-1) * depth_unit
     kinds, count = truth.kinds, int(detections.labels.num_obstacles[b])
     votes = vote_table(labels, objects, count, len(kinds))
     pair = match(votes, kinds == 2, config.match_share)
-    return _Matched(labels, objects, votes, pair, np.concatenate([[False], asked]), kinds)
+    asked = np.concatenate([[False], asked])
+    return _Matched(labels, objects, votes, pair, positions, asked, kinds)
 
 
 def objects_of(
-    features: Features, truth: FrameTruth, b: int, depth_unit: float, config: EvalConfig
+    points: Features, truth: FrameTruth, b: int, depth_unit: float, config: EvalConfig
 ) -> np.ndarray:
-    """The object of each feature of frame ``b``, ``(N,)`` int64 numbers, 0 = floor.
+    """Return the object of each point of frame ``b``, ``(n,)`` int64 numbers, 0 = floor.
 
     That of its pixel or of one beside it (:func:`feature_objects`); but where the truth has depths,
     its pixel's is not the measured one and that of another near it is, the other's
     (:func:`measured_objects`).
     """
-    u, v, z = (np.asarray(a[b]) for a in (features.u, features.v, features.z))
+    u, v, z = points.u, points.v, points.z
     ids = truth.obstacle_id[b]
     by_pixel = feature_objects(ids, truth.is_wall, u, v, config.tolerance_px)
     if truth.depth_m is None:
@@ -176,7 +192,7 @@ def _count_detections(frame: _Matched, config: EvalConfig) -> Tally:
     )
 
 
-def _count_points(frame: _Matched, positions: np.ndarray, config: EvalConfig) -> Tally:
+def _count_points(frame: _Matched, config: EvalConfig) -> Tally:
     judged = frame.kinds[frame.objects] != 1
     labels, objects = frame.labels[judged], frame.objects[judged]
     pair = np.append(frame.pair, 0)[labels]
@@ -194,7 +210,7 @@ def _count_points(frame: _Matched, positions: np.ndarray, config: EvalConfig) ->
     if not config.indices or frame.count < 2:
         return tally
     return tally._replace(
-        silhouette_sum=silhouette(positions, frame.labels),
-        davies_bouldin_sum=davies_bouldin(positions, frame.labels),
+        silhouette_sum=silhouette(frame.positions, frame.labels),
+        davies_bouldin_sum=davies_bouldin(frame.positions, frame.labels),
         index_frames=1,
     )

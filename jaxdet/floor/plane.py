@@ -78,6 +78,18 @@ def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
     return plane_from_down(down[None], T_base_camera[2:3, 3])
 
 
+def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
+    """Return planes seen from the depth camera as the colour camera sees them, without ramps."""
+    if calibration.color_from_depth is None:
+        return plane
+    T = calibration.color_from_depth.T
+    down = down_vector(plane.pitch, plane.roll)
+    center = -T[:3, :3].T @ T[:3, 3]  # of the colour camera, in the depth camera's frame
+    moved = plane_from_down(down @ T[:3, :3].T, plane.height - down @ center)
+    known = [np.where(plane.valid, ours, 0.0) for ours in moved[:3]]
+    return flat_plane(*known, plane.valid)
+
+
 def flagged_plane(config: GroundConfig) -> GroundPlane:
     """The plane that the configuration states, ``B = 1``; its camera height must be set."""
     height, pitch = config.camera_height_m, config.camera_pitch_rad
@@ -210,7 +222,7 @@ STEEPEST_NOISE = 32767
 @lru_cache(maxsize=16)
 def step_height(calibration: Calibration, config: Config) -> StepHeight:
     """The height up to which a cell of this camera is floor."""
-    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    side = cell_side(calibration.depth, config.surface.cell_rad)
     ground, unit = config.ground, calibration.depth_unit
     slope = ground.step_height_per_m / side
     table = np.rint(ground.step_height_m / unit + slope * np.arange(65536)).astype(np.int64)

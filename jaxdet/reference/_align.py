@@ -24,7 +24,7 @@ def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
 
     Args:
         depth: ``(B, Hd, Wd)`` uint16 [depth units], 0 = no measurement.
-        calibration: The log's calibration. Depth that is already aligned is passed through.
+        calibration: Calibration of the log. Depth that is already aligned is passed through.
 
     Returns:
         Depth of the nearest hit in the depth camera and, of that hit, z in the colour camera
@@ -49,7 +49,7 @@ def align(depth: np.ndarray, calibration: Calibration) -> AlignedDepth:
 def _align_frame(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
     """One frame as keys ``depth << 16 | z``; ``(H, W)`` uint32, the smallest key of each pixel."""
     splat = splat_parameters(calibration)
-    color = calibration.color
+    color = calibration.image
     x, y = corner_rays(calibration.depth)
     v, u = np.nonzero(depth)
     units = depth[v, u]

@@ -9,9 +9,8 @@ from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.floor.frame import CAMERA_HEIGHT, DOWN, IS_KNOWN, floor_frames, on_floor
 from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
-from jaxdet.reference._cells import cell_centers, cells, cover, margins
+from jaxdet.reference._cells import cell_boxes, cells, margins
 from jaxdet.reference._evidence import Pairs, pairs
-from jaxdet.reference._features import features
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
 from jaxdet.reference._footprint import footprint_on_floor
 from jaxdet.reference._free import FloorView, floor_ahead
@@ -24,14 +23,13 @@ from jaxdet.types import (
     MAX_LATERAL,
     MAX_OBSTACLES,
     MAX_SURFACES,
-    SAMPLED_CELLS,
+    Calibration,
     CellLabels,
     Cells,
     Detections,
     Features,
     Frames,
     GroundPlane,
-    Keep,
     Labels,
     Obstacles,
     Scene,
@@ -52,19 +50,17 @@ class Found(NamedTuple):
 def detect(
     frames: Frames, plane: GroundPlane, config: Config, with_cells: bool = False
 ) -> Detections:
-    """Finds floor, surfaces, obstacles, their outlines and the free floor of each frame.
+    """Find floor, surfaces, obstacles, their outlines and the free floor of each frame.
+
+    Only depth is read; the preset ``paper`` (``cluster.points``,
+    :func:`jaxdet.reference._points.clusters`) reads colour too.
 
     Args:
-        frames: ``B`` of them; their ``plane`` is not used.
-        plane: What is known of each frame's floor, from the user, TF or the log; corrected by
-            the frame's own depth where that shows enough floor.
-        config: The method; with ``cluster.points`` it is the paper's
-            (:func:`jaxdet.reference._points.clusters`).
-        with_cells: Give the cells with their obstacles as well, where they are made of surfaces.
-
-    Returns:
-        Features are the corners, then every second cell of every second row; the obstacles are
-        measured on all cells.
+        frames: ``B`` frames; their ``plane`` is not used.
+        plane: Prior of the floor in each frame, from the user, TF or the log; corrected by the
+            frame's own depth where that shows enough floor.
+        config: Configuration of the method.
+        with_cells: Whether to return the cells with their obstacles as well.
     """
     if config.cluster.points:
         return clusters(frames, plane, config)
@@ -74,16 +70,15 @@ def detect(
     floors, step = floor_frames(fit.plane, unit), step_height(calibration, config)
     found = [_group(grid, b, floor, step, unit, config) for b, floor in enumerate(floors)]
 
-    points, labels = _points(frames, grid, found, config)
-    outlines, shapes = _outlines(grid, found, unit, config)
-
+    count = np.array([one.label.max(initial=-1) + 1 for one in found])
+    kept = np.minimum(count, MAX_OBSTACLES).astype(np.int32)
+    outlines, shapes = _outlines(grid, found, kept, calibration, config)
     nearest, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
-    in_range = grid.in_view & (grid.z >= nearest) & (grid.z <= farthest)
     return Detections(
-        points,
-        labels,
+        kept,
+        (count > MAX_OBSTACLES) | [one.overflow for one in found],
+        ((grid.z >= nearest) & (grid.z <= farthest)).any(axis=(1, 2)),
         outlines,
-        in_range.any(axis=(1, 2)),
         Scene(fit.found, plane, *shapes, *_free(found, floors, unit, config)),
         _cell_labels(grid, found) if with_cells else None,
     )
@@ -91,17 +86,18 @@ def detect(
 
 def _cell_labels(grid: Cells, found: list[Found]) -> CellLabels:
     label = np.stack([one.label for one in found])
-    return CellLabels(np.where(label < MAX_OBSTACLES, label, -1).astype(np.int32), grid)
+    keep = np.stack([one.keep for one in found])
+    return CellLabels(np.where(label < MAX_OBSTACLES, label, -1).astype(np.int32), keep, grid)
 
 
 def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
-    """The floor of each frame alone, see :func:`jaxdet.reference.find_floor`."""
+    """Find only the floor of each frame, see :func:`jaxdet.reference.find_floor`."""
     calibration = frames.calibration
-    side = cell_side(calibration.depth or calibration.color, config.surface.cell_rad)
+    side = cell_side(calibration.depth, config.surface.cell_rad)
     height, width = frames.depth.shape[1:]
     part = used_cells((height // side, width // side), config.floor)
-    x, y, z, _ = cell_centers(frames.depth, calibration, config.surface, part)
-    return floor_of_cells(x, y, z, prior, config.floor, calibration.depth_unit)
+    grid = cells(frames.depth, calibration, config.surface, part)
+    return floor_of_cells(*grid, prior, config.floor, calibration.depth_unit)
 
 
 def surface_pairs(
@@ -156,76 +152,34 @@ def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
     """Where the cells of frame ``b`` are, in the camera and on the floor."""
     xyz = np.stack([grid.x[b], grid.y[b], grid.z[b]]).astype(np.int64)
     x, y, z = xyz
-    return View(x, y, z, *on_floor(floor, xyz), grid.in_view[b])
-
-
-def _points(
-    frames: Frames, grid: Cells, found: list[Found], config: Config
-) -> tuple[Features, Labels]:
-    """Corners on kept cells (Section 3.2) and a sample of the cells as features.
-
-    A corner has the depth and the obstacle of the nearest kept cell whose box it lies in or
-    beside: corners on a contour may lie a pixel beyond it.
-    """
-    calibration, unit, batch = frames.calibration, frames.calibration.depth_unit, len(grid.z)
-    label = np.stack([one.label for one in found]).reshape(batch, -1)
-    keep = np.stack([one.keep for one in found]) & grid.in_view
-    farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)[1]
-    over = cover(grid, keep & (grid.z <= farthest), calibration.color)
-    z, there = grid.z.reshape(batch, -1), over >= 0
-    frame = np.arange(batch)[:, None, None]
-    depth = np.where(there, z[frame, over], 0).astype(np.uint16)
-    corners = features(
-        frames.color,
-        Keep(there, depth, there.any(axis=(1, 2))),
-        calibration,
-        config.features,
-    )
-    cell = over[frame[..., 0], corners.v, corners.u]
-    of_corners = np.where(corners.kept & (cell >= 0), label[frame[..., 0], cell], -1)
-
-    u, v = np.moveaxis(grid.middle, -1, 0)
-    asked = keep & ((grid.z <= farthest) | (label.reshape(keep.shape) >= 0))
-    columns = {"u": u, "v": v, "x": grid.x, "y": grid.y, "z": grid.z, "valid": asked, "kept": asked}
-    sampled = {k: a[SAMPLED_CELLS].reshape(batch, -1) for k, a in columns.items()}
-    of_cells = np.where(grid.in_view, label.reshape(grid.z.shape), -1)[SAMPLED_CELLS]
-    of_cells = of_cells.reshape(batch, -1)
-    count = label.max(axis=1, initial=-1) + 1
-    points = Features(
-        **{k: np.concatenate([getattr(corners, k), a], axis=1) for k, a in sampled.items()},
-        overflow=(count > MAX_OBSTACLES) | [one.overflow for one in found],
-    )
-    labels = np.concatenate([of_corners, of_cells], axis=1)
-    labels = np.where(labels < MAX_OBSTACLES, labels, -1).astype(np.int32)
-    return points, Labels(labels, np.minimum(count, MAX_OBSTACLES).astype(np.int32))
+    return View(x, y, z, *on_floor(floor, xyz))
 
 
 def _outlines(
-    grid: Cells, found: list[Found], unit: float, config: Config
+    grid: Cells, found: list[Found], count: np.ndarray, calibration: Calibration, config: Config
 ) -> tuple[Obstacles, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The obstacles, measured on their cells in the colour image, and outlined on all of them."""
-    batch = len(found)
-    flat = {k: getattr(grid, k).reshape(batch, -1) for k in "xyz"}
-    seen, none = grid.in_view.reshape(batch, -1), np.zeros(batch, bool)
-    every = Features(flat["x"], flat["y"], **flat, valid=seen, kept=seen, overflow=none)
+    """The obstacles, measured and outlined on their cells; ``count`` of each frame."""
+    batch, unit, settings = len(found), calibration.depth_unit, config.footprint
+    flat = [axis.reshape(batch, -1) for axis in grid]
+    every = np.ones(flat[0].shape, bool)
+    points = Features(*flat[:2], *flat, valid=every, kept=every, overflow=every[:, 0])
     label = np.stack([one.label.ravel() for one in found])
-    shown = np.where(seen, label, -1)
     floor = [np.stack([one.view.right, one.view.forward], axis=-1) for one in found]
     floor = np.clip(np.stack(floor).reshape(batch, -1, 2), -MAX_LATERAL, MAX_LATERAL)
-    count = np.minimum(label.max(axis=1, initial=-1) + 1, MAX_OBSTACLES).astype(np.int32)
-    settings = config.footprint
     measured = footprint_on_floor(
-        every, Labels(shown, count), floor, unit, settings, slots=MAX_OBSTACLES
+        points, Labels(label, count), floor, unit, settings, slots=MAX_OBSTACLES
     )
+    side = cell_side(calibration.depth, config.surface.cell_rad)
+    first, last, inside = cell_boxes(grid.z, calibration, side)
     lines, heights = [], np.zeros((batch, MAX_OBSTACLES, 2), np.int32)
     long, edge = round(settings.long_m / unit), margins(grid.z.shape[2])
     for b, one in enumerate(found):
         lines.append(contours(one.label, one.view.right, one.view.forward, MAX_OBSTACLES))
         for number in range(int(count[b])):
             own = one.label == number
-            inside = own & grid.in_view[b]
-            measured.uv_min[b, number] = grid.uv_min[b][inside].min(axis=0)
-            measured.uv_max[b, number] = grid.uv_max[b][inside].max(axis=0)
+            shown = own & inside[b]
+            measured.uv_min[b, number] = first[b][shown].min(axis=0) if shown.any() else 0
+            measured.uv_max[b, number] = last[b][shown].max(axis=0) if shown.any() else -1
             line = lines[b][0][number, : lines[b][1][number]]
             direction = fitted_direction(line[inner(edge[own.any(axis=0)])])
             place = np.stack([one.view.right[own], one.view.forward[own]], axis=-1)

@@ -45,7 +45,7 @@ def features(
         valid[b, :count] = True
     frame = np.arange(batch)[:, None]
     z = np.where(valid, keep.z[frame, v, u], 0).astype(np.int32)
-    ray_x, ray_y = fixed_rays(calibration.color)
+    ray_x, ray_y = fixed_rays(calibration.image)
     return Features(
         u=u,
         v=v,

@@ -27,7 +27,7 @@ def ground(
     """
     settings, unit = config.ground, calibration.depth_unit
     nearest, farthest = depth_range(settings.min_depth_m, settings.max_depth_m, unit)
-    limits, which = floor_limits(calibration.color, plane, settings, unit)
+    limits, which = floor_limits(calibration.image, plane, settings, unit)
     in_range = (aligned.z >= nearest) & (aligned.z <= farthest)
     mask = in_range & (aligned.z <= limits[which])
     return Keep(mask, aligned.z, in_range.any(axis=(1, 2)))

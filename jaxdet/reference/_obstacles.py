@@ -159,8 +159,7 @@ def _ordered(
     """Obstacles by distance; what is too small or too far becomes -1."""
     known = extents(label, view)
     size = np.maximum(known.width, known.top - known.bottom)
-    shown = np.bincount(label[(label >= 0) & view.in_view], minlength=len(size))
-    good = (size >= round(config.min_size_m / unit)) & (shown >= config.min_cells)
+    good = (size >= round(config.min_size_m / unit)) & (known.cells >= config.min_cells)
     good &= known.nearest <= farthest
     leftmost = np.full(len(good), 1 << 40)
     on = label >= 0

@@ -16,7 +16,6 @@ class View(NamedTuple):
     right: np.ndarray  # on the floor
     forward: np.ndarray  # on the floor
     height: np.ndarray  # above the floor
-    in_view: np.ndarray  # bool, at least partly in the colour image
 
 
 class Extents(NamedTuple):

@@ -27,12 +27,12 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
     Raises:
         CalibrationError: The images are not of the depth camera's size.
     """
-    check_size("depth", np.shape(depth), calibration.depth or calibration.color)
+    check_size("depth", np.shape(depth), calibration.depth)
     if calibration.is_aligned:
         depth = jnp.asarray(depth)
         return AlignedDepth(depth, depth)
     depth = jax.device_put(depth)
-    size = calibration.color.height, calibration.color.width
+    size = calibration.image.height, calibration.image.width
     return AlignedDepth(*align_arrays(depth, *tables(calibration), size))
 
 
@@ -77,11 +77,14 @@ def _align(
 @lru_cache(maxsize=8)
 def tables(calibration: Calibration) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The rays of the depth pixels' corners, and the parameters, on the device."""
-    assert calibration.depth is not None  # splat_parameters says so with an error
+    x, y = corner_rays(calibration.depth)
+    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(parameters(calibration))
+
+
+def parameters(calibration: Calibration) -> np.ndarray:
+    """The projection into the colour image, as the kernels take it, ``(PARAMETERS + 2,)``."""
     splat = splat_parameters(calibration)
     more = splat.max_r2, splat.depth_unit, _MODELS.index(splat.model), splat.fills_corners
-    parameters = np.concatenate(
+    return np.concatenate(
         [splat.rotation, splat.translation, splat.pinhole, splat.lens, np.array(more, np.float32)]
     )
-    x, y = corner_rays(calibration.depth)
-    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(parameters)

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxdet.config import Config
-from jaxdet.floor.plane import ground_axes
+from jaxdet.floor.plane import ground_axes, plane_in_color
 from jaxdet.stages import _align, _cluster, _features, _footprint, _ground, _spread
 from jaxdet.stages._corners import corner_settings
-from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane
+from jaxdet.types import AlignedDepth, Calibration, Detections, Frames, GroundPlane, Points
 
 
 class _Tables(NamedTuple):
@@ -38,30 +38,31 @@ SPECS = _spread.WHOLE, cast(Any, _Given)(ground=_PLANES, axes=_spread.ROWS)
 class _Static(NamedTuple):
     """What a compiled program is for."""
 
-    align: tuple[int, int, tuple[int, int]] | None
-    """The lens, whether depth pixels fill corners, and the colour image's size; None: depth is
-    aligned already."""
+    align: tuple[int, int] | None  # the colour image's size; None: depth is aligned already
     slots: int  # of corners
     most: int  # obstacles that there is room for
 
 
 def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Aligns, drops the floor, finds corners, clusters them by gaps and outlines the clusters.
+    """Align depth, drop the floor, find corners, cluster them by gaps and outline the clusters.
 
     Args:
-        frames: ``B`` frames; images on the host, which all devices share, or already on devices.
-        plane: The floor of each frame.
-        config: The method; ``cluster.points`` is on.
+        frames: ``B`` frames with colour; images on the host, which all devices share, or already
+            on devices.
+        plane: Floor of each frame.
+        config: Configuration of the method; ``cluster.points`` is True.
 
     Returns:
-        What :func:`jaxdet.pipeline.detect` returns, still being computed perhaps.
+        The obstacles, see :func:`jaxdet.pipeline.detect`, perhaps still being computed.
     """
+    _features.check_kernels_size(frames.calibration.image)
+    plane = plane_in_color(plane, frames.calibration)
     shared, static = _tables(frames.calibration, config)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
         ground = _ground.tables(known, frames.calibration, config)
         given = _Given(ground, jnp.asarray(ground_axes(known)))
-        return _spread.run(_detect, *images, (shared, given), SPECS, static)
+        return _spread.run(_detect, images, (shared, given), SPECS, static)
 
     return _spread.in_parts(run, (frames.color, frames.depth), plane, staged=True)
 
@@ -69,18 +70,18 @@ def clusters(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
     """The arrays on the device, and what is compiled for; no alignment of what is aligned."""
-    unit, slots, lens, align = calibration.depth_unit, config.features.max_corners, None, ()
+    unit, slots, size, align = calibration.depth_unit, config.features.max_corners, None, ()
     if not calibration.is_aligned:
-        *align, model, fills = _align.tables(calibration)
-        lens = model, fills, (calibration.color.height, calibration.color.width)
+        align = _align.tables(calibration)
+        size = calibration.image.height, calibration.image.width
     made = _Tables(
         tuple(align),
-        _features.rays(calibration.color),
+        _features.rays(calibration.image),
         jnp.asarray(corner_settings(config.features)),
         jnp.asarray(_cluster.gap_settings(config.cluster, unit)),
         _footprint.tables(config.footprint, unit),
     )
-    return made, _Static(lens, slots, _cluster.most_obstacles(slots, config.cluster))
+    return made, _Static(size, slots, _cluster.most_obstacles(slots, config.cluster))
 
 
 @partial(jax.jit, static_argnames="static")
@@ -90,11 +91,12 @@ def _detect(
     tables, floor = given
     aligned = AlignedDepth(depth, depth)
     if static.align is not None:
-        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, *static.align))
+        aligned = AlignedDepth(*_align.align_arrays(depth, *tables.align, static.align))
     keep = _ground.keep(aligned.z, *floor.ground)
-    features = _features.on_device(
+    corners = _features.on_device(
         color, keep.z, keep.mask, tables.rays, tables.corners, static.slots
     )
-    labels = _cluster.labels(features, tables.gaps, static.most)
-    obstacles = _footprint.obstacles(features, labels, floor.axes, tables.footprint, static.most)
-    return Detections(features, labels, obstacles, keep.has_depth)
+    labels = _cluster.labels(corners, tables.gaps, static.most)
+    obstacles = _footprint.obstacles(corners, labels, floor.axes, tables.footprint, static.most)
+    count, points = labels.num_obstacles, Points(corners, labels)
+    return Detections(count, corners.overflow, keep.has_depth, obstacles, points=points)

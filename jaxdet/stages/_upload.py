@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import warp as wp
 
-from jaxdet.stages._launch import registering
+from jaxdet.runtime.launch import registering
 
 UINT8: Any = wp.uint8
 UINT16: Any = wp.uint16

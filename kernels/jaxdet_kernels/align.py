@@ -108,7 +108,7 @@ def align_split(keys: Keys, depth_out: Depth, z_out: Depth):
     """Depth and z of the keys, a thread a pixel, on CUDA."""
     b, v, u = wp.tid()
     key = keys[b, v, u]
-    if key == wp.uint32(wp.static(NOTHING)):
+    if key == ~wp.uint32(0):
         key = wp.uint32(0)
     depth_out[b, v, u] = wp.uint16(key >> wp.uint32(16))
     z_out[b, v, u] = wp.uint16(key & wp.uint32(0xFFFF))

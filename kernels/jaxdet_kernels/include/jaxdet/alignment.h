@@ -27,10 +27,9 @@ struct Alignment {
         const float* parameters, const unsigned short* depth, int rows, int columns,
         const float* corner_x, const float* corner_y, int height, int width, unsigned* keys
     ) {
-        const float* const more = parameters + Projection::PARAMETERS;
-        const Projection projection{parameters, static_cast<int>(more[0])};
-        return {depth, rows, columns, corner_x, corner_y, projection, static_cast<int>(more[1]),
-                height, width, keys};
+        const int fills = static_cast<int>(parameters[Projection::PARAMETERS + 1]);
+        const Projection projection = Projection::of(parameters);
+        return {depth, rows, columns, corner_x, corner_y, projection, fills, height, width, keys};
     }
 
     // The colour pixels that a depth pixel covers, inside of the image.

@@ -1,6 +1,7 @@
 // The best floor of a frame, in its own cells. Twin of `_find` in jaxdet/reference/_floor.py; the
 // constants are its.
 #pragma once
+#include "arena.h"
 #include "floor_ahead.h"
 #include "floor_search.h"
 #include "margins.h"
@@ -29,6 +30,7 @@ struct Floor {
         // 0 to 3: counts; from 4 on: ends of rings, then where the next cell of each goes.
         ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
         COUNTS = NEXT + FloorSearch::RINGS,
+        MOST_THREADS = 256,
         // Words of shared memory on CUDA: five blocks have room on a multiprocessor of 228 KB.
         SHARED = 11264
     };
@@ -43,25 +45,23 @@ struct Floor {
     int *rows, *places, *lattice, *ends;
     int most, most_few, room;
 
-    // Words of scratch memory, in the order of the layout; jaxdet_kernels/floor.py has the same sum.
-    // On CUDA `fast` has SHARED words, used first: what is needed always, then what one part of the
-    // search needs after the other.
+    // Takes the arrays from scratch memory. On CUDA `fast` has SHARED words, used first: what is
+    // needed always, then what one part of the search needs after the other.
     Floor(const Team& team, const int* settings, const int* sines, const int* given, int rows_in,
-          int columns_in, int* scratch, int* fast)
+          int columns_in, Arena& arena, int* fast)
         : team(team), settings(settings), angles{sines}, prior{given[0], given[1], given[2]},
           known(given[3] != 0) {
         const int stride = settings[FloorSetting::STRIDE];
         const int r = part(rows_in, stride), c = part(columns_in, stride);
         most = r * c;
         most_few = ((r + 1) / 2) * ((c + 1) / 2);
-        int *at = scratch, *quick = fast;
+        int* quick = fast;
         room = fast ? SHARED : 0;
         const auto always = [&](int words) {
-            const bool fits = words <= room;
-            int* const place = fits ? quick : at;
-            quick += fits ? words : 0;
-            room -= fits ? words : 0;
-            at += fits ? 0 : words;
+            if (words > room) return arena.words(words);
+            int* const place = quick;
+            quick += words;
+            room -= words;
             return place;
         };
         sums = (unsigned long long*)always(ThreadGroup::words(team));
@@ -71,27 +71,18 @@ struct Floor {
         votes = always(PLANES);
         most_ramp = always(PLANES);
         rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
-        const auto now = [&](int words) {
-            int* const place = words <= room ? quick : at;
-            at += words <= room ? 0 : words;
-            return place;
-        };
-        cells = at;
-        at += 3 * most;
-        parts = at;
-        at += 3 * most;
-        few = at;
-        at += 3 * most_few;
-        inner = at;
-        at += 3 * most_few;
-        slack = at;
-        at += most_few;
+        const auto now = [&](int words) { return words <= room ? quick : arena.words(words); };
+        cells = arena.words(3 * most);
+        parts = arena.words(3 * most);
+        few = arena.words(3 * most_few);
+        inner = arena.words(3 * most_few);
+        slack = arena.words(most_few);
         places = now(4 * most_few);
-        const int groups = (team.size + ThreadGroup::WARP - 1) / ThreadGroup::WARP * most_few;
+        const int groups = MOST_THREADS / 32 * most_few;  // warps on CUDA
         weights = now(groups > most ? groups : most);
-        ends = room ? quick : at;
-        at += room ? 0 : FloorVotes::LANES * FloorSearch::most_bins(settings);
-        lattice = at;
+        const int bins = FloorSearch::most_bins(settings);
+        ends = room ? quick : arena.words(FloorVotes::LANES * bins);
+        lattice = arena.words(FloorSearch::lattice_words(settings));
     }
 
     // Cells of a side that are used: from the middle of the first step on.

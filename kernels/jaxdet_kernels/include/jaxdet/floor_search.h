@@ -339,6 +339,18 @@ struct FloorSearch {
         return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
     }
 
+    // Words of the largest lattice: the directions of whole warps, with a bin more.
+    static size_t lattice_words(const int* settings) {
+        const auto words = [&](size_t directions, int span) {
+            return (directions + 31) / 32 * 32 * ((span >> settings[FloorSetting::BIN_BITS]) + 2);
+        };
+        const size_t near = words((2 * STEEP_DEG + 1) * (2 * NEAR_DEG + 1),
+                                  2 * settings[FloorSetting::SPAN]);
+        const size_t wide = words(
+            MOST_DIRECTIONS, settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST]);
+        return near > wide ? near : wide;
+    }
+
     // The tolerance of votes for directions so far apart, whatever the height.
     void coarse(const Team& team, int per_z) const {
         const int noise = settings[FloorSetting::NOISE];

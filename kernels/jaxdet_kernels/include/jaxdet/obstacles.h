@@ -1,5 +1,6 @@
 // Obstacles from surfaces. Twin of `obstacles` in jaxdet/reference/_obstacles.py.
 #pragma once
+#include "arena.h"
 #include "bits.h"
 #include "contraction.h"
 #include "evidence.h"
@@ -10,23 +11,6 @@
 
 namespace jaxdet {
 namespace {
-
-// Hands out scratch memory in the order asked for.
-struct Arena {
-    int* next;
-
-    int* words(size_t count) {
-        int* place = next;
-        next += (count + 15) / 16 * 16;
-#if !defined(__CUDA_ARCH__)
-        // Hides from clang how far one array is from another, which it would try to make use of in
-        // every loop: that takes four times as long to compile and is no faster.
-        asm("" : "+r"(place));
-#endif
-        return place;
-    }
-    unsigned long long* longs(size_t count) { return (unsigned long long*)words(2 * count); }
-};
 
 struct Obstacles {
     typedef unsigned long long Key;
@@ -45,7 +29,7 @@ struct Obstacles {
     int rows, columns;
     // Of each cell.
     const int *surface, *x, *y, *z, *right, *forward, *height;
-    const unsigned char *free, *in_view;
+    const unsigned char* free;
     const int* settings;
     Trees trees;
     int* label;  // result, of each cell
@@ -62,13 +46,12 @@ struct Obstacles {
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
 
-    // As many words as `scratch_words` in jaxdet_kernels/obstacles.py says.
-    void allocate(int* scratch) {
+    // Takes the arrays from scratch memory.
+    void allocate(Arena& arena) {
         const size_t cells = (size_t)rows * columns;
         slots = cells < MAX_SURFACES ? (int)cells : MAX_SURFACES;
         const size_t all = (size_t)slots * slots;
         const size_t labels = cells < MAX_LABELS ? cells : (size_t)MAX_LABELS;
-        Arena arena = {scratch};
         const size_t sums = Facing::SUMS * all / 2, keys = (size_t)slots * columns;
         pairs = arena.longs(sums > keys ? sums : keys);
         of_surfaces = arena.longs(keys);
@@ -124,7 +107,7 @@ struct Obstacles {
     }
 
     void measure(const Team& team, const Extents& known, int count) const {
-        known.measure(team, count, listed, columns, x, z, height, in_view);
+        known.measure(team, count, listed, columns, x, z, height);
     }
 
     // The trimmed extremes of a value, of labels with `over` set.
@@ -304,7 +287,7 @@ struct Obstacles {
         }
         if (named) measure_width(team, last, count);
         for (int l = team.rank; l < count; l += team.size) {
-            small[l] = !(is_large(last, l) && last.shown[l] >= settings[MIN_CELLS] &&
+            small[l] = !(is_large(last, l) && last.cells[l] >= settings[MIN_CELLS] &&
                          last.nearest[l] <= settings[FARTHEST]);
         }
         team.sync();

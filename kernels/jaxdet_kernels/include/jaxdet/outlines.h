@@ -1,6 +1,7 @@
 // The outline of each obstacle on the floor: its contour, and the rectangle that fits it. Twin of
 // jaxdet/reference/_outlines.py.
 #pragma once
+#include "arena.h"
 #include "measures.h"
 #include "obstacle_cells.h"
 #include "ranks.h"
@@ -39,14 +40,14 @@ struct Outlines {
     // By place in the order of the cells: along or across the direction.
     int* projected;
 
-    // Puts the arrays into scratch memory that begins at a multiple of 64 bits; its end.
-    int* allocate(int* scratch) {
-        nearest = (unsigned long long*)scratch;
-        area = (long long*)(nearest + (long long)slots * cells.columns);
-        cost = (int*)(area + slots * DIRECTIONS);
-        margins = cost + slots * DIRECTIONS;
-        projected = margins + 2 * slots;
-        return projected + cells.cells;
+    // Takes the arrays from scratch memory; those of `grid`, which `cells` is, after them.
+    void allocate(Arena& arena, ObstacleCells& grid) {
+        nearest = arena.longs((size_t)slots * cells.columns);
+        area = (long long*)arena.longs(slots * DIRECTIONS);
+        cost = arena.words(slots * DIRECTIONS);
+        margins = arena.words(2 * slots);
+        projected = arena.words(cells.cells);
+        grid.allocate(arena, slots);
     }
 
     // All of it, `measures` included.
@@ -98,7 +99,7 @@ struct Outlines {
         const CellList& listed = cells.listed;
         for (int i = team.rank; i < *listed.count; i += team.size) {
             const int k = listed.cell[i], column = k % cells.columns, number = listed.label[i];
-            const int place = cells.place(number, cells.in_view[k], column);
+            const int place = cells.place(number, column);
             listed.label[i] = place;
             team.atomic_count(cells.filled + place);
             team.atomic_min(nearest + number * cells.columns + column,

@@ -14,6 +14,11 @@ struct Projection {
     const float* p;
     int model;
 
+    // Behind the parameters is the lens.
+    static Projection of(const float* parameters) {
+        return {parameters, static_cast<int>(parameters[PARAMETERS])};
+    }
+
     struct Point {
         int u, v, z;
         bool seen;

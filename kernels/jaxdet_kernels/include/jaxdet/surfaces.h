@@ -1,6 +1,7 @@
 // The cells of a frame on the floor, and the surfaces that they make.
 // Twin of `_surfaces` in jaxdet/reference/_detect.py and of jaxdet/reference/_surfaces.py.
 #pragma once
+#include "arena.h"
 #include "bits.h"
 #include "creases.h"
 #include "floor_frame.h"
@@ -22,8 +23,12 @@ struct Surfaces {
     };
     // Where each setting is: depths up to which surfaces are followed; the height up to which those
     // without a steep side are floor; how much noise of depth lifts floor, by its depth and by the
-    // camera's height, with NOISE_BITS fraction bits; and what hangs higher is no obstacle.
-    enum { NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, SETTINGS };
+    // camera's height, with NOISE_BITS fraction bits; the height from which things are passed below; and
+    // the end of the depth range.
+    enum {
+        NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
+        SETTINGS
+    };
     enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
     const int *x, *y, *z;  // (R, C): the frame's cells, z = 0: none
@@ -34,9 +39,11 @@ struct Surfaces {
     const int* settings;
     int *right, *forward, *height, *label_out;  // (R, C)
     unsigned char *keep, *free, *low;           // (R, C)
-    int *count_out, *scratch;
+    int* count_out;
+    int* has_depth_out;  // whether some depth is in range
+    int* scratch;
 
-    // The words of scratch memory of a team: `surfaces_words` in surfaces.py.
+    // A team's scratch memory.
     struct Parts {
         Grid grid;
         // (grid) each: smoothed depths; on the CPU what more there is of single cells.
@@ -50,14 +57,14 @@ struct Surfaces {
         int *before, *near;
         int most_near;
 
-        Parts(int rows, int columns, int* scratch)
+        Parts(int rows, int columns, Arena& arena)
             : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
             const int cells = rows * columns;
             int** const planes[] = {&depth, &other, &step};
-            for (int** plane : planes) *plane = scratch, scratch += grid.size;
+            for (int** plane : planes) *plane = arena.words(grid.size);
             int** const arrays[] = {&parent, &label, &sizes, &first, &top, &level};
-            for (int** array : arrays) *array = scratch, scratch += cells;
-            before = scratch;
+            for (int** array : arrays) *array = arena.words(cells);
+            before = arena.words(5 * kept.count() + 1);
             near = parent;
             most_near = 0;
             const int count = kept.count();
@@ -105,8 +112,11 @@ struct Surfaces {
 
     static int higher(int a, int b) { return a > b ? a : b; }
 
-    // Everything that is known of single cells.
-    void start(const Team& team, const Parts& in) const {
+    bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
+
+    // Places single cells on the floor; returns whether one of this thread's is in range.
+    bool start(const Team& team, const Parts& in) const {
+        int some = 0;
         const FloorFrame frame(floor);
         const int slope = noise(frame);
         in.grid.frame(team, in.depth, Creases::NONE);
@@ -125,6 +135,7 @@ struct Surfaces {
             for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
             for (int k = 0; k < AHEAD; ++k) {
                 const bool on = at[k] >= 0 && place(frame, at[k], a[k], b[k], d[k], rise[k]);
+                some |= (at[k] >= 0) & in_range(d[k]);
                 const unsigned those = warp.ballot(on);
                 const int i = first + k;
                 if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
@@ -143,6 +154,7 @@ struct Surfaces {
                 const int k = first + c, d = z[k];
                 place(frame, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
                 depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+                some |= in_range(d);
             }
             for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
                 const int c = in.kept.column(i);
@@ -150,6 +162,7 @@ struct Surfaces {
             }
         }
 #endif
+        return some;
     }
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
@@ -530,9 +543,11 @@ struct Surfaces {
 
     // All threads of the team must call it.
     void run(const Team& team) const {
-        const Parts in(rows, columns, scratch);
+        Arena arena{scratch};
+        const Parts in(rows, columns, arena);
         const BitRows &kept = in.kept, &on = in.on, &starts = in.starts, &up = in.up;
-        start(team, in);
+        const bool some = team.any(start(team, in));
+        if (team.rank == 0) *has_depth_out = some;
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
             steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
