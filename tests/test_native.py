@@ -53,7 +53,9 @@ def test_each_header_compiles_alone(header):
 
 @pytest.mark.skipif(COMPILER is None, reason="no g++ on this machine")
 def test_a_name_that_is_not_declared_is_found():
-    assert "missing" in faults('#include "jaxdet/team.h"\nint wrong(jaxdet::Team t) { return t.missing; }\n')
+    assert "missing" in faults(
+        '#include "jaxdet/team.h"\nint wrong(jaxdet::Team t) { return t.missing; }\n'
+    )
 
 
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]

@@ -1,19 +1,19 @@
 """The kernel of outlines: equal to the reference, field by field."""
 
 from pathlib import Path
-from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.reference._detect import _outlines
 from jaxdet.results.metric import extents
-from jaxdet.stages._outlines import outlines, tables
+from jaxdet.stages._outlines import tables
 from jaxdet.types import MAX_OBSTACLES
 from tests.scenes import assert_equal, small
+from tests.steps import outlines
 from tests.surface_frames import (
     SURFACES,
     Batch,
@@ -25,23 +25,16 @@ from tests.surface_frames import (
     simulated,
 )
 
-_traced: list[int] = []
-"""One for each time that the program is traced."""
-
-
-@jax.jit
-def _program(*arguments: Any) -> Any:
-    _traced.append(1)
-    return outlines(*arguments)
-
 
 def assert_twins(batch: Batch, config: Config = SURFACES) -> int:
     """Holds the kernel to the reference; how many obstacles there are."""
-    measured, shapes = _outlines(batch.grid, batch.found, batch.unit, config)
-    shared = tables(config.footprint, batch.unit)
     label = batch.label
     count = (label.max(axis=(1, 2)) + 1).astype(np.int32)
-    twin = _program(label, count, batch.grid, batch.floor, shared)
+    kept = np.minimum(count, MAX_OBSTACLES)
+    measured, shapes = _outlines(batch.grid, batch.found, kept, batch.calibration, config)
+    side = cell_side(batch.calibration.depth, config.surface.cell_rad)
+    shared = tables(batch.calibration, config)
+    twin = outlines(label, count, batch.grid, batch.floor, shared, side)
     assert_equal(twin.obstacles, measured)
     for got, want in zip(twin[1:], shapes, strict=True):
         np.testing.assert_array_equal(np.asarray(got), want, strict=True)
@@ -75,14 +68,6 @@ def test_settings(footprint: dict[str, float]) -> None:
     assert assert_twins(batch, changed(**footprint)) == 12
 
 
-def test_a_setting_compiles_nothing_anew() -> None:
-    batch = drawn((2, 30, 50), 6, seed=2)
-    assert_twins(batch)
-    before = len(_traced)
-    assert_twins(batch, changed(trim=1, long_m=1.0, vertex_threshold_m=0.2))
-    assert len(_traced) == before
-
-
 def test_more_obstacles_than_there_are_slots() -> None:
     batch = drawn((2, 80, 90), 200, seed=4, block=4)
     assert batch.label.max() > 150
@@ -95,7 +80,7 @@ def test_no_obstacles_beside_some() -> None:
     grid = type(some.grid)(
         *(np.concatenate(pair) for pair in zip(none.grid, some.grid, strict=True))
     )
-    assert 0 < assert_twins(Batch(grid, [empty, some.found[0]])) <= 5
+    assert 0 < assert_twins(Batch(grid, [empty, some.found[0]], some.calibration)) <= 5
 
 
 def test_an_obstacle_in_the_margins() -> None:
@@ -105,23 +90,22 @@ def test_an_obstacle_in_the_margins() -> None:
     for inner in range(0, 40, 5):
         own = (column < 5) | (column >= 35) | (np.abs(column - 19) < inner / 2)
         label = np.where(own, 0, -1) + np.zeros((12, 1), int)
-        in_view = np.ones((1, 12, 40), bool)
-        view = batch.found[0].view._replace(in_view=in_view[0])
-        grid = batch.grid._replace(in_view=in_view)
         for long_m in (0.1, 60.0):
-            found = [batch.found[0]._replace(label=label, view=view)]
-            assert assert_twins(Batch(grid, found), changed(long_m=long_m)) == 1
+            found = [batch.found[0]._replace(label=label)]
+            assert assert_twins(batch._replace(found=found), changed(long_m=long_m)) == 1
 
 
 def test_sums_beyond_32_bits() -> None:
     """A wall at 6 m in tenths of a millimetre, over the whole picture."""
     batch = drawn((1, 200, 220), 1, seed=6, reach=60000)
     one, z = batch.found[0], np.full((1, 200, 220), 60000, np.int32)
-    grid = batch.grid._replace(x=-z, z=z, in_view=z > 0)
-    view = one.view._replace(x=-z[0], z=z[0], in_view=z[0] > 0)
-    wall = Batch(grid, [one._replace(label=np.zeros((200, 220), int), view=view)])
+    grid = batch.grid._replace(x=-z, z=z)
+    view = one.view._replace(x=-z[0], z=z[0])
+    found = [one._replace(label=np.zeros((200, 220), int), view=view)]
+    wall = batch._replace(grid=grid, found=found)
     assert assert_twins(wall) == 1
-    measured, _ = _outlines(wall.grid, wall.found, wall.unit, SURFACES)
+    count = np.ones(1, np.int32)
+    measured, _ = _outlines(wall.grid, wall.found, count, wall.calibration, SURFACES)
     centroid = extents(measured, 0.0001).centroid[0, 0]
     np.testing.assert_array_equal(centroid[[0, 2]], np.array([-6.0, 6.0], np.float32))
 

@@ -16,7 +16,7 @@ import warp as wp
 from jaxdet.runtime.calls import by_device, jax_callable
 from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, prepare
 from jaxdet.runtime.layout import Layout
-from jaxdet.types import MAX_OBSTACLES, Array
+from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Array
 from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
@@ -83,10 +83,16 @@ def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
     Args:
         sizes: Of the images and the grid.
         tables: By name; those that no step to be run reads may be missing.
+
+    Raises:
+        ValueError: The grid has more than ``MAX_CONTOUR`` rows or columns.
     """
+    rows, columns = sizes.rows, sizes.columns
+    if max(rows, columns) > MAX_CONTOUR:
+        raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
     made = {name: np.asarray(tables.get(name, np.zeros(0, np.int32))) for name in _TABLES}
     layout = Layout({name: table.shape for name, table in made.items()})
-    work, record = work_layout(sizes.rows, sizes.columns), record_layout(sizes.columns)
+    work, record = work_layout(rows, columns), record_layout(columns)
     trees, leaves = made["value"].shape if made["value"].ndim == 2 else (0, 0)
     more = MAX_OBSTACLES, trees, leaves, int(not made["corner_x"].size), work.words, 0
     places = [_HEADER + place for place in layout.places]

@@ -20,6 +20,7 @@ def tables(calibration: Calibration, config: Config) -> Tables:
     step = step_height(calibration, config)
     beyond, bent = round(farthest * surface.beyond), round(surface.bent_m / unit)
     creases = surface.crease_cells, surface.min_cells, surface.crease_margin
+    lengths = nearest, beyond, *creases, bent, step.noise
     return kernel_tables(
         steps=np.minimum(steps, MOST_STEP),
         limits=np.minimum(limits, MOST_LIMIT),
