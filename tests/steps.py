@@ -9,11 +9,11 @@ import numpy as np
 import warp as wp
 
 from jaxdet.config import Config
-from jaxdet.stages._detect import host_tables
 from jaxdet.stages._program import (
     STEPS,
     Sizes,
     Static,
+    host_tables,
     launch,
     packed,
     record_layout,
@@ -117,7 +117,8 @@ def surfaces(
 ) -> Surfaces:
     """``find_surfaces``."""
     found = step("find_surfaces", tables, {"x": x, "y": y, "z": z, "frame": frame}, _grid(z))
-    found |= {"label": found["surface"], "has_depth": found["has_depth"] != 0}
+    found |= {"label": found["surface"], "free": found["free_cell"]}
+    found["has_depth"] = found["has_depth"] != 0
     return Surfaces(*(found[name] for name in Surfaces._fields))
 
 
@@ -126,7 +127,7 @@ def obstacles(
 ) -> tuple[np.ndarray, np.ndarray]:
     """``find_obstacles``: the obstacle of each cell, and how many there are."""
     names = "x", "y", "z", "right", "forward", "height"
-    given = {"surface": label, "free": free, **dict(zip(names, view, strict=True))}
+    given = {"surface": label, "free_cell": free, **dict(zip(names, view, strict=True))}
     found = step("find_obstacles", tables, given, _grid(label))
     return found["label"], found["num_obstacles"]
 

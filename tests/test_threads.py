@@ -13,7 +13,7 @@ import pytest
 import jaxdet.cores
 from jaxdet import detect, reference, stages
 from jaxdet.cores import cores
-from jaxdet.engine.signals import stops_held_back
+from jaxdet.signals import stops_held_back
 from jaxdet.stages import _chain, _threads
 from tests.scenes import (
     D435,

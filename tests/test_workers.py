@@ -26,13 +26,13 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import lane, log_run, pool, station, worker
 from jaxdet.engine.plan import LogPlan
 from jaxdet.engine.pooled_run import PooledLogRun
-from jaxdet.engine.signals import stops_raised
 from jaxdet.engine.slots import SLOTS, attached
 from jaxdet.engine.worker import decide_floors
 from jaxdet.errors import ConfigError, FrameError, FrameStatus, InputError, Interrupted
 from jaxdet.io import Batch, LogFiles, LogOptions, RescanError, find_logs
 from jaxdet.presets import PRESETS
 from jaxdet.results.summary import Summary
+from jaxdet.signals import stops_raised
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.verify import verify
 from tests.pools import on_this_machine, same_results

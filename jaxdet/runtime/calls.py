@@ -8,6 +8,7 @@ import jax
 import warp as wp
 
 from jaxdet.runtime.launch import prepare
+from jaxdet.signals import stops_held_back
 
 
 def jax_callable(kernels: ModuleType, outputs: int) -> Callable[[Callable[..., None]], Any]:
@@ -48,3 +49,13 @@ def jax_callable(kernels: ModuleType, outputs: int) -> Callable[[Callable[..., N
 def by_device(cpu: Callable[[], Any], cuda: Callable[[], Any]) -> Any:
     """What one of two functions returns, by the device that a jitted program runs on."""
     return jax.lax.platform_dependent(cpu=cpu, cuda=cuda)
+
+
+def uninterrupted(program: Callable[..., Any], *arguments: Any) -> Any:
+    """Calls a jitted program; a Ctrl-C waits for it.
+
+    XLA calls functions of Python in the caller's thread, where Python raises KeyboardInterrupt.
+    Warp takes that for success, and results would be whatever the memory held.
+    """
+    with stops_held_back():
+        return program(*arguments)

@@ -9,7 +9,7 @@ import warp as wp
 
 from jaxdet.camera import corner_rays, splat_parameters
 from jaxdet.checks import check_size
-from jaxdet.runtime.calls import by_device, jax_callable
+from jaxdet.runtime.calls import by_device, jax_callable, uninterrupted
 from jaxdet.runtime.launch import on_cores
 from jaxdet.types import AlignedDepth, Array, Calibration, Distortion
 from jaxdet_kernels import align as kernels
@@ -33,7 +33,7 @@ def align(depth: Array, calibration: Calibration) -> AlignedDepth:
         return AlignedDepth(depth, depth)
     depth = jax.device_put(depth)
     size = calibration.image.height, calibration.image.width
-    return AlignedDepth(*align_arrays(depth, *tables(calibration), size))
+    return AlignedDepth(*uninterrupted(align_arrays, depth, *tables(calibration), size))
 
 
 @partial(jax.jit, static_argnames="size")

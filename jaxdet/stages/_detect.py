@@ -7,24 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdet.affinity import affinity
-from jaxdet.camera import cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import depth_range
-from jaxdet.floor.units import FloorFit, Scale, floor_fit, prior_units
-from jaxdet.stages import (
-    _cells,
-    _floor,
-    _free,
-    _obstacles,
-    _outlines,
-    _program,
-    _spread,
-    _surfaces,
-)
+from jaxdet.floor.units import FloorFit, floor_fit
+from jaxdet.runtime.calls import uninterrupted
+from jaxdet.stages import _program, _spread
+from jaxdet.stages._check import check_kernels
 from jaxdet.stages._points import clusters
-from jaxdet.stages._tables import Tables
 from jaxdet.types import (
     MAX_OBSTACLES,
     MAX_SURFACES,
@@ -66,7 +54,7 @@ def detect(
     tables, static = _tables(frames.calibration, config)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> Detections:
-        given = tables, _floors(known, config, frames.calibration.depth_unit)
+        given = tables, _program.floors(known, config, frames.calibration.depth_unit)
         return _spread.run(_detect, images, given, SPECS, static, with_cells)
 
     found = _spread.in_parts(run, (frames.depth,), plane)
@@ -79,42 +67,20 @@ def find_floors(frames: Frames, prior: GroundPlane, config: Config) -> FloorFit:
     tables, static = _tables(frames.calibration, config)
 
     def run(images: tuple[Any, ...], known: GroundPlane) -> jax.Array:
-        floors = jnp.asarray(_floors(known, config, unit))
-        return _find_floors(jax.device_put(*images), (tables, floors), static)
+        floors = jnp.asarray(_program.floors(known, config, unit))
+        given = jax.device_put(*images), (tables, floors)
+        return uninterrupted(_find_floors, *given, static)
 
     found = _spread.in_parts(run, (frames.depth,), prior)
     return floor_fit(np.asarray(found), prior, unit)
 
 
-def _floors(known: GroundPlane, config: Config, unit: float) -> np.ndarray:
-    """The prior of each frame's floor as the program takes it, ``(B, 17)`` int32."""
-    prior = prior_units(known, Scale(unit, config.floor.noise_per_m))
-    return np.hstack([prior, floor_frames(known, unit)])
-
-
 @lru_cache(maxsize=8)
 def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, _program.Static]:
     """The tables on the device, and the sizes that a program is compiled for."""
-    packed = _program.packed(*host_tables(calibration, config))
+    check_kernels()
+    packed = _program.packed(*_program.host_tables(calibration, config))
     return jnp.asarray(packed), _program.Static.of(packed)
-
-
-def host_tables(calibration: Calibration, config: Config) -> tuple[_program.Sizes, Tables]:
-    """The sizes and tables of all steps, on the host."""
-    unit, camera = calibration.depth_unit, calibration.depth
-    cells = _cells.tables(calibration, config.surface)
-    rows, columns = cells["rays"].shape[1:]
-    bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
-    table = affinity(config.obstacle.affinity, unit)
-    side = cell_side(camera, config.surface.cell_rad)
-    return _program.Sizes(camera.height, camera.width, side, rows, columns), {
-        **cells,
-        **_floor.tables(rows * columns, config.floor, unit),
-        **_surfaces.tables(calibration, config),
-        **_obstacles.tables(bounds[1], unit, config.obstacle, table),
-        **_outlines.tables(calibration, config),
-        **_free.tables(config, unit),
-    }
 
 
 @partial(jax.jit, static_argnames="static")

@@ -13,10 +13,18 @@ import jax
 import numpy as np
 import warp as wp
 
+from jaxdet.affinity import affinity
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
+from jaxdet.floor.frame import floor_frames
+from jaxdet.floor.plane import depth_range
+from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.calls import by_device, jax_callable
 from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, prepare
 from jaxdet.runtime.layout import Layout
-from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Array
+from jaxdet.stages import _cells, _floor, _free, _obstacles, _outlines, _surfaces
+from jaxdet.stages._tables import Tables
+from jaxdet.types import MAX_CONTOUR, MAX_OBSTACLES, Array, Calibration, GroundPlane
 from jaxdet_kernels import program as kernels
 
 STEPS = tuple(kernels.STEPS)
@@ -47,7 +55,7 @@ def work_layout(rows: int, columns: int) -> Layout:
     """What steps hand on: the grid of cells on the floor, and the floor's frame."""
     cells = rows, columns
     before, after = ("x", "y", "z"), ("right", "forward", "height", "surface")
-    bools = "keep", "free", "low"
+    bools = "keep", "free_cell", "low"
     shapes = {**dict.fromkeys(before, cells), "frame": (13,)}
     shapes |= dict.fromkeys((*after, *bools, "label"), cells)
     return Layout(shapes, frozenset(bools))
@@ -75,6 +83,30 @@ def record_layout(columns: int) -> Layout:
             "free_end": (columns,),
         }
     )
+
+
+def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
+    """The sizes and tables of all steps, on the host."""
+    unit, camera = calibration.depth_unit, calibration.depth
+    cells = _cells.tables(calibration, config.surface)
+    rows, columns = cells["rays"].shape[1:]
+    bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    table = affinity(config.obstacle.affinity, unit)
+    side = cell_side(camera, config.surface.cell_rad)
+    return Sizes(camera.height, camera.width, side, rows, columns), {
+        **cells,
+        **_floor.tables(rows * columns, config.floor, unit),
+        **_surfaces.tables(calibration, config),
+        **_obstacles.tables(bounds[1], unit, config.obstacle, table),
+        **_outlines.tables(calibration, config),
+        **_free.tables(config, unit),
+    }
+
+
+def floors(known: GroundPlane, config: Config, unit: float) -> np.ndarray:
+    """The prior of each frame's floor as the program takes it, ``(B, 17)`` int32."""
+    prior = prior_units(known, Scale(unit, config.floor.noise_per_m))
+    return np.hstack([prior, floor_frames(known, unit)])
 
 
 def packed(sizes: Sizes, tables: Mapping[str, Array]) -> np.ndarray:
