@@ -5,37 +5,25 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jaxdet.camera import RAY_BITS
 from jaxdet.config import FeaturesConfig
-from jaxdet.floor.frame import FLOOR_VALUES, FRAME_BITS
-from jaxdet.floor.plane import (
-    DIRECTION_BITS,
-    DIRECTIONS,
-    NOISE_BITS,
-    SLOPE_BITS,
-    STEEPEST_NOISE,
-)
 from jaxdet.reference import features
-from jaxdet.reference._cells import MARGIN
 from jaxdet.stages._corners import corner_settings
-from jaxdet.types import MAX_LABELS, MAX_SURFACES, Calibration, Keep
-from jaxdet_kernels import align, cover, outlines
-from jaxdet_kernels import features as corners
-from jaxdet_kernels.native_source import HEADERS as FILES
-from jaxdet_kernels.native_source import INCLUDE
+from jaxdet.types import Calibration, Keep
+from jaxdet_kernels.build import HEADERS as FILES
+from jaxdet_kernels.build import INCLUDE
 from tests.scenes import D435_COLOR, resized
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = INCLUDE / "jaxdet"
 HEADERS = [path.name for path in FILES]
 COMPILER = shutil.which("g++")
-FLAGS = ["-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "-x", "c++", "-"]
+FLAGS = ["-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror"]
+FLAGS += ["-Wno-missing-field-initializers", "-x", "c++", "-"]
 
 
 def faults(source: str) -> str:
@@ -132,18 +120,6 @@ def test_a_kernel_that_leaves_its_memory_is_found(tmp_path):
     assert done.returncode and "AddressSanitizer: heap-use-after-free" in done.stderr
 
 
-def test_headers_lie_in_the_wheel():
-    with (ROOT / "pyproject.toml").open("rb") as file:
-        build = tomllib.load(file)["tool"]["hatch"]["build"]
-    # Every file of these folders that git does not ignore; nothing is left out by its name.
-    assert build["targets"]["wheel"] == {"packages": ["jaxdet", "kernels/jaxdet_kernels"]}
-    assert build.keys() == {"dev-mode-dirs", "targets"}
-    assert FOLDER.relative_to(ROOT).as_posix() == "kernels/jaxdet_kernels/include/jaxdet"
-    ignored = (ROOT / ".gitignore").read_text("utf-8").split("\n")
-    assert {Path(name).suffix for name in HEADERS} == {".h"}
-    assert not [line for line in ignored if "include" in line or line.endswith(".h")]
-
-
 def test_each_header_is_used_and_each_twin_is_there():
     files = [*FILES, *INCLUDE.parent.glob("*.py")]
     texts = [path.read_text("utf-8") for path in files]
@@ -152,41 +128,3 @@ def test_each_header_is_used_and_each_twin_is_there():
     twins = {name for text in texts for name in re.findall(r"jaxdet/\w+(?:/\w+)*\.py", text)}
     assert {name for name in twins if not (ROOT / name).is_file()} == set()
     assert twins
-
-
-def constant(header: str, name: str) -> int:
-    """A number of an enum."""
-    found = re.search(rf"\b{name} = (\d+)\b", (FOLDER / header).read_text(encoding="utf-8"))
-    assert found, f"{header} has no {name}"
-    return int(found[1])
-
-
-def test_constants_agree() -> None:
-    """Scratch memory is as large as the kernels take it for."""
-    assert constant("surfaces.h", "MOST") == MAX_SURFACES
-    assert constant("obstacles.h", "MAX_SURFACES") == MAX_SURFACES
-    assert constant("obstacles.h", "MAX_LABELS") == MAX_LABELS
-    assert constant("outlines.h", "DIRECTIONS") == outlines.DIRECTIONS == DIRECTIONS
-    assert constant("outlines.h", "DIRECTION_BITS") == DIRECTION_BITS
-    tile = align.TILE_BLOCK, align.TILE_ROWS, align.TILE_COLUMNS
-    assert tile == tuple(
-        constant("alignment.h", name) for name in ("THREADS", "TILE_ROWS", "TILE_COLUMNS")
-    )
-    assert constant("alignment.h", "FEW") + constant("alignment.h", "WIDE") == align.SPARE
-    assert constant("projection.h", "PARAMETERS") == align.PARAMETERS
-    assert constant("floor_frame.h", "VALUES") == FLOOR_VALUES
-    assert constant("floor_frame.h", "BITS") == FRAME_BITS
-    noise = constant("surfaces.h", "NOISE_BITS"), constant("surfaces.h", "SLOPE_BITS")
-    assert noise == (NOISE_BITS, SLOPE_BITS)
-    assert constant("surfaces.h", "STEEPEST_NOISE") == STEEPEST_NOISE
-    assert constant("cover.h", "TILE") == cover.TILE
-    assert constant("cover.h", "RAY_BITS") == RAY_BITS
-    for header in ("canny.h", "corner_maxima.h", "corner_selection.h"):
-        assert constant(header, "MAX_SIZE") == corners.MAX_SIZE
-    assert constant("hysteresis.h", "MAX_HEIGHT") == corners.MAX_SIZE
-    for name in ("SUPPRESS_ROWS", "SUPPRESS_COLUMNS", "SUPPRESS_THREADS"):
-        assert constant("canny.h", name.removeprefix("SUPPRESS_")) == getattr(corners, name)
-    for name in ("MAXIMA_ROWS", "MAXIMA_COLUMNS", "MAXIMA_THREADS"):
-        assert constant("corner_maxima.h", name.removeprefix("MAXIMA_")) == getattr(corners, name)
-    assert constant("corner_selection.h", "THREADS") == corners.SELECT_THREADS
-    assert constant("margins.h", "MARGIN") == MARGIN
