@@ -76,7 +76,7 @@ class Threads(Odd):
     def __call__(self, batch: Batch, found: Any) -> Any:
         import cv2
 
-        from jaxdet.stages._threads import threads
+        from jaxdet.runtime.threads import threads
 
         return cv2.getNumThreads(), os.environ["PJRT_NPROC"], threads()
 
@@ -530,7 +530,7 @@ def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
     sent = []
 
     def send(frame: Any, event: str, _: Any) -> None:
-        if event == "call" and frame.f_code.co_name == "handle":
+        if event == "call" and frame.f_code.co_filename.endswith("_program.py"):
             sys.setprofile(None)
             sent.append(frame.f_code.co_filename)
             signal.raise_signal(signal.SIGINT)
@@ -544,7 +544,7 @@ def test_control_c_while_the_floor_is_looked_for(sim_logs, tmp_path):
             run(sim_logs, tmp_path, progress=progress, workers=1, pictures=0)
     finally:
         sys.setprofile(None)
-    assert [Path(name).name for name in sent] == ["_xla.py"]
+    assert [Path(name).name for name in sent] == ["_program.py"]
 
 
 def test_a_signal_just_before_the_processes_start_does_not_hang(monkeypatch):

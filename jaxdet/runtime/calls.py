@@ -1,6 +1,7 @@
 """Functions on Warp's arrays that jitted programs call, on the CPU and on CUDA."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from types import ModuleType
 from typing import Any
 
@@ -11,11 +12,13 @@ from jaxdet.runtime.launch import prepare
 from jaxdet.signals import stops_held_back
 
 
-def jax_callable(kernels: ModuleType, outputs: int) -> Callable[[Callable[..., None]], Any]:
+def jax_callable(
+    kernels: ModuleType, types: Sequence[Any], outputs: int
+) -> Callable[[Callable[..., None]], Any]:
     """Makes a function that launches kernels callable under ``jax.jit``.
 
-    Its arguments are annotated arrays of Warp's, the last ones are outputs, whose shapes a call
-    gives as ``output_dims``. It has no scalars: Warp numbers the values of scalars without a lock,
+    Its arguments are arrays of Warp's, the last ones are outputs, whose shapes a call gives as
+    ``output_dims``. It has no scalars: Warp numbers the values of scalars without a lock,
     so two threads that trace at the same time could get each other's.
 
     :func:`warp.jax_callable` is experimental. It runs one function at a time in a process. XLA
@@ -24,11 +27,13 @@ def jax_callable(kernels: ModuleType, outputs: int) -> Callable[[Callable[..., N
 
     Args:
         kernels: The module whose kernels it launches; Warp loads it before a call.
+        types: Warp's types of the arguments.
         outputs: How many of its arguments are outputs.
     """
 
     def decorate(function: Callable[..., None]) -> Any:
         function.__module__ = kernels.__name__
+        function.__annotations__ = dict(zip(signature(function).parameters, types, strict=True))
         made = wp.jax_callable(
             function,
             num_outputs=outputs,

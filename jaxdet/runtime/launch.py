@@ -11,6 +11,7 @@ import warp as wp
 
 from jaxdet.runtime import threads
 from jaxdet.runtime.compiled import load_for_cpu
+from jaxdet.runtime.layout import LINE
 
 INT32: Any = wp.int32
 
@@ -43,11 +44,12 @@ def on_cores(kernel: Any, arrays: Sequence[Any], frames: int, scratch: int) -> N
     with _lock:
         following, value = _next()
         value[0] = 0
-        work = [
-            partial(wp.launch, kernel, 1, [*arrays, _memory(i, scratch), following], device="cpu")
-            for i in range(count)
-        ]
-        threads.on_all_cores(work)
+        given = ([*arrays, _memory(thread, scratch), following] for thread in range(count))
+        threads.on_all_cores([partial(_launch, kernel, values) for values in given])
+
+
+def _launch(kernel: Any, arguments: list[Any]) -> None:
+    wp.launch(kernel, 1, arguments, device="cpu")
 
 
 @lru_cache(maxsize=1)
@@ -60,9 +62,11 @@ _kept: dict[int, Any] = {}  # of each thread
 
 
 def _memory(thread: int, words: int) -> Any:
-    """The memory of a thread, as large as the largest that was requested."""
+    """The memory of a thread, as large as the largest that was requested, at a cache line."""
     if thread not in _kept or _kept[thread].size < words:
-        _kept[thread] = wp.empty(words, dtype=INT32, device="cpu")
+        room = np.empty(words + LINE, np.int32)
+        first = -room.ctypes.data % (4 * LINE) // 4
+        _kept[thread] = wp.array(room[first : first + words], dtype=INT32, device="cpu", copy=False)
     return _kept[thread]
 
 

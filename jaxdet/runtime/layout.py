@@ -11,7 +11,7 @@ import numpy as np
 from jaxdet.types import Array
 
 Shapes = Mapping[str, tuple[int, ...]]
-_LINE = 16
+LINE = 16
 """Words of a cache line, at which each array begins."""
 
 
@@ -32,8 +32,8 @@ class Layout:
         """Length of a row, at least one line."""
         for name, shape in self.shapes.items():
             self.begin[name] = self.words
-            self.words += -(-self._length(name, shape) // _LINE) * _LINE
-        self.words = max(self.words, _LINE)
+            self.words += -(-self._length(name, shape) // LINE) * LINE
+        self.words = max(self.words, LINE)
 
     def _length(self, name: str, shape: tuple[int, ...]) -> int:
         return -(-math.prod(shape) // 4) if name in self.bools else math.prod(shape)

@@ -1,6 +1,7 @@
 """Stage 1, align: a Warp kernel under ``jax.jit``."""
 
 from functools import lru_cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -51,15 +52,9 @@ def align_arrays(
         return by_device(lambda: aligned((1, 1, 1)), lambda: aligned(images))
 
 
-@jax_callable(kernels, outputs=3)
+@jax_callable(kernels, kernels.TYPES, outputs=3)
 def _align(
-    depth: kernels.Depth,
-    x: kernels.Rays,
-    y: kernels.Rays,
-    parameters: kernels.Floats,
-    depth_out: kernels.Depth,
-    z_out: kernels.Depth,
-    keys_out: kernels.Keys,
+    depth: Any, x: Any, y: Any, parameters: Any, depth_out: Any, z_out: Any, keys_out: Any
 ) -> None:
     """Launches the kernels; the keys are images on CUDA and not used on the CPU."""
     given, found, (frames, *size) = [depth, x, y, parameters], [depth_out, z_out], depth_out.shape

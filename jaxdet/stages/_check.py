@@ -11,6 +11,7 @@ import warp as wp
 from jaxdet.config import Config
 from jaxdet.errors import JaxdetError
 from jaxdet.floor.plane import flat_plane, unknown_plane
+from jaxdet.runtime.launch import INT32
 from jaxdet.stages import _program
 from jaxdet.types import (
     MAX_OBSTACLES,
@@ -75,9 +76,9 @@ def check_kernels() -> None:
         for a in (depth, floors, tables)
     ]
     record, contour, work = (
-        wp.zeros((batch, words), dtype=wp.int32, device=device) for words in static.words()
+        wp.zeros((batch, words), dtype=INT32, device=device) for words in static.words()
     )
-    scratch = wp.empty((batch, static.own_words), dtype=wp.int32, device=device)
+    scratch = wp.empty((batch, static.own_words), dtype=INT32, device=device)
     _program.launch([*inputs, record, contour, work], scratch, 0, len(_program.STEPS))
     layout = _program.record_layout(static.columns)
     found = {name: layout.take(record.numpy(), name) for name in layout.shapes}

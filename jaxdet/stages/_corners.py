@@ -74,15 +74,15 @@ def _scratch(batch: int, height: int, width: int, slots: int) -> Layout:
     return Layout({**dict.fromkeys(names, bits), **images})
 
 
-@jax_callable(kernels, outputs=4)
+@jax_callable(kernels, kernels.TYPES, outputs=4)
 def _corners(
-    color: kernels.Color,
-    mask: kernels.Bits,
-    settings: kernels.Ints,
-    u_out: kernels.Ints2d,
-    v_out: kernels.Ints2d,
-    found_out: kernels.Ints,
-    scratch_out: kernels.Ints,
+    color: Any,
+    mask: Any,
+    settings: Any,
+    u_out: Any,
+    v_out: Any,
+    found_out: Any,
+    scratch_out: Any,
 ) -> None:
     """Launches the kernels; the scratch memory is not used on the CPU."""
     batch, height, width, _ = color.shape

@@ -20,7 +20,7 @@ from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.calls import by_device, jax_callable
-from jaxdet.runtime.launch import TeamKernel, most_teams, on_cores, prepare
+from jaxdet.runtime.launch import INT32, TeamKernel, most_teams, on_cores, prepare
 from jaxdet.runtime.layout import Layout
 from jaxdet.stages import _cells, _floor, _free, _obstacles, _outlines, _surfaces
 from jaxdet.stages._tables import Tables
@@ -140,8 +140,8 @@ def _scratch_words(tables: np.ndarray) -> int:
     """Words of scratch memory of a thread or a team, which the kernels know."""
     prepare(kernels)
     device = wp.device_from_jax(jax.local_devices()[0])
-    words = wp.zeros(1, dtype=wp.int32, device=device)
-    given = wp.array(tables, dtype=wp.int32, device=device)
+    words = wp.zeros(1, dtype=INT32, device=device)
+    given = wp.array(tables, dtype=INT32, device=device)
     wp.launch(kernels.scratch_words, 1, [given, words], device=device, block_dim=kernels.WIDTH)
     return int(words.numpy()[0])
 
@@ -222,28 +222,19 @@ def _called(
     return by_device(lambda: call(keep_work, (1, 1)), on_cuda)
 
 
-@jax_callable(kernels, outputs=4)
+_callable = jax_callable(kernels, kernels.TYPES, outputs=4)
+
+
+@_callable
 def _detect(
-    depth: kernels.Depth,
-    floors: kernels.Rows,
-    tables: kernels.Words,
-    record: kernels.Rows,
-    contour: kernels.Rows,
-    work: kernels.Rows,
-    scratch: kernels.Rows,
+    depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
 ) -> None:
     launch([depth, floors, tables, record, contour, work], scratch, 0, len(STEPS))
 
 
-@jax_callable(kernels, outputs=4)
+@_callable
 def _find_floors(
-    depth: kernels.Depth,
-    floors: kernels.Rows,
-    tables: kernels.Words,
-    record: kernels.Rows,
-    contour: kernels.Rows,
-    work: kernels.Rows,
-    scratch: kernels.Rows,
+    depth: Any, floors: Any, tables: Any, record: Any, contour: Any, work: Any, scratch: Any
 ) -> None:
     launch([depth, floors, tables, record, contour, work], scratch, 0, 2)
 

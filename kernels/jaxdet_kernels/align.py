@@ -21,6 +21,8 @@ Depth = wp.array3d[wp.uint16]
 Rays = wp.array2d[wp.float32]
 Floats = wp.array[wp.float32]
 Keys = wp.array3d[wp.uint32]
+TYPES = Depth, Rays, Rays, Floats, Depth, Depth, Keys
+"""Of the arrays of a call: those of :func:`align_lines`, then those of :func:`align_tiles`."""
 
 
 def lines_words(height: int, width: int) -> int:

@@ -26,6 +26,8 @@ wp.set_module_options(
 
 Color, Bits = wp.array4d[wp.uint8], wp.array3d[wp.uint32]
 Ints, Ints2d = wp.array[wp.int32], wp.array2d[wp.int32]
+TYPES = Color, Bits, Ints, Ints2d, Ints2d, Ints, Ints
+"""Of the arrays of a call, those of :func:`features_frames` but the last."""
 
 MAX_SIZE = 4096  # most columns and rows of a colour image
 

@@ -15,6 +15,8 @@ WIDTH = 256  # threads of a team on CUDA
 Depth = wp.array3d[wp.uint16]
 Rows = wp.array2d[wp.int32]
 Words = wp.array[wp.int32]
+TYPES = Depth, Rows, Words, Rows, Rows, Rows, Rows
+"""Of the arrays of a call, those of a step's kernel."""
 
 _BATCH = """
     const jaxdet::Batch batch{

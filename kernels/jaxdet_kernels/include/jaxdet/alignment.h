@@ -9,8 +9,7 @@
 #include "image_tile.h"
 #include "projection.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Alignment {
     enum : unsigned { NOTHING = 0xFFFFFFFFu };
@@ -268,5 +267,4 @@ struct Alignment {
 #endif
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Arena {
     enum { LINE = 16 };
@@ -26,5 +25,4 @@ struct Arena {
     unsigned long long* longs(size_t count) { return (unsigned long long*)words(2 * count); }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct BitRows {
     enum { WIDTH = 32 };
@@ -86,5 +85,4 @@ struct BitRows {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

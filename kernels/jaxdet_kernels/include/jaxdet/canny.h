@@ -5,8 +5,7 @@
 #include "pixel_bits.h"
 #include "vectors.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Weights of colours, and tan(22.5 degrees), with 15 fraction bits.
 struct CannyWeights {
@@ -379,5 +378,4 @@ struct CannySuppressTile {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -4,8 +4,7 @@
 #include "projection.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct CellBoxes {
     int columns, side;                 // of the grid, and of a cell [depth pixel]
@@ -43,5 +42,4 @@ struct CellBoxes {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -3,8 +3,7 @@
 #pragma once
 #include "vectors.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct CellDepth {
     const unsigned short* first;  // The cell's upper left pixel.
@@ -247,5 +246,4 @@ struct CellRow {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

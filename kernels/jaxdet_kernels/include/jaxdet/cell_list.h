@@ -3,8 +3,7 @@
 #include "bits.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct CellList {
     enum { AHEAD = 4 };
@@ -123,5 +122,4 @@ struct CellList {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -5,8 +5,7 @@
 #include "cell_depth.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct CellGrid {
     enum { RAY_BITS = 20, MOST_COLUMNS = 4096 };
@@ -84,5 +83,4 @@ struct CellGrid {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -4,8 +4,7 @@
 #include "warp.h"
 #include "cell_list.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Contours {
     typedef unsigned long long Key;
@@ -91,5 +90,4 @@ struct Contours {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -7,8 +7,7 @@
 #include "corner_strength.h"
 #include "vectors.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 #if !defined(__CUDA_ARCH__)
 // A frame on the CPU, row by row, in vectors. A vector has 16 columns: a block of 12, and two more at
@@ -667,5 +666,4 @@ struct CornerTile {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -6,8 +6,7 @@
 #include "pixel_bits.h"
 #include "square_root.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Pixels nearer than the distance: those whose squared distance, a whole number, is below `limit`.
 struct CornerDisk {
@@ -403,5 +402,4 @@ struct CornerSelection {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

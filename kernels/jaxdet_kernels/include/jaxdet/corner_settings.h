@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct CornerSettings {
     enum { LOW, HIGH, LIMIT, QUALITY, EVERYWHERE = QUALITY + 2, COUNT };
@@ -33,5 +32,4 @@ struct CornerSettings {
     unsigned long long everywhere() const { return values[EVERYWHERE] ? ~0ull : 0; }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -21,8 +21,7 @@
 #include "pixel_bits.h"
 #include "square_root.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct CornerStrength {
     // What OpenCV multiplies gradients of bytes by, in float32: 1 / (4 * 3 * 255), and twice that.
@@ -164,5 +163,4 @@ struct CornerColumn {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -7,8 +7,7 @@
 #include "corner_settings.h"
 #include "hysteresis.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 #if !defined(__CUDA_ARCH__)
 struct Corners {
@@ -44,5 +43,4 @@ struct Corners {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -7,8 +7,7 @@
 #include "runs.h"
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Creases {
     enum {
@@ -304,5 +303,4 @@ struct Creases {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

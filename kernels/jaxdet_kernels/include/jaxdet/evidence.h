@@ -6,8 +6,7 @@
 #include "facing.h"
 #include "square_root.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Boosted regression trees, each complete: node k has the children 2 k + 1 (at most the threshold)
 // and 2 k + 2.
@@ -209,5 +208,4 @@ struct Evidence {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

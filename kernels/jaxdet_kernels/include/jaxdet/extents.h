@@ -5,8 +5,7 @@
 #include "cell_list.h"
 #include "ranks.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Extents {
     enum { TRIM = 20, SUMS = 1, LEAST = 9, FIELDS = 18, KNOWN = 14, NONE = 1 << 30 };
@@ -155,5 +154,4 @@ struct Trimmed {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -2,8 +2,7 @@
 #pragma once
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // The surface of a cell and its depth, in one word.
 struct Packed {
@@ -144,5 +143,4 @@ struct Facing {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

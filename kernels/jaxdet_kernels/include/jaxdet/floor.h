@@ -6,8 +6,7 @@
 #include "floor_search.h"
 #include "margins.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Floor {
     enum {
@@ -333,5 +332,4 @@ struct Floor {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -4,8 +4,7 @@
 #include "floor_ramp.h"
 #include "floor_step.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct FloorOutlook {
     enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
@@ -82,5 +81,4 @@ struct FloorOutlook {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -4,8 +4,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct FloorFrame {
     enum { BITS = 13, VALUES = 13, UNKNOWN = 1 << 20, LOW = (1 << BITS) - 1 };
@@ -43,5 +42,4 @@ struct FloorFrame {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -3,8 +3,7 @@
 #pragma once
 #include "thread_group.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Where each setting is, in the order of jaxdet/stages/_floor.py; lengths are whole depth units.
 struct FloorSetting {
@@ -267,5 +266,4 @@ struct FloorRefine {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

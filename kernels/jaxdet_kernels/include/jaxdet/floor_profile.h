@@ -4,8 +4,7 @@
 #include "floor_planes.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // How a floor goes on ahead of its plane: as a ramp, or lower or higher after a step.
 struct FloorAhead {
@@ -162,5 +161,4 @@ struct FloorProfile {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -3,8 +3,7 @@
 #pragma once
 #include "floor_profile.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct FloorRamps : FloorProfile {
     enum {
@@ -261,5 +260,4 @@ struct FloorRamps : FloorProfile {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -5,8 +5,7 @@
 #include "vectors.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Votes for planes on a lattice of pitch, roll and height (a Hough transform), by the cells up to
 // each ring. For a direction a cell votes for a range of heights: the ends of the ranges are
@@ -494,5 +493,4 @@ struct FloorSearch {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -3,8 +3,7 @@
 #pragma once
 #include "floor_profile.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct FloorSteps : FloorProfile {
     enum { DROPS = 28, RISES = 10, OWN = 4 };
@@ -78,5 +77,4 @@ struct FloorSteps : FloorProfile {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -4,8 +4,7 @@
 #include "floor_frame.h"
 #include "floor_planes.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct FoundFrame {
     // Of what the floor's kernel finds.
@@ -46,5 +45,4 @@ struct FoundFrame {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 #if !defined(__CUDA_ARCH__)
 // Does `work(b)` for frames that no other thread has taken, until there are none; `next` is the
@@ -17,5 +16,4 @@ template <class Work> void each_frame(int* next, int frames, Work work) {
 }
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -4,8 +4,7 @@
 #include "floor_frame.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct FreeFloor {
     // End of the range; the floor ends where so much of it shows no measurement.
@@ -238,5 +237,4 @@ struct FreeFloor {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

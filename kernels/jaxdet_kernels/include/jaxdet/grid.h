@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Where the cells of R rows and C columns are in a plane of scratch memory that has one more row
 // above and below and PAD more columns at both sides. The columns right of a row are those left of
@@ -28,5 +27,4 @@ struct Grid {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

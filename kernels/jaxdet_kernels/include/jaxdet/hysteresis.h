@@ -4,8 +4,7 @@
 #include "pixel_bits.h"
 #include "vectors.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 #if !defined(__CUDA_ARCH__)
 // A frame on the CPU. Images of bits are spaced: rows have room beyond the image, so that a vector of
@@ -206,5 +205,4 @@ struct Hysteresis {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct ImageTile {
     int image, top, left;
@@ -17,5 +16,4 @@ struct ImageTile {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

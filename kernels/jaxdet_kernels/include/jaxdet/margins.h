@@ -3,8 +3,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Margins {
     enum { MARGIN = 8 };  // This part of the columns at each side.
@@ -15,5 +14,4 @@ struct Margins {
     bool has(int column) const { return (column < width) | (column >= columns - width); }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

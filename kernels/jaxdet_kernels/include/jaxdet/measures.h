@@ -5,8 +5,7 @@
 #include "obstacle_cells.h"
 #include "ranks.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Measures {
     enum { MOST_LATERAL = (1 << 18) - 1, DEPTHS = 65536, TRIM_SHARE = 16 };
@@ -163,5 +162,4 @@ struct Measures {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

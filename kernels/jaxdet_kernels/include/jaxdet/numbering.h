@@ -3,8 +3,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Numbering {
     enum { NONE = 1 << 30 };
@@ -34,5 +33,4 @@ struct Numbering {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -9,8 +9,7 @@
 #include "cell_list.h"
 #include "margins.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct ObstacleCells {
     enum { INSIDE, AT_MARGIN, PARTS };
@@ -83,5 +82,4 @@ struct ObstacleCells {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

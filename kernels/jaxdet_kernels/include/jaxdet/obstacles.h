@@ -9,8 +9,7 @@
 #include "small_surfaces.h"
 #include "straight_parts.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Obstacles {
     typedef unsigned long long Key;
@@ -317,5 +316,4 @@ struct Obstacles {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -6,8 +6,7 @@
 #include "obstacle_cells.h"
 #include "ranks.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Outlines {
     // Cells passed over before A, B and C; how much nearer a vertex is than A and B; longer rectangles
@@ -240,5 +239,4 @@ struct Outlines {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

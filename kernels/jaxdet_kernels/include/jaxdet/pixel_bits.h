@@ -3,8 +3,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct PixelBits {
     // Words of a row of so many columns.
@@ -30,5 +29,4 @@ struct PixelBits {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -11,8 +11,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct PngDepth {
     enum { NONE, SUB, UP, AVERAGE, PAETH };
@@ -136,5 +135,4 @@ struct PngDepth {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -5,8 +5,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct PngLines {
     enum { NONE, SUB, UP, AVERAGE, PAETH };
@@ -88,5 +87,4 @@ struct PngLines {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

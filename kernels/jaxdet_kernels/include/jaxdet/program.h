@@ -15,8 +15,7 @@
 #define JAXDET_STEP __attribute__((noinline))  // each on its own compiles faster
 #endif
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // Reads where the arrays of a buffer begin, one after the other.
 struct Header {
@@ -217,5 +216,4 @@ struct Batch {
 #endif
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

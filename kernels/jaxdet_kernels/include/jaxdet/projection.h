@@ -4,8 +4,7 @@
 #pragma once
 #include "square_root.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Projection {
     enum { PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT, PARAMETERS = 26 };
@@ -99,5 +98,4 @@ struct Projection {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

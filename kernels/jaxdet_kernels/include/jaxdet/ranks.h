@@ -6,8 +6,7 @@
 #pragma once
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Ranks {
     const Warp& warp;
@@ -56,5 +55,4 @@ struct Ranks {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -5,8 +5,7 @@
 #include "union_find.h"
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // The runs of all rows, numbered from the upper left, and the sets that they are linked to.
 struct Runs {
@@ -70,5 +69,4 @@ struct Runs {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

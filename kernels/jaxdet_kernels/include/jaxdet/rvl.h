@@ -6,8 +6,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 // What the next three nibbles hold: most differences between pixels are one or two long.
 struct RvlWindows {
@@ -131,5 +130,4 @@ struct RvlDecoder {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

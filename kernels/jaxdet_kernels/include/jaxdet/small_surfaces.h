@@ -5,8 +5,7 @@
 #include "cell_list.h"
 #include "union_find.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct SmallSurfaces {
     enum { REACH = 2 };
@@ -69,5 +68,4 @@ struct SmallSurfaces {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

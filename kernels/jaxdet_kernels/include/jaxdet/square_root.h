@@ -2,8 +2,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct SquareRoot {
 #if defined(__CUDA_ARCH__)
@@ -25,5 +24,4 @@ struct SquareRoot {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

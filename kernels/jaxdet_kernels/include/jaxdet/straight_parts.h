@@ -5,8 +5,7 @@
 #include "warp.h"
 #include "square_root.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct StraightParts {
     enum { FAR_BEHIND = 4, FEWEST = 5, POINT_BITS = 10 };
@@ -88,5 +87,4 @@ struct StraightParts {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

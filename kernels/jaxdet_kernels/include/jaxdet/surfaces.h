@@ -11,8 +11,7 @@
 #include "runs.h"
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Surfaces {
     enum {
@@ -567,5 +566,4 @@ struct Surfaces {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

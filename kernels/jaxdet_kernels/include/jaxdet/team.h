@@ -16,8 +16,7 @@
 #include <stddef.h>
 #endif
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Team {
     // sync          all threads wait for each other, and see what the others wrote
@@ -103,5 +102,4 @@ struct Team {
 #endif
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

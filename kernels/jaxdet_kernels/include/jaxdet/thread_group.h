@@ -3,8 +3,7 @@
 #pragma once
 #include "warp.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct ThreadGroup {
     enum { WARP = Warp::size, MOST_SUMS = 10, MOST_SHARED = 4 };
@@ -65,5 +64,4 @@ struct ThreadGroup {
 #endif
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

@@ -3,8 +3,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct UnionFind {
     int* parent;
@@ -32,5 +31,4 @@ struct UnionFind {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

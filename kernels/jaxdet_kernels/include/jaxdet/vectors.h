@@ -3,8 +3,7 @@
 #pragma once
 #include "team.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 #if !defined(__CUDA_ARCH__)
 struct Vectors {
@@ -82,5 +81,4 @@ struct Vectors {
 };
 #endif
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet

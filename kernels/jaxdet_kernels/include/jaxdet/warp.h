@@ -8,8 +8,7 @@
 #pragma once
 #include "bits.h"
 
-namespace jaxdet {
-namespace {
+namespace jaxdet { namespace {
 
 struct Warp {
     // broadcast      the value of one lane
@@ -113,5 +112,4 @@ struct Extremes {
     }
 };
 
-}  // namespace
-}  // namespace jaxdet
+} }  // namespace jaxdet
