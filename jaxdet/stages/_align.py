@@ -65,8 +65,9 @@ def _align(
     tiles = -(-rows // kernels.TILE_ROWS) * -(-columns // kernels.TILE_COLUMNS)
     block = kernels.TILE_BLOCK
     keys_out.fill_(kernels.NOTHING)
-    wp.launch(kernels.align_tiles, (frames * tiles, block), [*given, keys_out], block_dim=block)
-    wp.launch(kernels.align_split, keys_out.shape, [keys_out, *found])
+    device, size = depth.device, (frames * tiles, block)
+    wp.launch(kernels.align_tiles, size, [*given, keys_out], device=device, block_dim=block)
+    wp.launch(kernels.align_split, keys_out.shape, [keys_out, *found], device=device)
 
 
 @lru_cache(maxsize=8)

@@ -98,7 +98,8 @@ def _corners(
         return scratch_out[first : first + math.prod(shape)].reshape(shape).view(dtype)
 
     def launch(kernel: Any, blocks: int, width: int, arrays: Sequence[Any]) -> None:
-        wp.launch(kernel, batch * blocks * width, arrays, block_dim=width)
+        size = batch * blocks * width
+        wp.launch(kernel, size, arrays, device=color.device, block_dim=width)
 
     def tiles(rows: int, columns: int) -> int:
         return -(-height // rows) * -(-width // columns)

@@ -11,8 +11,10 @@
 
 #if defined(__CUDA_ARCH__)
 #define JAXDET_STEP __forceinline__
+#define JAXDET_PART __forceinline__
 #else
 #define JAXDET_STEP __attribute__((noinline))  // each on its own compiles faster
+#define JAXDET_PART inline
 #endif
 
 namespace jaxdet { namespace {
@@ -21,19 +23,18 @@ namespace jaxdet { namespace {
 struct Header {
     const int* at;
 
-    int value() { return Team::input(at++); }
-    template <class Base, class T> void place(Base* base, T*& array) {
-        array = (T*)(base + value());
+    template <class... Sizes> void sizes(Sizes&... all) { ((all = Team::input(at++)), ...); }
+    template <class Base, class... Arrays> void places(Base* base, Arrays*&... all) {
+        ((all = (Arrays*)(base + Team::input(at++))), ...);
     }
 };
 
 // A frame: its arrays by name. The order in which the constructor reads the header is that of
 // jaxdet/stages/_program.py.
 struct Frame {
-    enum { SIZES = 11 };
     const unsigned short* depth;  // (height, width)
     const int* floors;            // Floor::PRIOR values, then FloorFrame::VALUES
-    int *record, *contour;        // contour (slots, columns, 2)
+    int* contour;                 // (slots, columns, 2)
 
     int height, width, side, rows, columns, slots, trees, leaves, aligned;
     int work_words, own_words;  // of a frame: what steps hand on, and scratch memory
@@ -51,41 +52,27 @@ struct Frame {
     int *num_points, *uv_min, *uv_max, *xyz_min, *xyz_max, *xyz_sum, *a, *b, *c, *has_vertex;
     int *direction, *span, *contour_points, *bottom_top, *free_line, *free_end;
 
-    Frame(const int* tables, const unsigned short* depth, const int* floors, int* record,
-          int* contour, int* work)
-        : depth(depth), floors(floors), record(record), contour(contour) {
+    JAXDET_PART Frame(const int* tables, const unsigned short* depth, const int* floors,
+                      int* record, int* contour, int* work)
+        : depth(depth), floors(floors), contour(contour) {
         Header header{tables};
-        int* const sizes[SIZES] = {&height, &width, &side, &rows, &columns, &slots, &trees,
-                                   &leaves, &aligned, &work_words, &own_words};
-        for (int* size : sizes) *size = header.value();
-        const int** const of_cells[] = {&near, &rays, &floor_settings, &sines, &steps, &limits,
-                                        &rises, &surface_settings, &feature, &threshold, &value,
-                                        &obstacle_settings};
-        for (const int** table : of_cells) header.place(tables, *table);
-        header.place(tables, corner_x);
-        header.place(tables, corner_y);
-        header.place(tables, parameters);
-        const int** const of_outlines[] = {&last, &bands, &directions, &outline_settings, &bows,
-                                           &drops, &free_settings};
-        for (const int** table : of_outlines) header.place(tables, *table);
-        int** const places[] = {&x, &y, &z, &frame, &right, &forward, &above, &surface};
-        for (int** array : places) header.place(work, *array);
-        header.place(work, keep);
-        header.place(work, free);
-        header.place(work, low);
-        header.place(work, label);
-        int** const results[] = {&floor, &num_surfaces, &has_depth, &num_obstacles, &num_points,
-                                 &uv_min, &uv_max, &xyz_min, &xyz_max, &xyz_sum, &a, &b, &c,
-                                 &has_vertex, &direction, &span, &contour_points, &bottom_top,
-                                 &free_line, &free_end};
-        for (int** array : results) header.place(record, *array);
+        header.sizes(height, width, side, rows, columns, slots, trees, leaves, aligned, work_words,
+                     own_words);
+        header.places(tables, near, rays, floor_settings, sines, steps, limits, rises,
+                      surface_settings, feature, threshold, value, obstacle_settings, corner_x,
+                      corner_y, parameters, last, bands, directions, outline_settings, bows, drops,
+                      free_settings);
+        header.places(work, x, y, z, frame, right, forward, above, surface, keep, free, low, label);
+        header.places(record, floor, num_surfaces, has_depth, num_obstacles, num_points, uv_min,
+                      uv_max, xyz_min, xyz_max, xyz_sum, a, b, c, has_vertex, direction, span,
+                      contour_points, bottom_top, free_line, free_end);
     }
 
     JAXDET_STEP void find_cells(const Team& team, int*) const {
         CellGrid{depth, width, rows, columns, side, near, rays, x, y, z}.run(team);
     }
 
-    Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
+    JAXDET_PART Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
         return {team, floor_settings, sines, prior, rows, columns, arena, fast};
     }
     JAXDET_STEP void find_floor(const Team& team, int* scratch) const {
@@ -109,7 +96,7 @@ struct Frame {
             .run(team);
     }
 
-    Obstacles obstacles(int* fast) const {
+    JAXDET_PART Obstacles obstacles(int* fast) const {
         const Trees every{feature, threshold, value, trees, leaves,
                           obstacle_settings[Obstacles::OFFSET]};
         return {fast, rows, columns, surface, x, y, z, right, forward, above, free,
@@ -129,7 +116,7 @@ struct Frame {
 
     // Calls `use` with the outlines of so many obstacles, once they have taken their memory.
     template <class Use>
-    void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
+    JAXDET_PART void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
         const Warp warp(team);
         ObstacleCells cells{team, rows * columns, columns, number, Margins(columns), label, right,
                             forward};
@@ -183,14 +170,14 @@ struct Batch {
 
     enum { FLOOR_WORDS = Floor::PRIOR + FloorFrame::VALUES };
 
-    Frame frame(size_t b, int* own_work) const {
+    JAXDET_PART Frame frame(size_t b, int* own_work) const {
         return {tables, depth + b * pixels, floors + b * FLOOR_WORDS, record + b * record_words,
                 contour + b * contour_words, own_work};
     }
 
     // On CUDA: calls `step` with each frame of a team.
     template <class Step>
-    void by_teams(int tid, int teams, int* scratch, size_t words, Step step) const {
+    JAXDET_PART void by_teams(int tid, int teams, int* scratch, size_t words, Step step) const {
         const Team team(tid, 0);
         int* const own = scratch + team.index * words;
         for (int b = team.index; b < frames; b += teams)
