@@ -11,10 +11,8 @@
 
 #if defined(__CUDA_ARCH__)
 #define JAXDET_STEP __forceinline__
-#define JAXDET_PART __forceinline__
 #else
 #define JAXDET_STEP __attribute__((noinline))  // each on its own compiles faster
-#define JAXDET_PART inline
 #endif
 
 namespace jaxdet { namespace {
@@ -52,8 +50,8 @@ struct Frame {
     int *num_points, *uv_min, *uv_max, *xyz_min, *xyz_max, *xyz_sum, *a, *b, *c, *has_vertex;
     int *direction, *span, *contour_points, *bottom_top, *free_line, *free_end;
 
-    JAXDET_PART Frame(const int* tables, const unsigned short* depth, const int* floors,
-                      int* record, int* contour, int* work)
+    Frame(const int* tables, const unsigned short* depth, const int* floors, int* record,
+          int* contour, int* work)
         : depth(depth), floors(floors), contour(contour) {
         Header header{tables};
         header.sizes(height, width, side, rows, columns, slots, trees, leaves, aligned, work_words,
@@ -72,7 +70,7 @@ struct Frame {
         CellGrid{depth, width, rows, columns, side, near, rays, x, y, z}.run(team);
     }
 
-    JAXDET_PART Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
+    Floor floor_near(const int* prior, const Team& team, Arena& arena, int* fast) const {
         return {team, floor_settings, sines, prior, rows, columns, arena, fast};
     }
     JAXDET_STEP void find_floor(const Team& team, int* scratch) const {
@@ -96,7 +94,7 @@ struct Frame {
             .run(team);
     }
 
-    JAXDET_PART Obstacles obstacles(int* fast) const {
+    Obstacles obstacles(int* fast) const {
         const Trees every{feature, threshold, value, trees, leaves,
                           obstacle_settings[Obstacles::OFFSET]};
         return {fast, rows, columns, surface, x, y, z, right, forward, above, free,
@@ -116,7 +114,7 @@ struct Frame {
 
     // Calls `use` with the outlines of so many obstacles, once they have taken their memory.
     template <class Use>
-    JAXDET_PART void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
+    void with_outlines(const Team& team, int number, Arena& arena, Use use) const {
         const Warp warp(team);
         ObstacleCells cells{team, rows * columns, columns, number, Margins(columns), label, right,
                             forward};
@@ -170,14 +168,14 @@ struct Batch {
 
     enum { FLOOR_WORDS = Floor::PRIOR + FloorFrame::VALUES };
 
-    JAXDET_PART Frame frame(size_t b, int* own_work) const {
+    Frame frame(size_t b, int* own_work) const {
         return {tables, depth + b * pixels, floors + b * FLOOR_WORDS, record + b * record_words,
                 contour + b * contour_words, own_work};
     }
 
     // On CUDA: calls `step` with each frame of a team.
     template <class Step>
-    JAXDET_PART void by_teams(int tid, int teams, int* scratch, size_t words, Step step) const {
+    void by_teams(int tid, int teams, int* scratch, size_t words, Step step) const {
         const Team team(tid, 0);
         int* const own = scratch + team.index * words;
         for (int b = team.index; b < frames; b += teams)
