@@ -41,59 +41,66 @@ from tests.io_helpers import (
 )
 
 
-@pytest.mark.parametrize("scan", [False, True])
-def test_bad_frames_get_their_status_and_the_rest_goes_on(tmp_path, scan):
-    """Depth decides: colour that is missing or bad costs a frame only where it is needed."""
+BAD = ["ok"] * 4 + ["decode_error", "bad_calibration", "ok"]
+
+
+@pytest.fixture(params=[False, True], ids=["index", "scan"])
+def bad_log(tmp_path, request):
+    """Colour of frames 1 and 2 is bad, of 3 missing; depth of 4 and 5 is bad."""
     scene = make_scene(7)
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)
         for i, (color, depth, at, depth_at) in enumerate(zip(*scene, strict=True)):
-            image = ros_image(color, "rgb8", int(at), COLOR_FRAME)
-            if i == 1:
-                image = ros_image(color[:-1], "rgb8", int(at), COLOR_FRAME)
-            if i == 2:
-                image = ros_image(color, "of_mars", int(at), COLOR_FRAME)
+            pixels, encoding = (color[:-1] if i == 1 else color), "of_mars" if i == 2 else "rgb8"
             if i != 3:
-                log.ros(COLOR, image, int(at))
-            image = ros_image(depth, "16UC1", int(depth_at), DEPTH_FRAME)
-            if i == 5:
-                image = ros_image(depth[:-1], "16UC1", int(depth_at), DEPTH_FRAME)
+                log.ros(COLOR, ros_image(pixels, encoding, int(at), COLOR_FRAME), int(at))
+            pixels = depth[:-1] if i == 5 else depth
+            image = ros_image(pixels, "16UC1", int(depth_at), DEPTH_FRAME)
             image.data = image.data[: -9 if i == 4 else None]
             log.ros(DEPTH, image, int(depth_at))
-    wanted = ["ok"] * 4 + ["decode_error", "bad_calibration", "ok"]
-    with open_log(str(tmp_path / "log.mcap"), LogOptions(pair_tolerance_s=0.01, scan=scan)) as log:
-        [batch] = log.batches(8)
-        assert [str(status) for status in batch.status] == wanted and batch.frames.color is None
-        assert [bool(error) for error in batch.errors] == [status != "ok" for status in wanted]
-        stamps = np.where(np.arange(8) == 3, -1, np.append(scene.color_ns, -1))
-        np.testing.assert_array_equal(batch.frames.color_stamp_ns, stamps)
-        np.testing.assert_array_equal(batch.nearest_color_ns, stamps[:7])
-        assert not batch.notes.bad_color
+    options = LogOptions(pair_tolerance_s=0.01, scan=request.param)
+    with open_log(str(tmp_path / "log.mcap"), options) as log:
+        yield log, scene
 
-        [batch] = log.batches(8, color=True)
-        assert [str(status) for status in batch.status] == wanted
-        np.testing.assert_array_equal(batch.frames.valid[:7], [s == "ok" for s in wanted])
-        assert batch.frames.color is not None
-        assert not batch.frames.color[1:4].any() and not batch.frames.depth[4:6].any()
-        for row in (0, 1, 2, 3, 6):
-            np.testing.assert_array_equal(batch.frames.depth[row], scene.depth[row])
-        for row in (0, 6):
-            np.testing.assert_array_equal(batch.frames.color[row], scene.color[row])
-        stamps[1:3] = -1
-        np.testing.assert_array_equal(batch.frames.color_stamp_ns, stamps)
-        assert batch.notes.bad_color == 2
-        about = log.described(batch.notes)
-        assert about.pairing is not None and about.pairing.num_with_color == 6
-        assert any(text.startswith("2 colour images can't be decoded: ") for text in about.notes)
-        assert "colour missing for 1 of 7 frames" in " ".join(about.notes)
 
-        [batch] = log.batches(8, color=True, need_color=True)
-        needed = ["ok", *["no_color"] * 3, *wanted[4:]]
-        assert [str(status) for status in batch.status] == needed
-        assert not any("\n" in error for error in batch.errors) and all(batch.errors[1:6])
-        np.testing.assert_array_equal(batch.frames.valid[:7], [s == "ok" for s in needed])
-        np.testing.assert_array_equal(batch.frames.depth[:4], scene.depth[:4])
-        assert "no colour image within 0.01 s" in batch.errors[3]
+def statuses(batch):
+    assert [bool(error) for error in batch.errors] == [status != "ok" for status in batch.status]
+    assert not any("\n" in error for error in batch.errors)
+    assert batch.frames.valid.tolist()[: len(batch.status)] == [s == "ok" for s in batch.status]
+    return [str(status) for status in batch.status]
+
+
+def test_bad_frames_get_their_status_and_the_rest_goes_on(bad_log):
+    log, scene = bad_log
+    [batch] = log.batches(8)
+    assert statuses(batch) == BAD and batch.frames.color is None
+    stamps = np.where(np.arange(8) == 3, -1, np.append(scene.color_ns, -1))
+    np.testing.assert_array_equal(batch.frames.color_stamp_ns, stamps)
+    np.testing.assert_array_equal(batch.nearest_color_ns, stamps[:7])
+    assert not batch.notes.bad_color and not batch.frames.depth[4:6].any()
+
+
+def test_bad_colour_is_a_note(bad_log):
+    log, scene = bad_log
+    [batch] = log.batches(8, color=True)
+    assert statuses(batch) == BAD and not batch.frames.color[1:4].any()
+    good = [0, 1, 2, 3, 6]
+    np.testing.assert_array_equal(batch.frames.depth[good], scene.depth[good])
+    np.testing.assert_array_equal(batch.frames.color[[0, 6]], scene.color[[0, 6]])
+    stamps = np.where(np.isin(np.arange(8), [1, 2, 3]), -1, np.append(scene.color_ns, -1))
+    np.testing.assert_array_equal(batch.frames.color_stamp_ns, stamps)
+    about = log.described(batch.notes)
+    assert batch.notes.bad_color == 2 and about.pairing.num_with_color == 6
+    assert any(text.startswith("2 colour images can't be decoded: ") for text in about.notes)
+    assert "colour missing for 1 of 7 frames" in " ".join(about.notes)
+
+
+def test_bad_colour_costs_frames_where_it_is_needed(bad_log):
+    log, scene = bad_log
+    [batch] = log.batches(8, color=True, need_color=True)
+    assert statuses(batch) == ["ok", *["no_color"] * 3, *BAD[4:]]
+    np.testing.assert_array_equal(batch.frames.depth[:4], scene.depth[:4])
+    assert "no colour image within 0.01 s" in batch.errors[3]
 
 
 def repeated(image, scale):

@@ -43,7 +43,11 @@ STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted
     [
         ([4, 37, 70], [0, 33, 66], [0, 1, 2]),
         ([4, 37, 70], [33, 66], [0, 0, 1]),  # the first colour image was dropped
-        ([0, 33, 66, 99], [0, 66], [0, 0, 1, 1]),  # colour at half the rate: a tie, then the nearest
+        (
+            [0, 33, 66, 99],
+            [0, 66],
+            [0, 0, 1, 1],
+        ),  # colour at half the rate: a tie, then the nearest
         ([0], [101, 268], [0]),
         ([0], [151], [-1]),
         ([50], [40, 60], [0]),
