@@ -40,7 +40,6 @@ from tests.io_helpers import (
     write_log,
 )
 
-
 BAD = ["ok"] * 4 + ["decode_error", "bad_calibration", "ok"]
 
 
