@@ -18,7 +18,7 @@ from jaxdet.presets import DEFAULT_PRESET
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
     from jaxdet.io import LogFiles
-    from jaxdet.io.description import LogDescription, PairingDescription, TopicDescription
+    from jaxdet.io.description import LogDescription, TopicDescription
 
 _UNCOUNTED = "not counted; see --check"
 
@@ -56,7 +56,7 @@ class InfoCommand:
     json: bool = False
     """Print JSON."""
     check: bool = False
-    """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
+    """Read the logs as a whole: check every CRC, match colour to all frames, count all poses."""
     ground: GroundConfig = field(default_factory=GroundConfig)
     log: LogOptions = field(default_factory=LogOptions)
 
@@ -122,14 +122,14 @@ def describe(
 
 
 def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[str]:
-    yield f"{label}: {many(about.num_frames, 'colour frame')} in {about.duration_s:.2f} s"
+    yield f"{label}: {many(about.num_frames, 'frame')} in {about.duration_s:.2f} s"
     files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
     yield from _section("files", files)
     yield from _section("topics", _topics(about.topics))
     yield from _section("cameras", about.cameras)
     yield from _section("used", about.choices)
     yield from _section("part", [about.part])
-    yield from _section("pairs", [_pairing(about.pairing)] if about.pairing else [_UNCOUNTED])
+    yield from _section("colour", [about.pairing.text if about.pairing else _UNCOUNTED])
     extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
     yield from _section("calibration", [*about.calibration, extrinsics])
     messages = [record.message for record in planes.records[:1] if record.source == "estimate"]
@@ -168,14 +168,3 @@ def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
         ).rstrip()
         for row in rows
     ]
-
-
-def _pairing(pairing: "PairingDescription") -> str:
-    apart = (
-        f" (median {pairing.median_dt_s * 1000:.1f} ms, at most {pairing.max_dt_s * 1000:.1f} ms)"
-    )
-    return (
-        f"{pairing.num_paired} within {pairing.tolerance_s:g} s"
-        f"{apart if pairing.num_paired else ''}, "
-        f"{pairing.num_unpaired_color} colour and {pairing.num_unpaired_depth} depth frames alone"
-    )
