@@ -130,7 +130,7 @@ def _color(log: "Log") -> str:
 
 
 def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) -> Iterator[str]:
-    yield f"{label}: {many(about.num_frames, 'depth image')} in {about.duration_s:.2f} s"
+    yield f"{label}: {many(about.num_frames, 'frame')} in {about.duration_s:.2f} s"
     files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
     yield from _section("files", files)
     yield from _section("topics", _topics(about.topics))
