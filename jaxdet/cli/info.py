@@ -17,7 +17,7 @@ from jaxdet.presets import DEFAULT_PRESET
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
-    from jaxdet.io import LogFiles
+    from jaxdet.io import Log, LogFiles
     from jaxdet.io.description import LogDescription, TopicDescription
 
 _UNCOUNTED = "not counted; see --check"
@@ -56,7 +56,7 @@ class InfoCommand:
     json: bool = False
     """Print JSON."""
     check: bool = False
-    """Read the logs as a whole: check every CRC, match colour to all frames, count all poses."""
+    """Read the logs as a whole: check every CRC, pair all frames, count all poses."""
     ground: GroundConfig = field(default_factory=GroundConfig)
     log: LogOptions = field(default_factory=LogOptions)
 
@@ -118,10 +118,18 @@ def describe(
             "ground": planes.records,
             "warnings": planes.warnings,
         }
-        return plain(about), list(_lines(log.label, log.description, planes))
+        return plain(about), list(_lines(log.label, log.description, planes, _color(log)))
 
 
-def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[str]:
+def _color(log: "Log") -> str:
+    """Which frames have colour, or why none has."""
+    if log.color_problem:
+        return f"{log.color_problem}; pictures show depth"
+    pairing = log.description.pairing
+    return pairing.text if pairing else _UNCOUNTED
+
+
+def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) -> Iterator[str]:
     yield f"{label}: {many(about.num_frames, 'frame')} in {about.duration_s:.2f} s"
     files = [f"{printable(str(file.path))}: {file.text}" for file in about.integrity]
     yield from _section("files", files)
@@ -129,7 +137,7 @@ def _lines(label: str, about: "LogDescription", planes: "Planes") -> Iterator[st
     yield from _section("cameras", about.cameras)
     yield from _section("used", about.choices)
     yield from _section("part", [about.part])
-    yield from _section("colour", [about.pairing.text if about.pairing else _UNCOUNTED])
+    yield from _section("colour", [color])
     extrinsics = f"depth to colour: {about.extrinsics_source}" if about.extrinsics_source else ""
     yield from _section("calibration", [*about.calibration, extrinsics])
     messages = [record.message for record in planes.records[:1] if record.source == "estimate"]

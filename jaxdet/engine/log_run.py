@@ -15,7 +15,7 @@ from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files
-from jaxdet.engine.memory import BATCH, Allotment, Memory, Needs
+from jaxdet.engine.memory import BATCH, IN_HAND, READ_AHEAD, Allotment, Memory, Needs
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.part import load_parts, part_path
 from jaxdet.engine.part_store import PartStore
@@ -206,12 +206,26 @@ class LogRun:
 
     def _allot(self, log: "Log", workers: int) -> Allotment:
         """What so many workers on the log get of the memory."""
-        color, depth = log.image_shapes
         batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
         waiting = min(ROWS_PER_GROUP, self.waiting + len(log.frames))
-        row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
-        needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
+        row = _ROW_BYTES + _COLUMN_BYTES * log.depth_shape[1]
+        frame = 2 * prod(log.depth_shape) + self._color_bytes(log, batch)
+        needs = Needs(frame, log.index_bytes, waiting * row)
         return self.memory.allot(needs, batch, workers, log.name)
+
+    def _color_bytes(self, log: "Log", batch: int) -> int:
+        """Return how much memory colour images take, per frame that is in memory [bytes].
+
+        All frames of the preset ``paper`` have one, else all of a batch in which one is drawn.
+        """
+        if self.config.cluster.points:
+            camera = log.calibration.image
+            return 3 * camera.height * camera.width
+        if not log.has_color or log.color_shape is None:
+            return 0
+        batches = IN_HAND + READ_AHEAD
+        drawn = -(-self.options.pictures * batches * batch // max(1, len(log.frames)))
+        return -(-prod(log.color_shape) * min(drawn, batches) // batches)
 
     def _begin(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> LogPlan:
         """The plan, and whatever works on it started; with the parts that others have left."""
@@ -302,7 +316,7 @@ class LogRun:
         before = len(log.description.warnings)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[before:]
-        own = about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning
+        own = about.color_warning, about.depth_warning, about.floor_warning, about.tilt_warning
         about.warnings += filter(None, own)
 
     def _stem(self, log: "Log") -> str:
