@@ -124,8 +124,8 @@ class ImageReader:
         requests = _requests(window.depth, self._depth, ~other, True)
         same: dict[int, int] = {}
         """Rows with the colour image of an earlier row, and that row."""
+        there = np.zeros(count, bool) if wanted is None else wanted.copy()
         if color is not None:
-            there = np.zeros(count, bool) if wanted is None else wanted.copy()
             if window.color is None:
                 there[:] = False
             else:
@@ -143,7 +143,8 @@ class ImageReader:
                 for row, is_depth, error in failures:
                     errors[0 if is_depth else 1][row] = error
         rows.clear()  # a thread may hold its last job
-        for chunk in window.chunks:
+        of_color = window.color_chunks if wanted is not None and wanted.any() else ()
+        for chunk in (*window.chunks, *of_color):
             self._store.check(chunk)
         for images, problems in zip((depth, color), errors, strict=True):
             bad = [row for row, error in enumerate(problems) if error is not None]

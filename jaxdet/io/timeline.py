@@ -46,6 +46,8 @@ class Window(NamedTuple):
     """``(n,)`` bool, frames to which another calibration belongs than the one used; None: none."""
     chunks: tuple[Place, ...] = ()
     """What this window answers for: chunks that must be as their CRC says."""
+    color_chunks: tuple[Place, ...] = ()
+    """The same, where colour is decoded."""
 
     def part(self, first: int, last: int) -> "Window":
         """The frames ``first`` to ``last`` of these.
@@ -60,8 +62,9 @@ class Window(NamedTuple):
             a if a is None else a[rows] for a in (self.T_world_camera, self.other_calibration)
         )
         notes = Notes() if first else self.notes
-        chunks = self.chunks if last == len(self.depth.stamps_ns) else ()
-        return Window(depth, color, poses, notes, other, chunks)
+        is_last = last == len(self.depth.stamps_ns)
+        chunks = (self.chunks, self.color_chunks) if is_last else ()
+        return Window(depth, color, poses, notes, other, *chunks)
 
 
 class ScannedFrames(NamedTuple):
