@@ -33,11 +33,11 @@ def small_units() -> Iterator[None]:
     """And what was computed once is not computed again."""
     known: dict[Any, Any] = {}
 
-    def remembered(frames: Any, config: Config, *, backend: str) -> Any:
+    def remembered(frames: Any, config: Config, *, backend: str, with_cells: bool) -> Any:
         planes = tuple(np.asarray(part).tobytes() for part in frames.plane)
-        key = frames.depth.tobytes(), planes, config
+        key = frames.depth.tobytes(), planes, config, with_cells
         if key not in known:
-            known[key] = detect(frames, config, backend=backend)
+            known[key] = detect(frames, config, backend=backend, with_cells=with_cells)
         return known[key]
 
     detect = device.detect
