@@ -156,16 +156,17 @@ class FrameError(JaxdetError):
 
 
 class FrameStatus(StrEnum):
-    """What became of a colour frame (the ``status`` column of the results)."""
+    """What became of a depth image (the ``status`` column of the results)."""
 
     OK = "ok"
     """Detected; the obstacle rows are complete."""
     NO_DEPTH = "no_depth"
-    """The paired depth image has no measurement in range, so nothing can be said."""
-    UNPAIRED = "unpaired"
-    """No depth image lies within the pairing tolerance."""
+    """It has no measurement in range, so nothing can be said."""
+    NO_COLOR = "no_color"
+    """Only in the preset ``paper``: no colour image lies within the pairing tolerance, or it could
+    not be decoded."""
     DECODE_ERROR = "decode_error"
-    """The colour or depth image could not be decoded."""
+    """The depth image could not be decoded."""
     BAD_CALIBRATION = "bad_calibration"
     """The image size or the calibration of this frame contradicts the log's calibration."""
     WORKER_CRASHED = "worker_crashed"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.eval import (
@@ -24,7 +25,7 @@ from jaxdet.eval import (
 from jaxdet.reference import align
 from jaxdet.results.manifest import fingerprint
 from jaxdet.sim import Truth, load_depths, load_drivable, load_obstacle_ids, load_truth
-from jaxdet.types import Detections, Frames
+from jaxdet.types import Calibration, Detections
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -38,7 +39,7 @@ errors it is at most 0.06 in a log's own scene, and in nine of ten others 0.21 o
 
 
 class TruthScore:
-    """Compares the frames whose stamps the truth knows; a :class:`jaxdet.engine.Observer`.
+    """Compares the frames whose depth stamps the truth knows; a :class:`jaxdet.engine.Observer`.
 
     A log that the truth contradicts has no score, but why; its results stay.
 
@@ -53,6 +54,7 @@ class TruthScore:
         self.file = {name: file.get(name) for name in ("size", "fingerprint")}
         """Tells the results' record of another truth in its place."""
         ground = config.ground
+        self._method = config
         self.config = EvalConfig(
             ground.min_depth_m,
             ground.max_depth_m,
@@ -84,22 +86,28 @@ class TruthScore:
         which = np.where(known, numbers, 0)
         loads = load_obstacle_ids, load_depths, load_drivable
         images = [load(self._log, which) for load in loads]
-        size = tuple(frames.color.shape[1:3])
+        calibration = frames.calibration
+        size = calibration.image.height, calibration.image.width
         if images[0].shape[1:] != size or images[0].max(initial=0) > len(truth.is_wall):
             problem, remedy = "the truth is of other images", "give the log's own truth"
             raise InputError(problem, path=str(self._log), remedy=remedy)
-        calibration = frames.calibration
+        # Lengths of the preset paper refer to the colour camera.
+        lengths = Calibration(calibration.image) if self._method.cluster.points else calibration
         unit, valid = calibration.depth_unit, frames.valid & known
         z_m = align(np.asarray(frames.depth), calibration).z * unit
         self._check_depth(z_m[valid], *(of_all[valid] for of_all in images[:2]))
-        shown = truth_of(truth, which, *images)
+        shown = truth_of(truth, which, *images, lengths)
         mount = truth.camera_height, truth.camera_pitch, truth.camera_roll
         height, pitch, roll = (of_all[which] for of_all in mount)
-        color, step_m = calibration.color, self.config.step_height_m
-        nearest = nearest_on_floor(shown, color, height, pitch, roll, step_m)
+        step_m = self.config.step_height_m
+        nearest = nearest_on_floor(shown, lengths, height, pitch, roll, step_m)
         shown = shown._replace(nearest_floor_m=nearest)
-        right = evaluate(found, shown, unit, self.config, valid)
-        return total([right, *self._claimed(frames, found, which, images, z_m, valid)])
+        side = cell_side(calibration.depth, self._method.surface.cell_rad)
+        right = evaluate(found, shown, calibration, self.config, valid, side)
+        poses = truth.T_world_camera[which]
+        floor_m = floor_positions(images[1], images[2], lengths, poses)
+        floor_m = measured_floor(floor_m, images[1], z_m, self.config)
+        return total([right, *claimed_floor(found, floor_m, unit, self.config, valid)])
 
     def _check_depth(self, z_m: np.ndarray, ids: np.ndarray, true_m: np.ndarray) -> None:
         """Makes sure that obstacles are where the truth has them: its stamps are any log's."""
@@ -112,23 +120,6 @@ class TruthScore:
             problem = "the truth has other obstacles than the log's depth shows"
             remedy = "give the log's own truth, and its own depth unit and calibration"
             raise InputError(problem, path=str(self._log), remedy=remedy)
-
-    def _claimed(
-        self,
-        frames: Frames,
-        found: Detections,
-        which: np.ndarray,
-        images: Sequence[np.ndarray],
-        z_m: np.ndarray,
-        valid: np.ndarray,
-    ) -> list[Tally]:
-        """The drivable floor inside of outlines."""
-        _, depth_m, drivable = images
-        calibration, unit = frames.calibration, frames.calibration.depth_unit
-        poses = self._truth.T_world_camera[which]
-        floor_m = floor_positions(depth_m, drivable, calibration.color, poses)
-        floor_m = measured_floor(floor_m, depth_m, z_m, self.config)
-        return claimed_floor(found, floor_m, unit, self.config, valid)
 
     def summary(self, seen: Sequence[Tally | str]) -> dict[str, Any] | None:
         """The figures for the summary, or only why there are none; None: no frame is compared."""
@@ -144,4 +135,4 @@ class TruthScore:
 
     @cached_property
     def _number(self) -> dict[int, int]:
-        return {stamp: number for number, stamp in enumerate(self._truth.stamp_ns.tolist())}
+        return {stamp: number for number, stamp in enumerate(self._truth.depth_stamp_ns.tolist())}

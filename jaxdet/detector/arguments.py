@@ -60,12 +60,12 @@ def untraced() -> Iterator[None]:
 
 
 class Cameras:
-    """The calibration of a detector: complete as soon as the first images tell their sizes.
+    """The calibration of a detector: complete as soon as the sizes of images are known.
 
     Args:
-        K: Of the colour camera, see :class:`jaxdet.detector.Detector`.
-        depth_K: Of the depth camera; None: depth is aligned to colour.
-        T_color_depth: From depth camera to colour camera; None likewise.
+        K: Of the depth camera, see :class:`jaxdet.detector.Detector`.
+        color_K: Of the colour camera; None: colour has the pixels of depth, or there is none.
+        T_color_depth: From depth camera to colour camera; given with ``color_K``.
         depth_unit_m: Metres in a unit of a uint16 depth image.
 
     Raises:
@@ -75,7 +75,7 @@ class Cameras:
     def __init__(
         self,
         K: ArrayLike | Intrinsics,
-        depth_K: ArrayLike | Intrinsics | None,
+        color_K: ArrayLike | Intrinsics | None,
         T_color_depth: ArrayLike | Extrinsics | None,
         depth_unit_m: float,
     ) -> None:
@@ -83,50 +83,51 @@ class Cameras:
         if unit.ndim:
             raise InputError(f"shape {unit.shape}", topic="depth_unit_m", remedy="give one number")
         self.depth_unit_m = float(unit)
-        self._color, self._depth = _camera("K", K), None
+        self._depth, self._color = _camera("K", K), None
         self._motion = None
         self._known: Calibration | None = None
-        if (depth_K is None) != (T_color_depth is None):
-            given, missing = ("depth_K", "T_color_depth")[:: 1 if T_color_depth is None else -1]
+        if (color_K is None) != (T_color_depth is None):
+            given, missing = ("color_K", "T_color_depth")[:: 1 if T_color_depth is None else -1]
             raise CalibrationError(
-                f"{missing} is missing beside {given}",
-                remedy="give both for depth on its own camera's pixels, neither for aligned depth",
+                f"{missing} is missing next to {given}",
+                remedy="give both for a colour camera with pixels of its own, neither for colour "
+                "with the pixels of depth or without colour",
             )
-        if depth_K is not None and T_color_depth is not None:
-            self._depth = _camera("depth_K", depth_K)
+        if color_K is not None and T_color_depth is not None:
+            self._color = _camera("color_K", color_K)
             with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
                 self._motion = _motion(T_color_depth)
         # What does not depend on the images' size is checked at once.
-        small = [_sized(camera, (2, 2)) for camera in (self._color, self._depth)]
+        small = [_sized(camera, (2, 2)) for camera in (self._depth, self._color)]
         whole = Calibration(small[0] or _NOTHING, small[1], self._motion, self.depth_unit_m)
         self._check(whole, check_numbers)
 
     @classmethod
     def of(cls, calibration: Calibration) -> "Cameras":
-        """Those of a log."""
-        depth, motion = calibration.depth, calibration.color_from_depth
-        return cls(calibration.color, depth, motion, calibration.depth_unit)
+        """Return those of a log."""
+        color, motion = calibration.color, calibration.color_from_depth
+        return cls(calibration.depth, color, motion, calibration.depth_unit)
 
     def __str__(self) -> str:
         """Of which cameras, in a few words."""
-        camera = self._color
+        camera = self._depth
         fx, fy, cx, cy = camera[2:6] if isinstance(camera, Intrinsics) else camera
         focal = f"fx {fx:g} fy {fy:g} cx {cx:g} cy {cy:g}"
         if isinstance(camera, Intrinsics) and camera.distortion is not Distortion.NONE:
             focal += f" {camera.distortion}"
-        return f"{focal}, depth {'on its own pixels' if self._depth else 'aligned to colour'}"
+        return focal + (", with a colour camera" if self._color else "")
 
-    def calibration(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:
-        """The calibration of images of these shapes ``(B, H, W, ...)``.
+    def calibration(self, depth: tuple[int, ...], color: tuple[int, ...] | None) -> Calibration:
+        """Return the calibration of images of these shapes ``(B, H, W, ...)``.
 
         Raises:
             CalibrationError: It is of images of another size.
         """
-        colors, depths = self._color, self._depth
+        depths, colors = self._depth, self._color
         if self._known is not None:
-            colors, depths = self._known.color, self._known.depth
-        for name, camera, shape in (("color", colors, color), ("depth", depths or colors, depth)):
-            sized = isinstance(camera, Intrinsics)
+            depths, colors = self._known.depth, self._known.color
+        for name, camera, shape in (("depth", depths, depth), ("color", colors, color)):
+            sized = isinstance(camera, Intrinsics) and shape is not None
             if sized and (camera.height, camera.width) != shape[1:3]:
                 raise CalibrationError(
                     f"images of {shape[2]}x{shape[1]} pixels, but the calibration is of "
@@ -134,20 +135,27 @@ class Cameras:
                     topic=name,
                     remedy="make a Detector for each size of images",
                 )
+        if self._color is None and color is not None and color[1:3] != depth[1:3]:
+            raise CalibrationError(
+                f"colour images of {color[2]}x{color[1]} pixels do not have the pixels of depth "
+                f"images of {depth[2]}x{depth[1]}",
+                topic="color",
+                remedy="give color_K and T_color_depth",
+            )
         if self._known is None:
-            if self._depth is None and color[1:3] != depth[1:3]:
-                raise CalibrationError(
-                    f"depth images of {depth[2]}x{depth[1]} pixels are not aligned to colour "
-                    f"images of {color[2]}x{color[1]}",
-                    topic="depth",
-                    remedy="give depth_K and T_color_depth",
-                )
-            self._known = self._complete(color, depth)
+            self._known = self._complete(depth, color)
         return self._known
 
-    def _complete(self, color: tuple[int, ...], depth: tuple[int, ...]) -> Calibration:
-        for name, camera, shape in (("K", self._color, color), ("depth_K", self._depth, depth)):
+    def _complete(self, depth: tuple[int, ...], color: tuple[int, ...] | None) -> Calibration:
+        for name, camera, shape in (("K", self._depth, depth), ("color_K", self._color, color)):
             if camera is not None and not isinstance(camera, Intrinsics):
+                if shape is None:
+                    raise CalibrationError(
+                        "the size of the colour images is not known",
+                        topic=name,
+                        remedy="give jaxdet.Intrinsics.from_matrix(K, width, height), or a colour "
+                        "image with the first frame",
+                    )
                 height, width = shape[1:3]
                 _, _, cx, cy = camera
                 if not (0 <= cx < width and 0 <= cy < height):
@@ -158,28 +166,28 @@ class Cameras:
                         remedy="give the camera matrix of images of this size",
                     )
         whole = Calibration(
-            _sized(self._color, color[1:3]) or _NOTHING,
-            _sized(self._depth, depth[1:3]),
+            _sized(self._depth, depth[1:3]) or _NOTHING,
+            _sized(self._color, () if color is None else color[1:3]),
             self._motion,
             self.depth_unit_m,
         )
         self._check(whole, check_calibration)
         with named("K", _LENS):
-            fixed_rays(whole.color)
-        if whole.depth is not None:
-            with named("depth_K", _LENS):
-                for rays in corner_rays(whole.depth):
-                    check_steepness(rays, "--log.depth-intrinsics")
+            for rays in corner_rays(whole.depth):
+                check_steepness(rays, "--log.depth-intrinsics")
+        if whole.color is not None:
+            with named("color_K", _LENS):
+                fixed_rays(whole.color)
         return whole
 
     def _check(self, whole: Calibration, check: Callable[[Calibration], None]) -> None:
-        """The checks of every calibration, one argument after the other."""
+        """Check every part of the calibration, one argument after the other."""
         pinhole = "give (3, 3), or fx fy cx cy, or jaxdet.Intrinsics, in pixels"
         with named("K", pinhole):
-            check(Calibration(whole.color))
-        if whole.depth is not None:
-            with named("depth_K", pinhole):
-                check(Calibration(whole.depth))
+            check(Calibration(whole.depth))
+        if whole.color is not None:
+            with named("color_K", pinhole):
+                check(Calibration(whole.color))
             with named("T_color_depth", "give a (4, 4) matrix of a rigid motion, in metres"):
                 check(whole._replace(depth_unit=0.001))
         with named("depth_unit_m", "give metres, 0.001 for millimetres"):
@@ -187,6 +195,7 @@ class Cameras:
 
 
 _NOTHING = Intrinsics(0, 0, 0.0, 0.0, 0.0, 0.0)
+_ORDER = "depth comes first: detector(depth, color)"
 _LENS = "give the focal length and lens of these images"
 
 
@@ -213,7 +222,7 @@ def _motion(value: ArrayLike | Extrinsics) -> Extrinsics:
 
 
 def color_images(images: Any, order: ColorOrder) -> np.ndarray:
-    """Colour images ``(B, H, W, 3)`` uint8, RGB.
+    """Return colour images ``(B, H, W, 3)`` uint8, RGB, as an array of their own.
 
     Args:
         images: ``(B, H, W, 3)`` in this order or ``(B, H, W)`` grey, uint8; or a sequence of such
@@ -224,6 +233,8 @@ def color_images(images: Any, order: ColorOrder) -> np.ndarray:
         InputError: They are something else.
     """
     array = _stacked("color", images)
+    if array.dtype == np.uint16:
+        raise InputError("images are uint16", topic="color", remedy=_ORDER)
     if array.dtype != np.uint8:
         raise InputError(
             f"images are {array.dtype}", topic="color", remedy="give uint8, from 0 to 255"
@@ -237,11 +248,11 @@ def color_images(images: Any, order: ColorOrder) -> np.ndarray:
         raise InputError(f"a frame of shape {array.shape[1:]}", topic="color", remedy=remedy)
     if array.shape[-1] == 1:
         return np.repeat(array, 3, axis=-1)
-    return np.ascontiguousarray(array[..., ::-1] if order == "bgr" else array)
+    return np.array(array[..., ::-1] if order == "bgr" else array, order="C")
 
 
 def depth_images(images: Any, unit_m: float) -> np.ndarray:
-    """Depth images ``(B, Hd, Wd)`` uint16 in units of ``unit_m``.
+    """Return depth images ``(B, Hd, Wd)`` uint16 in units of ``unit_m``, an array of their own.
 
     Args:
         images: ``(B, Hd, Wd)`` uint16, or float32 or float64 in metres, where NaN, infinity and 0
@@ -253,6 +264,8 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
         InputError: They are something else, or not in metres.
     """
     array = _stacked("depth", images)
+    if array.dtype == np.uint8:
+        raise InputError("images are uint8, as colour images are", topic="depth", remedy=_ORDER)
     if array.ndim == 4 and array.shape[-1] == 1:
         array = array[..., 0]
     if array.ndim != 3:
@@ -262,7 +275,7 @@ def depth_images(images: Any, unit_m: float) -> np.ndarray:
             remedy="give (Hd, Wd), and to batch one axis more",
         )
     if array.dtype.newbyteorder("=") == np.uint16:  # some cameras send the high byte first
-        return np.ascontiguousarray(array, np.uint16)
+        return np.array(array, np.uint16, order="C")
     if not np.issubdtype(array.dtype, np.floating):
         raise InputError(
             f"images are {array.dtype}",
@@ -296,6 +309,8 @@ def one_frame(name: str, image: Any) -> np.ndarray:
         InputError: It is no image, or several.
     """
     array = _array(name, image)
+    if name == "depth" and array.dtype == np.uint8:
+        raise InputError("it is uint8, as colour images are", topic=name, remedy=_ORDER)
     if array.ndim not in (2, 3) or (name == "depth" and array.ndim == 3 and array.shape[2] != 1):
         wanted = "(H, W, 3) or (H, W)" if name == "color" else "(Hd, Wd)"
         color = array.ndim == 3 and array.shape[2] in (3, 4)

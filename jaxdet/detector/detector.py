@@ -29,7 +29,7 @@ from jaxdet.detector.result import BatchResult, FrameResult
 from jaxdet.errors import ConfigError, FrameStatus, InputError
 from jaxdet.floor.mount import Mount
 from jaxdet.floor.plane import join_planes, unknown_plane
-from jaxdet.pipeline import BackendName, detect, floor_of
+from jaxdet.pipeline import BackendName, detect, floor_prior
 from jaxdet.results.rows import batch_rows, row_inputs, to_host
 from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane, Intrinsics
 
@@ -42,19 +42,22 @@ RUN_BATCH = 16
 
 
 class Detector:
-    """Finds the obstacles in frames of one RGB-D camera, as ``jaxdet run`` does.
+    """Find the obstacles in depth images of one camera, as ``jaxdet run`` does.
 
-    The floor is looked for in each frame's own depth; ``mount`` says around what. Results do not
-    depend on how many frames are given at once, and nothing is carried from frame to frame.
-    A detector may be called from one thread at a time.
+    Only depth is read; colour is for pictures and for the preset ``paper``. The floor is searched
+    in each frame's own depth, around the ``mount`` where one is given. Results do not depend on how
+    many frames are given at once, and nothing is carried from frame to frame. A detector may be
+    called from one thread at a time.
 
     Args:
-        K: Of the colour camera: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] of images without
-            distortion, or :class:`jaxdet.Intrinsics`, which can have a lens.
-        depth_K: Of the depth camera likewise, where depth images lie on its own pixels; None:
-            depth is aligned to colour, pixel on pixel.
+        K: Camera of the depth images: a matrix ``(3, 3)`` or ``fx fy cx cy`` [pixel] of images
+            without distortion, or :class:`jaxdet.Intrinsics`, which can have a lens. Of depth that
+            is aligned to colour this is the colour camera.
+        color_K: Colour camera in the same form, where colour images have pixels of their own; boxes
+            are then in the colour image. :class:`jaxdet.Intrinsics`, unless a colour image comes
+            with the first frame. None: colour has the pixels of depth, or there is none.
         T_color_depth: ``(4, 4)``, takes points of the depth camera's optical frame to the colour
-            camera's [m]; or :class:`jaxdet.Extrinsics`. Given with ``depth_K``.
+            camera's [m]; or :class:`jaxdet.Extrinsics`. Given with ``color_K``.
         depth_unit_m: Metres in a unit of a uint16 depth image; depth in floats is in metres and is
             rounded to this unit.
         color_order: Of the channels of colour images: ``rgb``, or ``bgr`` as OpenCV has them.
@@ -71,9 +74,8 @@ class Detector:
 
     Example:
         >>> detector = Detector([500.0, 500.0, 40.0, 30.0], backend="reference")
-        >>> grey = np.zeros((60, 80), np.uint8)
         >>> depth = np.full((60, 80), 3.0)  # a wall, 3 m away
-        >>> [round(obstacle.distance_m, 2) for obstacle in detector(grey, depth)]
+        >>> [round(obstacle.distance_m, 2) for obstacle in detector(depth)]
         [3.0]
     """
 
@@ -84,7 +86,7 @@ class Detector:
         self,
         K: ArrayLike | Intrinsics,
         *,
-        depth_K: ArrayLike | Intrinsics | None = None,
+        color_K: ArrayLike | Intrinsics | None = None,
         T_color_depth: ArrayLike | Extrinsics | None = None,
         depth_unit_m: float = 0.001,
         color_order: ColorOrder = "rgb",
@@ -95,7 +97,7 @@ class Detector:
         one_of("color_order", color_order, ColorOrder)
         one_of("backend", backend, BackendName)
         self.config = config if isinstance(config, Config) else find_config(config)
-        self._cameras = Cameras(K, depth_K, T_color_depth, depth_unit_m)
+        self._cameras = Cameras(K, color_K, T_color_depth, depth_unit_m)
         self._order: ColorOrder = color_order
         self._backend: BackendName = backend
         self._mount = _checked(mount)
@@ -128,12 +130,15 @@ class Detector:
 
         Raises:
             InputError: ``ground.source`` is tf and the log has no usable transform.
+            CalibrationError: The preset ``paper`` can't use the log's colour.
         """
         from jaxdet.engine import decide_planes
+        from jaxdet.engine.color import check_color
         from jaxdet.io import Log
 
         of_type("log", log, Log)
-        detector = cls(log.calibration.color, config=config, backend=backend)
+        detector = cls(log.calibration.depth, config=config, backend=backend)
+        check_color(log, detector.config)
         detector._cameras = Cameras.of(log.calibration)
         detector._log = log.label, log.calibration
         detector._planes = decide_planes(log, detector.config, backend)
@@ -141,8 +146,8 @@ class Detector:
 
     def __call__(
         self,
-        color: Any,
         depth: Any,
+        color: Any = None,
         *,
         mount: Mount | None = None,
         stamp_ns: int = 0,
@@ -151,16 +156,17 @@ class Detector:
         """Finds the obstacles in one frame.
 
         Args:
-            color: ``(H, W, 3)`` or grey ``(H, W)``, uint8; anything that NumPy takes as an array.
             depth: ``(Hd, Wd)``, uint16 in units of ``depth_unit_m``, 0 = no measurement, or floats
                 in metres, where NaN, infinity and what is not above 0 are no measurement; nor is
-                what an array of :mod:`numpy.ma` masks.
+                what an array of :mod:`numpy.ma` masks. Anything that NumPy takes as an array.
+            color: ``(H, W, 3)`` or grey ``(H, W)``, uint8, for :meth:`FrameResult.draw`; the preset
+                ``paper`` finds corners in it.
             mount: What is known of this frame's floor, for instance from an IMU
                 (:meth:`Mount.from_gravity`); None: the detector's own.
             stamp_ns: Time of the frame, a whole number [ns], which the result repeats; a detector
                 of a log with ``ground.window_s`` has a floor for each time window.
-            T_world_camera: ``(4, 4)``, takes points of the colour optical frame to the world [m],
-                for :attr:`Obstacle.corners_world`.
+            T_world_camera: ``(4, 4)``, takes points of the depth camera's optical frame to the
+                world [m], for :attr:`Obstacle.corners_world`.
 
         Returns:
             The obstacles, in the order of their labels. The images can be written to again.
@@ -172,14 +178,14 @@ class Detector:
         poses = None
         if T_world_camera is not None:
             poses = numbers("T_world_camera", T_world_camera, np.float64)[None]
-        given = one_frame("color", color), one_frame("depth", depth)
+        given = one_frame("depth", depth), None if color is None else one_frame("color", color)
         mounts = None if mount is None else [mount]
         return self.batch(*given, mounts=mounts, stamps_ns=[stamp_ns], T_world_camera=poses)[0]
 
     def batch(
         self,
-        color: Any,
         depth: Any,
+        color: Any = None,
         *,
         mounts: Sequence[Mount | None] | None = None,
         stamps_ns: ArrayLike | None = None,
@@ -188,8 +194,9 @@ class Detector:
         """Finds the obstacles in ``B`` frames, together.
 
         Args:
-            color: ``(B, H, W, 3)`` or grey ``(B, H, W)``, uint8; or a sequence of frames.
             depth: ``(B, Hd, Wd)``, uint16 or floats in metres; or a sequence of frames.
+            color: ``(B, H, W, 3)`` or grey ``(B, H, W)``, uint8, or a sequence of frames; None:
+                without.
             mounts: What is known of the floor of each; None, of one or of all: the detector's own.
             stamps_ns: ``(B,)`` integers [ns] or datetime64; None: 0.
             T_world_camera: ``(B, 4, 4)``, NaN where unknown; None: not known.
@@ -201,30 +208,37 @@ class Detector:
             InputError: The images are no such arrays, or there are not as many of each.
             CalibrationError: They are of another size than the calibration.
         """
-        images = color_images(color, self._order), depth_images(depth, self._cameras.depth_unit_m)
-        count = len(images[0])
+        depths = depth_images(depth, self._cameras.depth_unit_m)
+        colors = None if color is None else color_images(color, self._order)
+        count = len(depths)
         stamps = times("stamps_ns", [0] * count if stamps_ns is None else stamps_ns)
         poses = None if T_world_camera is None else world_poses(T_world_camera, count)
         if mounts is not None and not isinstance(mounts, Sequence):
             problem = f"{type(mounts).__name__} is no sequence of them"
             raise InputError(problem, topic="mounts", remedy="give a list of jaxdet.Mount")
-        for name, of_each in (("depth", images[1]), ("stamps_ns", stamps), ("mounts", mounts)):
+        for name, of_each in (("color", colors), ("stamps_ns", stamps), ("mounts", mounts)):
             if of_each is not None and len(of_each) != count:
                 raise InputError(
-                    f"{len(of_each)} for {count} colour images",
+                    f"{len(of_each)} for {count} depth images",
                     topic=name,
                     remedy="give one for every frame",
                 )
-        calibration = self._cameras.calibration(images[0].shape, images[1].shape)
+        shape = None if colors is None else colors.shape
+        calibration = self._cameras.calibration(depths.shape, shape)
         number, valid = np.arange(count, dtype=np.int64), np.ones(count, bool)
-        frames = Frames(*images, calibration, number, stamps, stamps, valid, poses)
+        color_stamps = None if colors is None else stamps
+        frames = Frames(
+            depths, calibration, number, stamps, valid, colors, color_stamps, T_world_camera=poses
+        )
         from jaxdet.io.batch import Batch
 
         batch = Batch(frames, (FrameStatus.OK,) * count, ("",) * count)
         with untraced():
             return self._found(batch, *self._known(frames, mounts))
 
-    def run(self, log: Log, batch_size: int = RUN_BATCH) -> Iterator[FrameResult]:
+    def run(
+        self, log: Log, batch_size: int = RUN_BATCH, *, color: bool = False
+    ) -> Iterator[FrameResult]:
         """Finds the obstacles in every frame of the log that the detector was made from.
 
         The results are what ``jaxdet run`` writes, frame by frame; frames that can't be used have
@@ -233,6 +247,8 @@ class Detector:
         Args:
             log: Of :func:`jaxdet.open_log`.
             batch_size: Frames computed together; changes no result.
+            color: Whether to read colour images as well, for :meth:`FrameResult.draw`; the preset
+                ``paper`` always does.
 
         Raises:
             InputError: The detector is of another log, or a batch has no frame.
@@ -250,7 +266,10 @@ class Detector:
         if self._log != (log.label, log.calibration):
             problem = f"the detector was made from {self._log[0]!r}, not from {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
-        for batch in log.batches(min(size, max(len(log.frames), 1), MAX_FRAMES)):
+        of_type("color", color, bool)
+        paper = self.config.cluster.points
+        together = min(size, max(len(log.frames), 1), MAX_FRAMES)
+        for batch in log.batches(together, color=color or paper, need_color=paper):
             yield from self._found(batch, *self._known(batch.frames, None))
 
     def _known(
@@ -277,7 +296,7 @@ class Detector:
         if self._planes is not None:
             stamps = frames.stamp_ns
             return self._planes.of(stamps), self._planes.sources(stamps)
-        plane = floor_of(frames, self.config, backend=self._backend)
+        plane = floor_prior(frames, self.config, backend=self._backend)
         return plane, ["mount" if known else "none" for known in plane.valid.tolist()]
 
     def _found(self, batch: Batch, plane: GroundPlane, sources: list[str]) -> BatchResult:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
+from jaxdet.camera import cell_side
 from jaxdet.checks import check_size
 from jaxdet.config import Config
 from jaxdet.detector.arguments import ColorOrder, color_images, named, one_frame
@@ -43,8 +44,10 @@ class Obstacle:
         label: Number in its frame, by the least depth that the depth camera measured of it: 0 is
             not always the nearest. The value of its pixels in :attr:`FrameResult.labels`.
         distance_m: From the camera's foot on the floor to its nearest point [m].
-        box: First column and row, last column and row of it in the colour image [pixel].
-        xyz_min: ``(3,)`` float32, least x, y and z in the colour optical frame [m].
+        box: First column and row, last column and row of it [pixel], in the colour image of a
+            calibrated colour camera, else in the depth image; None where it is outside of the
+            colour image.
+        xyz_min: ``(3,)`` float32, least x, y and z in the camera's optical frame [m].
         xyz_max: ``(3,)`` float32, largest x, y and z [m].
         centroid: ``(3,)`` float32, x, y and z [m].
         bottom_m: Its lowest cell seen above the floor [m], what stands on it has about the step's
@@ -55,12 +58,12 @@ class Obstacle:
         corners: ``(4, 2)`` float32, its outline on the floor, right and forward [m].
         corners_world: ``(4, 2)`` float64, the same in the world, X and Y [m]; None without a pose
             or a floor.
-        num_points: Its depth cells in the colour image; of clusters of points its corners.
+        num_points: Its depth cells; in the preset ``paper`` its corners.
     """
 
     label: int
     distance_m: float
-    box: tuple[int, int, int, int]
+    box: tuple[int, int, int, int] | None
     xyz_min: np.ndarray
     xyz_max: np.ndarray
     centroid: np.ndarray
@@ -78,18 +81,18 @@ class Obstacle:
 
     @property
     def points(self) -> np.ndarray:
-        """``(num_points, 3)`` float32, its points in the colour optical frame, x, y and z [m]."""
+        """``(num_points, 3)`` float32, its points in the camera's optical frame, x, y and z [m]."""
         return self.frame.points[self.frame.point_labels == self.label]
 
     def mask(self) -> np.ndarray:
-        """``(H, W)`` bool, its pixels in the colour image, see :attr:`FrameResult.labels`."""
+        """``(H, W)`` bool, its pixels, see :attr:`FrameResult.labels`."""
         return self.frame.labels == self.label
 
 
 class FrameResult(Sequence[Obstacle]):
     """What was found in a frame: a sequence of its obstacles, in the order of their labels.
 
-    Use it while its arrays are of use: it keeps those of its batch, some 0.7 MB a frame.
+    It keeps the arrays of its batch, images included, some 1.3 MB per frame without colour.
     """
 
     def __init__(self, batch: "BatchResult", row: int) -> None:
@@ -117,7 +120,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def stamp_ns(self) -> int:
-        """Time of the colour image [ns]."""
+        """Time of the depth image [ns]."""
         return int(self._batch.frames.stamp_ns[self._row])
 
     @property
@@ -185,7 +188,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """``(H, W)`` int32, the obstacle of each pixel of the colour image, -1 = none.
+        """``(H, W)`` int32, the obstacle of each pixel of the image of boxes, -1 = none.
 
         As fine as depth cells are (3 to 4 pixels of a depth image); where several cells cover a
         pixel, that of the nearest.
@@ -198,14 +201,16 @@ class FrameResult(Sequence[Obstacle]):
             raise ConfigError(
                 "clusters of points have no masks", remedy="use another preset than paper"
             )
+        calibration, config = self._batch.frames.calibration, self._batch.config
         if not len(self):
-            camera = self._batch.frames.calibration.color
+            camera = calibration.image
             return np.full((camera.height, camera.width), -1, np.int32)
-        return label_image(found, self._row, self._batch.frames.calibration.color)
+        side = cell_side(calibration.depth, config.surface.cell_rad)
+        return label_image(found, self._row, calibration, side)
 
     @property
     def points(self) -> np.ndarray:
-        """``(P, 3)`` float32, the points of all obstacles in the colour optical frame [m]."""
+        """``(P, 3)`` float32, the points of all obstacles in the camera's optical frame [m]."""
         return self._labelled[0]
 
     @property
@@ -220,11 +225,12 @@ class FrameResult(Sequence[Obstacle]):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.int32)
         return obstacle_points(found, row, self._batch.frames.calibration.depth_unit)
 
-    def draw(self, color: Any) -> np.ndarray:
-        """A picture as ``jaxdet run`` draws it.
+    def draw(self, color: Any = None) -> np.ndarray:
+        """Draw a picture as ``jaxdet run`` does.
 
         Args:
-            color: The frame's colour image, as it was given to the detector.
+            color: Colour image of the frame; None: the one that the detector was given, and
+                without one the depth image in colours.
 
         Returns:
             ``(h, w, 3)`` uint8, RGB, some 1280 pixels wide.
@@ -232,12 +238,13 @@ class FrameResult(Sequence[Obstacle]):
         from jaxdet.render import draw_frame
 
         batch, row = self._batch, self._row
-        image = color_images(one_frame("color", color), batch.color_order)
-        camera = batch.frames.calibration.color
-        with named("color"):
-            check_size("colour", image.shape, camera)
-        frames = batch.frames._replace(color=np.broadcast_to(image, (len(batch), *image.shape[1:])))
-        unit = frames.calibration.depth_unit
+        frames, unit = batch.frames, batch.frames.calibration.depth_unit
+        if color is not None:
+            image = color_images(one_frame("color", color), batch.color_order)
+            with named("color"):
+                check_size("colour", image.shape, frames.calibration.image)
+            images = np.broadcast_to(image, (len(batch), *image.shape[1:]))
+            frames = frames._replace(color=images, color_stamp_ns=frames.stamp_ns)
         corners = rectangles(batch.found.obstacles, unit, batch.config.footprint)
         title = f"frame {self.number}"
         return draw_frame(frames, batch.found, corners, row, batch.config, title)
@@ -250,7 +257,7 @@ class BatchResult(Sequence[FrameResult]):
     """What was found in a batch: a sequence of frames, and the arrays behind them.
 
     Attributes:
-        frames: The frames without their images; ``frames.plane`` is the floor of each.
+        frames: The frames; ``frames.plane`` is the floor of each.
         found: All that was found, NumPy arrays with a padded axis, see
             :class:`jaxdet.Detections`.
         rows: The columns of the two tables.
@@ -259,9 +266,7 @@ class BatchResult(Sequence[FrameResult]):
     def __init__(
         self, batch: "Batch", found: Detections, rows: Rows, config: Config, order: ColorOrder
     ) -> None:
-        nothing = np.zeros(0, np.uint8)
-        frames = batch.frames._replace(color=nothing, depth=nothing, plane=rows.plane)
-        self.frames: Frames = frames
+        self.frames: Frames = batch.frames._replace(plane=rows.plane)
         self.found, self.rows, self.config = found, rows, config
         self.color_order: ColorOrder = order
         self.errors = batch.errors
@@ -291,6 +296,7 @@ class BatchResult(Sequence[FrameResult]):
         contours: Lists = columns["contour"]
         for at in range(self._first[row], self._first[row + 1]):
             box = [columns[name][at] for name in ("u_min", "v_min", "u_max", "v_max")]
+            outside = any(side is np.ma.masked for side in box)
             low, high, middle = (
                 np.array([columns[axis + end][at] for axis in "xyz"], np.float32)
                 for end in ("_min", "_max", "")
@@ -301,7 +307,7 @@ class BatchResult(Sequence[FrameResult]):
             yield Obstacle(
                 label=int(columns["obstacle"][at]),
                 distance_m=float(columns["distance_m"][at]),
-                box=(int(box[0]), int(box[1]), int(box[2]), int(box[3])),
+                box=None if outside else (int(box[0]), int(box[1]), int(box[2]), int(box[3])),
                 xyz_min=low,
                 xyz_max=high,
                 centroid=middle,

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from jaxdet.floor.units import FloorFit
     from jaxdet.io import Batch
 
-ImageMemory = Callable[[], tuple[np.ndarray, np.ndarray]]
+ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
+"""Returns depth images to be written to, or depth and colour images; see :meth:`Log.batches`."""
 
 
 class Found(NamedTuple):
@@ -168,10 +169,11 @@ class SharedDevice:
         self._replies: dict[int, Reply] = {}
         self._results: tuple[bytes, Packing, np.ndarray] | None = None
 
-    def images(self) -> tuple[np.ndarray, np.ndarray]:
-        """The memory for the next batch."""
+    def images(self) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Return the memory for the next batch."""
         self._turn = (self._turn + 1) % SLOTS
-        return self._views[self._first + self._turn]
+        depth, color = self._views[self._first + self._turn]
+        return depth if color is None else (depth, color)
 
     def start(self, batch: "Batch", plane: GroundPlane, *, whole: bool) -> int:
         """Gives the batch, whose images are in the memory of the last call, to the station."""
@@ -191,7 +193,7 @@ class SharedDevice:
     def find_floors(self, frames: Frames) -> "FloorFit":
         """The floors of at most as many frames as a slot has."""
         count, slot = len(frames.valid), self._first + self._turn
-        self._views[slot][1][:count] = frames.depth
+        self._views[slot].depth[:count] = frames.depth
         assert frames.plane is not None
         self._piped.pipe.send(Sample(self._piped.number, slot, frames.plane))
         floors = self._reply(slot).floors

@@ -113,7 +113,7 @@ def decide_planes(
     A sample of the frames is looked at first, each for itself, and the median of the floors that
     they show takes the place of what flags or TF say. Where neither says anything it is the prior
     only of a camera that keeps its place, see :class:`jaxdet.floor.sampled.SampledFloor`; else each
-    frame is searched alone. Samples are spread evenly over the frames by number, paired or not.
+    frame is searched alone. Samples are spread evenly over the frames by number.
     They are of all frames of the log, or of each window with a frame of the part that is read, so
     that the plane of a frame doesn't depend on the part.
 
@@ -194,7 +194,7 @@ def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane
         return *nothing, ()
     plane, problem = _plane_from_tf(log)
     if plane is not None:
-        return _record("tf", plane, f"{log.base_frame} to the colour camera"), plane, ()
+        return _record("tf", plane, f"{log.base_frame} to the depth camera"), plane, ()
     if ground.source == "tf":
         raise InputError(problem, path=log.name, remedy="give --ground.camera-height-m")
     return *nothing, (problem,) if log.T_base_camera is not None else ()
@@ -202,7 +202,7 @@ def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane
 
 def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
     if log.T_base_camera is None:
-        return None, "no transform from the robot's base to the colour camera"
+        return None, "no transform from the robot's base to the depth camera"
     plane = plane_from_transform(log.T_base_camera)
     height = float(plane.height[0])
     if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:

@@ -82,9 +82,8 @@ class LogMemory:
 
     def find_floors(self, sample: Sample) -> "FloorFit":
         """The floors of a sample, on whatever JAX computes on."""
-        color, depth = self.views[sample.slot]
-        count = len(sample.plane.valid)
-        frames = _frames(color[:count], depth[:count], self.served, sample.plane)
+        depth = self.views[sample.slot].depth[: len(sample.plane.valid)]
+        frames = _frames(depth, None, self.served, sample.plane)
         return find_here(self.served.config, "jax", frames)
 
     def results(self, found: Detections) -> "_Results":
@@ -113,11 +112,11 @@ class _Results(NamedTuple):
     """See :meth:`Packing.view`."""
 
 
-def _frames(color: Any, depth: Any, served: Served, plane: GroundPlane) -> Frames:
-    """Frames of which nothing else is of use for the method."""
-    nothing = np.zeros(len(color), np.int64)
-    known = nothing, nothing, nothing, nothing > 0
-    return Frames(color, depth, served.calibration, *known, plane=plane)
+def _frames(depth: Any, color: Any, served: Served, plane: GroundPlane) -> Frames:
+    """Return frames with what the method reads."""
+    nothing = np.zeros(len(depth), np.int64)
+    known = nothing, nothing, nothing > 0
+    return Frames(depth, served.calibration, *known, color=color, plane=plane)
 
 
 class FittingLane:
@@ -228,8 +227,8 @@ class Lane:
         wait_asleep(device)  # cores are for the workers
         slots = log.slots
         self.log, self.device, self.rows = log, device, pieces * slots.frames
-        shapes = (self.rows, *slots.color), (self.rows, *slots.depth)
-        self.uploader = Uploader(*shapes, device)
+        kinds = [(slots.depth, np.uint16)] + ([(slots.color, np.uint8)] if slots.color else [])
+        self.uploader = Uploader([((self.rows, *shape), kind) for shape, kind in kinds], device)
         self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
         self._ready = 0.0
         """Time when the last batch was computed."""
@@ -251,7 +250,8 @@ class Lane:
         if pieces:
             self._locked.result()
         begin = time.perf_counter()
-        images = self.uploader.upload([self.log.views[piece.slot] for piece in pieces])
+        views = (self.log.views[piece.slot] for piece in pieces)
+        images = self.uploader.upload([[a for a in view if a is not None] for view in views])
         return _Copied(images, time.perf_counter() - begin)
 
     def start(self, pieces: list[Piece], copied: _Copied) -> _Started:
@@ -259,8 +259,8 @@ class Lane:
         log, begin = self.log, time.perf_counter()
         missing = self.rows - len(pieces) * log.slots.frames
         plane = join_planes([*(piece.plane for piece in pieces), unknown_plane(missing)])
-        color, depth = copied.images
-        frames = _frames(color, depth, log.served, plane)
+        depth, *color = copied.images
+        frames = _frames(depth, color[0] if color else None, log.served, plane)
         with computing():
             whole = any(piece.whole for piece in pieces)
             found = detect(frames, log.served.config, with_cells=whole)

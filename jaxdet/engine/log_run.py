@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.color import check_color
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files
@@ -185,6 +186,7 @@ class LogRun:
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
         about = self.about
+        check_color(log, self.config)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
@@ -206,12 +208,25 @@ class LogRun:
 
     def _allot(self, log: "Log", workers: int) -> Allotment:
         """What so many workers on the log get of the memory."""
-        color, depth = log.image_shapes
         batch = min(self.options.batch_size or BATCH, max(BATCH, len(log.frames)))
         waiting = min(ROWS_PER_GROUP, self.waiting + len(log.frames))
-        row = _ROW_BYTES + _COLUMN_BYTES * depth[1]
-        needs = Needs(prod(color) + 2 * prod(depth), log.index_bytes, waiting * row)
+        row = _ROW_BYTES + _COLUMN_BYTES * log.depth_shape[1]
+        frame = 2 * prod(log.depth_shape) + self._color_bytes(log, batch)
+        needs = Needs(frame, log.index_bytes, waiting * row)
         return self.memory.allot(needs, batch, workers, log.name)
+
+    def _color_bytes(self, log: "Log", batch: int) -> int:
+        """Return the mean size of the colour images in the fullest batch, per frame [bytes].
+
+        All frames of the preset ``paper`` have one, of others those that are drawn.
+        """
+        if self.config.cluster.points:
+            camera = log.calibration.image
+            return 3 * camera.height * camera.width
+        if not log.has_color or log.color_shape is None:
+            return 0
+        drawn = -(-self.options.pictures * batch // max(1, len(log.frames)))
+        return -(-prod(log.color_shape) * min(drawn, batch) // batch)
 
     def _begin(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> LogPlan:
         """The plan, and whatever works on it started; with the parts that others have left."""
@@ -302,7 +317,7 @@ class LogRun:
         before = len(log.description.warnings)
         about.description = log.described(total(notes))
         about.warnings += about.description.warnings[before:]
-        own = about.pairs_warning, about.depth_warning, about.floor_warning, about.tilt_warning
+        own = about.color_warning, about.depth_warning, about.floor_warning, about.tilt_warning
         about.warnings += filter(None, own)
 
     def _stem(self, log: "Log") -> str:

@@ -19,7 +19,8 @@ class Observer(Protocol):
     """Sees each batch with what was found in it, for instance to compare it with the truth.
 
     It is pickled into the processes that work on a log. What it says depends on the log and on its
-    public attributes alone, which are part of the run's record.
+    public attributes alone, which are part of the run's record. Where it has an attribute
+    ``needs_color`` that is True, colour images are read for every frame.
     """
 
     def __call__(self, batch: "Batch", found: Detections, /) -> Any:

@@ -9,6 +9,7 @@ import mmap
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,15 @@ _PAGE = 4096
 _numbers = itertools.count(1)
 
 
+class Images(NamedTuple):
+    """The images of a slot."""
+
+    depth: np.ndarray
+    """``(n, Hd, Wd)`` uint16."""
+    color: np.ndarray | None
+    """``(n, H, W, 3)`` uint8; None: the method reads depth alone."""
+
+
 class Slots(NamedTuple):
     """The shared memory of a log's images and how it is divided; goes to the workers."""
 
@@ -34,33 +44,35 @@ class Slots(NamedTuple):
     """Where other processes find it."""
     frames: int
     """Frames of a slot."""
-    color: tuple[int, ...]
-    """Shape of a colour image, ``(H, W, 3)`` uint8."""
     depth: tuple[int, ...]
     """Shape of a depth image, ``(Hd, Wd)`` uint16."""
+    color: tuple[int, ...] | None
+    """Shape of a colour image, ``(H, W, 3)`` uint8; None: the method reads depth alone."""
     workers: int
     number: int = 0
     """Of the memory: what has been freed leaves its path to the next one."""
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Bytes of a slot's colour and depth images, in whole pages."""
-        color, depth = np.prod(self.color), 2 * np.prod(self.depth)
-        return _pages(int(color) * self.frames), _pages(int(depth) * self.frames)
+        """Bytes of a slot's depth and colour images, in whole pages."""
+        depth, color = 2 * prod(self.depth), prod(self.color) if self.color else 0
+        return _pages(depth * self.frames), _pages(color * self.frames)
 
     @property
     def nbytes(self) -> int:
         """Of all slots."""
         return self.workers * SLOTS * sum(self.sizes)
 
-    def views(self, memory: mmap.mmap) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Colour ``(n, H, W, 3)`` and depth ``(n, Hd, Wd)`` of each slot."""
-        first, second = self.sizes
+    def views(self, memory: mmap.mmap) -> list[Images]:
+        """Return the images of each slot."""
         found = []
-        for start in range(0, self.nbytes, first + second):
-            shapes = (self.frames, *self.color), (self.frames, *self.depth)
-            color = np.ndarray(shapes[0], np.uint8, memory, start)
-            found.append((color, np.ndarray(shapes[1], np.uint16, memory, start + first)))
+        for start in range(0, self.nbytes, sum(self.sizes)):
+            depth = np.ndarray((self.frames, *self.depth), np.uint16, memory, start)
+            color = None
+            if self.color:
+                shape, start = (self.frames, *self.color), start + self.sizes[0]
+                color = np.ndarray(shape, np.uint8, memory, start)
+            found.append(Images(depth, color))
         return found
 
 

@@ -10,10 +10,9 @@ import selectors
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from math import prod
 from multiprocessing import Pipe
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.engine.lane import FittingLane, LogMemory, Served
@@ -82,11 +81,14 @@ class Station:
         Raises:
             WorkerError: There is not as much memory.
         """
-        color, depth = log.image_shapes
-        fits = PIECE_BYTES // (int(np.prod(color)) + 2 * int(np.prod(depth)))
+        depth, color = log.depth_shape, None
+        if config.cluster.points:
+            camera = log.calibration.image
+            color = camera.height, camera.width, 3
+        fits = PIECE_BYTES // (2 * prod(depth) + (prod(color) if color else 0))
         frames = max(1, min(PIECE_FRAMES, fits, piece_frames, batch_size or PIECE_FRAMES))
         pieces = BATCH_PIECES if batch_size is None else -(-batch_size // frames)
-        slots = Slots("", frames, color, depth, len(self._pipes))
+        slots = Slots("", frames, depth, color, len(self._pipes))
         served = Served(slots, pieces, log.calibration, config)
         if self._log is None or self._log.served != served:
             self.leave()

@@ -8,6 +8,7 @@ from contextlib import closing, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from jaxdet.engine.color import shown_color
 from jaxdet.engine.device import Device, Found
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
@@ -106,9 +107,12 @@ class LogWork:
         return part.counts
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple[Unit, "Batch"]]:
-        given = {"images": self.device.images} if self.device.images else {}
+        plan = self.plan
+        color = shown_color(plan.config, plan.observers.values(), plan.drawn)
+        given = {"images": self.device.images, "color": color}
+        given["need_color"] = plan.config.cluster.points
         for unit in units:
-            batches = self.log.batches(self.plan.batch_size, unit.start, unit.stop, **given)
+            batches = self.log.batches(plan.batch_size, unit.start, unit.stop, **given)
             while (batch := self._timed("read", next, batches, None)) is not None:
                 self._busy["decode"] += batch.decoding_s
                 self._busy["read"] -= batch.decoding_s
@@ -183,8 +187,7 @@ class _NewPart:
         errors = zip(one.numbers, batch.errors, strict=True)
         part.errors.extend(f"frame {number}: {error}" for number, error in errors if error)
         if found.whole is not None:
-            unit = batch.frames.calibration.depth_unit
-            shown = shown_planes(found.inputs, one.plane, unit)
+            shown = shown_planes(found.inputs, one.plane, batch.frames.calibration)
             part.pictures.update(self._draw(one, found.whole, shown))
             for name, observer in plan.observers.items():
                 part.seen[name].append(observer(batch, found.whole))
@@ -198,7 +201,7 @@ class _NewPart:
         given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
         rows = batch_rows(plan.log, plan.camera, *given)
         part.counts.count(rows.frames)
-        part.map.add_path(batch.frames.T_world_camera)
+        part.map.add_path(rows.T_world_camera)
         part.map.add(rows.obstacles["corners_world"])
         part.map.add_free(rows.free_world)
         return part._replace(rows=Tables.of(rows.frames, rows.obstacles), notes=[batch.notes])

@@ -5,35 +5,40 @@ import numpy as np
 from jaxdet.camera import pixel_rays
 from jaxdet.eval.polygon import inside
 from jaxdet.eval.tally import Tally
-from jaxdet.eval.truth import EvalConfig
+from jaxdet.eval.truth import EvalConfig, depth_poses
 from jaxdet.results.metric import floors, rectangles, world_angle
-from jaxdet.types import Detections, Intrinsics
+from jaxdet.types import Calibration, Detections
 
 
 def floor_positions(
-    depth_m: np.ndarray, drivable: np.ndarray, camera: Intrinsics, T_world_camera: np.ndarray
+    depth_m: np.ndarray,
+    drivable: np.ndarray,
+    calibration: Calibration,
+    T_world_camera: np.ndarray,
 ) -> np.ndarray:
-    """Where the drivable floor is that each colour pixel shows.
+    """Return where the drivable floor is that each colour pixel shows.
 
     Args:
         depth_m: ``(B, H, W)`` true z [m].
         drivable: ``(B, H, W)`` bool, see :class:`jaxdet.eval.FrameTruth`.
-        camera: The colour camera.
-        T_world_camera: ``(B, 4, 4)`` float64, exact; world z is up.
+        calibration: Of the log; one without a colour camera where lengths refer to that camera.
+        T_world_camera: ``(B, 4, 4)`` float64, of the colour camera, exact; world z is up.
 
     Returns:
-        ``(B, H, W, 2)`` float64, right and forward in the camera's ground frame [m], NaN where the
-        pixel shows no such floor.
+        ``(B, H, W, 2)`` float64, right and forward in the depth camera's ground frame [m], NaN
+        where the pixel shows no such floor.
     """
-    x, y = pixel_rays(camera)
+    x, y = pixel_rays(calibration.image)
     z = np.where(drivable, np.asarray(depth_m, np.float64), np.nan)
-    # The rows of the world's axes, turned by the angle of Eq. 8-9.
-    sin, cos = (a[:, None] for a in world_angle(T_world_camera))
-    X, Y = T_world_camera[:, 0, :3], T_world_camera[:, 1, :3]
+    # The rows of the world's axes, turned by the angle of Eq. 8-9, and the way between the cameras.
+    depth = depth_poses(T_world_camera, calibration)
+    sin, cos = (a[:, None] for a in world_angle(depth))
+    T = np.concatenate([T_world_camera[..., :3], T_world_camera[..., 3:] - depth[..., 3:]], axis=-1)
+    X, Y = T[:, 0], T[:, 1]
     positions = np.empty((*z.shape, 2))
     for k, axis in enumerate((X * cos - Y * sin, X * sin + Y * cos)):
-        for b, (along_x, along_y, along_z) in enumerate(axis):
-            positions[b, ..., k] = z[b] * (x * along_x + y * along_y + along_z)
+        for b, (along_x, along_y, along_z, shift) in enumerate(axis):
+            positions[b, ..., k] = z[b] * (x * along_x + y * along_y + along_z) + shift
     return positions
 
 
@@ -108,7 +113,7 @@ def _standing(
 
     ``known`` says which frames' floor is, ``(B,)`` bool; None without heights.
     """
-    numbers = np.arange(int(detections.labels.num_obstacles[b]))
+    numbers = np.arange(int(detections.num_obstacles[b]))
     scene = detections.scene
     if scene is None or known is None or not known[b]:
         return numbers

@@ -1,15 +1,16 @@
 """Comparison of detections with the truth, frame by frame.
 
 The rule. Each kept point votes for the object it lies on, or whose depth was measured there
-(:func:`objects_of`). Points are the depth cells where the detections have them
-(``detect(..., with_cells=True)``), otherwise the features that were clustered. A detection
+(:func:`objects_of`). Points are the corners of the preset ``paper``, otherwise the depth cells
+(``detect(..., with_cells=True)``) in the colour image, whose truth is known. A detection
 and an obstacle are a pair when at least half of the detection's votes are for the obstacle; pairs
 are one to one, chosen for the most votes (:func:`jaxdet.eval.match.match`). Then
 
 - an obstacle asked for is *found* (true positive) when it has a pair, else *missed*;
 - a detection without a pair is *false*, also when it is a second one on an obstacle;
 - a detection with half of its votes on walls, or that could pair with an obstacle which is not
-  asked for (too far, too little of it visible, lower than the step), is *ignored*.
+  asked for (too far, too little of it visible, lower than the step), is *ignored*, as is one of
+  cells outside of the colour image.
 """
 
 import math
@@ -23,29 +24,32 @@ from jaxdet.eval.partition import fowlkes_mallows, pair_counts
 from jaxdet.eval.shapes import Shapes, count_shapes
 from jaxdet.eval.tally import Tally, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth
+from jaxdet.reference._cells import cell_boxes
 from jaxdet.results.metric import distances
-from jaxdet.types import Array, CellLabels, Detections, Features
+from jaxdet.types import Calibration, CellLabels, Detections, Features
 
 
 def evaluate(
     detections: Detections,
     truth: FrameTruth,
-    depth_unit: float = 0.001,
+    calibration: Calibration | None = None,
     config: EvalConfig | None = None,
     valid: np.ndarray | None = None,
+    side: int | None = None,
 ) -> Tally:
-    """Compares a batch of detections with the truth; :func:`evaluate_frames`, added up."""
-    return total(evaluate_frames(detections, truth, depth_unit, config, valid))
+    """Compare a batch of detections with the truth; :func:`evaluate_frames`, added up."""
+    return total(evaluate_frames(detections, truth, calibration, config, valid, side))
 
 
 def evaluate_frames(
     detections: Detections,
     truth: FrameTruth,
-    depth_unit: float = 0.001,
+    calibration: Calibration | None = None,
     config: EvalConfig | None = None,
     valid: np.ndarray | None = None,
+    side: int | None = None,
 ) -> list[Tally]:
-    """Compares each frame of a batch with the truth.
+    """Compare each frame of a batch with the truth.
 
     Args:
         detections: Of ``B`` frames, from either backend or of another method; with their cells
@@ -53,18 +57,22 @@ def evaluate_frames(
             ``c`` is used, with ``truth.ground_min`` also ``a b``, with ``truth.footprint`` also
             ``has_vertex``, and with ``truth.nearest_floor_m`` contours or ``a b``.
         truth: Of the same frames.
-        depth_unit: Metres in one depth unit.
+        calibration: Calibration of the log, whose colour image the truth is of; of points only the
+            depth unit is used. None: millimetres.
         config: What counts.
         valid: ``(B,)`` bool, False marks padding; None: all frames count.
+        side: Side of a cell [depth pixel], see :func:`jaxdet.camera.cell_side`; None: detections
+            have points.
 
     Returns:
         A tally for each frame that is not padding; :func:`jaxdet.eval.score` makes figures.
 
     Raises:
-        ValueError: The truth is of another number of frames.
+        ValueError: The truth is of another number of frames, or cells lack their calibration.
     """
     config = config or EvalConfig()
-    frames = len(detections.labels.labels)
+    frames = len(detections.num_obstacles)
+    depth_unit = calibration.depth_unit if calibration else 0.001
     if frames != len(truth.obstacle_id):
         raise ValueError(f"{frames} frames, but the truth of {len(truth.obstacle_id)}")
     asked = truth.asked(config)
@@ -73,7 +81,9 @@ def evaluate_frames(
     tallies: list[Tally] = []
     for b in range(frames):
         if valid is None or valid[b]:
-            frame = _match_frame(detections, truth, b, asked[b], depth_unit, config)
+            points, labels = points_of(detections, b, calibration, side)
+            count = int(detections.num_obstacles[b])
+            frame = _match_frame(points, labels, count, truth, b, asked[b], depth_unit, config)
             shapes = Shapes(detections, truth, b, frame.count, depth_unit, config, distances_m)
             parts = [
                 _count_detections(frame, config),
@@ -108,40 +118,55 @@ class _Matched:
         return len(self.votes)
 
 
-def points_of(detections: Detections, b: int) -> tuple[Features, np.ndarray]:
-    """Return frame ``b``'s points that are kept or labelled, ``(n,)``, and their labels."""
-    if detections.cells is None:
-        points, label = detections.features, detections.labels.labels
+def points_of(
+    detections: Detections, b: int, calibration: Calibration | None, side: int | None
+) -> tuple[Features, np.ndarray]:
+    """Return frame ``b``'s points that are kept or labelled, ``(n,)``, and their labels.
+
+    Raises:
+        ValueError: They are cells, and their calibration or their side is None.
+    """
+    if detections.points is not None:
+        points, label = detections.points.features, detections.points.labels.labels[b]
+        own = Features(*(np.asarray(part[b]) for part in points))
+    elif detections.cells is None or calibration is None or side is None:
+        raise ValueError("points, or cells with calibration and side, are needed")
     else:
-        points, label = cell_points(detections.cells), detections.cells.label
-    own = Features(*(np.asarray(part[b]).ravel() for part in points))
-    label = np.asarray(label[b]).ravel()
-    used = own.kept | (label >= 0)
+        own, label = cell_points(detections.cells, b, calibration, side), detections.cells.label[b]
+    own, label = Features(*(np.ravel(part) for part in own)), np.ravel(label)
+    used = own.valid & (own.kept | (label >= 0))
     return Features(*(part[used] for part in own[:-1]), overflow=own.overflow), label[used]
 
 
-def cell_points(found: CellLabels) -> Features:
-    """Return the cells in the colour image as points, ``(B, R, C)``."""
-    grid = found.cells
-    middle: Array = np.asarray(grid.middle)
-    kept = np.asarray(found.keep) & np.asarray(grid.in_view)
-    overflow = np.zeros(len(kept), bool)
-    place = grid.x, grid.y, grid.z
-    return Features(middle[..., 0], middle[..., 1], *place, grid.in_view, kept, overflow)
+def cell_points(found: CellLabels, b: int, calibration: Calibration, side: int) -> Features:
+    """Return the cells of frame ``b`` as points ``(R, C)`` in the colour camera.
+
+    Their pixel is the middle of their box; valid are those in the colour image.
+    """
+    xyz = np.stack([np.asarray(axis[b]) for axis in found.cells]).astype(np.int32)
+    low, high, inside = (part[0] for part in cell_boxes(xyz[2:], calibration, side))
+    u, v = np.moveaxis((low + high) // 2, -1, 0)
+    if calibration.color_from_depth is not None:
+        T = calibration.color_from_depth.T
+        shift = T[:3, 3] / calibration.depth_unit
+        moved = np.tensordot(T[:3, :3], xyz, axes=1) + shift[:, None, None]
+        xyz = np.rint(moved).astype(np.int32)
+    return Features(u, v, *xyz, inside, np.asarray(found.keep[b]) & inside, np.zeros(1, bool))
 
 
 def _match_frame(
-    detections: Detections,
+    points: Features,
+    labels: np.ndarray,
+    count: int,
     truth: FrameTruth,
     b: int,
     asked: np.ndarray,
     depth_unit: float,
     config: EvalConfig,
 ) -> _Matched:
-    points, labels = points_of(detections, b)
     objects = objects_of(points, truth, b, depth_unit, config)
     positions = np.stack([points.x, points.z], axis=-1) * depth_unit
-    kinds, count = truth.kinds, int(detections.labels.num_obstacles[b])
+    kinds = truth.kinds
     votes = vote_table(labels, objects, count, len(kinds))
     pair = match(votes, kinds == 2, config.match_share)
     asked = np.concatenate([[False], asked])
@@ -175,6 +200,7 @@ def _count_detections(frame: _Matched, config: EvalConfig) -> Tally:
     could = eligible(votes, kinds == 2, config.match_share)
     found = asked[frame.pair]
     elsewhere = ~found & (could & ~asked).any(axis=1)
+    elsewhere |= ~found & (votes.sum(axis=1) == 0)
     wall = ~found & ~elsewhere & (votes[:, kinds == 1].sum(axis=1) >= 0.5 * whole)
     false = ~found & ~elsewhere & ~wall
     parts = ((votes >= config.merge_share * whole[:, None]) & (kinds == 2)).sum(axis=1)

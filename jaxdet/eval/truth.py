@@ -10,7 +10,7 @@ from jaxdet.camera import pixel_rays
 from jaxdet.config import FootprintConfig
 from jaxdet.floor.plane import down_vector
 from jaxdet.results.metric import world_angle
-from jaxdet.types import Intrinsics
+from jaxdet.types import Calibration
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class FrameTruth(NamedTuple):
     """The truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.
 
     Where an optional part is None, the scores that need it are NaN. Extents of an object out of
-    sight are NaN. The ground frame is the camera's: right, forward [m].
+    sight are NaN. The ground frame is that of the camera that lengths refer to: right, forward [m].
     """
 
     obstacle_id: np.ndarray
@@ -72,7 +72,7 @@ class FrameTruth(NamedTuple):
     """``(B, J)`` float, smallest z of its visible surface in the colour camera [m]."""
     nearest_forward_m: np.ndarray
     """``(B, J)`` float, distance of its nearest face: smallest forward coordinate of its visible
-    surface in the camera's ground frame [m]."""
+    surface in the ground frame [m]."""
     is_wall: np.ndarray
     """``(J,)`` bool, walls need not be found and are no mistake."""
     ground_min: np.ndarray | None = None
@@ -114,7 +114,7 @@ class LogTruth(Protocol):
 
     @property
     def T_world_camera(self) -> np.ndarray:
-        """``(F, 4, 4)`` float64."""
+        """``(F, 4, 4)`` float64, of the colour camera."""
         ...
 
     @property
@@ -159,8 +159,9 @@ def truth_of(
     obstacle_id: np.ndarray,
     depth_m: np.ndarray | None = None,
     drivable: np.ndarray | None = None,
+    calibration: Calibration | None = None,
 ) -> FrameTruth:
-    """The truth of some frames of a simulated log, outlines turned into the ground frame.
+    """Return the truth of some frames of a simulated log, with outlines in the ground frame.
 
     Args:
         log: The truth of the whole log.
@@ -168,35 +169,61 @@ def truth_of(
         obstacle_id: ``(B, H, W)`` integer, their pictures of object numbers.
         depth_m: ``(B, H, W)`` float, their true depth [m], if known.
         drivable: ``(B, H, W)`` bool, whether their pixels show floor to drive on, if known.
+        calibration: Of the log, whose lengths refer to the depth camera; None: they refer to the
+            colour camera.
 
     Returns:
         All other parts filled.
     """
     which = np.asarray(frames, np.int64)
+    colors = log.T_world_camera[which]
+    poses = colors if calibration is None else depth_poses(colors, calibration)
+    low, high = _moved(log.ground_min[which], log.ground_max[which], colors, poses)
     return FrameTruth(
         obstacle_id,
         log.visible_pixels[which],
         log.nearest_m[which],
-        log.ground_min[which, :, 1],
+        low[..., 1],
         log.is_wall,
-        log.ground_min[which],
-        log.ground_max[which],
-        to_ground_frame(log.footprint_world[which], log.T_world_camera[which]),
+        low,
+        high,
+        to_ground_frame(log.footprint_world[which], poses),
         log.height_m[which],
         depth_m,
         drivable,
     )
 
 
+def depth_poses(T_world_color: np.ndarray, calibration: Calibration) -> np.ndarray:
+    """Return the poses ``(B, 4, 4)`` of the depth camera from those of the colour camera."""
+    motion = calibration.color_from_depth
+    return T_world_color if motion is None else T_world_color @ motion.T
+
+
+def _moved(
+    low: np.ndarray, high: np.ndarray, source: np.ndarray, target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return extents ``(B, J, 2)`` of one camera's ground frame in that of another."""
+    if source is target:
+        return low, high
+    (sin, cos), (x, y) = world_angle(source), np.moveaxis(source[:, :2, 3], -1, 0)
+    corners = [np.stack([a[..., 0], b[..., 1]], axis=-1) for a in (low, high) for b in (low, high)]
+    right, forward = np.moveaxis(np.stack(corners, axis=2), -1, 0)  # (B, J, 4)
+    sin, cos, x, y = (a[:, None, None] for a in (sin, cos, x, y))
+    world = [forward * sin + right * cos + x, forward * cos - right * sin + y]
+    ground = to_ground_frame(np.stack(world, axis=-1), target)
+    return ground.min(axis=2), ground.max(axis=2)
+
+
 def nearest_on_floor(
     truth: FrameTruth,
-    camera: Intrinsics,
+    calibration: Calibration,
     height_m: np.ndarray,
     pitch_rad: np.ndarray,
     roll_rad: np.ndarray,
     step_height_m: float,
 ) -> np.ndarray:
-    """How far each object is from the camera's foot: what the column ``distance_m`` measures.
+    """Return how far each object is from the depth camera's foot, as ``distance_m`` is.
 
     Of the colour pixels that show the object the least distance between the foot and the point
     below what they show, both on the plane of the floor. What is no higher above that plane than
@@ -205,10 +232,10 @@ def nearest_on_floor(
 
     Args:
         truth: With ``depth_m``.
-        camera: The colour camera.
-        height_m: ``(B,)`` of the camera over its true floor [m].
-        pitch_rad: ``(B,)`` likewise [rad].
-        roll_rad: ``(B,)`` likewise [rad].
+        calibration: Of the log; one without a colour camera where lengths refer to that camera.
+        height_m: ``(B,)`` of the colour camera over its true floor [m].
+        pitch_rad: ``(B,)`` of the same [rad].
+        roll_rad: ``(B,)`` of the same [rad].
         step_height_m: What the wheels can climb [m].
 
     Returns:
@@ -219,15 +246,18 @@ def nearest_on_floor(
     """
     if truth.depth_m is None:
         raise ValueError("distances need depth_m")
+    camera, center = calibration.image, np.zeros(3)
+    if calibration.color_from_depth is not None:
+        center = calibration.color_from_depth.T[:3, 3]  # of the depth camera
     rays = np.stack([*pixel_rays(camera), np.ones((camera.height, camera.width))], axis=-1)
     nearest = np.full((2, len(truth.depth_m), len(truth.is_wall)), np.inf)
     for b, down in enumerate(down_vector(pitch_rad, roll_rad)):
         shown = truth.obstacle_id[b] > 0
         number = truth.obstacle_id[b][shown].astype(np.int64) - 1
-        points = rays[shown] * truth.depth_m[b][shown].astype(np.float64)[:, None]
-        depth = points @ down  # below the camera
+        points = rays[shown] * truth.depth_m[b][shown].astype(np.float64)[:, None] - center
+        depth = points @ down  # below the depth camera
         distance = np.linalg.norm(points - depth[:, None] * down, axis=1)
-        high = height_m[b] - depth > step_height_m
+        high = height_m[b] - center @ down - depth > step_height_m
         np.minimum.at(nearest[0, b], number[high], distance[high])
         np.minimum.at(nearest[1, b], number, distance)
         edges = [truth.obstacle_id[b][edge] for edge in (np.s_[:, 0], np.s_[:, -1], np.s_[-1])]

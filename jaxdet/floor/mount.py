@@ -21,7 +21,7 @@ class Mount:
     """How a camera is mounted above its floor.
 
     Attributes:
-        height_m: Optical centre of the colour camera above the floor [m].
+        height_m: Optical centre of the depth camera above the floor [m].
         pitch_rad: Downward tilt [rad]; negative looks up.
         roll_rad: Clockwise turn about the optical axis as seen from behind the camera [rad].
 
@@ -62,7 +62,7 @@ class Mount:
 
         Args:
             height_m: As above.
-            gravity: ``(3,)``, which way things fall, in the colour optical frame (x right, y down,
+            gravity: ``(3,)``, which way things fall, in the depth camera's optical frame (x right, y down,
                 z forward), of any length. An accelerometer at rest measures the opposite.
 
         Raises:

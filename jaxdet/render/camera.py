@@ -1,4 +1,4 @@
-"""The camera's view: features, clustered points, boxes and distances over the colour image."""
+"""The camera's view: obstacles, boxes and distances over the colour image or the depth image."""
 
 from typing import NamedTuple
 
@@ -6,13 +6,35 @@ import cv2
 import numpy as np
 
 import jaxdet.render.canvas as canvas
+from jaxdet.camera import cell_side
+from jaxdet.config import Config
+from jaxdet.reference._cells import cell_boxes
+from jaxdet.results.masks import label_image
 from jaxdet.results.metric import distances
-from jaxdet.types import Detections
+from jaxdet.types import Calibration, CellLabels, Detections, Features, Frames, Labels
 
 Box = tuple[float, float, float, float]
 
+LOOSE_LABEL = 1 << 20
+"""Label of cells above the floor in no obstacle."""
+
 _CHIP_TEXT = 16
 _CHIP_HEIGHT = 24
+_TINT, _LOOSE_TINT = 0.42, 0.30
+"""Opacity of the colours of cells."""
+_BAR = 10, 180
+"""Width and height of the scale of depths [pixel]."""
+
+
+class Shown(NamedTuple):
+    """What a frame's picture shows."""
+
+    image: np.ndarray
+    """``(H, W, 3)`` uint8, RGB."""
+    calibration: Calibration
+    """With the camera of the image as :attr:`Calibration.image`."""
+    depth_range_m: tuple[float, float] | None
+    """Range of the colour map of a depth image; None: it is the colour image."""
 
 
 class Chip(NamedTuple):
@@ -24,62 +46,176 @@ class Chip(NamedTuple):
     label: int
 
 
-def camera_view(
-    color: np.ndarray, found: Detections, row: int, depth_unit: float, scale: float
-) -> np.ndarray:
-    """The colour image of one frame with what was found in it.
+def shown_image(frames: Frames, row: int, config: Config) -> Shown:
+    """Return the image that a frame is shown in.
+
+    It is the colour image where the frame has one whose pixels can be related to those of the depth
+    image, else the depth image in colours: near is warm, no measurement is black.
 
     Args:
-        color: ``(H, W, 3)`` uint8, RGB.
+        frames: The batch.
+        row: Row of the frame.
+        config: The range of depths that the colours show.
+    """
+    calibration = frames.calibration
+    if has_color(frames, row):
+        assert frames.color is not None
+        return Shown(frames.color[row], calibration, None)
+    in_depth = calibration._replace(color=None, color_from_depth=None)
+    reach = config.ground.min_depth_m, config.ground.max_depth_m
+    return Shown(depth_picture(frames.depth[row], calibration.depth_unit, *reach), in_depth, reach)
+
+
+def has_color(frames: Frames, row: int) -> bool:
+    """Whether a frame has a colour image that its obstacles can be drawn in."""
+    color, camera = frames.color, frames.calibration.image
+    if color is None or color.shape[1:3] != (camera.height, camera.width):
+        return False
+    return frames.color_stamp_ns is None or bool(frames.color_stamp_ns[row] >= 0)
+
+
+def depth_picture(depth: np.ndarray, unit: float, near_m: float, far_m: float) -> np.ndarray:
+    """Return a depth image ``(H, W)`` in colours, ``(H, W, 3)`` uint8 RGB."""
+    measured = depth > 0
+    share = (depth * unit - near_m) / max(far_m - near_m, 1e-6)
+    level = np.rint(255 * (0.94 - 0.86 * np.clip(share, 0, 1))).astype(np.uint8)
+    picture = cv2.applyColorMap(level, cv2.COLORMAP_TURBO)[..., ::-1]
+    return np.where(measured[..., None], picture, 0).astype(np.uint8)
+
+
+def camera_view(
+    shown: Shown, found: Detections, row: int, config: Config, scale: float
+) -> np.ndarray:
+    """Return the image of one frame with what was found in it.
+
+    Args:
+        shown: The image.
         found: The batch's detections, as NumPy arrays.
         row: The frame's row in them.
-        depth_unit: Metres in one depth unit.
+        config: For the size of cells.
         scale: Enlargement.
 
     Returns:
         ``(H * scale, W * scale, 3)`` uint8, RGB.
     """
-    size = (round(color.shape[1] * scale), round(color.shape[0] * scale))
+    height, width = shown.image.shape[:2]
+    size = (round(width * scale), round(height * scale))
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-    image = cv2.resize(color, size, interpolation=method)
-    image = cv2.addWeighted(image, 0.82, np.zeros_like(image), 0, 0)
-    _draw_points(image, found, row, scale)
-    boxes = _boxes(found, row, scale)
-    for label in reversed(range(len(boxes))):
-        left, top, right, bottom = boxes[label]
+    image = cv2.resize(shown.image, size, interpolation=method)
+    if shown.depth_range_m is None:
+        image = cv2.addWeighted(image, 0.82, np.zeros_like(image), 0, 0)
+    else:  # paler than the obstacles' colours
+        grey = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2)
+        image = cv2.addWeighted(image, 0.42, grey, 0.28, 0)
+    if found.points is not None:
+        _draw_points(image, *found.points, row, scale)
+    side = cell_side(shown.calibration.depth, config.surface.cell_rad)
+    if found.cells is not None:
+        _draw_cells(image, found.cells, row, shown.calibration, side, scale)
+    boxes = _boxes(found, row, shown, side, scale)
+    for label, box in reversed(boxes.items()):
+        left, top, right, bottom = box
         corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
         canvas.polygon(image, corners, (0, 0, 0), width=4)
         canvas.polygon(image, corners, canvas.color_of(label))
-    nearest = distances(found)[row] * depth_unit
-    texts = [f"{label}   {nearest[label]:.2f} m" for label in range(len(boxes))]
+    if shown.depth_range_m is not None:
+        _draw_scale(image, *shown.depth_range_m)
+    nearest = distances(found)[row] * shown.calibration.depth_unit
+    texts = {label: f"{label}   {nearest[label]:.2f} m" for label in boxes}
     for chip in _chips(boxes, texts, image.shape[1], image.shape[0]):
         _draw_chip(image, chip)
     return image
 
 
-def _draw_points(image: np.ndarray, found: Detections, row: int, scale: float) -> None:
-    features = found.features
+def _draw_points(
+    image: np.ndarray, features: Features, labels: Labels, row: int, scale: float
+) -> None:
     uv = (np.stack([features.u[row], features.v[row]], axis=1) + 0.5) * scale - 0.5
     valid, kept = features.valid[row], features.kept[row]
-    labels = np.where(valid, found.labels.labels[row], -1)
+    label = np.where(valid, labels.labels[row], -1)
     # Small enough that one sees the thing that they lie on.
     canvas.dots(image, uv[valid & ~kept], canvas.DROPPED, 1.6)
-    canvas.dots(image, uv[valid & kept & (labels < 0)], canvas.LOOSE, 2.0)
-    for label in reversed(range(int(found.labels.num_obstacles[row]))):
-        canvas.dots(image, uv[labels == label], canvas.color_of(label), 2.0, rim=0.5)
+    canvas.dots(image, uv[valid & kept & (label < 0)], canvas.LOOSE, 2.0)
+    for number in reversed(range(int(labels.num_obstacles[row]))):
+        canvas.dots(image, uv[label == number], canvas.color_of(number), 2.0, rim=0.5)
 
 
-def _boxes(found: Detections, row: int, scale: float) -> list[Box]:
-    count = int(found.labels.num_obstacles[row])
-    low = found.obstacles.uv_min[row, :count] * scale - 4
-    high = (found.obstacles.uv_max[row, :count] + 1) * scale + 3
-    return [tuple(box) for box in np.concatenate([low, high], axis=1).tolist()]
+def _draw_cells(
+    image: np.ndarray,
+    found: CellLabels,
+    row: int,
+    calibration: Calibration,
+    side: int,
+    scale: float,
+) -> None:
+    """Tint the cells of each obstacle in its colour, and those of none white."""
+    loose = found.keep & (found.label < 0)
+    labelled = found._replace(label=np.where(loose, LOOSE_LABEL, found.label))
+    labels = label_image(labelled, row, calibration, side)
+    size = image.shape[1], image.shape[0]
+    # Wide enough that the steps between cells are gone.
+    blur = max(0.5, 0.45 * side * scale * calibration.image.fx / calibration.depth.fx)
+    for number in np.unique(labels[labels >= 0]).tolist()[::-1]:
+        is_loose = number == LOOSE_LABEL
+        color = canvas.LOOSE if is_loose else canvas.color_of(number)
+        mask = cv2.resize((labels == number).astype(np.float32), size)
+        mask = cv2.GaussianBlur(mask, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
+        shape = np.clip(2.5 * (mask - 0.5) + 0.5, 0, 1)[..., None]
+        opacity = shape * (_LOOSE_TINT if is_loose else _TINT)
+        image[:] = np.rint(image + (np.array(color) - image) * opacity).astype(np.uint8)
+        if not is_loose:
+            outline = (mask >= 0.5).astype(np.uint8)
+            lines, _ = cv2.findContours(outline, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(image, lines, -1, color, 1, cv2.LINE_AA)
 
 
-def _chips(boxes: list[Box], texts: list[str], width: int, height: int) -> list[Chip]:
+def _boxes(found: Detections, row: int, shown: Shown, side: int, scale: float) -> dict[int, Box]:
+    """Return the box of each obstacle in the picture, by label; of those outside there is none."""
+    count = int(found.num_obstacles[row])
+    low, high = found.obstacles.uv_min[row, :count], found.obstacles.uv_max[row, :count]
+    if shown.depth_range_m is not None and found.cells is not None:
+        low, high = _depth_boxes(found.cells, row, shown.calibration, side, count)
+    inside = np.flatnonzero((high >= low).all(axis=1))
+    corners = np.concatenate([low * scale - 4, (high + 1) * scale + 3], axis=1)
+    return {label: tuple(corners[label].tolist()) for label in inside.tolist()}
+
+
+def _depth_boxes(
+    found: CellLabels, row: int, calibration: Calibration, side: int, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return first and last column and row ``(M, 2)`` of each obstacle in the depth image."""
+    first, last, _ = (
+        part[0] for part in cell_boxes(found.cells.z[row : row + 1], calibration, side)
+    )
+    low, high = np.zeros((count, 2), np.int32), np.full((count, 2), -1, np.int32)
+    for number in range(count):
+        own = found.label[row] == number
+        if own.any():
+            low[number], high[number] = first[own].min(axis=0), last[own].max(axis=0)
+    return low, high
+
+
+def _draw_scale(image: np.ndarray, near_m: float, far_m: float) -> None:
+    """Draw which colour is which depth, from near at the bottom to far at the top."""
+    width, height = _BAR
+    height = min(height, image.shape[0] // 2)
+    left, bottom = image.shape[1] - width - 14, image.shape[0] - 24
+    metres = np.linspace(far_m, near_m, height)
+    bar = depth_picture(np.maximum(metres, 1e-3)[:, None], 1.0, near_m, far_m)
+    frame = slice(bottom - height - 1, bottom + 1), slice(left - 1, left + width + 1)
+    image[frame] = 0
+    image[bottom - height : bottom, left : left + width] = bar
+    for text, y in ((f"{far_m:g} m", bottom - height - 7), (f"{near_m:g} m", bottom + 15)):
+        at = (image.shape[1] - 13, y)
+        canvas.write(image, text, (at[0] + 1, at[1] + 1), (0, 0, 0), 13, align="right")
+        canvas.write(image, text, at, canvas.TEXT, 13, align="right")
+
+
+def _chips(boxes: dict[int, Box], texts: dict[int, str], width: int, height: int) -> list[Chip]:
     """Labels above their boxes, moved down where they would hide one another."""
     placed: list[Chip] = []
-    for label, (box, text) in enumerate(zip(boxes, texts, strict=True)):
+    for label, box in boxes.items():
+        text = texts[label]
         wide = canvas.text_size(text, _CHIP_TEXT, bold=True)[0] + 16
         left = min(max(box[0] - 1, 0), width - wide)
         top = max(box[1] - _CHIP_HEIGHT, 0)

@@ -1,11 +1,11 @@
-"""The picture of one frame: the camera's view beside the top view."""
+"""The picture of one frame: the camera's view next to the top view."""
 
 import numpy as np
 
 import jaxdet.render.canvas as canvas
 from jaxdet.config import Config
 from jaxdet.floor.plane import unknown_plane
-from jaxdet.render.camera import camera_view
+from jaxdet.render.camera import camera_view, shown_image
 from jaxdet.render.topview import top_view
 from jaxdet.types import Detections, Frames
 
@@ -25,15 +25,15 @@ def draw_frame(
     config: Config,
     title: str,
 ) -> np.ndarray:
-    """A picture of what was found in one frame.
+    """Draw a picture of what was found in one frame.
 
-    Left the colour image with the features (grey where dropped), the kept points coloured by
-    obstacle, the boxes and the distance of the nearest point; right the top view, with a scene also
-    the contours, the free floor and where it drops.
+    Left the colour image, or without one the depth image in colours, with the cells of each
+    obstacle in its colour, boxes and distances; right the top view with outlines, contours, the
+    free floor and where it drops. In the preset ``paper`` the corners take the place of the cells.
 
     Args:
-        frames: The batch, with its planes.
-        found: Its detections, as NumPy arrays.
+        frames: The batch; its planes are seen from the camera that lengths refer to.
+        found: Its detections, as NumPy arrays, with cells.
         corners: ``(B, M, 4, 2)`` float64, outlines in the ground frame [m].
         row: The frame's row in the batch.
         config: For the reach of the top view.
@@ -44,13 +44,13 @@ def draw_frame(
     """
     plane = frames.plane or unknown_plane(frames.valid.size)
     frames = frames._replace(plane=plane)
-    calibration = frames.calibration
-    camera = calibration.color
-    scale = min(PANEL_HEIGHT / camera.height, MAX_CAMERA_WIDTH / camera.width)
-    left = camera_view(frames.color[row], found, row, calibration.depth_unit, scale)
+    shown = shown_image(frames, row, config)
+    height, width = shown.image.shape[:2]
+    scale = min(PANEL_HEIGHT / height, MAX_CAMERA_WIDTH / width)
+    left = camera_view(shown, found, row, config, scale)
     size = (PANEL_HEIGHT, TOP_WIDTH)
     reach = config.ground.max_depth_m
-    right = top_view(size, found, corners, row, plane, calibration, reach)
+    right = top_view(size, found, corners, row, plane, frames.calibration, reach)
     width = left.shape[1] + right.shape[1] + 3 * GAP
     image = canvas.canvas(HEADER + PANEL_HEIGHT + FOOTER, width)
     top = HEADER + (PANEL_HEIGHT - left.shape[0]) // 2
@@ -70,24 +70,32 @@ def _camera_text(frames: Frames, row: int) -> str:
     return f"camera {plane.height[row]:.2f} m up, {pitch:.1f}° down, roll {roll:+.1f}°"
 
 
-def _draw_legend(image: np.ndarray, found: Detections, row: int) -> None:
-    valid, kept = found.features.valid[row], found.features.kept[row]
-    labelled = valid & (found.labels.labels[row] >= 0)
-    count = int(found.labels.num_obstacles[row])
+def _legend(found: Detections, row: int) -> list[tuple[list[canvas.Color], str]]:
+    """Return colours and what they mean."""
+    count = int(found.num_obstacles[row])
     obstacles = f"{count} obstacle" + "s" * (count != 1)
-    loose = int((valid & kept & ~labelled).sum())
     several = [canvas.color_of(n) for n in range(min(max(count, 1), _COLORS_SHOWN))]
-    inside = several, f"{int(labelled.sum())} in {obstacles}"
-    if found.scene is None:
-        dropped = f"{int((valid & ~kept).sum())} features on the floor or out of range"
-        entries = [
+    if found.points is not None:
+        features, labels = found.points
+        valid, kept = features.valid[row], features.kept[row]
+        inside = valid & (labels.labels[row] >= 0)
+        dropped = f"{int((valid & ~kept).sum())} corners on the floor or out of range"
+        loose = f"{int((valid & kept & ~inside).sum())} above it, in no obstacle"
+        return [
             ([canvas.DROPPED], dropped),
-            ([canvas.LOOSE], f"{loose} kept, in no obstacle"),
-            inside,
+            ([canvas.LOOSE], loose),
+            (several, f"{int(inside.sum())} in {obstacles}"),
         ]
-    else:  # its features all lie above the floor
-        entries = [([canvas.LOOSE], f"{loose} features in no obstacle"), inside]
-        entries += [([canvas.FREE], "free floor"), ([canvas.DROP], "drop")]
+    return [
+        (several, obstacles),
+        ([canvas.LOOSE], "above the floor, in no obstacle"),
+        ([canvas.FREE], "free floor"),
+        ([canvas.DROP], "drop"),
+    ]
+
+
+def _draw_legend(image: np.ndarray, found: Detections, row: int) -> None:
+    entries = _legend(found, row)
     x, y = float(GAP + 8), image.shape[0] - 11.0
     for colors, text in entries:
         for color in colors:

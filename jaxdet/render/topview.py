@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxdet.render.canvas as canvas
 from jaxdet.floor.plane import GROUND_BITS, ground_axes
-from jaxdet.types import Calibration, Detections, Features, FreeEnd, GroundPlane, Scene
+from jaxdet.types import Calibration, Cells, Detections, Features, FreeEnd, GroundPlane, Scene
 
 _MARGIN = 34
 
@@ -50,7 +50,7 @@ def top_view(
     """
     height, width = size
     image = canvas.canvas(height, width, canvas.PANEL)
-    camera = calibration.color
+    camera = calibration.image if found.points is not None else calibration.depth
     left, right = camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
     wide = 2 * max(left, right) * max_depth_m
     scale = min((height - 2 * _MARGIN) / max_depth_m, (width - _MARGIN) / wide)
@@ -69,15 +69,18 @@ def top_view(
     if found.scene is None:
         _draw_marks(image, view, found, row, unit)
     else:
-        _draw_contours(image, view, found.scene, int(found.labels.num_obstacles[row]), row, unit)
+        _draw_contours(image, view, found.scene, int(found.num_obstacles[row]), row, unit)
     body = view.pixels(np.zeros(2)) + np.array([[-9.0, 14], [9, 14], [5, 0], [-5, 0]])
     canvas.polygon(image, body, canvas.TEXT, fill=1.0, width=1)
     return image
 
 
-def ground_points(features: Features, row: int, plane: GroundPlane, unit: float) -> np.ndarray:
-    """The features of a frame on the ground, ``(N, 2)`` float64, right and forward [m]."""
-    xyz = np.stack([features.x[row], features.y[row], features.z[row]], axis=1).astype(np.float64)
+def ground_points(
+    points: Features | Cells, row: int, plane: GroundPlane, unit: float
+) -> np.ndarray:
+    """Return the points of a frame on the ground, ``(N, 2)`` float64, right and forward [m]."""
+    axes = (np.ravel(axis[row]) for axis in (points.x, points.y, points.z))
+    xyz = np.stack(list(axes), axis=1).astype(np.float64)
     return xyz @ ground_axes(plane)[row].T.astype(np.float64) / (1 << GROUND_BITS) * unit
 
 
@@ -100,18 +103,30 @@ def _draw_grid(image: np.ndarray, view: View) -> None:
 def _draw_points(
     image: np.ndarray, view: View, found: Detections, row: int, plane: GroundPlane, unit: float
 ) -> None:
-    points = view.pixels(ground_points(found.features, row, plane, unit))
-    labels = found.labels.labels[row]
-    loose = found.features.valid[row] & found.features.kept[row] & (labels < 0)
-    canvas.dots(image, points[loose], canvas.DROPPED, 2.0)
-    for label in reversed(range(int(found.labels.num_obstacles[row]))):
-        canvas.dots(image, points[labels == label], canvas.color_of(label), 2.5)
+    if found.points is not None:
+        place, labels = found.points.features, found.points.labels.labels[row]
+        loose, radius = place.valid[row] & place.kept[row] & (labels < 0), 2.5
+    elif found.cells is not None:
+        place, labels = found.cells.cells, found.cells.label[row].ravel()
+        loose, radius = found.cells.keep[row].ravel() & (labels < 0), 1.5
+    else:
+        return
+    points = view.pixels(ground_points(place, row, plane, unit))
+    canvas.dots(image, _apart(points[loose]), canvas.DROPPED, 0.8 * radius)
+    for label in reversed(range(int(found.num_obstacles[row]))):
+        own = _apart(points[labels == label])
+        canvas.dots(image, own, canvas.color_of(label), radius, rim=0.4 * radius)
+
+
+def _apart(points: np.ndarray) -> np.ndarray:
+    """Return one point of those in each pixel."""
+    return points[np.unique(np.rint(points), axis=0, return_index=True)[1]]
 
 
 def _draw_outlines(
     image: np.ndarray, view: View, found: Detections, corners: np.ndarray, row: int
 ) -> None:
-    for label in reversed(range(int(found.labels.num_obstacles[row]))):
+    for label in reversed(range(int(found.num_obstacles[row]))):
         outline = view.pixels(corners[row, label])
         canvas.polygon(image, outline, canvas.color_of(label), fill=0.30)
 
@@ -119,7 +134,7 @@ def _draw_outlines(
 def _draw_marks(image: np.ndarray, view: View, found: Detections, row: int, unit: float) -> None:
     """The points A, B and C."""
     obstacles = found.obstacles
-    for label in reversed(range(int(found.labels.num_obstacles[row]))):
+    for label in reversed(range(int(found.num_obstacles[row]))):
         marks = np.stack(
             [obstacles.a[row, label], obstacles.b[row, label], obstacles.c[row, label]]
         )

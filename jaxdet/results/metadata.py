@@ -15,7 +15,7 @@ import pyarrow as pa
 
 import jaxdet
 
-FORMAT = 2
+FORMAT = 3
 """Number of the tables' format; another one has other columns, or some of another meaning."""
 
 FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"
@@ -36,9 +36,9 @@ class Inputs:
     def add(self, frames: pa.Table) -> None:
         """Takes in rows of ``frames.parquet``, in order."""
         # As lists: Arrow's groups and arrays for NumPy import pandas.
-        columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns", "depth_stamp_ns")]
+        columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns")]
         for name, same in groupby(zip(*columns, strict=True), key=lambda row: row[:2]):
-            rows = [(at, -1 if depth is None else depth) for *_, at, depth in same]
+            rows = [at for *_, at in same]
             self._frames[name] = self._frames.get(name, 0) + len(rows)
             digest = self._digests.setdefault(name, hashlib.sha256())
             digest.update(np.array(rows, "<i8").tobytes())

@@ -27,7 +27,7 @@ TILT = "camera_orientation_world", "camera_pitch_rad", "camera_roll_rad"
 
 
 class Extents(NamedTuple):
-    """Boxes and centroids in the colour optical frame; empty slots are zero."""
+    """Boxes and centroids in the camera's optical frame; empty slots are zero."""
 
     minimum: np.ndarray
     """``(..., 3)`` float32, x y z [m]."""
@@ -298,7 +298,7 @@ def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     (REP 103), so θ = π/2 - yaw of the forward direction.
 
     Args:
-        T_world_camera: ``(..., 4, 4)`` float64, colour optical frame to world; world z is up.
+        T_world_camera: ``(..., 4, 4)`` float64, camera's optical frame to world; world z is up.
 
     Returns:
         ``sin θ`` and ``cos θ``, each ``(...)`` float64, NaN where the pose is.

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.errors import FrameStatus
+from jaxdet.floor.plane import plane_in_color
 from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.io.motion import quaternions
 from jaxdet.results.free_floor import Polygons, free_columns, free_floor, no_free_columns
@@ -21,7 +22,16 @@ from jaxdet.results.metric import (
     tilted,
     to_world,
 )
-from jaxdet.types import Array, Detections, Frames, GroundPlane, Obstacles, Refusal, Scene
+from jaxdet.types import (
+    Array,
+    Calibration,
+    Detections,
+    Frames,
+    GroundPlane,
+    Obstacles,
+    Refusal,
+    Scene,
+)
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -32,8 +42,6 @@ _REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
 class RowInputs(NamedTuple):
     """What the rows of a batch need of its detections, NumPy or JAX arrays."""
 
-    num_features: Array
-    """``(B,)`` int32, features that are kept."""
     num_obstacles: Array
     """``(B,)`` int32."""
     overflow: Array
@@ -54,24 +62,25 @@ class Rows(NamedTuple):
     obstacles: dict[str, Any]
     """Columns of ``obstacles.parquet``."""
     plane: GroundPlane
-    """The floor of each frame, ``(B,)``."""
+    """The floor of each frame, ``(B,)``, seen from the camera that lengths refer to."""
+    T_world_camera: np.ndarray | None
+    """``(B, 4, 4)`` poses of that camera; None without poses."""
     free_world: Polygons | None
     """The free floor of each frame in the world; None without poses."""
 
 
 def row_inputs(found: Detections) -> RowInputs:
-    """What :func:`batch_rows` needs of detections: counts in place of features and labels.
+    """Return what :func:`batch_rows` needs of detections: neither points nor cells.
 
     It can run where the detections are, under ``jax.jit``.
 
     Args:
         found: NumPy or JAX arrays.
     """
-    features, scene = found.features, found.scene
+    scene = found.scene
     return RowInputs(
-        features.kept.sum(axis=1, dtype=np.int32),
-        found.labels.num_obstacles,
-        features.overflow,
+        found.num_obstacles,
+        found.overflow,
         found.has_depth,
         found.obstacles,
         scene and scene._replace(prior=None),
@@ -90,7 +99,7 @@ def no_inputs(count: int) -> RowInputs:
         has_vertex=np.zeros((count, 0), bool),
         **slots,
     )
-    return RowInputs(numbers, numbers, no, no, none, None)
+    return RowInputs(numbers, no, no, none, None)
 
 
 def used_slots(inputs: RowInputs, count: int) -> RowInputs:
@@ -159,8 +168,8 @@ def batch_rows(
         log: The log's name.
         camera: The camera's.
         batch: What was read, with or without its images; its padding gives no rows.
-        plane: The floor given to each frame, ``(B,)``, as the detections were made with; where
-            frames show their own, that is used.
+        plane: Prior of each frame's floor, ``(B,)``, seen from the depth camera, as the detections
+            were made with; where frames show their own floor, that is used.
         sources: Where that comes from, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
         inputs: What was found, see :func:`row_inputs`; NumPy or JAX arrays.
         config: For the outlines.
@@ -172,8 +181,10 @@ def batch_rows(
         ValueError: A frame has more obstacles than there are slots.
     """
     count, frames = len(batch.status), batch.frames
+    if config.cluster.points:
+        batch, plane = _of_color_camera(batch), plane_in_color(plane, frames.calibration)
     found, plane = _first(inputs, count), _first(plane, count)
-    unit = frames.calibration.depth_unit
+    frames, unit = batch.frames, frames.calibration.depth_unit
     status = np.array(batch.status, object)
     blind = (status == FrameStatus.OK) & ~found.has_depth
     good = (status == FrameStatus.OK) & found.has_depth
@@ -190,29 +201,45 @@ def batch_rows(
     frame_columns |= _floor_columns(fit, sources[:count], good, config)
     known = good & plane.valid  # without a floor nothing has a place on it
     frame_columns |= free_columns(free, known) if free else no_free_columns(count)
-    poses = frames.T_world_camera
+    poses = own_poses = None if frames.T_world_camera is None else frames.T_world_camera[:count]
     if poses is not None:
         placed = known & ~tilted(*(frame_columns[name] for name in TILT))
-        poses = np.where(placed[:, None, None], poses[:count], np.nan)
+        poses = np.where(placed[:, None, None], poses, np.nan)
     obstacle_columns = _obstacle_columns(frames, poses, plane, found, good, config)
     for columns in (frame_columns, obstacle_columns):
         rows = len(columns["frame"])
         columns["log"], columns["camera"] = (np.full(rows, n, object) for n in (log, camera))
     world = None if free is None or poses is None else free.in_world(poses)
-    return Rows(frame_columns, obstacle_columns, plane, world)
+    return Rows(frame_columns, obstacle_columns, plane, own_poses, world)
 
 
-def shown_planes(inputs: RowInputs, plane: GroundPlane, depth_unit: float) -> GroundPlane:
-    """The floor of each frame: its own where it shows one, else the one it was given.
+def _of_color_camera(batch: "Batch") -> "Batch":
+    """Return the batch with the poses and the name of the colour camera's frame.
+
+    The preset ``paper`` aligns depth to colour, so its lengths refer to the colour camera.
+    """
+    frames, motion = batch.frames, batch.frames.calibration.color_from_depth
+    name = batch.color_frame or batch.camera_frame
+    if motion is None or frames.T_world_camera is None:
+        return batch._replace(camera_frame=name)
+    poses = frames.T_world_camera @ np.linalg.inv(motion.T)
+    return batch._replace(frames=frames._replace(T_world_camera=poses), camera_frame=name)
+
+
+def shown_planes(inputs: RowInputs, plane: GroundPlane, calibration: Calibration) -> GroundPlane:
+    """Return the floor of each frame, its own where it shows one, else its prior.
 
     Args:
-        inputs: What was found in ``B`` frames, see :func:`row_inputs`.
-        plane: The floor given to each, ``(B,)``.
-        depth_unit: Metres in one depth unit.
+        inputs: Inputs of ``B`` frames, see :func:`row_inputs`.
+        plane: Priors, ``(B,)``, seen from the depth camera.
+        calibration: Calibration of the log.
+
+    Returns:
+        ``(B,)`` planes seen from the camera that lengths refer to.
     """
     if inputs.scene is None:
-        return plane
-    return floor_fit(np.asarray(inputs.scene.floor), plane, depth_unit).plane
+        return plane_in_color(plane, calibration)
+    return floor_fit(np.asarray(inputs.scene.floor), plane, calibration.depth_unit).plane
 
 
 def _first(part: Any, count: int) -> Any:
@@ -234,14 +261,20 @@ def _frame_columns(
     return {
         "frame": frames.number[:n],
         "stamp_ns": frames.stamp_ns[:n],
-        "depth_stamp_ns": np.ma.masked_less(frames.depth_stamp_ns[:n], 0),
-        "num_features": counted(found.num_features),
+        "color_stamp_ns": _color_stamps(frames, n),
         "num_obstacles": counted(found.num_obstacles),
         "overflow": found.overflow & good,
         "camera_height_m": known(plane.height),
         "camera_pitch_rad": known(plane.pitch),
         "camera_roll_rad": known(plane.roll),
     }
+
+
+def _color_stamps(frames: Frames, count: int) -> np.ndarray:
+    """Return the stamps of the frames' colour images, masked where there is none."""
+    if frames.color_stamp_ns is None:
+        return np.ma.masked_all(count, np.int64)
+    return np.ma.masked_less(frames.color_stamp_ns[:count], 0)
 
 
 def _log_times(batch: "Batch", count: int) -> np.ndarray:
@@ -303,9 +336,12 @@ def _obstacle_columns(
         "corners_world": _world_corners(corners, poses, row),
     }
     columns |= _shape_columns(obstacles, found.scene, plane, row, slot, unit)
+    in_color = config.cluster.points or frames.calibration.color is not None
+    columns["box_image"] = np.full(row.size, "color" if in_color else "depth", object)
+    outside = (obstacles.uv_max < obstacles.uv_min).any(axis=1)
     for i, axis in enumerate("uv"):
-        columns[f"{axis}_min"] = obstacles.uv_min[:, i]
-        columns[f"{axis}_max"] = obstacles.uv_max[:, i]
+        columns[f"{axis}_min"] = np.ma.array(obstacles.uv_min[:, i], mask=outside)
+        columns[f"{axis}_max"] = np.ma.array(obstacles.uv_max[:, i], mask=outside)
     for i, axis in enumerate("xyz"):
         columns[f"{axis}_min"] = box.minimum[:, i]
         columns[f"{axis}_max"] = box.maximum[:, i]

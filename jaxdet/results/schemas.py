@@ -35,23 +35,23 @@ _LIST = pa.list_(_item(_F32))
 FRAMES_SCHEMA = _schema(
     _Column("log", _STRING, "", "name of the log"),
     _Column("camera", _STRING, "", "name of the camera"),
-    _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
-    _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
-    _Column("depth_stamp_ns", _I64, "ns", "header stamp of the paired depth image", True),
-    _Column("log_time_ns", _I64, "ns", "when the log received the colour image", True),
+    _Column("frame", _I64, "", "number of the depth image in the log, from 0"),
+    _Column("stamp_ns", _I64, "ns", "header stamp of the depth image"),
+    _Column("color_stamp_ns", _I64, "ns", "header stamp of the colour image shown with it", True),
+    _Column("log_time_ns", _I64, "ns", "when the log received the depth image", True),
     _Column("status", _STRING, "", "ok, or why the frame has no result"),
-    _Column(
-        "num_features",
-        _I32,
-        "",
-        "corners and sampled cells above the floor, in range or of obstacles",
-    ),
     _Column("num_obstacles", _I32, "", "rows of the frame in obstacles.parquet"),
     _Column("overflow", _BOOL, "", "obstacles may be lost: too many surfaces, or paper's corners"),
     _Column("camera_height_m", _F32, "m", "optical centre above the floor used", True),
     _Column("camera_pitch_rad", _F32, "rad", "downward tilt of the camera", True),
     _Column("camera_roll_rad", _F32, "rad", "clockwise turn, seen from behind the camera", True),
-    _Column("camera_frame", _STRING, "", "frame_id of the colour camera (optical frame)", True),
+    _Column(
+        "camera_frame",
+        _STRING,
+        "",
+        "frame_id of the camera that lengths refer to (depth; paper: colour)",
+        True,
+    ),
     _Column("world_frame", _STRING, "", "frame_id of the frame that poses are in", True),
     _Column(
         "camera_position_world", pa.list_(_item(_F64), 3), "m", "x y z of the optical centre", True
@@ -79,31 +79,32 @@ FRAMES_SCHEMA = _schema(
     ),
     _Column("drop_m", _F32, "m", "distance of the nearest drop on the floor", True),
 )
-"""``frames.parquet``: one row for each colour frame of each log, none lost."""
+"""``frames.parquet``: one row for each depth image of each log, none lost."""
 
 OBSTACLES_SCHEMA = _schema(
     _Column("log", _STRING, "", "name of the log"),
     _Column("camera", _STRING, "", "name of the camera"),
-    _Column("frame", _I64, "", "number of the colour frame in the log, from 0"),
-    _Column("stamp_ns", _I64, "ns", "header stamp of the colour image"),
+    _Column("frame", _I64, "", "number of the depth image in the log, from 0"),
+    _Column("stamp_ns", _I64, "ns", "header stamp of the depth image"),
     _Column(
         "obstacle",
         _I32,
         "",
         "label in the frame from 0, by its least measured depth",
     ),
-    _Column("num_points", _I32, "", "its cells in the colour image, or its corners"),
-    _Column("u_min", _I32, "pixel", "first column of its box in the colour image"),
-    _Column("u_max", _I32, "pixel", "last column"),
-    _Column("v_min", _I32, "pixel", "first row"),
-    _Column("v_max", _I32, "pixel", "last row"),
-    _Column("x_min", _F32, "m", "left side of what the colour image shows, optical frame"),
+    _Column("num_points", _I32, "", "its depth cells; in the preset paper its corners"),
+    _Column("box_image", _STRING, "", "image that its box is in: color or depth"),
+    _Column("u_min", _I32, "pixel", "first column of its box, null outside of the image", True),
+    _Column("u_max", _I32, "pixel", "last column", True),
+    _Column("v_min", _I32, "pixel", "first row", True),
+    _Column("v_max", _I32, "pixel", "last row", True),
+    _Column("x_min", _F32, "m", "left side, in the camera's optical frame"),
     _Column("x_max", _F32, "m", "right side"),
     _Column("y_min", _F32, "m", "upper side; y points down"),
     _Column("y_max", _F32, "m", "lower side"),
     _Column("z_min", _F32, "m", "near side"),
     _Column("z_max", _F32, "m", "far side"),
-    _Column("x", _F32, "m", "centroid of what the colour image shows, right"),
+    _Column("x", _F32, "m", "centroid, right"),
     _Column("y", _F32, "m", "centroid, down"),
     _Column("z", _F32, "m", "centroid, forward"),
     _Column("vertices", _I8, "", "1 where a vertex stands out towards the camera, else 0"),
@@ -111,8 +112,8 @@ OBSTACLES_SCHEMA = _schema(
         "corners_ground",
         pa.list_(_item(_F32), 8),
         "m",
-        "rectangle on the floor, beside the colour image too; it may leave out single cells: right "
-        "and forward of the camera in turn, A, B, beyond B, beyond A",
+        "rectangle on the floor, which may leave out single cells: right and forward of the "
+        "camera in turn, A, B, beyond B, beyond A",
     ),
     _Column(
         "corners_world",
@@ -122,21 +123,14 @@ OBSTACLES_SCHEMA = _schema(
         True,
     ),
     _Column("distance_m", _F32, "m", "on the floor, camera's foot to nearest point of the contour"),
-    _Column(
-        "bottom_m", _F32, "m", "lowest cell above the floor, in the colour image or beside", True
-    ),
-    _Column("top_m", _F32, "m", "highest cell above the floor, likewise", True),
-    _Column(
-        "contour",
-        _LIST,
-        "m",
-        "visible edge on the floor, beside the colour image too, right and forward in turn",
-        True,
-    ),
+    _Column("bottom_m", _F32, "m", "its lowest cell above the floor", True),
+    _Column("top_m", _F32, "m", "its highest cell above the floor", True),
+    _Column("contour", _LIST, "m", "visible edge on the floor, right and forward in turn", True),
 )
 """``obstacles.parquet``: one row for each obstacle."""
 
 DICTIONARIES = [
     *("log", "camera", "status", "camera_frame", "world_frame", "floor_source", "floor_refused"),
+    "box_image",
 ]
 """Columns of few different values."""

@@ -33,9 +33,8 @@ class Counts:
     """Figures of some frames that add up."""
 
     frames: int = 0
-    """Colour frames; of a log that failed on the way, those before the failure."""
+    """Depth images; of a log that failed on the way, those before the failure."""
     status: Counter[str] = field(default_factory=Counter)
-    features: int = 0
     obstacles: int = 0
     overflow_frames: int = 0
     floor_sources: Counter[str] = field(default_factory=Counter)
@@ -52,7 +51,6 @@ class Counts:
         """Adds the columns of ``frames.parquet`` of a batch."""
         self.frames += len(rows["status"])
         self.status.update(rows["status"].tolist())
-        self.features += int(rows["num_features"].sum())
         self.obstacles += int(rows["num_obstacles"].sum())
         self.overflow_frames += int(rows["overflow"].sum())
         good = rows["status"] == str(FrameStatus.OK)
@@ -153,7 +151,7 @@ class LogSummary(Counts):
             remedy += ", or leave both out"
         if self.floor_refused["far"] > MOSTLY_FAR * good:
             remedy += "; where the mount is true, check the depth unit (--log.depth-unit-m), the "
-            remedy += "intrinsics and how depth lies to colour"
+            remedy += "intrinsics of the depth camera"
         return (
             f"{refused} of {good} frames don't show their floor themselves ({reasons}; "
             f"see floor_refused in jaxdet help tables), "
@@ -168,8 +166,7 @@ class LogSummary(Counts):
             return None
         return (
             f"{none} of {none + good} frames have no depth in range: check the depth unit "
-            "(--log.depth-unit-m; 32FC1 counts as metres), how depth lies to colour "
-            "(--log.color-from-depth), then --ground.max-depth-m"
+            "(--log.depth-unit-m; 32FC1 counts as metres), then --ground.max-depth-m"
         )
 
     @property
@@ -184,14 +181,15 @@ class LogSummary(Counts):
         )
 
     @property
-    def pairs_warning(self) -> str | None:
-        """A line where half of the colour frames or more have no depth image."""
-        alone = self.status[FrameStatus.UNPAIRED]
-        if not alone or 2 * alone < self.frames:
+    def color_warning(self) -> str | None:
+        """A line where half of the depth images or more lack the colour that ``paper`` needs."""
+        without = self.status[FrameStatus.NO_COLOR]
+        if not without or 2 * without < self.frames:
             return None
         return (
-            f"{alone} of {self.frames} colour frames have no depth image of their own: jaxdet "
-            "info shows the rates of both, jaxdet help logs what to do"
+            f"{without} of {self.frames} depth images have no colour image, which the preset paper "
+            "needs: use another preset, which reads depth alone; jaxdet info shows the rates of "
+            "both"
         )
 
     @property

@@ -12,12 +12,8 @@ import warp as wp
 
 from jaxdet.stages._launch import registering
 
-UINT8: Any = wp.uint8
-UINT16: Any = wp.uint16
 INT32: Any = wp.int32
-
-Images = tuple[np.ndarray, np.ndarray]
-"""Colour ``(n, H, W, 3)`` uint8 and depth ``(n, Hd, Wd)`` uint16."""
+_KINDS: dict[Any, Any] = {np.uint8: wp.uint8, np.uint16: wp.uint16}
 
 _PORTABLE = 1
 """CU_MEMHOSTREGISTER_PORTABLE: page-locked for all devices."""
@@ -32,57 +28,56 @@ _POPULATING = 4
 class Uploader:
     """A ring of device buffers, filled on a stream of its own, and the way back on another.
 
-    A buffer is filled again ``depth`` uploads later; by then the results computed from it must be
+    A buffer is filled again ``buffers`` uploads later; by then the results computed from it must be
     ready, so wait for the batch before the last before uploading the next. One thread may upload
     while another downloads.
 
     Args:
-        color_shape: ``(B, H, W, 3)``.
-        depth_shape: ``(B, Hd, Wd)``.
+        arrays: Shape and NumPy type of each array of a batch, ``B`` first: depth images, and colour
+            images where the method reads them.
         device: Where to.
-        depth: Number of buffers.
+        buffers: Length of the ring.
     """
 
     def __init__(
-        self,
-        color_shape: tuple[int, ...],
-        depth_shape: tuple[int, ...],
-        device: Any,
-        depth: int = 3,
+        self, arrays: Sequence[tuple[tuple[int, ...], type]], device: Any, buffers: int = 3
     ) -> None:
+        self.kinds = [_KINDS[kind] for _, kind in arrays]
         with registering:
             self.device = wp.device_from_jax(device)
             self.stream, self.back = wp.Stream(self.device), wp.Stream(self.device)
             self.ring = [
-                (
-                    wp.zeros(color_shape, dtype=UINT8, device=self.device),
-                    wp.zeros(depth_shape, dtype=UINT16, device=self.device),
-                )
-                for _ in range(depth)
+                [
+                    wp.zeros(shape, dtype=kind, device=self.device)
+                    for (shape, _), kind in zip(arrays, self.kinds, strict=True)
+                ]
+                for _ in range(buffers)
             ]
         wp.synchronize_device(self.device)  # the zeros are written on another stream
         self.uploads = 0
 
-    def upload(self, pieces: Sequence[Images]) -> tuple[jax.Array, jax.Array]:
+    def upload(self, pieces: Sequence[Sequence[np.ndarray]]) -> list[jax.Array]:
         """Copies pieces of a batch to the device, one after the other.
 
         It waits for the copies, not for what is being computed. What is left of the batch has what
         was there before.
 
+        Args:
+            pieces: Arrays of each piece, in the order of ``arrays``.
+
         Returns:
-            Colour and depth on the device, valid until the buffers are filled again.
+            The arrays on the device, valid until the buffers are filled again.
         """
         buffers = self.ring[self.uploads % len(self.ring)]
         self.uploads += 1
-        for which, (to, kind) in enumerate(zip(buffers, (UINT8, UINT16), strict=True)):
+        for which, (to, kind) in enumerate(zip(buffers, self.kinds, strict=True)):
             start = 0
             for piece in pieces:
                 source = _on_host(piece[which], kind)
                 wp.copy(to, source, dest_offset=start, count=source.size, stream=self.stream)
                 start += source.size
         wp.synchronize_stream(self.stream)
-        color, depth = map(wp.to_jax, buffers)
-        return color, depth
+        return [wp.to_jax(buffer) for buffer in buffers]
 
     def download(self, found: jax.Array, rows: Sequence[np.ndarray]) -> None:
         """Waits for ``found`` ``(B, n)`` int32 and copies its rows, piece by piece."""

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 _OF_LOG = [
     "frame",
     "stamp_ns",
-    "depth_stamp_ns",
     "log_time_ns",
     "camera_frame",
     "world_frame",
@@ -99,7 +98,7 @@ def _check_frames(results: Results, log: ResultLog, opened: Log, report: Report)
     for chunk in results.chunks(log, _OF_LOG, ()):
         rows = chunk.frames.num_rows
         numbers = list(opened.frames[done : done + rows])
-        batch = opened.without_images(numbers, FrameStatus.UNPAIRED, "")
+        batch = opened.without_images(numbers, FrameStatus.DECODE_ERROR, "")
         given = unknown_plane(rows), ["none"] * rows, no_inputs(rows), results.method
         want = batch_rows(log.name, log.camera, batch, *given)
         frames = Tables.of(want.frames, want.obstacles).frames
@@ -126,7 +125,7 @@ def _check_sample(
     planes = decide_planes(opened, config, "reference", wanted)
     for chunk in some(results, log, wanted, OBSTACLES_SCHEMA.names):  # without tracks
         again = chunk.frames["frame"].to_pylist()
-        batch = opened.read(again)
+        batch = opened.read(again, color=config.cluster.points)
         stamps = batch.frames.stamp_ns
         plane = planes.of(stamps)
         found = row_inputs(detect(batch.frames._replace(plane=plane), config, backend="reference"))

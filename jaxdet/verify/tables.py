@@ -80,7 +80,6 @@ def _columns(chunk: Chunk) -> dict[str, np.ndarray]:
 
 _WORDS = ("status", "floor_source", "floor_refused")
 _NUMBERS = (
-    "num_features",
     "num_obstacles",
     "overflow",
     "camera_pitch_rad",
