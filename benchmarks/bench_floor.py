@@ -16,7 +16,7 @@ program = jax.jit(find_floor, static_argnames="words")
 def cases() -> list[Case]:
     """Cells on the device, the mount known; no other library has this step."""
     given, seen = inputs(SIZES[0]), on_cells(SIZES[0])
-    x, y, z = seen.cells[:3]
+    x, y, z = seen.cells
     unit = given.calibration.depth_unit
 
     def peer() -> np.ndarray:
@@ -34,7 +34,7 @@ def at(point: Point) -> Case:
     _, rows, columns = seen.cells.z.shape
     settings = floor_settings(rows * columns, CONFIG.floor, unit)
     words = scratch_words(rows, columns, CONFIG.floor, unit)
-    *xyz, known = jax.device_put(repeated((*seen.cells[:3], prior), point.batch))
+    *xyz, known = jax.device_put(repeated((*seen.cells, prior), point.batch))
     return Case(
         name=point.name,
         run=lambda: program(*xyz, known, settings, words=words),

@@ -38,7 +38,7 @@ def at(point: Point) -> Case:
     table = affinity(CONFIG.obstacle.affinity, unit)
     shared = jax.device_put(tables(_farthest(unit), unit, CONFIG.obstacle, table))
     label, free = (seen.of(name, seen.surfaces) for name in ("label", "free"))
-    columns = (label, free, *seen.cells[:3], *seen.places, seen.cells.in_view)
+    columns = (label, free, *seen.cells, *seen.places)
     label, free, *view = jax.device_put(repeated(columns, point.batch))
     given = label, free, tuple(view)
     return Case(

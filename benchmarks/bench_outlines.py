@@ -8,16 +8,17 @@ from benchmarks.sweep import SIZES, Point
 from jaxdet.reference._detect import _outlines
 from jaxdet.stages._outlines import outlines, tables
 
-program = jax.jit(outlines)
+program = jax.jit(outlines, static_argnames="static")
 
 
 def cases() -> list[Case]:
     """Obstacles on the device; no other library has this step."""
-    seen, unit = on_cells(SIZES[0]), inputs(SIZES[0]).calibration.depth_unit
+    seen, calibration = on_cells(SIZES[0]), inputs(SIZES[0]).calibration
+    count = seen.of("label", seen.obstacles).max(axis=(1, 2)) + 1
     return [
         at(Point(SIZES[0], 0, BATCH))._replace(
             name="vs_reference",
-            peer=lambda: _outlines(seen.cells, seen.obstacles, unit, CONFIG),
+            peer=lambda: _outlines(seen.cells, seen.obstacles, count, calibration, CONFIG),
             equal=True,
             bytes_read=0,
         )
@@ -26,15 +27,16 @@ def cases() -> list[Case]:
 
 def at(point: Point) -> Case:
     """Obstacles on the device."""
-    seen, unit = on_cells(point.size), inputs(point.size).calibration.depth_unit
+    seen, calibration = on_cells(point.size), inputs(point.size).calibration
     label = seen.of("label", seen.obstacles)
     given = jax.device_put(
         repeated((label, label.max(axis=(1, 2)) + 1, seen.cells, seen.places), point.batch)
     )
-    shared = jax.device_put(tables(CONFIG.footprint, unit))
+    shared, static = tables(calibration, CONFIG)
+    shared = jax.device_put(shared)
     return Case(
         name=point.name,
-        run=lambda: program(*given, shared),
+        run=lambda: program(*given, shared, static=static),
         frames=point.batch,
         bytes_read=sum(a.nbytes for a in jax.tree.leaves(given)),
     )

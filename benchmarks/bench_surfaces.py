@@ -38,7 +38,7 @@ def at(point: Point) -> Case:
     """Cells and floors on the device."""
     seen, calibration = on_cells(point.size), inputs(point.size).calibration
     shared = jax.device_put(tables(calibration, CONFIG))
-    *xyz, floor = jax.device_put(repeated((*seen.cells[:3], seen.floor), point.batch))
+    *xyz, floor = jax.device_put(repeated((*seen.cells, seen.floor), point.batch))
     return Case(
         name=point.name,
         run=lambda: program(*xyz, floor, shared),
