@@ -203,9 +203,7 @@ def _on_gpus(size: str, config: Config, seconds: float) -> Iterator[tuple[str, f
         yield f"{key}.fps", _frames_per_s(partial(step, source), len(frames.depth), seconds)
 
 
-def _uploader(
-    pinned: Sequence[np.ndarray], among: Sequence[Any]
-) -> Callable[[], list[jax.Array]]:
+def _uploader(pinned: Sequence[np.ndarray], among: Sequence[Any]) -> Callable[[], list[jax.Array]]:
     """Copies page-locked images to all GPUs in equal parts."""
     size = len(pinned[0]) // len(among)
     kinds = [((size, *images.shape[1:]), images.dtype.type) for images in pinned]

@@ -14,7 +14,7 @@ AXES = {
     "cells": ("batch", "size"),
     "floor": ("batch", "size"),
     "surfaces": ("batch", "size"),
-        "obstacles": ("batch", "size"),
+    "obstacles": ("batch", "size"),
     "outlines": ("batch", "size"),
     "free": ("batch", "size"),
     "features": ("batch", "size", "slots"),
