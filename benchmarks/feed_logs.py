@@ -41,7 +41,7 @@ FORMS = {
 
 
 class Topics(NamedTuple):
-    """Where the images of a form are."""
+    """Topics of the images of a form."""
 
     color: str
     depth: str

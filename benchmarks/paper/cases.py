@@ -11,7 +11,7 @@ from benchmarks.paper.free import claim_of
 from benchmarks.paper.lab import Lab
 from benchmarks.paper.section import Section, percent, wilson
 from benchmarks.paper.shots import Shot, Spec, shot_of
-from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours
+from benchmarks.paper.systems import OURS, Prepared, System, eval_config, found_by, ours, tally_of
 from jaxdet.eval import Tally, score
 from jaxdet.sim import SimConfig
 from jaxdet.sim.draft import Draft

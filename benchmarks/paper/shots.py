@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import zstandard
 
+from benchmarks.mounts import depth_plane
 from jaxdet.eval import FrameTruth, truth_of
 from jaxdet.eval.truth import depth_poses
-from jaxdet.floor.plane import flat_plane, plane_from_transform
+from jaxdet.floor.plane import flat_plane
 from jaxdet.sim import SimConfig, SimFrame, floor_truth, frame_truth, sample_frames, simulate
 from jaxdet.sim.config import calibration_of
-from jaxdet.sim.robot import mount
 from jaxdet.types import Calibration, Frames
 
 
@@ -144,7 +144,7 @@ def shot_of(spec: Spec, frame: SimFrame) -> Shot:
     """A simulated frame with its truth."""
     truth, config = frame_truth(frame), frame.config
     assert frame.depth is not None
-    calibration = calibration_of(config)
+    calibration, floor = calibration_of(config), depth_plane(config)
     images = (
         frame.truth.obstacle_id[None],
         frame.truth.depth[None].astype(np.float16),
@@ -156,7 +156,7 @@ def shot_of(spec: Spec, frame: SimFrame) -> Shot:
         frame.color,
         frame.depth,
         calibration,
-        _depth_mount(config, calibration),
+        (float(floor.height[0]), float(floor.pitch[0]), float(floor.roll[0])),
         depth_poses(frame.T_world_color[None], calibration)[0],
         frame.T_world_color,
         truth_of(truth, [0], *images, calibration),
@@ -164,15 +164,6 @@ def shot_of(spec: Spec, frame: SimFrame) -> Shot:
         tuple(truth.names.tolist()),
         frame.truth.height.astype(np.float16) if spec.heights else None,
     )
-
-
-def _depth_mount(config: SimConfig, calibration: Calibration) -> tuple[float, float, float]:
-    """Height, pitch and roll of the depth camera; the configuration's are of the colour camera."""
-    motion = calibration.color_from_depth
-    assert motion is not None
-    T = mount(config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad) @ motion.T
-    plane = plane_from_transform(T)
-    return float(plane.height[0]), float(plane.pitch[0]), float(plane.roll[0])
 
 
 def frames_of(shots: Sequence[Shot], *, plane: bool = True) -> Frames:
