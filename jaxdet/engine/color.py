@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from jaxdet.config import Config
 from jaxdet.errors import CalibrationError
+from jaxdet.types import Frames
 
 if TYPE_CHECKING:
     from jaxdet.engine.plan import Observer
@@ -20,6 +21,11 @@ def check_color(log: "Log", config: Config) -> None:
     if config.cluster.points and log.color_problem:
         remedy = "another preset reads depth alone"
         raise CalibrationError(log.color_problem, path=log.name, remedy=remedy)
+
+
+def method_frames(frames: Frames, config: Config) -> Frames:
+    """Return frames without colour images, which only the preset ``paper`` reads."""
+    return frames if config.cluster.points else frames._replace(color=None)
 
 
 def shown_color(

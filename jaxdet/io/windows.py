@@ -1,8 +1,8 @@
 """The frames of a log by its index: only messages near the requested frames are looked at.
 
 A frame's number is the rank of its depth image by header stamp. A stream's messages are nearly in
-this order already: it is checked that no two that are ``REACH`` or more messages apart (by log time) are in
-the wrong order, so that ranks follow from messages near by. It is enough to compare messages
+this order already: it is checked that no two that are ``REACH`` or more messages apart (by log
+time) are in the wrong order, so that ranks follow from messages near by. It is enough to compare messages
 ``REACH`` to ``2 REACH - 1`` apart: of two in the wrong order that are farther apart, one in
 between is in the wrong order with one of them. Both are known to the window that holds the message
 ``REACH`` after the first of them, and each message of a log belongs to one window of any division
