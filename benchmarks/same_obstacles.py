@@ -41,10 +41,14 @@ FLOOR_M, FLOOR_RAD = 0.005, 0.005
 OUTSIDE = "outside of the colour image"
 CUT = "cut by the edge of the colour image"
 FLOOR = "another floor was found"
-SPLIT = "one thing in another number of parts"
+LEVEL = "no floor is known, and the depth camera is taken as level"
+JOINED = "cells are joined otherwise"
 SMALL = "near the least size"
 OTHER = "none of these"
-REASONS = (OUTSIDE, CUT, FLOOR, SPLIT, SMALL, OTHER)
+FEW = 0.1
+"""Share of a contour's points that count as single cells; two always do."""
+RECTANGLE = "the rectangle alone"
+CELLS = "single cells of the contour"
 
 
 @dataclass(frozen=True)
@@ -283,7 +287,7 @@ def _moved(
     old = [one.moved(turn, shift) for one in things_of(before)]
     new = things_of(after)
     pairs = pair_up(old, new)
-    other_floor = _floor_differs(own, _plane(after.row), T)
+    floor = _floor_reason(before, after, T)
     same, differences = 0, []
     for i, j in pairs:
         one, other = old[i], new[j]
@@ -292,7 +296,7 @@ def _moved(
         if off <= tolerance_m:
             same += 1
             continue
-        reason = _reason(one, other, size, other_floor, lone=False)
+        reason = _little(one, other, parts, tolerance_m) or floor or JOINED
         by = ", ".join(f"{name} {value:.3f}" for name, value in parts.items())
         text = f"{by} m: {_text(one.row)} -> {_text(other.row)}"
         differences.append(Difference(stamp, "both", reason, text))
@@ -300,34 +304,33 @@ def _moved(
         taken = {pair[place] for pair in pairs}
         for number in sorted(set(range(len(mine))) - taken):
             one = mine[number]
-            near = any(gap_m(one, other) < tolerance_m for other in others)
-            lone = [one, None] if side == "old" else [None, one]
-            reason = _reason(*lone, size, other_floor, lone=not near)
+            near = any(gap_m(one, other) < PAIRED_M for other in others)
+            reason = _reason(one, size, floor, near=near)
             differences.append(Difference(stamp, side, reason, _text(one.row)))
     return same, differences
 
 
-def _reason(
-    one: Thing | None,
-    other: Thing | None,
-    size: tuple[int, int],
-    other_floor: bool,
-    *,
-    lone: bool,
-) -> str:
-    """Why an obstacle differs; ``lone`` where nothing of the other side is near it."""
-    rows = [thing.row for thing in (one, other) if thing]
-    if any(row["u_min"] is None for row in rows):
+def _little(one: Thing, other: Thing, parts: dict[str, float], tolerance_m: float) -> str | None:
+    """The reason where a pair differs in a part of its outline alone, else None."""
+    if max(parts["distance"], parts["bottom_m"], parts["top_m"]) > tolerance_m:
+        return None
+    if parts["contour"] <= tolerance_m:
+        return RECTANGLE
+    way = np.linalg.norm(one.contour[:, None] - other.contour[None], axis=-1)
+    off = [int((way.min(axis=axis) > tolerance_m).sum()) for axis in (0, 1)]
+    return CELLS if max(off) <= max(2, FEW * max(way.shape)) else None
+
+
+def _reason(one: Thing, size: tuple[int, int], floor: str, *, near: bool) -> str:
+    """Why an obstacle is in one of the results alone; ``near`` where others are close to it."""
+    row = one.row
+    if row["u_min"] is None:
         return OUTSIDE
-    if any(_touches_edge(row, size) for row in rows):
+    if _touches_edge(row, size) and not near:
         return CUT
-    if other_floor:
-        return FLOOR
-    if (one is None or other is None) and not lone:
-        return SPLIT
-    if any(_is_small(row) for row in rows):
-        return SMALL
-    return OTHER
+    if near:
+        return floor or JOINED
+    return floor or (SMALL if _is_small(row) else OTHER)
 
 
 def _touches_edge(row: dict[str, Any], size: tuple[int, int]) -> bool:
@@ -342,13 +345,16 @@ def _is_small(row: dict[str, Any]) -> bool:
     return max(wide, (row["top_m"] or 0) - (row["bottom_m"] or 0)) < LEAST_M
 
 
-def _floor_differs(own: tuple, found: tuple, T: np.ndarray) -> bool:
-    """Whether the floors of a frame are not the same plane."""
-    down, height = own
-    center = -T[:3, :3].T @ T[:3, 3]
-    moved, height = T[:3, :3].T @ down, height - T[:3, :3].T @ down @ center
-    off = float(np.arccos(np.clip(moved @ found[0], -1, 1)))
-    return abs(height - found[1]) > FLOOR_M or off > FLOOR_RAD
+def _floor_reason(before: Frame, after: Frame, T: np.ndarray) -> str:
+    """The reason where the floors of a frame are not the same plane, else empty."""
+    if before.row["camera_height_m"] is None or after.row["camera_height_m"] is None:
+        return LEVEL
+    (down, height), (found, found_height) = _plane(before.row), _plane(after.row)
+    center = -T[:3, :3].T @ T[:3, 3]  # of the colour camera, in the depth camera
+    moved = T[:3, :3].T @ down
+    off = float(np.arccos(np.clip(moved @ found, -1, 1)))
+    is_same = abs(height + moved @ center - found_height) <= FLOOR_M and off <= FLOOR_RAD
+    return "" if is_same else FLOOR
 
 
 def _plane(row: dict[str, Any]) -> tuple[np.ndarray, float]:
