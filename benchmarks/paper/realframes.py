@@ -20,8 +20,10 @@ from benchmarks.scores.boxes import (
     tally_boxes,
 )
 from jaxdet import reference
+from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
+from jaxdet.eval.frame import cell_points
 from jaxdet.io import Log, open_log
 from jaxdet.pipeline import detect, floor_prior
 from jaxdet.presets import PRESETS
@@ -60,16 +62,31 @@ class Found(NamedTuple):
     config: Config
 
     @property
+    def shown(self) -> np.ndarray:
+        """``(n,)`` bool, obstacles that the colour image shows a part of: others have no label."""
+        return self.detections.obstacles.uv_max[0, : self.detections.num_obstacles[0], 0] >= 0
+
+    @property
     def boxes(self) -> np.ndarray:
-        """``(n, 4)`` int32, image boxes of the obstacles [pixel]."""
+        """``(k, 4)`` int32, image boxes of the obstacles that are shown [pixel]."""
         count, obstacles = self.detections.num_obstacles[0], self.detections.obstacles
-        return np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
+        boxes = np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
+        return boxes[self.shown]
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """``(n,)`` float, least forward depth of each [m]."""
-        box = extents(self.detections.obstacles, self.frames.calibration.depth_unit)
-        return box.minimum[0, : self.detections.num_obstacles[0], 2]
+        """``(k,)`` float, least forward depth of what is shown of each in the colour camera [m]."""
+        calibration, count = self.frames.calibration, int(self.detections.num_obstacles[0])
+        cells = self.detections.cells
+        if cells is None:
+            box = extents(self.detections.obstacles, calibration.depth_unit)
+            return box.minimum[0, :count, 2]
+        side = cell_side(calibration.depth, self.config.surface.cell_rad)
+        points, label = cell_points(cells, 0, calibration, side), cells.label[0]
+        seen = points.valid & (label >= 0)
+        least = np.full(count, np.inf)
+        np.minimum.at(least, label[seen], points.z[seen] * calibration.depth_unit)
+        return least[self.shown]
 
 
 class Task(NamedTuple):
