@@ -135,7 +135,10 @@ def test_images_are_decoded_where_the_caller_says(tmp_path):
     scene = make_scene(5)
     path = write_log(tmp_path / "log.mcap", scene)
     with open_log(str(path)) as log:
-        depth, color = np.full((4, *log.depth_shape), 7, "u2"), np.full((4, *log.color_shape), 7, "u1")
+        depth, color = (
+            np.full((4, *log.depth_shape), 7, "u2"),
+            np.full((4, *log.color_shape), 7, "u1"),
+        )
         batches = log.batches(4, images=lambda: (depth, color), color=True)
         for start, batch in zip((0, 4), batches, strict=True):
             assert batch.frames.color is color and batch.frames.depth is depth

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.color import check_color
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes, evenly
 from jaxdet.engine.join import WHOLE, join_parts, map_files
@@ -186,7 +185,6 @@ class LogRun:
 
     def _run(self, log: "Log", begun: LogPlan | None, *, scan: bool) -> None:
         about = self.about
-        check_color(log, self.config)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
