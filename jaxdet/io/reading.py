@@ -131,8 +131,8 @@ class ImageReader:
             else:
                 there &= window.color.stamps_ns >= 0
                 same = _repeated(window.color, there)
-                first = there & ~np.isin(np.arange(count), list(same))
-                requests += _requests(window.color, self._color, first, False)
+                once = there & ~np.isin(np.arange(count), list(same))
+                requests += _requests(window.color, self._color, once, False)
             color[~there] = 0
         rows = [depth, color]
         requests.sort(key=lambda request: request[:4])
@@ -146,10 +146,12 @@ class ImageReader:
         for chunk in window.chunks:
             self._store.check(chunk)
         for images, problems in zip((depth, color), errors, strict=True):
-            if images is not None:
-                images[[row for row, error in enumerate(problems) if error is not None]] = 0
-        for row, first_row in same.items():
-            color[row], errors.color[row] = color[first_row], errors.color[first_row]
+            bad = [row for row, error in enumerate(problems) if error is not None]
+            if images is not None and bad:
+                images[bad] = 0
+        if color is not None:
+            for row, first in same.items():
+                color[row], errors.color[row] = color[first], errors.color[first]
         return errors
 
     def decoding_s(self) -> float:
