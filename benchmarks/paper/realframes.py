@@ -23,6 +23,7 @@ from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
+from jaxdet.engine.color import method_frames
 from jaxdet.eval.frame import cell_points
 from jaxdet.io import Log, open_log
 from jaxdet.pipeline import detect, floor_prior
@@ -111,10 +112,11 @@ class Judgement(NamedTuple):
 def find_obstacles(log: Log, config: Config) -> Iterator[Found]:
     """Every frame of a log as ``jaxdet run --backend reference`` finds its obstacles."""
     planes = decide_planes(log, config, "reference")
-    for batch in log.batches(1, color=True):
+    for batch in log.batches(1, color=True, need_color=config.cluster.points):
         frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
+        read = method_frames(frames, config)
         yield Found(
-            frames, to_host(detect(frames, config, backend="reference", with_cells=True)), config
+            frames, to_host(detect(read, config, backend="reference", with_cells=True)), config
         )
 
 
