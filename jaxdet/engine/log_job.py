@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxdet.engine.color import check_color
 from jaxdet.engine.crew import Choose, Crew, Job
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.memory import Memory
@@ -275,7 +274,6 @@ class CameraRun:
         if log.label != log.name:
             self.part = camera_name(log.camera)
             about.file_name = export_name(log.name, log.camera)
-        check_color(log, self.job.config)
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes

@@ -7,7 +7,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxdet.engine.signals import stops_held_back
 from jaxdet.errors import ConfigError, InputError, ResultsError
 from jaxdet.results.durable import write_whole, writing
 from jaxdet.results.layout import (
@@ -28,6 +27,7 @@ from jaxdet.results.names import log_name
 from jaxdet.results.publish import finish, publish, remove
 from jaxdet.results.record import difference, digest
 from jaxdet.results.summary import LogSummary, to_json
+from jaxdet.signals import stops_held_back
 
 if TYPE_CHECKING:
     from jaxdet.engine.options import RunOptions

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from jaxdet.config import Config
 from jaxdet.engine.part import Part
 from jaxdet.engine.plan import LogPlan, Unit
-from jaxdet.engine.signals import STOPS, stops_held_back
 from jaxdet.engine.slots import Slots
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.station import Station
@@ -31,6 +30,7 @@ from jaxdet.engine.worker import (
 )
 from jaxdet.errors import FrameStatus, WorkerError, WorkerStartError
 from jaxdet.pipeline import BackendName
+from jaxdet.signals import STOPS, stops_held_back
 
 if TYPE_CHECKING:
     from jaxdet.engine.lane import Served

@@ -25,7 +25,6 @@ from jaxdet.engine.output import OutputFolder, Say
 from jaxdet.engine.plan import Observer
 from jaxdet.engine.pool import LOST, Pool, gpus
 from jaxdet.engine.progress import Progress, ProgressCallback
-from jaxdet.engine.signals import stops_held_back, stops_raised
 from jaxdet.engine.whole_logs import FEW_BYTES, OtherCamera, WorkerJob, choose_whole, do_log
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles, LogOptions, find_logs
@@ -35,6 +34,7 @@ from jaxdet.results.manifest import fingerprint
 from jaxdet.results.publish import remove
 from jaxdet.results.record import digest, make_record
 from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.signals import stops_held_back, stops_raised
 
 if TYPE_CHECKING:
     from jaxdet.io import Log
