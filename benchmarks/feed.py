@@ -166,7 +166,7 @@ def run_command(log: Path, results: Path) -> Run:
     wall = time.perf_counter() - start
     if code:
         raise RuntimeError(f"jaxdet run {log} ended with exit code {code}")
-    about = json.loads((results / "summary.json").read_text("utf-8"))["logs"][0]
+    about = json.loads(next(results.glob("*/summary.json")).read_text("utf-8"))["logs"][0]
     if about["frames_per_s"] is None:
         raise RuntimeError(f"{log} has too few frames for a steady rate: use --frames")
     steady = about["seconds"] - about["first_batch_s"]

@@ -14,15 +14,16 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import ClusterConfig, Config, GroundConfig
-from jaxdet.engine import RunOptions, decide_planes, log_run
+from jaxdet.engine import decide_planes, log_job
 from jaxdet.engine.floors import evenly
 from jaxdet.engine.unit import _ahead
-from jaxdet.errors import ConfigError, FrameStatus, InputError, Interrupted
+from jaxdet.errors import FrameStatus, InputError, Interrupted
 from jaxdet.floor.plane import flat_plane
 from jaxdet.io import Batch, LogFiles, LogOptions, Notes, find_logs, open_log
 from jaxdet.io.limits import ReadMemory
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.types import Calibration, Frames, Intrinsics
+from tests.runs import run_log, run_logs
 
 TABLES = ("frames.parquet", "obstacles.parquet")
 
@@ -37,21 +38,23 @@ def sim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(log: Path | str, output: Path, **options: Any) -> engine.Summary:
     config, truth = options.pop("config", Config()), options.pop("truth", None)
     observers = {"score": TruthScore(truth, config)} if truth else {}
-    given = RunOptions(output, **options)
-    return engine.run(find_logs([str(log)]), config, LogOptions(), given, observers=observers)
+    return run_log(log, output / "log", config, observers=observers, **options)
 
 
 def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path) -> None:
     ways = [("reference", 1), ("reference", 5), ("jax", 3), ("jax", 16)]
     for backend, batch in ways:
         run(sim_log, tmp_path / f"{backend}{batch}", backend=backend, batch_size=batch, pictures=0)
-    for name in (*TABLES, "map_sim.npz", "map_sim.png"):
-        found = {(tmp_path / f"{backend}{batch}" / name).read_bytes() for backend, batch in ways}
+    for name in (*TABLES, "map.npz", "map.png"):
+        found = {
+            (tmp_path / f"{backend}{batch}" / "log" / name).read_bytes() for backend, batch in ways
+        }
         assert len(found) == 1, name
 
 
 def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     summary = run(sim_log, tmp_path, backend="reference", pictures=3, truth=sim_log)
+    tmp_path = tmp_path / "log"
     frames = pq.read_table(tmp_path / "frames.parquet").to_pylist()
     obstacles = pq.read_table(tmp_path / "obstacles.parquet").to_pylist()
     assert [row["frame"] for row in frames] == list(range(7))
@@ -63,7 +66,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
     assert all(row["corners_world"] is not None for row in obstacles)
     assert frames[0]["camera_height_m"] == pytest.approx(0.30, abs=0.01)
     pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
-    assert pictures == [f"sim_{i:06d}.png" for i in (0, 3, 6)]
+    assert pictures == [f"{i:06d}.png" for i in (0, 3, 6)]
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert read["status"]["ok"] == 7
     assert read["logs"][0]["ground"][0]["source"] == "estimate"
@@ -79,7 +82,7 @@ def test_rows_pictures_map_and_scores(sim_log: Path, tmp_path: Path) -> None:
 
 def test_world_corners_are_where_the_truth_is(sim_log: Path, tmp_path: Path) -> None:
     summary = run(sim_log, tmp_path, backend="reference", pictures=0)
-    grid = np.load(tmp_path / "map_sim.npz")
+    grid = np.load(tmp_path / "log" / "map.npz")
     with open_log(find_logs([str(sim_log)])[0]) as log:
         poses = log.read(range(7)).frames.T_world_camera
     assert poses is not None
@@ -144,25 +147,29 @@ class FakeLog:
 
 
 @pytest.fixture
-def fake_logs(monkeypatch: pytest.MonkeyPatch) -> list[LogFiles]:
+def fake_logs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> list[LogFiles]:
     def fake_open(files: LogFiles, options: LogOptions, memory: ReadMemory) -> FakeLog:
         if files.name == "broken":
             raise InputError("not an MCAP file", path="broken.mcap")
         return FakeLog()
 
-    monkeypatch.setattr(log_run, "open_log", fake_open)
-    return [LogFiles(name, (Path(f"{name}.mcap"),)) for name in ("fake", "broken", "a/b")]
+    monkeypatch.setattr(log_job, "open_log", fake_open)
+    folder, names = tmp_path_factory.mktemp("fake"), ("fake", "broken", "a/b")
+    paths = [folder / f"{name.replace('/', '_')}.mcap" for name in names]
+    for path in paths:
+        path.touch()
+    return [LogFiles(name, (path,)) for name, path in zip(names, paths, strict=True)]
 
 
 def run_fake(logs: list[LogFiles], output: Path, size: int = 4, **kwargs: Any) -> engine.Summary:
-    options = RunOptions(output, backend="reference", batch_size=size)
-    config = kwargs.pop("config", Config())
-    return engine.run(logs, config, LogOptions(), options, **kwargs)
+    return run_logs(logs, output, backend="reference", batch_size=size, **kwargs)
 
 
 def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs[:1], tmp_path)
-    rows = pq.read_table(tmp_path / "frames.parquet").to_pylist()
+    rows = pq.read_table(tmp_path / "fake" / "frames.parquet").to_pylist()
     expected = [str(s) for s in FakeLog.status]
     expected[2] = "no_depth"
     assert [row["status"] for row in rows] == expected
@@ -178,19 +185,22 @@ def test_every_frame_has_a_row_and_its_status(fake_logs: list, tmp_path: Path) -
 def test_a_failed_log_does_not_stop_the_others(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs, tmp_path)
     assert [log.log for log in summary.failed] == ["broken"]
-    logs = pq.read_table(tmp_path / "frames.parquet")["log"].to_pylist()
-    assert logs == ["a/b"] * 10 + ["fake"] * 10
-    assert (tmp_path / "pictures" / "a_b_000000.png").is_file()
-    assert json.loads((tmp_path / "summary.json").read_text())["failed_logs"] == 1
+    for folder, name in (("a--b", "a/b"), ("fake", "fake")):
+        assert pq.read_table(tmp_path / folder / "frames.parquet")["log"].to_pylist() == [name] * 10
+    assert (tmp_path / "a--b" / "pictures" / "000000.png").is_file()
+    assert summary.to_dict()["failed_logs"] == 1
 
 
-def test_nothing_is_written_when_all_fail(fake_logs: list, tmp_path: Path) -> None:
+def test_a_log_that_fails_has_its_reason_in_its_place(fake_logs: list, tmp_path: Path) -> None:
     summary = run_fake(fake_logs[1:2], tmp_path / "new")
     assert len(summary.failed) == 1
-    assert list(tmp_path.iterdir()) == []
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["broken", "run.json"]
+    assert [path.name for path in (tmp_path / "new" / "broken").iterdir()] == ["failed.json"]
 
 
-def test_an_interrupt_keeps_what_is_done(fake_logs: list, tmp_path: Path) -> None:
+def test_an_interrupt_leaves_nothing_of_the_log_that_is_worked_on(
+    fake_logs: list, tmp_path: Path
+) -> None:
     def interrupt(now: engine.Progress) -> None:
         seen.append(now.doing)
         if not now.doing:
@@ -201,27 +211,10 @@ def test_an_interrupt_keeps_what_is_done(fake_logs: list, tmp_path: Path) -> Non
 
     seen: list[str] = []
 
-    with pytest.raises(Interrupted, match="interrupted; 0 of 1 logs and 1 of 3 units of fake are"):
+    with pytest.raises(Interrupted, match="interrupted; no log is done; the same command goes on"):
         run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
-    assert [path.name for path in (tmp_path / "new").iterdir()] == [".jaxdet"]
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["run.json"]
     assert seen == ["opening", "looking for the floor", "starting", ""]
-
-
-def test_an_interrupt_before_anything_is_done_leaves_nothing(
-    fake_logs: list, tmp_path: Path
-) -> None:
-    def interrupt(now: engine.Progress) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(Interrupted, match="interrupted; nothing is done yet"):
-        run_fake(fake_logs[:1], tmp_path / "new", progress=interrupt)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_results_are_not_overwritten_by_chance(fake_logs: list, tmp_path: Path) -> None:
-    run_fake(fake_logs[:1], tmp_path)
-    with pytest.raises(ConfigError, match="holds results already"):
-        run_fake(fake_logs[:1], tmp_path)
 
 
 def test_sources_of_the_ground() -> None:

@@ -188,8 +188,7 @@ def test_nearest_cell_has_the_pixel() -> None:
 def test_a_log_without_colour_has_pictures_of_depth(tmp_path: Path) -> None:
     log, folder = sim_log(tmp_path / "a.mcap", frames=2, seed=3), tmp_path / "out"
     depth = join_cameras({"front": log}, tmp_path / "depth.mcap", without=lambda t: "/color/" in t)
-    how = RunOptions(folder, pictures=0)
-    engine.run(find_logs([str(depth)]), Config(), LogOptions(), how)
+    run_logs(depth, folder, pictures=0)
     coco = coco_of(folder, tmp_path / "set")
     assert len(check(coco, folder, tmp_path / "set")) > 2
     told = json.loads((tmp_path / "set" / "annotations.json").read_text("utf-8"))

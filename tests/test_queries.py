@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from tests.export_results import run, sim_log
+from tests.export_results import sim_log
+from tests.runs import run_logs
 
 PAGE = Path(__file__).resolve().parents[1] / "jaxdet" / "help" / "queries.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -35,9 +36,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "logs").mkdir()
     for name in ("a", "b"):
         sim_log(folder / "logs" / f"{name}.mcap", seed=ord(name))
-    run(folder / "logs", folder / "results")
-    path = folder / "results" / "frames.parquet"
-    rows = pq.read_table(path).to_pylist()
+    run_logs(folder / "logs", folder / "results", backend="reference", pictures=1)
+    rows = _rows(folder, "frames")
     for row in rows:
         row["color_stamp_ns"] += 85  # which float64 can't tell from 0
     for i, status in ((2, "timeout"), (5, "no_depth"), (9, "timeout"), (10, "timeout")):
@@ -46,14 +46,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for i, drop in ((1, 1.25), (7, 1.5), (8, 3.0)):
         rows[i]["drop_m"] = drop
     rows[7]["camera_position_world"] = None
-    pq.write_table(pa.Table.from_pylist(rows, schema=FRAMES_SCHEMA), path)
-    path = folder / "results" / "obstacles.parquet"
-    table = pq.read_table(path)
-    rows = table.to_pylist()
+    _write(folder, "frames", rows, FRAMES_SCHEMA)
+    rows = _rows(folder, "obstacles")
     rows[1]["bottom_m"], rows[3]["bottom_m"] = 0.5, 0.45
     rows[4] |= {"bottom_m": None, "top_m": None, "corners_world": None}
-    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    _write(folder, "obstacles", rows, OBSTACLES_SCHEMA)
     return folder
+
+
+def _rows(folder: Path, name: str) -> list[dict[str, Any]]:
+    """The rows of a table of both logs."""
+    paths = (folder / "results" / log / f"{name}.parquet" for log in "ab")
+    return [row for path in paths for row in pq.read_table(path).to_pylist()]
+
+
+def _write(folder: Path, name: str, rows: list[dict[str, Any]], schema: pa.Schema) -> None:
+    for log in "ab":
+        own = [row for row in rows if row["log"] == log]
+        path = folder / "results" / log / f"{name}.parquet"
+        pq.write_table(pa.Table.from_pylist(own, schema=schema), path)
 
 
 def last_value(text: str, names: dict[str, Any]) -> Any:
