@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import cv2
 import motmetrics
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxdet.engine import run

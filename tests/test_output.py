@@ -142,7 +142,7 @@ def test_another_configuration_is_refused_with_the_reason(
     (name,) = change
     with pytest.raises(ResultsError, match=rf"but {name} was .* and is .* now; give another"):
         run_logs(logs, copy, **(HOW | change))
-    with pytest.raises(ConfigError, match="holds Day.*, which is not among the logs"):
+    with pytest.raises(ConfigError, match=r"holds Day.*, which is not among the logs"):
         run_logs(logs / "Day 2", copy, **(HOW | change), overwrite=True)
 
 
@@ -185,7 +185,7 @@ def test_a_changed_log_is_refused_and_done_again_by_an_update(
     output = tmp_path / "out"
     run_logs(own, output, **HOW)
     write_log(own / "a.mcap", SimConfig(frames=2, width=96, height=72, seed=7))
-    with pytest.raises(ResultsError, match="holds results of a, but the log has changed.*--update"):
+    with pytest.raises(ResultsError, match=r"holds results of a, but the log has changed.*--update"):
         run_logs(own, output, **HOW)
     names = made(monkeypatch)
     assert run_logs(own, output, update=True, **HOW).frames == 8
@@ -257,7 +257,7 @@ def test_what_is_not_of_a_run_is_refused_before_anything_is_done(
 
 def test_two_logs_of_one_name_are_refused(logs: Path, tmp_path: Path) -> None:
     shutil.copy(logs / "a.mcap", tmp_path)
-    with pytest.raises(ConfigError, match="a.mcap: has the name of .*name the folder that both"):
+    with pytest.raises(ConfigError, match=r"a.mcap: has the name of .*name the folder that both"):
         run_logs([logs / "a.mcap", tmp_path / "a.mcap"], tmp_path / "out", **HOW)
     run_logs([tmp_path / "a.mcap"], tmp_path / "out", **HOW)
 

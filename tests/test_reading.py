@@ -198,7 +198,7 @@ def test_a_file_that_is_shut_is_not_called_damaged(
     new = copied(folder, tmp_path / "new")
     (new / "frames.parquet").unlink()
     os.mkfifo(new / "frames.parquet")
-    with pytest.raises(InputError, match="frames.parquet: is not a file"):
+    with pytest.raises(InputError, match=r"frames.parquet: is not a file"):
         Results(new).tables()
     (new / "summary.json").unlink()
     (new / "summary.json").mkdir()
