@@ -559,7 +559,7 @@ def test_a_log_that_fails_is_said_whatever_tracking_does(
 ) -> None:
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
 
-    def full(folder: Path, **how: Any) -> None:
+    def full(folder: Path, **how: object) -> None:
         raise OutputError("can't be written", path=str(folder))
 
     monkeypatch.setattr("jaxdet.tracks.folder.track_results", full)

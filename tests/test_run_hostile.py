@@ -35,7 +35,9 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(output: Path, logs: Path, **more: Any) -> engine.Summary:
-    config = Config(GroundConfig(camera_height_m=more.pop("height", None)))
+    height = more.pop("height", None)
+    pitch = None if height is None else 0.0
+    config = Config(GroundConfig(camera_height_m=height, camera_pitch_rad=pitch))
     return run_logs(logs, output, config, backend="reference", workers=1, **more)
 
 

@@ -269,7 +269,8 @@ class _Run:
         """Summaries of the cameras of logs, by the logs' names."""
         self.kept: frozenset[str] = frozenset()
         self.numbers = {log.name: number for number, log in enumerate(logs)}
-        self.batch = options.batch_size or 0
+        self.batch, self.workers = options.batch_size or 0, 1
+        """Frames computed together and processes that shared the work, at most."""
 
     def run(self) -> Summary:
         """Do all logs that are not done."""
@@ -313,7 +314,7 @@ class _Run:
     def _summary(self, seconds: float) -> Summary:
         found = [about for log in self.logs for about in self.done[log.name]]
         summary = Summary(self.options.backend, self.batch, found, seconds, kept=self.kept)
-        summary.workers = max((about.workers for about in found), default=1)
+        summary.workers = max([self.workers, *(about.workers for about in found)])
         return summary
 
     def _standing(self) -> str:
@@ -377,11 +378,14 @@ class _Run:
     def _by_workers(self, logs: Mapping[str, LogFiles]):  # noqa: ANN202 (a generator)
         """Yield logs that workers did alone, as they are done, each with the answer."""
         self.pool.resize(self.memory.workers)
+        self.workers = self.pool.count
         served = self.pool.serving
         slots = served and (served.slots, served.calibration)
         batch = served.pieces * served.slots.frames if served else 0
         context = WorkerJob(self.job, self.memory, len(self.pool.devices), slots, batch)
         tasks = {name: (log, self.output.staged(name)) for name, log in logs.items()}
+        for _, staged in tasks.values():
+            remove(staged)  # of a worker that was ended
         first = next(iter(logs))
         self._report(LogSummary(first, ()), first, 0, "opening")
         for name, answer in self.pool.each(context, do_log, tasks):
@@ -403,7 +407,6 @@ class _Run:
         with stops_held_back():
             self.output.publish(log.name)
             self.done[log.name] = done
-        self.batch = max(self.batch, self.options.batch_size or 0)
         for about in done:
             self._report(about, about.log, about.frames, "")
 
