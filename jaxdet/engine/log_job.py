@@ -68,7 +68,7 @@ def make_log(
     Args:
         job: What it has in common with other logs.
         files: The log.
-        folder: New folder; a folder of the same name and ``.rows`` holds temporary files.
+        folder: New folder; ``NAME~CAMERA.rows`` next to it hold temporary files.
         memory: The memory of the run; a log with large chunks is shared by fewer processes.
         choose: Chooses who works on it.
         report: Gets where it stands.
@@ -135,9 +135,8 @@ def _write_results(
     told, config = summary.to_dict(), {**job.described, "batch_size": summary.batch_size}
     with TableWriter(folder) as writer:
         for one in cameras:
-            with closing(one.rows()) as rows:
-                for some in rows:
-                    writer.add(some)
+            for rows in one.rows():
+                writer.add(rows)
         writer.close(config, told)
     write_json(folder / CONFIG, config)
     write_json(folder / SUMMARY, told)
@@ -178,7 +177,7 @@ class CameraRun:
         self.memory, self.choose, self.report, self.camera = memory, choose, report, camera
         self.part = camera_name(camera) if camera else ""
         """Part of the names of its files, where the log has several cameras."""
-        self.scratch = folder.with_name(f"{folder.name}_{self.part}.rows")
+        self.scratch = folder.with_name(f"{folder.name}~{self.part}.rows")
         self.batch, self.about = 0, self._new()
         self._assembly = Assembly(self.scratch, self.about)
 
@@ -299,7 +298,7 @@ class CameraRun:
         about, clock = self.about, Clock(self.about, crew.workers)
         count = len(log.frames)
         self.report(about, log.label, count, "starting")
-        with closing(crew.work(log, plan)) as parts:  # pyright: ignore[reportArgumentType]
+        with closing(crew.work(log, plan)) as parts:
             for unit, part in parts:
                 self._assembly.add(unit, part)
                 clock.tick()
