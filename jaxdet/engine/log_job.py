@@ -33,7 +33,7 @@ from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
 from jaxdet.results.manifest import fingerprint, write_manifest
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
-from jaxdet.results.publish import flush_folder
+from jaxdet.results.publish import flush_folder, remove
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.writer import TableWriter, write_json
 
@@ -109,6 +109,7 @@ def make_log(
         if done:
             _write_results(folder, job, summary, done, about)
         else:
+            remove(folder / "pictures")
             write_failure(folder, about, abouts)
     with writing(folder):
         flush_folder(folder)

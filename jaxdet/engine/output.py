@@ -262,6 +262,8 @@ class OutputFolder:
         with stops_held_back():
             with suppress(OSError):
                 remove(self.staging)
+                if not log_folders(self.output):
+                    (self.output / RUN).unlink(missing_ok=True)
             self._lock.release()
             for folder in (self._working, self.output):
                 with suppress(OSError):
