@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.config import Config, GroundConfig
@@ -18,7 +17,7 @@ from jaxdet.export import export
 from jaxdet.export.html.collect import HISTOGRAM_BINS, MOST_BINS, Columns, LogFigures, Timeline
 from jaxdet.export.html.page import REASONS
 from jaxdet.export.recordings import find
-from jaxdet.results.reading import Results
+from jaxdet.results.reading import Results, open_results
 from tests.made_results import START_NS, STEP_NS, make_results
 
 HOSTILE = "</script><img src=x onerror=boom()>\u2028<!--"
@@ -43,8 +42,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_figures_are_those_of_the_tables(made: Path, tmp_path: Path) -> None:
     data = page_of(made, tmp_path / "page.html")
-    frames = pq.read_table(made / "frames.parquet").to_pandas()
-    obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
+    frames = open_results(made).tables().frames.to_pandas()
+    obstacles = open_results(made).tables().obstacles.to_pandas()
     assert [log["log"] for log in data["logs"]] == [printable(HOSTILE), "b", "short", "torn"]
     for log in data["logs"][:3]:
         rows = frames[frames.log == log["log"]]
@@ -89,7 +88,7 @@ def test_rows_of_a_full_frame_are_its_nearest(
 ) -> None:
     monkeypatch.setattr("jaxdet.export.html.MOST_ROWS", 2)
     data = page_of(made, tmp_path / "page.html")
-    obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
+    obstacles = open_results(made).tables().obstacles.to_pandas()
     full = [frame for frame in data["frames"] if frame["count"] > 2]
     assert full
     for frame in full:
@@ -102,8 +101,8 @@ def test_rows_of_a_full_frame_are_its_nearest(
 
 def test_gallery_has_what_is_worth_a_look(made: Path, tmp_path: Path) -> None:
     data = page_of(made, tmp_path / "page.html")
-    frames = pq.read_table(made / "frames.parquet").to_pandas()
-    obstacles = pq.read_table(made / "obstacles.parquet").to_pandas()
+    frames = open_results(made).tables().frames.to_pandas()
+    obstacles = open_results(made).tables().obstacles.to_pandas()
     names = [log["log"] for log in data["logs"]]
     kinds = {kind for frame in data["frames"] for kind in frame["kinds"]}
     assert kinds == {"nearest", "most", "overflow", "lost"}
@@ -205,10 +204,10 @@ def test_a_map_that_is_left_out_is_named(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (log,) = page_of(drive / "out", tmp_path / "page.html")["logs"]
-    assert log["map"] and log["map_file"] == "map_drive"
+    assert log["map"] and log["map_file"] == "out/map"
     monkeypatch.setattr("jaxdet.export.html.MOST_MAPS", 0)
     (log,) = page_of(drive / "out", tmp_path / "without.html")["logs"]
-    assert log["map"] is None and log["map_file"] == "map_drive"
+    assert log["map"] is None and log["map_file"] == "out/map"
 
 
 def test_recorded_log(aims: tuple[Path, Path], tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_with_the_log(drive: Path, tmp_path: Path) -> None:
     check_points(drive / "out", found)
     assert len(found[f"{CAMERA}/color"]["blob"]) == len(found[f"{CAMERA}/depth"]["blob"]) == 5
     shown = found["/world/map"]
-    with np.load(drive / "out" / "map_drive.npz") as map_:
+    with np.load(drive / "out" / "map.npz") as map_:
         drawn = np.reshape(shown["data"][-1], (*map_["counts"].shape, 3))[::-1]  # Y up
         assert np.array_equal(
             (drawn == FREE).all(axis=-1), (map_["free"] > 0) & (map_["counts"] == 0)

@@ -196,7 +196,7 @@ def _log(results: "Results", log: "ResultLog", figures: LogFigures) -> dict[str,
         "notes": summary.get("notes", []),
         "errors": summary["frame_errors"],
         "map": None,
-        "map_file": summary["map"],
+        "map_file": summary["map"] and f"{log.folder.absolute().name}/map{log.suffix}",
         "tracks": track_rows(results, log, start or 0),
     }
 
