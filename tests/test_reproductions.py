@@ -73,7 +73,7 @@ REPRODUCTIONS = {
     "units, version and configuration in the files": ("queries the_schema_is_printed",),
     "the order of corners, units of columns": ("help_pages every_column_is_explained",),
     "a log where results are meant": ("reading a_log_is_no_folder",),
-    "num_features is num_kept": ("engine_surfaces each_frame_is_as_alone",),
+    "a frame is as alone": ("engine_surfaces each_frame_is_as_alone",),
     "free and unknown in maps": ("export_grid nav2_loads",),
     "exports that Foxglove, Rerun, ROS 2 open": (
         "export_foxglove every_frame_replaces",

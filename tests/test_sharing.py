@@ -206,7 +206,7 @@ def test_logs_of_several_cameras_and_scans(tmp_path, monkeypatch):
             monkeypatch.setattr(log, "batches", rescan, raising=False)
         return log
 
-    def rescan(*_: Any) -> Any:
+    def rescan(*_: Any, **how: Any) -> Any:
         raise log_run.RescanError("out of order", path="a.mcap")
 
     monkeypatch.setattr(log_run, "open_log", open_log)
