@@ -193,7 +193,9 @@ def test_points_that_no_camera_sees_are_clustered_alike(name: str, value: int) -
     config = jaxdet.preset("paper")
     depth = np.full((1, 60, 80), 1500, np.uint16)
     color = np.random.default_rng(0).integers(0, 255, (1, 60, 80, 3), np.uint8)
-    found = jaxdet.detect(frames(small(80, 60), color, depth), config, backend="reference").features
+    whole = jaxdet.detect(frames(small(80, 60), color, depth), config, backend="reference")
+    assert whole.points is not None
+    found = whole.points.features
     given = found._replace(**{name: np.full_like(getattr(found, name), value)})
     from jaxdet import reference, stages
 

@@ -834,7 +834,7 @@ def test_an_output_whose_name_is_not_utf8(many: list, tmp_path: Path) -> None:
 
 def test_a_log_that_was_scanned_goes_on_so(tmp_path):
     path = write_made(tmp_path / "x.mcap", make_scene(40), compression="none", chunk_size=1)
-    chunk = chunks_of(path)[10]  # of a colour image
+    chunk = chunks_of(path)[11]  # of a depth image
     flip(path, chunk.chunk_start_offset + chunk.chunk_length - 8)
     config = Config(GroundConfig(source="none", camera_height_m=0.5, camera_pitch_rad=0.0))
 
