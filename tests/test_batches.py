@@ -20,6 +20,8 @@ from jaxdet.stages import _batches, _detect, _points, _upload
 from jaxdet.types import Frames, GroundPlane
 from tests.scenes import assert_equal, blocks, frames, level, small, smooth_depth, with_lens
 
+pytestmark = pytest.mark.twin
+
 
 def scene(batch: int, lens: str = "pinhole", size: tuple[int, int] = (80, 60)) -> Frames:
     color = with_lens(small(*size).image, lens)
